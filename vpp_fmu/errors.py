@@ -1,0 +1,28 @@
+"""The whole error tree. Everything a caller may catch stands here; the command line turns each into one line and exit 2."""
+
+
+class VppError(Exception):
+    """Base of all errors this project raises on purpose."""
+
+
+class BadInput(VppError):
+    """A file, folder or option holds something that is not allowed.
+
+    The message is one line: which file, which field, what was found, what is allowed.
+    """
+
+    def __init__(self, where: object, field: str, found: object, allowed: str):
+        self.where, self.field, self.found, self.allowed = str(where), field, str(found), allowed
+        super().__init__(f"{where}: {field}: found {found}, allowed is {allowed}")
+
+
+class SimulationFailed(VppError):
+    """A model or FMU could not take a step: the message says which, when, and with what inputs."""
+
+
+class NotIdentifiable(VppError):
+    """The data hold no information on what was asked for."""
+
+
+class CompilerMissing(VppError):
+    """No C compiler was found where one is needed."""

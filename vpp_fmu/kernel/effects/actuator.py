@@ -1,0 +1,59 @@
+"""A commanded channel: two first-order lags in a row (paper, eqs. 13-15), open between its stages for other effects.
+
+    tau_2 dx/dt = u_ref - x        (the inner stage)
+    tau_1 du/dt = x - u            (the outer stage: rotor speed, or blade pitch)
+
+Three effects, so that others can stand between them: the error that drives the inner stage, the inner stage's move, and the
+outer stage. All are exact for a command held over the step, also where the two time constants are equal. The paper's
+deviations from the operating point are absolute values here; the equations are linear, so nothing else changes.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+
+def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[Effect, Effect, Effect]:
+    """The stages of channel `u` ("omega" or "beta"), commanded by the signal `<u>_ref`.
+
+    Signals: `<u>_inner` (value of the inner stage) and `<u>_error` before the move, `<u>_move` (what the inner stage covers
+    in the step), `tau_<u>_1`, `tau_<u>_2`, and `<u>` at the end.
+    """
+    ref, inner, error, move, ahead = f"{u}_ref", f"{u}_inner", f"{u}_error", f"{u}_move", f"{u}_inner_ahead"
+    slow, fast = f"tau_{u}_1", f"tau_{u}_2"
+
+    def drive(ops, s, x, p, dt):
+        value = getattr(x, inner)
+        return {inner: value, error: getattr(s, ref) - value, slow: getattr(p, slow), fast: getattr(p, fast)}, {}
+
+    def first_lag(ops, s, x, p, dt):
+        return {move: ops.gain(getattr(s, fast), dt) * getattr(s, error)}, {}
+
+    def second_lag(ops, s, x, p, dt):
+        # Within the step the inner stage relaxes from its value towards the next with its own time constant; what the
+        # outer stage makes of that is the two lags' step response over the inner stage's share.
+        tau_1, tau_2, moved = getattr(s, slow), getattr(s, fast), getattr(s, move)
+        before, value = getattr(s, inner), getattr(x, u)
+        carried = ops.two_lag_step(tau_1, tau_2, dt) / ops.gain(tau_2, dt)
+        value = value + ops.gain(tau_1, dt) * (before - value) + carried * moved
+        return {u: value, ahead: before + moved}, {u: value}
+
+    def constant(name, default, stage):
+        text = f"time constant of the {stage} lag between commanded and reached {title}"
+        return Parameter(name, "s", default, 0.001, 3.0, text, nominal=0.1)
+
+    def at_command(ops, s, p):
+        return getattr(s, ref)
+
+    def at_inner(ops, s, p):
+        return getattr(s, inner)
+
+    states = State(inner, unit, f"{title} after the inner lag", at_command, closed_by=ahead), State(u, unit, title, at_inner)
+    constants = constant(slow, tau_1, "outer"), constant(fast, tau_2, "inner")
+    return (
+        Effect(f"{u}_drive", f"what drives the {title} channel", drive, constants, states[:1]),
+        Effect(f"{u}_first_lag", f"inner lag of the {title} channel", first_lag),
+        Effect(f"{u}_second_lag", f"outer lag of the {title} channel", second_lag, states=states[1:]),
+    )
+
+
+SPEED = channel("omega", "rotor speed", "rpm", 0.172, 0.053)
+PITCH = channel("beta", "blade pitch", "deg", 0.207, 0.374)

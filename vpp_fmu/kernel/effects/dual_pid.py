@@ -1,0 +1,80 @@
+"""Two PIDs on one thrust error command speed and pitch (paper, section 3.3), sampled, in normalised quantities.
+
+    e = (thrust_set - thrust) / thrust_scale
+    I[k] = I[k-1] + (e[k-1] + e[k]) dt / 2                      trapezoidal, one integral a channel
+    D[k] = (1 - delta) D[k-1] + delta (e[k] - e[k-1]) / dt,     delta = dt / t_filter
+    w_ref = kp e + ki I + kd D,   held within the limits
+
+Clamping looks at each channel by itself: an integral stops when its own sum leaves its own limits and the step would take
+it further out. With one shared integral, or one shared test, the channel that still has room would stall with the other.
+Departs from the paper: delta is held to 1 where t_filter < dt, since the form is unstable there.
+"""
+
+from vpp_fmu.kernel.effects.thrust_map import scales
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+
+def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
+    """One PID in normalised units: (command within [low, high], next integral)."""
+    moved = integral + move
+    wanted = kp * e + ki * moved + kd * rate
+    above = ops.where(ki * move > 0.0, integral, moved)
+    below = ops.where(ki * move < 0.0, integral, moved)
+    kept = ops.where(wanted > high, above, ops.where(wanted < low, below, moved))
+    return ops.clip(kp * e + ki * kept + kd * rate, low, high), kept
+
+
+def _step(ops, s, x, p, dt):
+    running = x.running > 0.5  # the first sample has no past: it adds nothing to the integrals, and sees no rate
+    e = (s.thrust_set - s.thrust) / p.thrust_scale
+    before = ops.where(running, x.error, e)
+    move = ops.where(running, 0.5 * (before + e) * dt, 0.0)
+    delta = dt / ops.maximum(p.t_filter, dt)
+    rate = (1.0 - delta) * x.rate + delta * ((e - before) / dt)
+    low, high = p.omega_min / p.omega_scale, p.omega_max / p.omega_scale
+    w, omega_integral = _channel(ops, e, move, x.omega_integral, rate, p.kp_omega, p.ki_omega, p.kd_omega, low, high)
+    low, high = (p.beta_min + p.beta_offset) / p.beta_scale, (p.beta_max + p.beta_offset) / p.beta_scale
+    b, beta_integral = _channel(ops, e, move, x.beta_integral, rate, p.kp_beta, p.ki_beta, p.kd_beta, low, high)
+    beta = ops.where(p.speed_only > 0.5, p.beta_fixed, p.beta_scale * b - p.beta_offset)
+    commands = {"omega_ref": p.omega_scale * w, "beta_ref": beta}
+    memory = {"omega_integral": omega_integral, "beta_integral": beta_integral, "error": e, "rate": rate, "running": 1.0}
+    return commands, memory
+
+
+def _gain(name: str, default: float, unit: str, text: str) -> Parameter:
+    return Parameter(name, unit, default, 0.0, 1e4, f"{text} gain, normalised", nominal=10.0)
+
+
+def _nothing(ops, s, p):
+    return 0.0
+
+
+DUAL_PID = Effect(
+    "dual_pid",
+    "two PIDs on the thrust error",
+    _step,
+    parameters=(
+        _gain("kp_omega", 9.82, "1", "proportional speed"),
+        _gain("ki_omega", 115.3, "1/s", "integral speed"),
+        _gain("kd_omega", 0.318, "s", "derivative speed"),
+        _gain("kp_beta", 9.0, "1", "proportional pitch"),
+        _gain("ki_beta", 70.44, "1/s", "integral pitch"),
+        _gain("kd_beta", 0.25, "s", "derivative pitch"),
+        Parameter("t_filter", "s", 0.02, 0.0, 10.0, "time constant of the derivative's filter", 0.02),
+        Parameter("sample_time", "s", 0.004, 1e-5, 10.0, "period at which the controller samples", 0.004),
+        Parameter("omega_min", "rpm", 2000.0, 0.0, 30000.0, "lowest speed that is commanded", 6000.0),
+        Parameter("omega_max", "rpm", 6000.0, 0.0, 30000.0, "highest speed that is commanded", 6000.0),
+        Parameter("beta_min", "deg", -5.0, -45.0, 45.0, "lowest pitch that is commanded", 10.0),
+        Parameter("beta_max", "deg", 10.0, -45.0, 45.0, "highest pitch that is commanded", 10.0),
+        Parameter("speed_only", "1", 0.0, 0.0, 1.0, "1: only speed is controlled, pitch stays at beta_fixed"),
+        Parameter("beta_fixed", "deg", 10.0, -45.0, 45.0, "pitch in speed-only mode", 10.0),
+        *scales(),
+    ),
+    states=(
+        State("omega_integral", "s", "integral of the normalised thrust error, speed channel", _nothing),
+        State("beta_integral", "s", "integral of the normalised thrust error, pitch channel", _nothing),
+        State("error", "1", "normalised thrust error at the last sample", _nothing),
+        State("rate", "1/s", "filtered rate of the normalised thrust error", _nothing),
+        State("running", "1", "0 before the first sample, then 1", _nothing),
+    ),
+)

@@ -1,0 +1,37 @@
+"""Moving the blades disturbs the rotor speed until the speed loop has caught it (paper, eqs. 9-12: K_beta).
+
+    d_omega = -gain s / ((tau_omega_1 s + 1)(tau_omega_2 s + 1)) beta
+
+Pitch loads the rotor; the loop's integrator takes a constant load up, so only the rate of pitch shows. With the paper's
+symbols gain = K_beta / K_I. Pitch runs nearly straight over a step, and its two lags here are exact for that.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+
+def _step(ops, s, x, p, dt):
+    trail = ops.lag_ramp(x.trail, x.beta_before, s.beta, s.tau_omega_1, dt)
+    rate_before = (x.beta_before - x.trail) / s.tau_omega_1
+    rate_after = (s.beta - trail) / s.tau_omega_1
+    rate = ops.lag_ramp(x.rate, rate_before, rate_after, s.tau_omega_2, dt)
+    return {"omega": s.omega - p.gain * rate}, {"beta_before": s.beta, "trail": trail, "rate": rate}
+
+
+def _at_pitch(ops, s, p):
+    return s.beta
+
+
+EFFECT = Effect(
+    "pitch_speed_coupling",
+    "rotor speed dips while the pitch rises",
+    _step,
+    parameters=(Parameter("gain", "rpm.s/deg", 0.0, -120.0, 120.0, "speed lost per rate of pitch", 20.0),),
+    states=(
+        State("beta_before", "deg", "blade pitch at the start of the step", _at_pitch),
+        State("trail", "deg", "blade pitch after the speed loop's outer lag", _at_pitch),
+        State("rate", "deg/s", "rate of pitch as the speed loop passes it", lambda ops, s, p: 0.0),
+    ),
+    off={"gain": 0.0},
+    probe={"gain": 25.0},
+    largest_step=0.002,
+)

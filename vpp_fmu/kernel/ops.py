@@ -1,0 +1,86 @@
+"""The few primitives that physics is written in, and what is built on them.
+
+An effect computes only through `+ - * /`, the comparisons `<` and `>`, and the methods below. On floats they are the
+maths library's (`Numbers`); on traced values they record what was computed (`vpp_fmu.tracer`). Both inherit what is
+built on the primitives, so a limit or a lag is one formula whoever runs it.
+"""
+
+import math
+
+SERIES_BELOW = 0.3
+"""Below this |x|, `relaxation` uses its series: the direct form loses digits, its derivative more."""
+
+SERIES_TERMS = 13
+"""0.3**13 / 14! < 1e-17: the series is exact to rounding where it is used."""
+
+
+class Ops:
+    """What every arithmetic has; subclasses bring `exp expm1 sqrt sin cos tanh where`."""
+
+    def abs(self, x):
+        """|x|, same unit."""
+        return self.where(x < 0.0, -x, x)
+
+    def minimum(self, x, y):
+        """The smaller of x and y."""
+        return self.where(y < x, y, x)
+
+    def maximum(self, x, y):
+        """The larger of x and y."""
+        return self.where(y > x, y, x)
+
+    def clip(self, x, low, high):
+        """x held within [low, high]."""
+        return self.minimum(self.maximum(x, low), high)
+
+    def gain(self, tau, dt):
+        """Share of a distance that a first-order lag covers in dt: 1 - exp(-dt / tau). Exact for a held input."""
+        return -self.expm1(-dt / tau)
+
+    def lag(self, x, u, tau, dt):
+        """First-order lag from x towards u, held over dt. Exact; at x == u it stays to the bit."""
+        return x + self.gain(tau, dt) * (u - x)
+
+    def lag_ramp(self, x, before, after, tau, dt):
+        """First-order lag from x, its input running straight from `before` to `after` over dt. Exact for a ramp."""
+        covered = self.gain(tau, dt)
+        return x + covered * (before - x) + (after - before) * (1.0 - covered * tau / dt)
+
+    def relaxation(self, x):
+        """(1 - exp(-x)) / x for x >= 0, with its limit 1 at x = 0 and a derivative that is right there too."""
+        small = x < SERIES_BELOW
+        terms = 1.0
+        for n in range(SERIES_TERMS, 1, -1):
+            terms = 1.0 - x / float(n) * terms
+        away = self.where(small, SERIES_BELOW, x)
+        return self.where(small, terms, -self.expm1(-away) / away)
+
+    def two_lag_step(self, tau_1, tau_2, dt):
+        """Unit step response at dt of two lags in a row: 1 - (tau_1 e_1 - tau_2 e_2) / (tau_1 - tau_2).
+
+        Written so that equal time constants need no case of their own: with the slower and the faster constant,
+        e_fast = e_slow exp(-d), d = dt (slow - fast) / (slow fast) >= 0, and the quotient becomes `relaxation(d)`.
+        """
+        slow, fast = self.maximum(tau_1, tau_2), self.minimum(tau_1, tau_2)
+        apart = dt * (slow - fast) / (slow * fast)
+        left = self.exp(-dt / slow)
+        return self.gain(slow, dt) - left * (dt / slow) * self.relaxation(apart)
+
+
+class Numbers(Ops):
+    """The primitives on plain floats; overflow, division by zero and negative roots raise as Python's do."""
+
+    exp = staticmethod(math.exp)
+    expm1 = staticmethod(math.expm1)
+    sqrt = staticmethod(math.sqrt)
+    sin = staticmethod(math.sin)
+    cos = staticmethod(math.cos)
+    tanh = staticmethod(math.tanh)
+
+    @staticmethod
+    def where(condition, yes, no):
+        """`yes` where the condition holds, else `no`; both were evaluated."""
+        return yes if condition else no
+
+
+NUMBERS = Numbers()

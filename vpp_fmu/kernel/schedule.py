@@ -1,0 +1,82 @@
+"""When a model takes its steps: one communication step becomes pieces, each with inputs that really are held.
+
+A piece ends where a delayed command begins to act, and is cut into equal steps no longer than the model's largest step. A
+delay is thus exact at any communication step, and every form that is exact for held inputs stays exact behind it. A
+sampled law runs when its sample is due. `schedule.c` is the same text in C; both must do the same arithmetic in the same
+order, since results are compared bit by bit. This file travels inside the Python FMU.
+"""
+
+from math import ceil, isinf
+
+NOW = 1e-9  # s; what is due within a nanosecond is due now: rounding must not cut slivers off a step
+SLOTS = 4096  # commands that may wait in one delay; C needs the bound, so Python has it too
+
+
+class DelayLine:
+    """A command on its way: changes wait until their delay has passed, the last one that did is in force."""
+
+    def __init__(self, value):
+        self.acting = self.latest = value
+        self.waits, self.values = [], []  # each wait counts from the change before it, the first from now
+        self.span = 0.0  # time from now until the last change acts
+
+    def push(self, value, delay):
+        """The command changes to `value` now; it acts after `delay` seconds."""
+        if value == self.latest:
+            return
+        if len(self.waits) == SLOTS:
+            raise OverflowError(f"more than {SLOTS} command changes wait in one delay: take longer communication steps")
+        self.waits.append(delay - self.span if self.waits else delay)
+        self.values.append(value)
+        self.latest, self.span = value, delay
+
+    def act(self):
+        """Put in force whatever is due now."""
+        while self.waits and self.waits[0] <= NOW:
+            left = self.waits.pop(0)
+            self.acting = self.values.pop(0)
+            if self.waits:
+                self.waits[0] += left
+
+    def pass_time(self, piece):
+        """`piece` seconds go by."""
+        if self.waits:
+            self.waits[0] -= piece
+            self.span -= piece
+
+
+def run_held(lines, delays, inputs, span, largest, step):
+    """Advance a continuous model by `span` seconds under `inputs` that the caller holds.
+
+    `lines`: DelayLine or None for each input; `delays`: the seconds each is held back; `largest`: the longest step allowed;
+    `step(acting inputs, dt)` takes one step.
+    """
+    delayed = [(i, line) for i, line in enumerate(lines) if line is not None]
+    for i, line in delayed:
+        line.push(inputs[i], delays[i])
+    acting = list(inputs)
+    left = span
+    while True:
+        piece = left
+        for i, line in delayed:
+            line.act()
+            acting[i] = line.acting
+            if line.waits and line.waits[0] < piece - NOW:
+                piece = line.waits[0]
+        count = 1 if isinf(largest) else max(1, ceil(piece / largest - NOW))
+        for _ in range(count):
+            step(acting, piece / count)
+        for _, line in delayed:
+            line.pass_time(piece)
+        left -= piece
+        if left <= NOW:
+            return
+
+
+def run_sampled(wait, period, span, step):
+    """Advance a sampled law by `span` seconds: `step(period)` at each sample that is due. Returns the wait for the next."""
+    while wait < span - NOW:
+        step(period)
+        wait += period
+    wait -= span
+    return 0.0 if abs(wait) <= NOW else wait

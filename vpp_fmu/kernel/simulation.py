@@ -1,0 +1,54 @@
+"""A model run as it stands: the reference that generated code is held against."""
+
+from collections.abc import Mapping
+
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.schedule import DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.types import Model, largest_step, start, step
+
+
+class Simulation:
+    """A model with its parameter values, its states and its place in the schedule.
+
+    `parameters`: changes to the defaults, by full name (KeyError names an unknown one).
+    """
+
+    def __init__(self, model: Model, parameters: Mapping[str, float] | None = None):
+        self.model = model
+        self.parameters = model.values(parameters)
+        self._names = tuple(s.name for s in model.inputs)
+        self._delays = [None] * len(self._names)
+        for name, parameter in model.delays:
+            self._delays[self._names.index(name)] = self.parameters[parameter]
+        self._largest = largest_step(model, NUMBERS, self.parameters)
+        self.start({name: 0.0 for name in self._names})
+
+    def start(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        """Settle on `inputs` (all of them, by name); returns the outputs."""
+        self._inputs = {name: float(inputs[name]) for name in self._names}
+        self._lines = [
+            None if delay is None else DelayLine(u) for delay, u in zip(self._delays, self._inputs.values(), strict=True)
+        ]
+        self._wait = 0.0
+        self.signals, self.states = start(self.model, NUMBERS, self._inputs, self.parameters)
+        return self.outputs
+
+    def advance(self, inputs: Mapping[str, float], dt: float) -> dict[str, float]:
+        """Hold `inputs` for one communication step of dt seconds; returns the outputs at its end."""
+        self._inputs = {name: float(inputs[name]) for name in self._names}
+        values = list(self._inputs.values())
+        if self.model.sample_time is None:
+            run_held(self._lines, self._delays, values, dt, self._largest, self._step)
+        else:
+            period = self.parameters[self.model.sample_time]
+            self._wait = run_sampled(self._wait, period, dt, lambda period: self._step(values, period))
+        return self.outputs
+
+    @property
+    def outputs(self) -> dict[str, float]:
+        """The outputs by name, as they stand."""
+        return {s.name: self.signals[s.name] for s in self.model.outputs}
+
+    def _step(self, values: list[float], dt: float) -> None:
+        inputs = dict(zip(self._names, values, strict=True))
+        self.signals, self.states = step(self.model, NUMBERS, inputs, self.states, self.parameters, dt)

@@ -1,0 +1,191 @@
+"""What a model is made of: parameters, signals, states, effects; and one step of it on any arithmetic.
+
+A model is a chain. Its inputs are signals; each effect in turn reads signals, sets signals, and moves its own states; the
+signals at the end are the outputs. An effect never sees another's state: what it may know of the past is published as a
+signal. A stage that others may reshape keeps its state open: it publishes the value, and names the signal that holds the
+next one at the end of the chain (`State.closed_by`). All feedback thus runs through a state and no algebraic loop can form.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import SimpleNamespace
+
+INSTANT = 1e-9
+"""The shortest time the kernel tells apart, s. Two events closer than this are one; settling takes one such step."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A quantity that runs along the chain; as a model's input or output also an FMU variable."""
+
+    name: str
+    unit: str
+    description: str
+    minimum: float
+    maximum: float
+    nominal: float = 1.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A constant of the model. `minimum` and `maximum` are the FMU's range and the fit's bounds alike."""
+
+    name: str
+    unit: str
+    default: float
+    minimum: float
+    maximum: float
+    description: str
+    nominal: float = 1.0
+
+
+@dataclass(frozen=True)
+class State:
+    """What one effect remembers.
+
+    `start(ops, signals, parameters)` is its value on settled inputs, from the signals that reach the effect. `closed_by`
+    names the signal whose value at the end of the chain is the next state, where the effect's own step does not return it.
+    """
+
+    name: str
+    unit: str
+    description: str
+    start: Callable
+    closed_by: str | None = None
+
+
+def no_step(ops, s, x, p, dt):
+    """The step of an effect that only delays an input."""
+    return {}, {}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect.
+
+    `step(ops, s, x, p, dt) -> (signals it sets, its next states)`: signals `s`, own states `x` and own parameters `p` come
+    as attributes, dt in s. States and inputs are as they stand at the start of the step, set signals as at its end.
+
+    `off` holds the parameter values at which the effect is exactly the identity; None: always part of the model.
+    `probe` holds a plausible size: where a search starts, what a sensitivity picture uses.
+    `delays` maps an input's name to the parameter that holds it back [s]; the schedule does it, between steps, exactly.
+    `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
+    """
+
+    name: str
+    description: str
+    step: Callable = no_step
+    parameters: tuple[Parameter, ...] = ()
+    states: tuple[State, ...] = ()
+    off: Mapping[str, float] | None = None
+    probe: Mapping[str, float] = field(default_factory=dict)
+    delays: Mapping[str, str] = field(default_factory=dict)
+    largest_step: float | None = None
+
+    def full(self, name: str) -> str:
+        """The name outside the effect: bare for what is always present, else `<effect>.<name>`."""
+        return name if self.off is None else f"{self.name}.{name}"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A chain of effects between named inputs and outputs.
+
+    `sample_time` names the parameter that holds the period [s] of a sampled law; None: the model runs in continuous time.
+    `sets` are named sets of parameter values, such as the paper's.
+    """
+
+    name: str
+    description: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    effects: tuple[Effect, ...]
+    sample_time: str | None = None
+    sets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters under their full names, in the effects' order."""
+        return tuple(replace(p, name=e.full(p.name)) for e in self.effects for p in e.parameters)
+
+    @cached_property
+    def states(self) -> tuple[State, ...]:
+        """All states under their full names, in the effects' order."""
+        return tuple(replace(x, name=e.full(x.name)) for e in self.effects for x in e.states)
+
+    @cached_property
+    def delays(self) -> tuple[tuple[str, str], ...]:
+        """(input, full name of the parameter that holds it back), one for each delayed input."""
+        return tuple((u, e.full(p)) for e in self.effects for u, p in e.delays.items())
+
+    @cached_property
+    def optional(self) -> tuple[str, ...]:
+        """Names of the effects in this model that it could do without."""
+        return tuple(e.name for e in self.effects if e.off is not None)
+
+    def values(self, changes: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Parameter values by full name: the defaults with `changes` laid over. KeyError names an unknown parameter."""
+        values = {p.name: p.default for p in self.parameters}
+        for name, value in (changes or {}).items():
+            if name not in values:
+                raise KeyError(name)
+            values[name] = float(value)
+        return values
+
+
+def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Model:
+    """`model` with what is always present and the named effects of `library`, in the library's order."""
+    wanted = set(names)
+    return replace(model, effects=tuple(e for e in library if e.off is None or e.name in wanted))
+
+
+def step(model: Model, ops, inputs: Mapping, states: Mapping, parameters: Mapping, dt) -> tuple[dict, dict]:
+    """One step of the chain under held inputs: (signals at its end, next states), on whatever arithmetic `ops` is.
+
+    `states` and `parameters` go by full name. Units are the declarations'; dt in s.
+    """
+    s = SimpleNamespace(**inputs)
+    ahead = {}
+    for e in model.effects:
+        own_states = SimpleNamespace(**{x.name: states[e.full(x.name)] for x in e.states})
+        own_parameters = SimpleNamespace(**{p.name: parameters[e.full(p.name)] for p in e.parameters})
+        signals, moved = e.step(ops, s, own_states, own_parameters, dt)
+        s.__dict__.update(signals)
+        ahead.update((e.full(name), value) for name, value in moved.items())
+    for e in model.effects:
+        for x in e.states:
+            if x.closed_by is not None:
+                ahead[e.full(x.name)] = getattr(s, x.closed_by)
+    return vars(s), ahead
+
+
+def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:
+    """The chain settled on `inputs`: (signals, states).
+
+    Each state starts from the signals that reach its effect; one INSTANT of the effect's own step then gives the signals
+    behind it. From a settled state every exact form stays where it is to the bit.
+    """
+    s = SimpleNamespace(**inputs)
+    states = {}
+    for e in model.effects:
+        p = SimpleNamespace(**{q.name: parameters[e.full(q.name)] for q in e.parameters})
+        own = {x.name: x.start(ops, s, p) for x in e.states}
+        signals, _ = e.step(ops, s, SimpleNamespace(**own), p, INSTANT)
+        s.__dict__.update(signals)
+        states.update((e.full(name), value) for name, value in own.items())
+    return vars(s), states
+
+
+def largest_step(model: Model, ops, parameters: Mapping):
+    """The longest step [s] that every effect's form allows; infinite where all are exact. What is off allows any."""
+    longest = float("inf")
+    for e in model.effects:
+        if e.largest_step is None:
+            continue
+        bound = float("inf")
+        for name, value in (e.off or {}).items():
+            p = parameters[e.full(name)]
+            bound = ops.where(p < value, e.largest_step, ops.where(p > value, e.largest_step, bound))
+        longest = ops.minimum(longest, bound)
+    return longest

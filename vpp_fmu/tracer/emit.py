@@ -1,0 +1,136 @@
+"""A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
+
+from collections import Counter
+from collections.abc import Callable
+from math import isinf
+
+from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed_by
+from vpp_fmu.tracer.program import Program, Write
+
+C_CALLS = {name: name for name in CALLS}
+
+
+def python_source(program: Program) -> str:
+    """Functions `start(v, d)`, `prepare(v, dt, dt_tangent) -> c`, `step(v, c, d)` and `largest_step(v)`.
+
+    `v` is the list of values by `Layout.index`; `d` the tangents of `Layout.moving`, flat, `len(wrt)` for each value.
+    """
+    width = len(program.wrt)
+
+    def name(target: tuple) -> str:
+        kind, *i = target
+        return {"v": "v[{0}]", "c": "c{0}", "d": "d[{0}]", "dt_tangent": "dt_tangent[{0}]", "dt": "dt"}[kind].format(
+            i[0] * width + i[1] if kind == "d" else i[0] if i else ""
+        )
+
+    def body(writes: tuple[Write, ...]) -> list[str]:
+        lines, values = _statements(writes, name, _python_operation, "{0} = {1}")
+        if writes and writes[0][0][0] in "vd":
+            return [
+                *lines,
+                *(", ".join(name(t) for t, _ in part) + " = " + ", ".join(values[t] for t, _ in part) for part in [writes]),
+            ]
+        return [*lines, f"return {', '.join(values[t] for t, _ in writes)}" + ("," if writes[0][0][0] == "c" else "")]
+
+    constants = "".join(f"c{i}, " for i in range(len(program.prepare)))
+    functions = (
+        ("start(v, d)", body(program.start)),
+        ("prepare(v, dt, dt_tangent)", body(program.prepare) if program.prepare else ["return ()"]),
+        ("step(v, c, d)", ([f"{constants}= c"] if constants else []) + body(program.step)),
+        ("largest_step(v)", body(program.largest_step)),
+    )
+    return "\n\n\n".join(f"def {head}:\n" + "\n".join("    " + line for line in lines) for head, lines in functions) + "\n"
+
+
+def c_source(program: Program) -> str:
+    """The same functions as static C, with the sizes and positions that `schedule.c` asks for."""
+    layout, model, width = program.layout, program.model, len(program.wrt)
+    at = layout.index
+
+    def name(target: tuple) -> str:
+        kind, *i = target
+        if kind == "d":
+            return f"d[{i[0] * width + i[1]}]"
+        return f"{kind}[{i[0]}]" if i else kind
+
+    def body(writes: tuple[Write, ...]) -> str:
+        lines, values = _statements(writes, name, _c_operation, "const double {0} = {1};", inline=False)
+        stores = [f"{name(t)} = {values[t]};" if t != ("result",) else f"return {values[t]};" for t, _ in writes]
+        return "".join(f"  {line}\n" for line in lines + stores)
+
+    delayed = [at["input", u] for u, _ in model.delays] or [0]
+    delays = [at["parameter", p] for _, p in model.delays] or [0]
+    sample_time = at["parameter", model.sample_time] if model.sample_time else 0
+    sizes = {
+        "N_INPUTS": len(layout.inputs),
+        "N_OUTPUTS": len(layout.outputs),
+        "N_PARAMETERS": len(layout.parameters),
+        "N_STATES": len(layout.states),
+        "N_VALUES": len(at),
+        "N_CONSTANTS": max(1, len(program.prepare)),
+        "N_WRT": width,
+        "N_TANGENTS": max(1, width * len(layout.moving)),
+        "N_DELAYED": len(model.delays),
+        "N_DELAYED_OR_1": len(delayed),
+        "SAMPLED": int(bool(model.sample_time)),
+        "SAMPLE_TIME": sample_time,
+    }
+    parts = ["#include <math.h>\n", *(f"#define {k} {n}\n" for k, n in sizes.items())]
+    parts.append(f"static const int DELAYED_INPUT[] = {{{', '.join(map(str, delayed))}}};\n")
+    parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
+    for head, writes in (
+        ("void start(double *v, double *d)", program.start),
+        ("void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
+        ("void step(double *v, const double *c, double *d)", program.step),
+        ("double largest_step(const double *v)", program.largest_step),
+    ):
+        parts.append(f"\nstatic {head} {{\n{body(writes)}}}\n")
+    return "".join(parts)
+
+
+def _statements(writes, name: Callable, operation: Callable, form: str, inline: bool = True):
+    """Code for what `writes` need: (statements in order, expression of each target's value)."""
+    order: list[Node] = []
+    known: set[Node] = set()
+    uses: Counter = Counter()
+    for _, value in writes:
+        if isinstance(value, Node):
+            uses[value] += 1
+            fresh = needed_by(value, known)
+            known.update(fresh)
+            order += fresh
+    for n in order:
+        uses.update(n.nodes)
+    lines, text = [], {}
+    for n in order:
+        args = [text[a] if isinstance(a, Node) else _number(a, form) for a in n.args] if n.nodes else None
+        code = operation(n.op, args) if args else name((n.op, *n.args))
+        condition = n.op in COMPARE
+        if condition or (inline and (uses[n] == 1 or n.op in ("c", "dt"))):
+            text[n] = f"({code})" if args and n.op not in CALLS else code
+        else:
+            text[n] = f"t{len(lines)}"
+            lines.append(form.format(text[n], code))
+    return lines, {t: text[v] if isinstance(v, Node) else _number(v, form) for t, v in writes}
+
+
+def _number(x: float, form: str) -> str:
+    if isinf(x):
+        return ("-" if x < 0 else "") + ("INFINITY" if form.endswith(";") else 'float("inf")')
+    return f"({float(x)!r})" if x < 0 else repr(float(x))
+
+
+def _python_operation(op: str, x: list[str]) -> str:
+    if op == "where":
+        return f"{x[1]} if {x[0]} else {x[2]}"
+    if op == "neg":
+        return f"-{x[0]}"
+    return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"
+
+
+def _c_operation(op: str, x: list[str]) -> str:
+    if op == "where":
+        return f"{x[0]} ? {x[1]} : {x[2]}"
+    if op == "neg":
+        return f"-{x[0]}"
+    return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"

@@ -1,0 +1,121 @@
+"""The arithmetic that records: what a kernel function computes on symbols becomes a graph of operations.
+
+What can't be recorded raises TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
+"""
+
+from collections.abc import Collection
+
+from vpp_fmu.kernel.ops import NUMBERS, Ops
+
+CALLS = ("exp", "expm1", "sqrt", "sin", "cos", "tanh")
+COMPARE = ("<", ">")
+
+
+class Node:
+    """One operation of a graph on `args`: nodes and numbers.
+
+    Leaves have whole numbers for arguments: `v` a value by its position, `d` a tangent, `c` a prepared constant, `dt` the
+    step, `dt_tangent` the step's tangent in a delay.
+    """
+
+    __slots__ = ("graph", "op", "args", "number")
+
+    def __init__(self, graph: "Graph", op: str, args: tuple, number: int):
+        self.graph, self.op, self.args, self.number = graph, op, args, number
+
+    @property
+    def nodes(self) -> list["Node"]:
+        """The arguments that are nodes; none for a leaf."""
+        return [a for a in self.args if isinstance(a, Node)]
+
+    def __add__(self, other):
+        return self.graph.node("+", self, other)
+
+    def __radd__(self, other):
+        return self.graph.node("+", other, self)
+
+    def __sub__(self, other):
+        return self.graph.node("-", self, other)
+
+    def __rsub__(self, other):
+        return self.graph.node("-", other, self)
+
+    def __mul__(self, other):
+        return self.graph.node("*", self, other)
+
+    def __rmul__(self, other):
+        return self.graph.node("*", other, self)
+
+    def __truediv__(self, other):
+        return self.graph.node("/", self, other)
+
+    def __rtruediv__(self, other):
+        return self.graph.node("/", other, self)
+
+    def __neg__(self):
+        return self.graph.node("neg", self)
+
+    def __lt__(self, other):
+        return self.graph.node("<", self, other)
+
+    def __gt__(self, other):
+        return self.graph.node(">", self, other)
+
+    def _unseen(self, *_):
+        raise TypeError("the tracer can't see this: write it with ops.where, ops.exp and the like, not with Python's own")
+
+    __bool__ = __eq__ = __ne__ = __le__ = __ge__ = __pow__ = __rpow__ = __float__ = __int__ = __index__ = _unseen
+    __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __abs__ = __round__ = __iter__ = _unseen
+    __hash__ = object.__hash__
+
+
+class Graph(Ops):
+    """Records operations, each once."""
+
+    def __init__(self):
+        self._known: dict[tuple, Node] = {}
+
+    def node(self, op: str, *args) -> Node:
+        """The node for `op` on `args`: a new one, or the one that computes this already."""
+        key = (op, *(a.number if isinstance(a, Node) else repr(float(a)) for a in args))
+        if key not in self._known:
+            self._known[key] = Node(self, op, args, len(self._known))
+        return self._known[key]
+
+    def where(self, condition, yes, no):
+        return self.node("where", condition, yes, no) if isinstance(condition, Node) else NUMBERS.where(condition, yes, no)
+
+    def exp(self, x):
+        return self._call("exp", x)
+
+    def expm1(self, x):
+        return self._call("expm1", x)
+
+    def sqrt(self, x):
+        return self._call("sqrt", x)
+
+    def sin(self, x):
+        return self._call("sin", x)
+
+    def cos(self, x):
+        return self._call("cos", x)
+
+    def tanh(self, x):
+        return self._call("tanh", x)
+
+    def _call(self, name, x):
+        return self.node(name, x) if isinstance(x, Node) else getattr(NUMBERS, name)(x)
+
+
+def needed_by(root: Node, known: Collection[Node]) -> list[Node]:
+    """`root` and all nodes below it that are not `known`; what is needed comes first."""
+    order, seen, stack = [], set(), [(root, False)]
+    while stack:
+        n, expanded = stack.pop()
+        if expanded:
+            order.append(n)
+        elif n not in seen and n not in known:
+            seen.add(n)
+            stack.append((n, True))
+            stack.extend((a, False) for a in n.nodes)
+    return order
