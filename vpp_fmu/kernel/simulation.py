@@ -21,7 +21,7 @@ class Simulation:
         for name, parameter in model.delays:
             self._delays[self._names.index(name)] = self.parameters[parameter]
         self._largest = largest_step(model, NUMBERS, self.parameters)
-        self.start({name: 0.0 for name in self._names})
+        self.start(dict.fromkeys(self._names, 0.0))
 
     def start(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """Settle on `inputs` (all of them, by name); returns the outputs."""

@@ -18,7 +18,7 @@ class Node:
     step, `dt_tangent` the step's tangent in a delay.
     """
 
-    __slots__ = ("graph", "op", "args", "number")
+    __slots__ = ("args", "graph", "number", "op")
 
     def __init__(self, graph: "Graph", op: str, args: tuple, number: int):
         self.graph, self.op, self.args, self.number = graph, op, args, number
