@@ -48,24 +48,28 @@ class DelayLine:
 def run_held(lines, delays, inputs, span, largest, step):
     """Advance a continuous model by `span` seconds under `inputs` that the caller holds.
 
-    `lines`: DelayLine or None for each input; `delays`: the seconds each is held back; `largest`: the longest step allowed;
-    `step(acting inputs, dt)` takes one step.
+    `lines`: DelayLine or None for each input; `delays`: the seconds each is held back; `largest`: the longest step allowed.
+    `step(acting inputs, dt, tangent)` takes one step; `tangent` is the derivative of dt in each delay (in the order of the
+    delayed inputs), since a delay moves the ends of pieces.
     """
     delayed = [(i, line) for i, line in enumerate(lines) if line is not None]
     for i, line in delayed:
         line.push(inputs[i], delays[i])
     acting = list(inputs)
+    ends = [0.0] * len(delayed)
     left = span
     while True:
-        piece = left
+        piece, cut = left, None
         for i, line in delayed:
             line.act()
             acting[i] = line.acting
             if line.waits and line.waits[0] < piece - NOW:
-                piece = line.waits[0]
+                piece, cut = line.waits[0], line
         count = 1 if isinf(largest) else max(1, ceil(piece / largest - NOW))
+        before, ends = ends, [1.0 if line is cut else 0.0 for _, line in delayed]
+        tangent = [(end - start) / count for end, start in zip(ends, before)]
         for _ in range(count):
-            step(acting, piece / count)
+            step(acting, piece / count, tangent)
         for _, line in delayed:
             line.pass_time(piece)
         left -= piece

@@ -1,0 +1,51 @@
+"""Finds a C compiler, compiles, and keeps what was compiled under a name made from its content."""
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from vpp_fmu.errors import CompilerMissing
+
+FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared", "-ffp-contract=off", "-w")
+"""No contraction into fused multiply-adds: they round once where Python rounds twice, and the bits would differ."""
+
+
+@cache
+def compiler() -> str:
+    """Path of the C compiler: `$CC`, or the first of cc, gcc, clang. CompilerMissing where there is none."""
+    wanted = [os.environ["CC"]] if "CC" in os.environ else ["cc", "gcc", "clang"]
+    for name in wanted:
+        if path := shutil.which(name):
+            return path
+    raise CompilerMissing(f"no C compiler found (looked for {', '.join(wanted)})")
+
+
+def compiled(source: str) -> Path:
+    """The shared library for a C source text; compiled at the first call, taken from the cache afterwards."""
+    cc = compiler()
+    tag = hashlib.sha256("\0".join([source, cc, *FLAGS, platform.machine()]).encode()).hexdigest()[:24]
+    library = cache_folder() / f"{tag}.so"
+    if not library.exists():
+        with tempfile.TemporaryDirectory(dir=library.parent) as work:
+            text, built = Path(work, "model.c"), Path(work, "model.so")
+            text.write_text(source)
+            subprocess.run([cc, *FLAGS, str(text), "-o", str(built), "-lm"], check=True, capture_output=True, text=True)
+            os.replace(built, library)  # whole or not at all: several processes may compile the same
+    return library
+
+
+@cache
+def cache_folder() -> Path:
+    """`$XDG_CACHE_HOME/vpp-fmu`, or a temporary folder where that can't be written."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "vpp-fmu")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix="vpp-fmu-"))
+    return folder
