@@ -17,14 +17,14 @@ _PITCH_DRIVE, _PITCH_FIRST, _PITCH_SECOND = actuator.PITCH
 _SPEED_DRIVE, _SPEED_FIRST, _SPEED_SECOND = actuator.SPEED
 
 LIBRARY: tuple[Effect, ...] = (
+    _SPEED_DRIVE,
+    _SPEED_FIRST,
+    _SPEED_SECOND,
     pitch_delay.EFFECT,
     pitch_command_deadband.EFFECT,
     _PITCH_DRIVE,
     _PITCH_FIRST,
     _PITCH_SECOND,
-    _SPEED_DRIVE,
-    _SPEED_FIRST,
-    _SPEED_SECOND,
     pitch_speed_coupling.EFFECT,
     thrust_map.THRUST_MAP,
     stand_resonance.EFFECT,

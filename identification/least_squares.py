@@ -1,0 +1,86 @@
+"""Levenberg-Marquardt within bounds, on normal equations.
+
+scipy's solvers factor the whole Jacobian (rows x parameters) at each iteration; with exact sensitivities from C that costs
+more than the model itself. Here the rows are only summed, and the linear algebra is as small as the parameter vector.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What the search found. `cost` is half the sum of squares of the residual.
+
+    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end; `costs`: the cost after each evaluation that lowered
+    it, the start first; `active` (n,): parameters that stand at a bound.
+    """
+
+    value: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    costs: tuple[float, ...]
+    evaluations: int
+    converged: bool
+    active: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """The final cost."""
+        return self.costs[-1]
+
+
+def solve(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    start: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    tolerance: float = 1e-10,
+    limit: int = 100,
+) -> Solution:
+    """Minimise the sum of squares of `evaluate(x) -> (residual, jacobian)` from `start` within [lower, upper].
+
+    Stops when a step promises to lower the cost by less than `tolerance` of it. Parameters pressed against a bound leave
+    the step until the gradient turns. Damping follows Nielsen's rule.
+    """
+    x = np.clip(np.asarray(start, float), lower, upper)
+    residual, jacobian = evaluate(x)
+    costs, evaluations = [0.5 * float(residual @ residual)], 1
+    damping, growth, converged = 1e-4, 2.0, False
+    normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+    while evaluations < limit:
+        pressed = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+        free = np.flatnonzero(~pressed & (np.diag(normal) > 0))
+        if not len(free):
+            converged = True
+            break
+        step = np.zeros_like(x)
+        step[free] = _damped_step(normal[np.ix_(free, free)], gradient[free], damping)
+        there = np.clip(x + step, lower, upper)
+        step = there - x
+        promise = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
+        if promise <= tolerance * costs[-1]:
+            converged = True
+            break
+        new_residual, new_jacobian = evaluate(there)
+        evaluations += 1
+        cost = 0.5 * float(new_residual @ new_residual)
+        if np.isfinite(cost) and cost < costs[-1]:
+            ratio = (costs[-1] - cost) / promise
+            x, residual, jacobian = there, new_residual, new_jacobian
+            costs.append(cost)
+            normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+            damping, growth = damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 2.0
+        else:
+            damping, growth = damping * growth, growth * 2
+    active = (x <= lower) | (x >= upper)
+    return Solution(x, residual, jacobian, tuple(costs), evaluations, converged, active)
+
+
+def _damped_step(normal: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    """Solve in units of each column's length, so that damping means the same for seconds and for coefficients."""
+    length = np.sqrt(np.diag(normal))
+    scaled = normal / np.outer(length, length)
+    return -np.linalg.solve(scaled + damping * np.eye(len(length)), gradient / length) / length

@@ -1,0 +1,137 @@
+"""A campaign: the folder of files that one rig was measured with."""
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import Table, read_table
+from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record
+
+NAMES = ("static", "steps", "open_loop", "repeat", "validation")
+NEED = (*COMMANDS, "thrust")
+GRID = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
+
+
+@dataclass(frozen=True, eq=False)
+class StaticMap:
+    """Steady points, one a row, each (n,): commands and means of `samples` readings, in rpm, deg, N.
+
+    `thrust_std` [N] is the spread of the single readings, not of their mean.
+    """
+
+    omega_ref: np.ndarray
+    beta_ref: np.ndarray
+    omega: np.ndarray
+    thrust: np.ndarray
+    thrust_std: np.ndarray
+    samples: np.ndarray
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """What a campaign's folder holds; None, or no steps, where a file is missing. Every record has `thrust`."""
+
+    folder: Path
+    static: StaticMap | None
+    steps: tuple[Record, ...]
+    open_loop: Record | None
+    repeat: Record | None
+    validation: Record | None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the files that are not there."""
+        return tuple(f"{name}.csv" for name in NAMES if getattr(self, name) in (None, ()))
+
+
+def read_campaign(folder: str | os.PathLike) -> Campaign:
+    """Read a campaign; each file may be .csv or .csv.gz, any may be missing.
+
+    BadInput: no folder, none of the files, whatever is wrong in one, a repeat with other commands than the open loop.
+    """
+    folder = Path(folder)
+    paths = _paths(folder)
+    records = {n: read_record(paths[n], NEED) if n in paths else None for n in ("open_loop", "repeat", "validation")}
+    if records["open_loop"] is not None and records["repeat"] is not None:
+        _check_repeat(records["open_loop"], records["repeat"])
+    static = read_static(paths["static"]) if "static" in paths else None
+    steps = read_steps(paths["steps"]) if "steps" in paths else ()
+    return Campaign(folder, static, steps, **records)
+
+
+def _paths(folder: Path) -> dict[str, Path]:
+    names = ", ".join(f"{name}.csv" for name in NAMES)
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "no such folder"
+        raise BadInput(folder, "campaign folder", found, f"a folder with any of {names}")
+    paths = {}
+    for name in NAMES:
+        there = [path for path in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if path.exists()]
+        if len(there) > 1:
+            raise BadInput(folder, f"{name}.csv", f"{there[0].name} and {there[1].name}", "one of the two")
+        paths.update((name, path) for path in there)
+    if not paths:
+        raise BadInput(folder, "campaign folder", "none of a campaign's files", f"any of {names} (or .csv.gz)")
+    return paths
+
+
+def _check_repeat(record: Record, repeat: Record) -> None:
+    n = min(len(record), len(repeat))
+    for name in COMMANDS:
+        wanted, found = record[name][:n], repeat[name][:n]
+        same = np.round(wanted, 9) == np.round(found, 9) if name == "time" else wanted == found
+        if not same.all():
+            row = int(np.argmin(same))
+            allowed = f"{wanted[row]:.12g} as in {record.source}"
+            raise BadInput(repeat.source, f"{name}, row {row + 1} of the data", f"{found[row]:.12g}", allowed)
+    if len(record) != len(repeat):
+        allowed = f"{len(record)} as in {record.source}"
+        raise BadInput(repeat.source, f"row {n + 1} of the data", f"{len(repeat)} rows in all", allowed)
+
+
+def read_static(path: str | os.PathLike) -> StaticMap:
+    """Read steady points. Columns beyond the six are not used; one RecordWarning names them. BadInput names line and cell."""
+    table = read_table(path)
+    extra = [name for name in table.columns if name not in GRID]
+    if extra:
+        warnings.warn(f"{path}: columns of a static map that are not used: {', '.join(extra)}", RecordWarning, stacklevel=2)
+    known = {name: column for name, column in table.columns.items() if name in GRID}
+    columns = checked_columns(Table(table.source, known, table.lines), GRID)
+    _check_rows(table, "thrust_std", columns, columns["thrust_std"] >= 0.0, "0 N or more")
+    samples = columns["samples"]
+    _check_rows(table, "samples", columns, (samples >= 1.0) & (samples == np.round(samples)), "a whole number from 1")
+    return StaticMap(**columns, source=table.source)
+
+
+def read_steps(path: str | os.PathLike) -> tuple[Record, ...]:
+    """Read step responses: records one below the other, told apart by `run`, each with its own time from 0.
+
+    The records come without `run`; their source names it. BadInput as for a record, and where a run's rows are scattered.
+    """
+    table = read_table(path)
+    columns = checked_columns(table, ("run", *NEED))
+    run = columns["run"]
+    _check_rows(table, "run", columns, run == np.round(run), "a whole number")
+    starts = np.flatnonzero(np.append(True, run[1:] != run[:-1]))
+    records, seen = [], set()
+    del columns["run"]
+    for first, end in zip(starts, [*starts[1:], len(run)], strict=True):
+        number = int(run[first])
+        if number in seen:
+            raise table.wrong("run", first, f"{number} once more", "the rows of a run one after another")
+        seen.add(number)
+        part = {name: column[first:end] for name, column in columns.items()}
+        check_time(table, part["time"], first, "run")
+        records.append(Record(part, f"{path}, run {number}"))
+    return tuple(records)
+
+
+def _check_rows(table: Table, name: str, columns: dict[str, np.ndarray], good: np.ndarray, allowed: str) -> None:
+    if not good.all():
+        row = int(np.argmin(good))
+        raise table.wrong(name, row, f"{columns[name][row]:.9g}", allowed)

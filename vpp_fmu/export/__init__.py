@@ -1,0 +1,6 @@
+"""Models as FMUs."""
+
+from vpp_fmu.export.description import Experiment
+from vpp_fmu.export.python_flavour import python_fmu
+
+__all__ = ["Experiment", "python_fmu"]

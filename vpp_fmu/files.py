@@ -1,0 +1,198 @@
+"""Files at the border: text and tables are read whole, output is written whole or not at all."""
+
+import contextlib
+import csv
+import gzip
+import os
+import tempfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+
+
+class OutputFolder:
+    """The folder that one job writes to. It is created if need be.
+
+    BadInput where it can't be created or written, so that a long job fails before its work and not after.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = Path(path)
+        self._others: dict[str, bool] = {}
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            # Permission bits don't tell (root, read-only mounts, /proc): only a write does.
+            tempfile.TemporaryFile(dir=self.path).close()
+        except FileExistsError as error:
+            raise self._refused("a file") from error
+        except OSError as error:
+            raise self._refused(f"not writable ({_reason(error)})") from error
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """Names that `write` found in the folder with other content."""
+        return tuple(name for name, other in self._others.items() if other)
+
+    def write(self, name: str, data: str | bytes) -> Path:
+        """Write `data` (text as UTF-8) to the file `name`; returns its path.
+
+        What stood there stays whole until the new file is. BadInput where the system refuses.
+        """
+        target, content = self.path / name, data.encode() if isinstance(data, str) else data
+        temporary = self.path / f".{name}.{os.getpid()}.part"
+        other = os.path.lexists(target) and _content(target) != content
+        try:
+            with open(temporary, "wb") as file:  # not mkstemp: its files are for the owner's eyes only
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())  # else a power cut can leave the new name with no content
+            os.replace(temporary, target)
+        except OSError as error:
+            raise BadInput(target, "output file", f"not writable ({_reason(error)})", "a file that can be written") from error
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        self._others.setdefault(name, other)  # a second write in the same job replaces nothing of the user's
+        return target
+
+    def _refused(self, found: str) -> BadInput:
+        return BadInput(self.path, "output folder", found, "a folder that can be written")
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
+
+
+def read_text(path: str | os.PathLike) -> str:
+    """The text of a UTF-8 file, gzipped if its name ends in .gz; without byte-order mark, lines ended by LF. Or BadInput."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+        if path.suffix.lower() == ".gz":
+            data = gzip.decompress(data)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise BadInput(path, "file", "no such file", "a file that exists") from error
+    except IsADirectoryError as error:
+        raise BadInput(path, "file", "a folder", "a file") from error
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise BadInput(path, "file", "broken or cut off gzip data", "a whole gzip file") from error
+    except OSError as error:
+        raise BadInput(path, "file", f"not readable ({_reason(error)})", "a file that can be read") from error
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise BadInput(path, f"line {line}", f"the byte 0x{error.object[error.start]:02x}", "text in UTF-8") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def shown(cell: str) -> str:
+    """A cell as a message shows it: quoted, on one line, not too long."""
+    return repr(cell if len(cell) <= 40 else f"{cell[:37]}...") if cell else "an empty cell"
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A CSV file as it stands.
+
+    `columns`: by name in the file's order, (n,) float where every cell is a finite number, else (n,) str as found.
+    `lines`: (n,) the line of the file that each row stands on.
+    """
+
+    source: str
+    columns: Mapping[str, np.ndarray]
+    lines: np.ndarray
+
+    def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
+        """The error that names a cell."""
+        return BadInput(self.source, f"{name}, line {self.lines[row]}", found, allowed)
+
+    def numbers(self, name: str, gaps: bool = False) -> np.ndarray:
+        """(n,) the column as float; `gaps`: cells may be empty and become NaN. BadInput names the first that may not."""
+        cells = self.columns[name]
+        if cells.dtype != object:
+            return cells
+        values = np.full(len(cells), np.nan)
+        for row, cell in enumerate(cells):
+            with contextlib.suppress(ValueError):
+                values[row] = float(cell)
+            if not np.isfinite(values[row]) and not (gaps and cell.lower() in {"", "nan"}):
+                raise self.wrong(name, row, shown(cell), "a finite number" + (" or an empty cell" if gaps else ""))
+        return values
+
+
+def read_table(path: str | os.PathLike) -> Table:
+    """Read a CSV with a header. BadInput: not readable, no header, no rows, columns without or with the same name, ragged."""
+    lines = read_text(path).split("\n")
+    first = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if first is None:
+        raise BadInput(path, "file", "an empty file", "a header and at least one row")
+    names = _names(path, lines[first])
+    rows = [(i, line) for i, line in enumerate(lines[first + 1 :], first + 2) if line.strip()]
+    if not rows:
+        raise BadInput(path, "file", "a header without rows", "a header and at least one row")
+    columns = _all_numbers([line for _, line in rows], len(names))
+    numbers = [i for i, _ in rows]
+    if columns is None:
+        numbers, cells = _cells(path, lines[first + 1 :], first + 1, len(names))
+        columns = [_column(column) for column in zip(*cells, strict=True)]
+    return Table(str(path), dict(zip(names, columns, strict=True)), np.array(numbers))
+
+
+def _names(path: str | os.PathLike, line: str) -> list[str]:
+    try:
+        names = [name.strip() for name in next(csv.reader([line]))]
+    except csv.Error as error:
+        raise BadInput(path, "header", error, "names separated by commas") from error
+    for i, name in enumerate(names):
+        if not name:
+            raise BadInput(path, f"header, column {i + 1}", "no name", "a name for each column")
+        if name in names[:i]:
+            raise BadInput(path, f"column {name}", "more than one of that name", "each column once")
+    return names
+
+
+def _all_numbers(rows: Sequence[str], width: int) -> Sequence[np.ndarray] | None:
+    """The columns of a table that holds finite numbers and nothing else; None where it doesn't. This is the fast way."""
+    try:
+        grid = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return grid.T.copy() if grid.shape[1] == width and np.isfinite(grid).all() else None
+
+
+def _cells(path: str | os.PathLike, lines: Sequence[str], before: int, width: int) -> tuple[list[int], list[list[str]]]:
+    """Line numbers and cells of the rows that follow the first `before` lines."""
+    reader = csv.reader(f"{line}\n" for line in lines)
+    numbers, rows = [], []
+    try:
+        for cells in reader:
+            if not "".join(cells).strip() and len(cells) <= 1:
+                continue
+            if len(cells) != width:
+                raise BadInput(path, f"line {before + reader.line_num}", f"{len(cells)} cells", f"{width}, as in the header")
+            numbers.append(before + reader.line_num)
+            rows.append([cell.strip() for cell in cells])
+    except csv.Error as error:
+        raise BadInput(path, f"line {before + reader.line_num}", error, "cells separated by commas") from error
+    return numbers, rows
+
+
+def _column(cells: Sequence[str]) -> np.ndarray:
+    try:
+        values = np.array(cells, dtype=float)
+    except ValueError:
+        return np.array(cells, dtype=object)
+    return values if np.isfinite(values).all() else np.array(cells, dtype=object)

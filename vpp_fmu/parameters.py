@@ -1,0 +1,212 @@
+"""Parameter files: values with their doubt as JSON, read and checked against a model; and as SSP parameter values."""
+
+import difflib
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from xml.etree import ElementTree
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text, shown
+from vpp_fmu.kernel.types import Model, Parameter
+
+FORMAT = "vpp-parameters/1"
+
+_SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+_SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+
+_SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
+    "1": (1.0, {}),
+    "s": (1.0, {"s": 1}),
+    "Hz": (1.0, {"s": -1}),
+    "rad": (1.0, {"rad": 1}),
+    "deg": (math.pi / 180.0, {"rad": 1}),
+    "rpm": (math.pi / 30.0, {"rad": 1, "s": -1}),
+    "m": (1.0, {"m": 1}),
+    "kg": (1.0, {"kg": 1}),
+    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
+    "W": (1.0, {"kg": 1, "m": 2, "s": -3}),
+    "A": (1.0, {"A": 1}),
+    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "K": (1.0, {"K": 1}),
+}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard deviation, both in `unit`; None: not known, or never estimated."""
+
+    value: float
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """A model and the parameters that someone set; `source` says who: files, method, dates of the data."""
+
+    model: Model
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    source: Mapping = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All of the model's parameter values by full name, defaults where none was set."""
+        return self.model.values({name: estimate.value for name, estimate in self.estimates.items()})
+
+    def replaced(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> "ParameterSet":
+        """This set with other values, in the model's units, and their standard deviations where known. KeyError: unknown."""
+        units = {p.name: p.unit for p in self.model.parameters}
+        new = {name: Estimate(float(value), (std or {}).get(name), units[name]) for name, value in values.items()}
+        return replace(self, estimates={**self.estimates, **new})
+
+
+def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], Model]) -> ParameterSet:
+    """Read a parameter file for the model that `build` makes of its effects' names. BadInput names file and field.
+
+    `build` is `vpp_fmu.kernel.plant.plant`, or `lambda effects: CONTROLLER`. It may raise KeyError(name of an effect).
+    """
+    content = _content(path)
+    model = _model(path, content.get("effects", []), build)
+    entries = _mapping(path, "parameters", content.get("parameters", {}))
+    known = {p.name: p for p in model.parameters}
+    estimates = {}
+    for name, entry in entries.items():
+        if name not in known:
+            owner, dot, _ = name.partition(".")
+            near = _near(name, known)
+            allowed = f'{near}, or "{owner}" among the effects' if dot and owner not in model.optional else near
+            raise BadInput(path, f"parameters, {name}", f"a name that {model.name} does not have", allowed)
+        estimates[name] = _estimate(path, known[name], entry)
+    source = _mapping(path, "source", content.get("source", {}))
+    return ParameterSet(model, estimates, source)
+
+
+def _content(path: str | os.PathLike) -> dict:
+    def once(pairs: list[tuple[str, object]]) -> dict:
+        names = [name for name, _ in pairs]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise BadInput(path, name, "this name more than once", "each name once")
+        return dict(pairs)
+
+    try:
+        content = json.loads(read_text(path), object_pairs_hook=once)
+    except json.JSONDecodeError as error:
+        found = f"no JSON from column {error.colno} on ({error.msg})"
+        raise BadInput(path, f"line {error.lineno}", found, "a parameter file in JSON") from error
+    content = _mapping(path, "file", content)
+    if content.get("format") != FORMAT:
+        raise BadInput(path, "format", json.dumps(content.get("format")), json.dumps(FORMAT))
+    for name in content:
+        if name not in ("format", "parameters", "effects", "source"):
+            raise BadInput(path, name, "a field that is not known", "format, parameters, effects, source")
+    return content
+
+
+def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str, ...]], Model]) -> Model:
+    if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
+        raise BadInput(path, "effects", _shown(effects), "a list of effects' names")
+    try:
+        model = build(tuple(effects))
+    except KeyError as error:
+        name = error.args[0]
+        if name not in effects:
+            raise
+        raise BadInput(path, "effects", shown(name), "the name of an effect of this project") from error
+    for name in effects:
+        if name not in model.optional:
+            raise BadInput(path, "effects", shown(name), f"no effect that {model.name} does not have")
+    return model
+
+
+def _estimate(path: str | os.PathLike, parameter: Parameter, entry: object) -> Estimate:
+    name = f"parameters, {parameter.name}"
+    entry = _mapping(path, name, entry)
+    for key in entry:
+        if key not in ("value", "std", "unit"):
+            raise BadInput(path, f"{name}, {key}", "a field that is not known", "value, std, unit")
+    for key in ("value", "unit"):
+        if key not in entry:
+            raise BadInput(path, f"{name}, {key}", "nothing", "a value and its unit for each parameter")
+    if entry["unit"] != parameter.unit:
+        raise BadInput(path, f"{name}, unit", _shown(entry["unit"]), f'"{parameter.unit}"')
+    value, std = entry["value"], entry.get("std")
+    allowed = f"a number from {parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}"
+    if not _is_number(value) or not parameter.minimum <= value <= parameter.maximum:
+        raise BadInput(path, f"{name}, value", _shown(value), allowed)
+    if std is not None and (not _is_number(std) or std < 0.0):
+        raise BadInput(path, f"{name}, std", _shown(std), "a number from 0, or null")
+    return Estimate(float(value), None if std is None else float(std), parameter.unit)
+
+
+def _mapping(path: str | os.PathLike, name: str, found: object) -> dict:
+    if not isinstance(found, dict):
+        raise BadInput(path, name, _shown(found), "an object in braces { }")
+    return found
+
+
+def _is_number(found: object) -> bool:
+    if isinstance(found, bool) or not isinstance(found, int | float):
+        return False
+    return -1e300 < found < 1e300  # false for NaN, and for whole numbers too large for a float
+
+
+def _shown(found: object) -> str:
+    text = json.dumps(found)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    known = tuple(known)
+    return " or ".join(difflib.get_close_matches(name, known)) or f"one of {', '.join(known)}"
+
+
+def to_json(parameters: ParameterSet) -> str:
+    """The parameter file: all of the model's parameters in its order, exact to the bit when read back."""
+    values, entries = parameters.values, {}
+    for p in parameters.model.parameters:
+        set_to = parameters.estimates.get(p.name)
+        std = None if set_to is None or set_to.std is None else float(set_to.std)
+        entries[p.name] = {"value": values[p.name], "std": std, "unit": p.unit}
+    effects = list(parameters.model.optional)
+    content = {"format": FORMAT, "parameters": entries, "effects": effects, "source": dict(parameters.source)}
+    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def to_ssv(parameters: ParameterSet, name: str) -> str:
+    """The same values as SSP 1.0 parameter values, under the FMU's variable names; KeyError names a unit not known."""
+    root = ElementTree.Element("ssv:ParameterSet", {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": name})
+    values = ElementTree.SubElement(root, "ssv:Parameters")
+    units = ElementTree.SubElement(root, "ssv:Units")
+    for p in parameters.model.parameters:
+        element = ElementTree.SubElement(values, "ssv:Parameter", {"name": p.name})
+        ElementTree.SubElement(element, "ssv:Real", {"value": repr(parameters.values[p.name]), "unit": p.unit})
+    for unit in dict.fromkeys(p.unit for p in parameters.model.parameters):
+        element = ElementTree.SubElement(units, "ssc:Unit", {"name": unit})
+        ElementTree.SubElement(element, "ssc:BaseUnit", base_unit(unit))
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def base_unit(unit: str) -> dict[str, str]:
+    """A unit such as "rpm.s/deg" as the attributes of a BaseUnit in SSP and FMI: SI exponents and factor.
+
+    A point multiplies, a slash divides by the one product behind it, a number behind a symbol is its exponent.
+    KeyError names a symbol that is not known.
+    """
+    factor, exponents = 1.0, dict.fromkeys(("kg", "m", "s", "A", "K", "rad"), 0)
+    for sign, product in zip((1, -1), unit.split("/"), strict=False):
+        for term in product.split("."):
+            symbol, power = re.fullmatch(r"(\d|\D+?)\^?(\d*)", term).groups()
+            scale, bases = _SYMBOLS[symbol]
+            count = sign * int(power or 1)
+            factor *= scale**count
+            for base, exponent in bases.items():
+                exponents[base] += exponent * count
+    attributes = {base: str(exponent) for base, exponent in exponents.items() if exponent}
+    # 15 digits: the 16th is rounding, as in 6.000000000000001 for rpm.s/deg
+    return attributes if f"{factor:.15g}" == "1" else {**attributes, "factor": f"{factor:.15g}"}

@@ -1,0 +1,138 @@
+"""Plants and controllers by role: the same loop runs the kernel's functions, FMUs, an emulated rig or the real one."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.types import Model
+
+COMMANDS = ("omega_ref", "beta_ref")
+MEASURED = ("thrust", "omega", "beta")
+WANTED = ("thrust_set", "thrust")
+
+
+class Sample(NamedTuple):
+    """What a plant shows at one instant: thrust [N], rotor speed [rpm], blade pitch [deg]."""
+
+    thrust: float
+    omega: float
+    beta: float
+
+
+class Plant(Protocol):
+    """Takes commands [rpm, deg] and shows what came of them, one communication step `dt` [s] at a time."""
+
+    dt: float
+
+    def start(self, omega_ref: float, beta_ref: float) -> Sample:
+        """At rest on the commands, at time 0."""
+
+    def step(self, omega_ref: float, beta_ref: float) -> Sample:
+        """Hold the commands for one step; what stands at its end."""
+
+    def close(self) -> None:
+        """Let go of whatever is held."""
+
+
+class Controller(Protocol):
+    """Takes wanted and measured thrust [N], gives commands [rpm, deg] that hold for the next step."""
+
+    def start(self, thrust_set: float, thrust: float) -> None:
+        """Forget the past."""
+
+    def step(self, thrust_set: float, thrust: float) -> tuple[float, float]:
+        """The commands from now on."""
+
+    def close(self) -> None:
+        """Let go of whatever is held."""
+
+
+class KernelPlant:
+    """The plant's functions as they stand. `parameters`: changes to the defaults, by name."""
+
+    def __init__(self, model: Model = BASE, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
+        self.dt, self._simulation = dt, Simulation(model, parameters)
+
+    def start(self, omega_ref, beta_ref):
+        return Sample(**self._simulation.start({"omega_ref": omega_ref, "beta_ref": beta_ref}))
+
+    def step(self, omega_ref, beta_ref):
+        return Sample(**self._simulation.advance({"omega_ref": omega_ref, "beta_ref": beta_ref}, self.dt))
+
+    def close(self):
+        pass
+
+
+class KernelController:
+    """The controller's functions as they stand."""
+
+    def __init__(self, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
+        self._dt, self._simulation = dt, Simulation(CONTROLLER, parameters)
+
+    def start(self, thrust_set, thrust):
+        self._simulation.start({"thrust_set": thrust_set, "thrust": thrust})
+
+    def step(self, thrust_set, thrust):
+        commands = self._simulation.advance({"thrust_set": thrust_set, "thrust": thrust}, self._dt)
+        return commands["omega_ref"], commands["beta_ref"]
+
+    def close(self):
+        pass
+
+
+class _FmuRole:
+    """An FMU file with one instance at a time; `start` makes a fresh one, since FMI 2.0 leaves a started one started."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
+        self.dt, self._parameters = dt, dict(parameters or {})
+        self._fmu, self._instance, self._steps = Fmu(path), None, 0
+        for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
+            self._fmu.references(names, causality)
+
+    def _restart(self, values):
+        if self._instance:
+            self._instance.close()
+        self._instance = FmuInstance(self._fmu, self.inputs, self.outputs, self._parameters)
+        self._steps = 0
+        return self._instance.start(values)
+
+    def _go_on(self, values):
+        shown = self._instance.step(values, self._steps, self.dt)
+        self._steps += 1
+        return shown
+
+    def close(self):
+        if self._instance:
+            self._instance.close()
+        self._fmu.close()
+
+
+class FmuPlant(_FmuRole):
+    """A plant FMU of either flavour, or any other with the same variables."""
+
+    inputs, outputs = COMMANDS, MEASURED
+
+    def start(self, omega_ref, beta_ref):
+        return Sample._make(self._restart((omega_ref, beta_ref)))
+
+    def step(self, omega_ref, beta_ref):
+        return Sample._make(self._go_on((omega_ref, beta_ref)))
+
+
+class FmuController(_FmuRole):
+    """A controller FMU."""
+
+    inputs, outputs = WANTED, COMMANDS
+
+    def start(self, thrust_set, thrust):
+        self._restart((thrust_set, thrust))
+
+    def step(self, thrust_set, thrust):
+        return self._go_on((thrust_set, thrust))

@@ -1,0 +1,165 @@
+"""A record: what was commanded and what was measured, over time. Read, checked, written as CSV."""
+
+import csv
+import gzip
+import io
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder, Table, read_table
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
+from vpp_fmu.kernel.types import Signal
+
+VOLTAGE = Signal("voltage", "V", "supply voltage", 0.0, 100.0, 25.0)
+CURRENT = Signal("current", "A", "supply current", -500.0, 500.0, 10.0)
+MEASURED = (OMEGA, THRUST, BETA, VOLTAGE, CURRENT)
+QUANTITIES = {s.name: s for s in (OMEGA_REF, BETA_REF, *MEASURED, *CONTROLLER.inputs)}
+"""What a column may be, by name, with its unit and range; and `time`."""
+
+COMMANDS = ("time", "omega_ref", "beta_ref")
+
+
+class RecordWarning(UserWarning):
+    """A file holds something that is kept but that nothing uses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Columns by name, each (n,), in the units of QUANTITIES, and the file they came from.
+
+    Commands are zero-order holds: a row's value acts from that row's time on. Measured values are sampled at the row's
+    time; NaN where the rig gave none.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    source: str
+
+    def __post_init__(self):
+        if len({len(column) for column in self.columns.values()}) != 1:
+            raise ValueError(f"columns of unequal length: { ({n: len(c) for n, c in self.columns.items()}) }")
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(n,) s."""
+        return self.columns["time"]
+
+    @property
+    def steps(self) -> np.ndarray:
+        """(n - 1,) s from row to row, rounded to the nanosecond: a grid written as 0.004 s gives exactly 0.004 each time."""
+        return np.round(np.diff(self.time), 9)
+
+    def part(self, rows: slice | np.ndarray) -> "Record":
+        """The rows that a slice, mask or index array selects. Their times stay as they are."""
+        return Record({name: column[rows] for name, column in self.columns.items()}, self.source)
+
+    def with_columns(self, **arrays: np.ndarray) -> "Record":
+        """This record with columns added or exchanged; each (n,)."""
+        return Record({**self.columns, **{name: np.asarray(array) for name, array in arrays.items()}}, self.source)
+
+
+def read_record(path: str | os.PathLike, need: Sequence[str] = COMMANDS) -> Record:
+    """Read a record that holds at least the columns `need`, `time` among them.
+
+    Measured columns beyond these may have gaps, which become NaN. Unknown columns are kept, as float where every cell is a
+    finite number, else as str; one RecordWarning names them. BadInput says what else is wrong, and on which line.
+    """
+    table = read_table(path)
+    columns = checked_columns(table, need)
+    check_time(table, columns["time"])
+    return Record(columns, table.source)
+
+
+def read_profile(path: str | os.PathLike) -> Record:
+    """Read a profile: `time` [s] and the wanted thrust `thrust_set` [N], held from row to row. Errors as `read_record`."""
+    return read_record(path, ("time", "thrust_set"))
+
+
+def checked_columns(table: Table, need: Sequence[str]) -> dict[str, np.ndarray]:
+    """The table's columns, those that are known or needed as numbers within their range. BadInput, RecordWarning."""
+    for name in need:
+        if name not in table.columns:
+            allowed = f"a header with {', '.join(need)}, separated by commas"
+            raise BadInput(table.source, f"column {name}", f"only {', '.join(table.columns)}"[:200], allowed)
+    measured = {signal.name for signal in MEASURED}
+    columns, unknown = {}, []
+    for name, cells in table.columns.items():
+        if name in need or name in QUANTITIES or name == "time":
+            columns[name] = table.numbers(name, gaps=name in measured and name not in need)
+            _check_range(table, name, columns[name])
+        else:
+            columns[name] = cells
+            unknown.append(name)
+    if unknown:
+        text = f"{table.source}: columns that nothing here knows, kept as they are: {', '.join(unknown)}"
+        warnings.warn(text, RecordWarning, stacklevel=3)
+    return columns
+
+
+def _check_range(table: Table, name: str, values: np.ndarray) -> None:
+    """BadInput where a value of a known quantity is outside its range."""
+    signal = QUANTITIES.get(name)
+    if signal is None:
+        return
+    outside = (values < signal.minimum) | (values > signal.maximum)
+    if outside.any():
+        row = int(np.argmax(outside))
+        allowed = f"{signal.minimum:g} to {signal.maximum:g} {signal.unit}"
+        raise table.wrong(name, row, f"{values[row]:.9g}", allowed)
+
+
+def check_time(table: Table, time: np.ndarray, first: int = 0, what: str = "record") -> None:
+    """BadInput where `time`, the table's rows from `first` on, does not start at 0 or does not increase by a nanosecond."""
+    if time[0] != 0.0:
+        raise table.wrong("time", first, f"{time[0]:.12g}", f"0 in the first row of a {what}")
+    later = np.round(np.diff(time), 9) > 0.0  # as Record.steps: no step may vanish
+    if not later.all():
+        row = int(np.argmin(later)) + 1
+        now, before = float(time[row]), float(time[row - 1])
+        move = "goes back" if now < before else "stands still"
+        found = f"{now:.12g} after {before:.12g} (time {move})"
+        raise table.wrong("time", first + row, found, "a time after that of the row before")
+
+
+def write_record(folder: OutputFolder, name: str, record: Record) -> Path:
+    """Write a record as CSV, gzipped if `name` ends in .gz; the same record gives the same bytes.
+
+    Values have at most 9 significant digits, NaN is an empty cell; time is exact to the nanosecond.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(record.columns)
+    writer.writerows(zip(*(_cells(n, column) for n, column in record.columns.items()), strict=True))
+    data = text.getvalue().encode()
+    return folder.write(name, _gzipped(data) if name.endswith(".gz") else data)
+
+
+def _cells(name: str, column: np.ndarray) -> list[str]:
+    if name == "time":
+        return [repr(t) for t in np.round(column.astype(float), 9).tolist()]
+    if column.dtype.kind == "f":
+        return ["" if value != value else f"{value:.9g}" for value in column.tolist()]
+    return [str(value) for value in column.tolist()]
+
+
+def _gzipped(data: bytes) -> bytes:
+    """Not gzip.compress: what that puts into the header differs between systems and versions."""
+    packed = io.BytesIO()
+    with gzip.GzipFile(filename="", mode="wb", fileobj=packed, mtime=0) as file:
+        file.write(data)
+    return packed.getvalue()

@@ -1,0 +1,92 @@
+"""Figures of a fit: what it did to the parameters, how they hang together, how it converged."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.report import style
+
+
+def parameter_change(
+    names: Sequence[str], start: np.ndarray, final: np.ndarray, low: np.ndarray, high: np.ndarray, title: str
+) -> go.Figure:
+    """Parameters before and after the fit with their 95 % interval low to high, as change in % of the start; arrays (n,).
+
+    The labels hold the values. What starts from 0 has no relative change and shows in its label only.
+    """
+    start, final, low, high = (np.asarray(values, float) for values in (start, final, low, high))
+    scale = np.where(start == 0.0, np.nan, np.abs(start)) / 100.0
+    change = (final - start) / scale
+    rows = [
+        f"<b>{style.escaped(name)}</b>  {a:.3g} → {b:.3g}<br>{lowest:.3g} … {highest:.3g}"
+        for name, a, b, lowest, highest in zip(names, start, final, low, high, strict=True)
+    ]
+    fig = style.figure(title, 130 + 44 * len(rows))
+    marker = {"symbol": "line-ns-open", "size": 16, "color": style.BEFORE, "line": {"width": 3}}
+    fig.add_scatter(x=np.where(np.isnan(scale), np.nan, 0.0), y=rows, mode="markers", name="start", marker=marker)
+    fig.add_scatter(
+        x=change,
+        y=rows,
+        mode="markers",
+        name="fitted, 95 % interval",
+        marker={"size": 9, "color": style.AFTER},
+        error_x={
+            "array": (high - final) / scale,
+            "arrayminus": (final - low) / scale,
+            "color": style.AFTER,
+            "thickness": 1.6,
+            "width": 4,
+        },
+        hovertemplate="%{x:+.2f} %<extra></extra>",
+    )
+    fig.update_xaxes(title_text="change from the start [%]", ticksuffix=" ", range=_reach(change, (high - low) / scale))
+    fig.update_yaxes(title_text="parameter [-]", autorange="reversed", tickfont_size=12)
+    return fig
+
+
+def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
+    """The correlation of n parameters, matrix (n, n), with its values written in."""
+    labels = [style.escaped(name) for name in names]
+    fig = style.figure(title, 170 + max(28 * len(labels), 200), legend=False)
+    fig.add_heatmap(
+        x=labels,
+        y=labels,
+        z=np.asarray(matrix, float),
+        zmin=-1,
+        zmax=1,
+        colorscale=style.DIVERGING,
+        colorbar={"title": {"text": "correlation [-]"}, "thickness": 14},
+        texttemplate="%{z:.2f}",
+        textfont={"size": 11},
+        xgap=1,
+        ygap=1,
+        hovertemplate="%{y}, %{x}: %{z:.3f}<extra></extra>",
+    )
+    fig.update_xaxes(title_text="parameter [-]", showgrid=False, tickangle=-40)
+    fig.update_yaxes(title_text="parameter [-]", showgrid=False, autorange="reversed")
+    return fig
+
+
+def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str) -> go.Figure:
+    """The cost at each of n evaluations, both (n,), and the best one so far; cost on a logarithmic axis."""
+    fig = style.figure(title, 340)
+    fig.add_scatter(
+        x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 4, "color": style.SET_POINT, "opacity": 0.6}
+    )
+    best = np.minimum.accumulate(np.asarray(cost, float))
+    fig.add_scatter(
+        x=evaluations, y=best, mode="lines", name="best so far", line={"color": style.AFTER, "width": 2, "shape": "hv"}
+    )
+    fig.update_xaxes(title_text="evaluations [-]")
+    fig.update_yaxes(title_text="cost [-]", type="log", exponentformat="power", hoverformat=".4~g")
+    return fig
+
+
+def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
+    """The range [%] that shows every change and the typical interval: one hopeless parameter must not flatten the rest."""
+    known = np.isfinite(change)
+    if not known.any():
+        return [-1.0, 1.0]
+    margin = float(np.median(widths[known])) + 0.1 * float(np.max(np.abs(change[known]))) + 0.5
+    return [min(0.0, float(change[known].min())) - margin, max(0.0, float(change[known].max())) + margin]

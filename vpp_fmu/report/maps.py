@@ -1,0 +1,74 @@
+"""Figures of the static map: thrust over speed and pitch."""
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.report import style
+
+
+def map_surface(
+    omega: np.ndarray, beta: np.ndarray, thrust_grid: np.ndarray, points: tuple[np.ndarray, np.ndarray, np.ndarray], title: str
+) -> go.Figure:
+    """The map as a surface, thrust_grid (n, m) [N] over beta (n,) [deg] and omega (m,) [rpm], and the measured points on it.
+
+    `points` are (omega [rpm], beta [deg], thrust [N]), each (k,).
+    """
+    fig = style.figure(title, 620)
+    fig.add_surface(
+        x=omega,
+        y=beta,
+        z=thrust_grid,
+        colorscale="Viridis",
+        opacity=0.85,
+        colorbar={"title": {"text": "thrust [N]"}, "thickness": 14, "len": 0.7},
+        contours={"z": {"show": True, "color": "rgba(255,255,255,0.6)", "width": 1}},
+        hovertemplate="model %{z:.2f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+        name="model",
+        showlegend=True,
+    )
+    x, y, z = points
+    fig.add_scatter3d(
+        x=x,
+        y=y,
+        z=z,
+        mode="markers",
+        marker={"size": 3.5, "color": "#111111"},
+        hovertemplate="measured %{z:.2f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+        name="measured",
+    )
+    axes = {"xaxis": "speed [rpm]", "yaxis": "pitch [deg]", "zaxis": "thrust [N]"}
+    scene = {axis: {"title": {"text": text}, "backgroundcolor": "white", "gridcolor": "#dde3e8"} for axis, text in axes.items()}
+    camera = {"eye": {"x": -1.5, "y": -1.5, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.15}}
+    fig.update_layout(scene=scene | {"camera": camera, "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8}})
+    fig.update_layout(margin={"l": 0, "r": 0, "b": 0})
+    return fig
+
+
+def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, title: str) -> go.Figure:
+    """Measured - map [N] at the points of a grid: arrays (k,) with omega [rpm] and beta [deg] as commanded.
+
+    Points that the campaign left out stay empty.
+    """
+    speeds, column = np.unique(omega, return_inverse=True)
+    pitches, row = np.unique(beta, return_inverse=True)
+    grid = np.full((len(pitches), len(speeds)), np.nan)
+    grid[row, column] = residual
+    largest = float(np.nanmax(np.abs(grid)))
+    fig = style.figure(title, 520, legend=False)
+    fig.add_heatmap(
+        x=speeds,
+        y=pitches,
+        z=grid,
+        zmin=-largest,
+        zmax=largest,
+        colorscale=style.DIVERGING,
+        colorbar={"title": {"text": "residual [N]"}, "thickness": 14},
+        texttemplate="%{z:+.2f}" if len(speeds) <= 16 else None,
+        textfont={"size": 11},
+        xgap=1,
+        ygap=1,
+        hovertemplate="%{z:+.3f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+    )
+    fig.update_xaxes(title_text="speed [rpm]", showgrid=False)
+    fig.update_yaxes(title_text="pitch [deg]", showgrid=False)
+    return fig

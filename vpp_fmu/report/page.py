@@ -1,0 +1,87 @@
+"""One HTML page that opens from a file, without a network and for good."""
+
+from collections.abc import Sequence
+from html import escape
+from importlib.metadata import version
+
+from plotly import graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from vpp_fmu.report.sheet import DRAW, SHEET
+from vpp_fmu.report.table import number, table
+
+_POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
+"""Forbids the browser to fetch anything. plotly compiles the shaders of 3-D figures' helpers, hence eval."""
+
+
+class Page:
+    """A report, built from top to bottom; `tiles` always stand above everything else."""
+
+    def __init__(self, title: str, summary: str):
+        self.title = title
+        self.summary = summary
+        self._tiles: list[str] = []
+        self._parts: list[str] = []
+        self._sections: list[str] = []
+        self._figures = 0
+        self._tables = 0
+
+    def tiles(self, tiles: Sequence[tuple[str, object, str]]) -> None:
+        """Key figures (label, value, note): what the reader of the first screen must know."""
+        for label, value, note in tiles:
+            self._tiles.append(
+                f'<div class="tile"><div class="label">{escape(label)}</div>'
+                f'<div class="value">{escape(number(value))}</div><div class="small">{escape(note)}</div></div>'
+            )
+
+    def section(self, title: str, text: str = "") -> None:
+        """A heading and its paragraphs, parted by empty lines."""
+        self._sections.append(title)
+        self._parts.append(f'<h2 id="section-{len(self._sections)}">{escape(title)}</h2>\n{_paragraphs(text)}')
+
+    def figure(self, fig: go.Figure, caption: str) -> None:
+        """A figure, as wide as the page."""
+        self._figures += 1
+        name = f"figure-{self._figures}"
+        # "</script>" in a label would end the script; the json engine keeps the bytes the same wherever orjson is about.
+        drawing = fig.to_json(engine="json").replace("<", "\\u003c")
+        self._parts.append(
+            f'<figure><div id="{name}" class="plot" style="height:{fig.layout.height}px"></div>\n'
+            f"<script>draw({name!r},{drawing})</script>\n"
+            f"<figcaption><b>Figure {self._figures}.</b> {escape(caption)}</figcaption></figure>"
+        )
+
+    def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
+        """A table; the columns' names bear the units. Reals show four significant digits, texts as they are."""
+        self._tables += 1
+        self._parts.append(table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
+
+    def note(self, text: str) -> None:
+        """A remark that must not be missed."""
+        self._parts.append(f'<aside>{_paragraphs(text)}</aside>')
+
+    def html(self) -> str:
+        """The page, the same bytes for the same input."""
+        scripts = f"<script>{get_plotlyjs()}</script>\n<script>{DRAW}</script>\n" if self._figures else ""
+        tiles = f'<div class="tiles">{"".join(self._tiles)}</div>\n' if self._tiles else ""
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{SHEET}</style>\n{scripts}</head>\n<body>\n<main>\n"
+            f"<header><h1>{escape(self.title)}</h1>\n{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}"
+            + "\n".join(self._parts)
+            + f'\n</main>\n<footer>Made by vpp-fmu {escape(version("vpp-fmu"))}.</footer>\n</body>\n</html>\n'
+        )
+
+    def _contents(self) -> str:
+        """Links to the sections, once there are enough to lose one's way."""
+        if len(self._sections) < 3:
+            return ""
+        links = (f'<a href="#section-{k}">{escape(title)}</a>' for k, title in enumerate(self._sections, start=1))
+        return f"<nav>{''.join(links)}</nav>\n"
+
+
+def _paragraphs(text: str) -> str:
+    """Text parted by empty lines as escaped paragraphs."""
+    return "\n".join(f"<p>{escape(part.strip())}</p>" for part in text.split("\n\n") if part.strip())

@@ -1,0 +1,91 @@
+"""Figures of what the model leaves over."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.report import style
+
+
+def residual_by_section(
+    labels: Sequence[str], before: np.ndarray, after: np.ndarray, noise: float | None, title: str
+) -> go.Figure:
+    """The rmse [N] of each section before and after, both (n,), over the line that noise alone draws."""
+    sections = [style.escaped(label) for label in labels]
+    fig = style.figure(title, 380)
+    for name, values, colour in (("before", before, style.BEFORE), ("after", after, style.AFTER)):
+        fig.add_bar(
+            x=sections,
+            y=values,
+            name=name,
+            marker_color=colour,
+            texttemplate="%{y:.2f}",
+            textposition="outside",
+            cliponaxis=False,
+            hovertemplate="%{y:.3f} N",
+        )
+    if noise is not None:
+        fig.add_hline(
+            y=noise,
+            line={"color": style.MEASURED, "width": 1.6, "dash": "dash"},
+            name=f"noise alone, {noise:.2g} N",
+            showlegend=True,
+        )
+    fig.update_xaxes(title_text="section [-]")
+    fig.update_yaxes(title_text="rmse [N]", rangemode="tozero")
+    fig.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06, hovermode="x unified")
+    return fig
+
+
+def residual_histogram(
+    residual: np.ndarray, noise_std: float, title: str, quantity: str = "residual", unit: str = "N"
+) -> go.Figure:
+    """The density of the residual (n,) against the Gaussian of the noise floor, both in `unit`."""
+    residual = np.asarray(residual, float)
+    residual = residual[np.isfinite(residual)]
+    largest = max(float(np.abs(residual).max()), 4 * noise_std)
+    # Bins of a quarter of the noise show its bell; a few hundred of them are all that a screen resolves.
+    bins = min(2 * int(np.ceil(4 * largest / noise_std)), 300)
+    density, edges = np.histogram(residual, bins=bins, range=(-largest, largest), density=True)
+    centres, width = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
+    fig = style.figure(title, 360)
+    fig.add_bar(
+        x=centres, y=density, width=width, name=f"residual, std {residual.std():.3g} {unit}", marker_color=style.AFTER, opacity=0.75
+    )
+    x = np.linspace(-largest, largest, 401)
+    bell = np.exp(-((x / noise_std) ** 2) / 2) / (noise_std * np.sqrt(2 * np.pi))
+    fig.add_scatter(
+        x=x, y=bell, mode="lines", name=f"noise alone, std {noise_std:.3g} {unit}", line={"color": style.MEASURED, "width": 2}
+    )
+    fig.update_xaxes(title_text=f"{quantity} [{unit}]")
+    fig.update_yaxes(title_text=f"density [1/{unit}]")
+    fig.update_layout(bargap=0)
+    return fig
+
+
+def autocorrelation(lags_s: np.ndarray, values: np.ndarray, band: float, title: str) -> go.Figure:
+    """The residual's autocorrelation (n,) over the lag [s]; within +-band it can't be told from white noise."""
+    fig = _correlation({"residual": values}, lags_s, band, title, "autocorrelation [-]")
+    fig.update_traces(fill="tozeroy", fillcolor="rgba(0,114,178,0.15)", selector={"name": "residual"})
+    return fig
+
+
+def cross_correlation(lags_s: np.ndarray, inputs: Mapping[str, np.ndarray], band: float, title: str) -> go.Figure:
+    """The residual's correlation with each input (n,) over the lag [s]; a peak beyond +-band names what the model misses."""
+    return _correlation(inputs, lags_s, band, title, "cross-correlation [-]")
+
+
+def _correlation(lines: Mapping[str, np.ndarray], lags_s: np.ndarray, band: float, title: str, label: str) -> go.Figure:
+    """Correlations over the lag [s], the band behind them."""
+    fig = style.figure(title, 340)
+    fig.add_hrect(-band, band, fillcolor=style.NOISE, line_width=0, layer="below", name=f"± {band:.2g}: no evidence", showlegend=True)
+    colours = style.colours(lines)
+    for name, values in lines.items():
+        fig.add_scatter(
+            x=lags_s, y=values, mode="lines", name=style.escaped(name), line={"color": colours[name], "width": 1.6}
+        )
+    fig.update_xaxes(title_text="lag [s]", zeroline=True, zerolinecolor="#9aa5b1")
+    fig.update_yaxes(title_text=label, zeroline=True, zerolinecolor="#9aa5b1")
+    fig.update_layout(hovermode="x unified")
+    return fig
