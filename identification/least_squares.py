@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+FLAT = 1e-9
+"""Converged when the residual's cosine with every free column is below this (the gradient test of MINPACK)."""
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -37,50 +40,56 @@ def solve(
     start: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-12,
     limit: int = 100,
 ) -> Solution:
     """Minimise the sum of squares of `evaluate(x) -> (residual, jacobian)` from `start` within [lower, upper].
 
-    Stops when a step promises to lower the cost by less than `tolerance` of it. Parameters pressed against a bound leave
-    the step until the gradient turns. Damping follows Nielsen's rule.
+    Stops when no free column has a share in the residual, when a step promised and brought less than `tolerance` of the
+    cost, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient turns. Damping
+    follows Nielsen's rule.
     """
     x = np.clip(np.asarray(start, float), lower, upper)
     residual, jacobian = evaluate(x)
-    costs, evaluations = [0.5 * float(residual @ residual)], 1
-    damping, growth, converged = 1e-4, 2.0, False
+    costs, evaluations, converged = [0.5 * float(residual @ residual)], 1, False
+    damping, growth = 1e-4, 2.0
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-    while evaluations < limit:
+    while evaluations < limit and damping < 1e12:
+        length = np.sqrt(np.diag(normal))
         pressed = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-        free = np.flatnonzero(~pressed & (np.diag(normal) > 0))
-        if not len(free):
+        free = np.flatnonzero(~pressed & (length > 0))
+        share = np.abs(gradient[free]) / (length[free] * np.sqrt(2 * costs[-1]) + 1e-300)
+        if not len(free) or share.max() < FLAT:
             converged = True
             break
         step = np.zeros_like(x)
-        step[free] = _damped_step(normal[np.ix_(free, free)], gradient[free], damping)
+        step[free] = _damped_step(normal[np.ix_(free, free)], gradient[free], length[free], damping)
         there = np.clip(x + step, lower, upper)
         step = there - x
         promise = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
-        if promise <= tolerance * costs[-1]:
-            converged = True
-            break
+        if promise <= 0:  # the bounds turned the step uphill: stay closer
+            damping, growth = damping * growth, growth * 2
+            continue
         new_residual, new_jacobian = evaluate(there)
         evaluations += 1
         cost = 0.5 * float(new_residual @ new_residual)
-        if np.isfinite(cost) and cost < costs[-1]:
-            ratio = (costs[-1] - cost) / promise
+        gained = costs[-1] - cost
+        small = promise <= tolerance * costs[-1] and abs(gained) <= tolerance * costs[-1]
+        if gained > 0:
             x, residual, jacobian = there, new_residual, new_jacobian
             costs.append(cost)
             normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-            damping, growth = damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 2.0
+            damping, growth = damping * max(1 / 3, 1 - (2 * gained / promise - 1) ** 3), 2.0
         else:
             damping, growth = damping * growth, growth * 2
+        if small:
+            converged = True
+            break
     active = (x <= lower) | (x >= upper)
     return Solution(x, residual, jacobian, tuple(costs), evaluations, converged, active)
 
 
-def _damped_step(normal: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+def _damped_step(normal, gradient, length, damping):
     """Solve in units of each column's length, so that damping means the same for seconds and for coefficients."""
-    length = np.sqrt(np.diag(normal))
     scaled = normal / np.outer(length, length)
     return -np.linalg.solve(scaled + damping * np.eye(len(length)), gradient / length) / length

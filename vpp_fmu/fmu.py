@@ -71,7 +71,9 @@ class FmuInstance:
         self._call("fmi2SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(0.0), 0, ctypes.c_double(0.0))
         if parameters:
             n = len(parameters)
-            self._call("fmi2SetReal", (ctypes.c_uint * n)(*tuned), ctypes.c_size_t(n), (ctypes.c_double * n)(*parameters.values()))
+            self._call(
+                "fmi2SetReal", (ctypes.c_uint * n)(*tuned), ctypes.c_size_t(n), (ctypes.c_double * n)(*parameters.values())
+            )
         self._call("fmi2EnterInitializationMode")
 
     def start(self, values: Sequence[float]) -> list[float]:
