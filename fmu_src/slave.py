@@ -45,7 +45,7 @@ class TracedSlave(Fmi2Slave):
 
     def set_real(self, vrs, values):
         v, n = self.v, self.N_INPUTS
-        for vr, value in zip(vrs, values):
+        for vr, value in zip(vrs, values, strict=True):
             if vr >= n:
                 self._set_parameter(vr, value)
             elif value - value == 0.0:  # finite, without the price of a call
@@ -108,7 +108,7 @@ class TracedSlave(Fmi2Slave):
     def _set_fmu_state(self, state):
         self.v[:] = state["v"]
         self._schedule()
-        for line, kept in zip(self.lines, state["lines"]):
+        for line, kept in zip(self.lines, state["lines"], strict=True):
             if line is not None:
                 vars(line).update(kept, waits=[*kept["waits"]], values=[*kept["values"]])
         self.wait, self.initialised, self.settled = state["wait"], state["initialised"], False

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import gzip
+import math
 import os
 import tempfile
 import zlib
@@ -124,12 +125,11 @@ class Table:
         cells = self.columns[name]
         if cells.dtype != object:
             return cells
-        values = np.full(len(cells), np.nan)
-        for row, cell in enumerate(cells):
-            with contextlib.suppress(ValueError):
-                values[row] = float(cell)
-            if not np.isfinite(values[row]) and not (gaps and cell.lower() in {"", "nan"}):
-                raise self.wrong(name, row, shown(cell), "a finite number" + (" or an empty cell" if gaps else ""))
+        values = np.array([_number(cell) for cell in cells])
+        for row in np.flatnonzero(~np.isfinite(values)):
+            if not (gaps and cells[row].lower() in {"", "nan"}):
+                allowed = "a finite number or an empty cell" if gaps else "a finite number"
+                raise self.wrong(name, row, shown(cells[row]), allowed)
         return values
 
 
@@ -159,6 +159,8 @@ def _names(path: str | os.PathLike, line: str) -> list[str]:
     for i, name in enumerate(names):
         if not name:
             raise BadInput(path, f"header, column {i + 1}", "no name", "a name for each column")
+        if not name.isprintable():  # it would tear the one line of every message that names it
+            raise BadInput(path, f"header, column {i + 1}", shown(name), "a name of printable characters")
         if name in names[:i]:
             raise BadInput(path, f"column {name}", "more than one of that name", "each column once")
     return names
@@ -179,20 +181,29 @@ def _cells(path: str | os.PathLike, lines: Sequence[str], before: int, width: in
     numbers, rows = [], []
     try:
         for cells in reader:
-            if not "".join(cells).strip() and len(cells) <= 1:
+            if not cells or (len(cells) == 1 and cells[0].isspace()):
                 continue
             if len(cells) != width:
-                raise BadInput(path, f"line {before + reader.line_num}", f"{len(cells)} cells", f"{width}, as in the header")
+                found = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
+                raise BadInput(path, f"line {before + reader.line_num}", found, f"{width}, as in the header")
             numbers.append(before + reader.line_num)
             rows.append([cell.strip() for cell in cells])
     except csv.Error as error:
         raise BadInput(path, f"line {before + reader.line_num}", error, "cells separated by commas") from error
+    if not rows:
+        raise BadInput(path, "file", "a header without rows", "a header and at least one row")
     return numbers, rows
 
 
 def _column(cells: Sequence[str]) -> np.ndarray:
-    try:
-        values = np.array(cells, dtype=float)
-    except ValueError:
+    if not math.isfinite(_number(cells[0])):
         return np.array(cells, dtype=object)
+    values = np.array([_number(cell) for cell in cells])
     return values if np.isfinite(values).all() else np.array(cells, dtype=object)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan

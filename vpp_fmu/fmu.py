@@ -4,16 +4,20 @@ fmpy's own wrapper converts every argument of every call; here the buffers are m
 """
 
 import ctypes
+import itertools
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import fmpy
+import numpy as np
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
 from vpp_fmu.errors import BadInput, SimulationFailed
+from vpp_fmu.record import Record
 
+WARNING = 1
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
@@ -78,19 +82,31 @@ class FmuInstance:
 
     def start(self, values: Sequence[float]) -> list[float]:
         """Settle on the inputs and leave the initialisation; returns the outputs. Time is 0."""
-        self.inputs[:] = values
-        self._check(self._set(), "setting inputs")
+        self._inputs[:] = values
+        self._call("fmi2SetReal", *self._written)
         self._call("fmi2ExitInitializationMode")
-        self._check(self._get(), "reading outputs")
-        return self.outputs[:]
+        self._call("fmi2GetReal", *self._read)
+        return self._outputs[:]
 
-    def step(self, values: Sequence[float], n: int, dt: float) -> list[float]:
-        """Hold the inputs from n dt to (n + 1) dt; returns the outputs there."""
-        self.inputs[:] = values
-        self._time.value, self._dt.value = n * dt, dt
-        if self._set() or self._do() or self._get():
-            self._check(3, f"the step at {n * dt:.6g} s with inputs {list(values)}")
-        return self.outputs[:]
+    def stepper(self, dt: float) -> Callable[[Sequence[float]], list[float]]:
+        """A function that holds inputs for the next `dt` seconds and returns the outputs there; time is counted from 0.
+
+        All that a step needs is bound once: three foreign calls remain.
+        """
+        dll, component = self._slave.dll, self._component
+        set_real, do_step, get_real = dll["fmi2SetReal"], dll["fmi2DoStep"], dll["fmi2GetReal"]
+        inputs, outputs, written, read = self._inputs, self._outputs, self._written, self._read
+        at, step, go_on, count = ctypes.c_double(0.0), ctypes.c_double(dt), ctypes.c_int(1), itertools.count()
+
+        def take(values):
+            inputs[:] = values
+            at.value = next(count) * dt
+            status = set_real(component, *written) or do_step(component, at, step, go_on) or get_real(component, *read)
+            if status > WARNING:
+                self._check(status, f"the step at {at.value:.6g} s with inputs {list(values)}")
+            return outputs[:]
+
+        return take
 
     def close(self) -> None:
         """Terminate and free the instance."""
@@ -100,21 +116,20 @@ class FmuInstance:
             self._slave = None
 
     def _bind(self, read, written):
+        def arguments(references):
+            n = len(references)
+            values = (ctypes.c_double * n)()
+            return ((ctypes.c_uint * n)(*references), ctypes.c_size_t(n), values), values
+
         self._component = ctypes.c_void_p(self._slave.component)
-        self.inputs, self.outputs = (ctypes.c_double * len(written))(), (ctypes.c_double * len(read))()
-        self._time, self._dt = ctypes.c_double(0.0), ctypes.c_double(0.0)
-        bound = (
-            ("fmi2SetReal", (ctypes.c_uint * len(written))(*written), ctypes.c_size_t(len(written)), self.inputs),
-            ("fmi2GetReal", (ctypes.c_uint * len(read))(*read), ctypes.c_size_t(len(read)), self.outputs),
-            ("fmi2DoStep", self._time, self._dt, ctypes.c_int(1)),
-        )
-        self._set, self._get, self._do = (_bound(self._slave.dll, name, self._component, *args) for name, *args in bound)
+        self._read, self._outputs = arguments(read)
+        self._written, self._inputs = arguments(written)
 
     def _call(self, name, *args):
         self._check(self._slave.dll[name](self._component, *args), name)
 
     def _check(self, status, what):
-        if status > 1:
+        if status > WARNING:
             raise SimulationFailed(f"{self.fmu.path}: {what}: {self._said() or f'status {STATUS[status]}'}")
 
     def _said(self):
@@ -132,6 +147,11 @@ class FmuInstance:
         return callbacks
 
 
-def _bound(dll, name, *args):
-    function = dll[name]
-    return lambda: function(*args)
+def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:
+    """Thrust (rows,) N of a plant FMU under a record's commands, by fmpy's own simulation, at the record's times."""
+    names = ("time", "omega_ref", "beta_ref")
+    table = np.rec.fromarrays([record[n] for n in names], names=names)
+    step = float(np.median(record.steps))
+    stop = float(record.time[-1])
+    result = fmpy.simulate_fmu(str(path), input=table, stop_time=stop, output_interval=step, output=["thrust"])
+    return np.interp(record.time, result["time"], result["thrust"])

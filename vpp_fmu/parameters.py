@@ -2,37 +2,21 @@
 
 import difflib
 import json
-import math
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text, shown
+from vpp_fmu.files import read_text
+from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.types import Model, Parameter
+from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
 
 _SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
-
-_SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
-    "1": (1.0, {}),
-    "s": (1.0, {"s": 1}),
-    "Hz": (1.0, {"s": -1}),
-    "rad": (1.0, {"rad": 1}),
-    "deg": (math.pi / 180.0, {"rad": 1}),
-    "rpm": (math.pi / 30.0, {"rad": 1, "s": -1}),
-    "m": (1.0, {"m": 1}),
-    "kg": (1.0, {"kg": 1}),
-    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
-    "W": (1.0, {"kg": 1, "m": 2, "s": -3}),
-    "A": (1.0, {"A": 1}),
-    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
-    "K": (1.0, {"K": 1}),
-}
 
 
 @dataclass(frozen=True)
@@ -78,11 +62,10 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
         if name not in known:
             owner, dot, _ = name.partition(".")
             near = _near(name, known)
-            allowed = f'{near}, or "{owner}" among the effects' if dot and owner not in model.optional else near
-            raise BadInput(path, f"parameters, {name}", f"a name that {model.name} does not have", allowed)
+            allowed = f"{near}, or {_shown(owner)} among the effects" if dot and owner not in model.optional else near
+            raise BadInput(path, f"parameters, {_shown(name)}", f"a name that {model.name} does not have", allowed)
         estimates[name] = _estimate(path, known[name], entry)
-    source = _mapping(path, "source", content.get("source", {}))
-    return ParameterSet(model, estimates, source)
+    return ParameterSet(model, estimates, _source(path, content.get("source", {})))
 
 
 def _content(path: str | os.PathLike) -> dict:
@@ -90,7 +73,7 @@ def _content(path: str | os.PathLike) -> dict:
         names = [name for name, _ in pairs]
         for i, name in enumerate(names):
             if name in names[:i]:
-                raise BadInput(path, name, "this name more than once", "each name once")
+                raise BadInput(path, _shown(name), "this name more than once", "each name once")
         return dict(pairs)
 
     try:
@@ -98,12 +81,14 @@ def _content(path: str | os.PathLike) -> dict:
     except json.JSONDecodeError as error:
         found = f"no JSON from column {error.colno} on ({error.msg})"
         raise BadInput(path, f"line {error.lineno}", found, "a parameter file in JSON") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(path, "file", "a number too long, or lists too deep, to read", "a parameter file in JSON") from error
     content = _mapping(path, "file", content)
     if content.get("format") != FORMAT:
         raise BadInput(path, "format", json.dumps(content.get("format")), json.dumps(FORMAT))
     for name in content:
         if name not in ("format", "parameters", "effects", "source"):
-            raise BadInput(path, name, "a field that is not known", "format, parameters, effects, source")
+            raise BadInput(path, _shown(name), "a field that is not known", "format, parameters, effects, source")
     return content
 
 
@@ -116,10 +101,11 @@ def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str,
         name = error.args[0]
         if name not in effects:
             raise
-        raise BadInput(path, "effects", shown(name), "the name of an effect of this project") from error
+        library = [effect.name for effect in LIBRARY if effect.off is not None]
+        raise BadInput(path, "effects", _shown(name), _near(name, library)) from error
     for name in effects:
         if name not in model.optional:
-            raise BadInput(path, "effects", shown(name), f"no effect that {model.name} does not have")
+            raise BadInput(path, "effects", _shown(name), f"none, {model.name} has no effects to choose")
     return model
 
 
@@ -128,19 +114,28 @@ def _estimate(path: str | os.PathLike, parameter: Parameter, entry: object) -> E
     entry = _mapping(path, name, entry)
     for key in entry:
         if key not in ("value", "std", "unit"):
-            raise BadInput(path, f"{name}, {key}", "a field that is not known", "value, std, unit")
+            raise BadInput(path, f"{name}, {_shown(key)}", "a field that is not known", "value, std, unit")
     for key in ("value", "unit"):
         if key not in entry:
             raise BadInput(path, f"{name}, {key}", "nothing", "a value and its unit for each parameter")
     if entry["unit"] != parameter.unit:
         raise BadInput(path, f"{name}, unit", _shown(entry["unit"]), f'"{parameter.unit}"')
     value, std = entry["value"], entry.get("std")
-    allowed = f"a number from {parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}"
+    allowed = f"a number from {parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}".removesuffix(" 1")
     if not _is_number(value) or not parameter.minimum <= value <= parameter.maximum:
         raise BadInput(path, f"{name}, value", _shown(value), allowed)
     if std is not None and (not _is_number(std) or std < 0.0):
         raise BadInput(path, f"{name}, std", _shown(std), "a number from 0, or null")
     return Estimate(float(value), None if std is None else float(std), parameter.unit)
+
+
+def _source(path: str | os.PathLike, found: object) -> dict:
+    source = _mapping(path, "source", found)
+    try:
+        json.dumps(source, allow_nan=False)
+    except ValueError as error:
+        raise BadInput(path, "source", "NaN or an infinite number", "finite numbers") from error
+    return source
 
 
 def _mapping(path: str | os.PathLike, name: str, found: object) -> dict:
@@ -190,23 +185,3 @@ def to_ssv(parameters: ParameterSet, name: str) -> str:
         ElementTree.SubElement(element, "ssc:BaseUnit", base_unit(unit))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def base_unit(unit: str) -> dict[str, str]:
-    """A unit such as "rpm.s/deg" as the attributes of a BaseUnit in SSP and FMI: SI exponents and factor.
-
-    A point multiplies, a slash divides by the one product behind it, a number behind a symbol is its exponent.
-    KeyError names a symbol that is not known.
-    """
-    factor, exponents = 1.0, dict.fromkeys(("kg", "m", "s", "A", "K", "rad"), 0)
-    for sign, product in zip((1, -1), unit.split("/"), strict=False):
-        for term in product.split("."):
-            symbol, power = re.fullmatch(r"(\d|\D+?)\^?(\d*)", term).groups()
-            scale, bases = _SYMBOLS[symbol]
-            count = sign * int(power or 1)
-            factor *= scale**count
-            for base, exponent in bases.items():
-                exponents[base] += exponent * count
-    attributes = {base: str(exponent) for base, exponent in exponents.items() if exponent}
-    # 15 digits: the 16th is rounding, as in 6.000000000000001 for rpm.s/deg
-    return attributes if f"{factor:.15g}" == "1" else {**attributes, "factor": f"{factor:.15g}"}

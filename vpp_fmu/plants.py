@@ -92,7 +92,7 @@ class _FmuRole:
 
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self.dt, self._parameters = dt, dict(parameters or {})
-        self._fmu, self._instance, self._steps = Fmu(path), None, 0
+        self._fmu, self._instance, self._step = Fmu(path), None, None
         for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
             self._fmu.references(names, causality)
 
@@ -100,12 +100,8 @@ class _FmuRole:
         if self._instance:
             self._instance.close()
         self._instance = FmuInstance(self._fmu, self.inputs, self.outputs, self._parameters)
-        self._steps = 0
-        return self._instance.start(values)
-
-    def _go_on(self, values):
-        shown = self._instance.step(values, self._steps, self.dt)
-        self._steps += 1
+        shown = self._instance.start(values)
+        self._step = self._instance.stepper(self.dt)
         return shown
 
     def close(self):
@@ -123,7 +119,7 @@ class FmuPlant(_FmuRole):
         return Sample._make(self._restart((omega_ref, beta_ref)))
 
     def step(self, omega_ref, beta_ref):
-        return Sample._make(self._go_on((omega_ref, beta_ref)))
+        return Sample._make(self._step((omega_ref, beta_ref)))
 
 
 class FmuController(_FmuRole):
@@ -135,4 +131,4 @@ class FmuController(_FmuRole):
         self._restart((thrust_set, thrust))
 
     def step(self, thrust_set, thrust):
-        return self._go_on((thrust_set, thrust))
+        return self._step((thrust_set, thrust))

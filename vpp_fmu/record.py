@@ -3,6 +3,7 @@
 import csv
 import gzip
 import io
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -153,7 +154,7 @@ def _cells(name: str, column: np.ndarray) -> list[str]:
     if name == "time":
         return [repr(t) for t in np.round(column.astype(float), 9).tolist()]
     if column.dtype.kind == "f":
-        return ["" if value != value else f"{value:.9g}" for value in column.tolist()]
+        return ["" if math.isnan(value) else f"{value:.9g}" for value in column.tolist()]
     return [str(value) for value in column.tolist()]
 
 

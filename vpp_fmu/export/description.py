@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from importlib.metadata import version
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from vpp_fmu.export.units import definitions
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.tracer import Layout
+from vpp_fmu.units import base_unit
 
 LOG_CATEGORIES = {"logStatusError": "calls that failed, and why", "logStatusFatal": "calls after which the instance is lost"}
 
@@ -20,10 +21,11 @@ class Experiment:
     step: float = 0.004
 
 
+TEN_SECONDS = Experiment()
+
+
 def guid(content: str) -> str:
     """A GUID made from what the FMU is made of: the same content has the same one, on any day."""
-    from hashlib import sha256
-
     h = sha256(content.encode()).hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
@@ -61,7 +63,9 @@ def model_description(model: Model, values: Mapping[str, float], content_guid: s
         canNotUseMemoryManagementFunctions="true",
         **co_simulation,
     )
-    root.append(definitions({q.unit for q in (*model.inputs, *model.outputs, *model.parameters, *model.states)}))
+    units = SubElement(root, "UnitDefinitions")
+    for unit in sorted({q.unit for q in (*model.inputs, *model.outputs, *model.parameters, *model.states)}):
+        SubElement(SubElement(units, "Unit", name=unit), "BaseUnit", base_unit(unit))
     categories = SubElement(root, "LogCategories")
     for name, text in LOG_CATEGORIES.items():
         SubElement(categories, "Category", name=name, description=text)

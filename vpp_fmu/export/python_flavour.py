@@ -12,12 +12,12 @@ from pathlib import Path
 from pythonfmu import FmuBuilder
 
 from vpp_fmu.export.archive import archive, contents
-from vpp_fmu.export.description import Experiment, guid, model_description, variable_names
+from vpp_fmu.export.description import TEN_SECONDS, Experiment, guid, model_description, variable_names
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.tracer import Layout, python_source, trace
 
 
-def python_fmu(model: Model, parameters: Mapping[str, float] | None = None, experiment: Experiment = Experiment()) -> bytes:
+def python_fmu(model: Model, parameters: Mapping[str, float] | None = None, experiment: Experiment = TEN_SECONDS) -> bytes:
     """An FMU of `model` that runs under Python; its bytes depend on the arguments and versions alone.
 
     `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values.

@@ -67,7 +67,7 @@ def run_held(lines, delays, inputs, span, largest, step):
                 piece, cut = line.waits[0], line
         count = 1 if isinf(largest) else max(1, ceil(piece / largest - NOW))
         before, ends = ends, [1.0 if line is cut else 0.0 for _, line in delayed]
-        tangent = [(end - start) / count for end, start in zip(ends, before)]
+        tangent = [(end - start) / count for end, start in zip(ends, before, strict=True)]
         for _ in range(count):
             step(acting, piece / count, tangent)
         for _, line in delayed:

@@ -13,15 +13,13 @@ def parameter_change(
 ) -> go.Figure:
     """Parameters before and after the fit with their 95 % interval low to high, as change in % of the start; arrays (n,).
 
-    The labels hold the values. What starts from 0 has no relative change and shows in its label only.
+    The labels hold the values. What starts from 0 has no relative change and shows in its label only; nan stands for a
+    bound that isn't known.
     """
     start, final, low, high = (np.asarray(values, float) for values in (start, final, low, high))
     scale = np.where(start == 0.0, np.nan, np.abs(start)) / 100.0
     change = (final - start) / scale
-    rows = [
-        f"<b>{style.escaped(name)}</b>  {a:.3g} → {b:.3g}<br>{lowest:.3g} … {highest:.3g}"
-        for name, a, b, lowest, highest in zip(names, start, final, low, high, strict=True)
-    ]
+    rows = [_row(*values) for values in zip(names, start, final, low, high, strict=True)]
     fig = style.figure(title, 130 + 44 * len(rows))
     marker = {"symbol": "line-ns-open", "size": 16, "color": style.BEFORE, "line": {"width": 3}}
     fig.add_scatter(x=np.where(np.isnan(scale), np.nan, 0.0), y=rows, mode="markers", name="start", marker=marker)
@@ -41,30 +39,30 @@ def parameter_change(
         hovertemplate="%{x:+.2f} %<extra></extra>",
     )
     fig.update_xaxes(title_text="change from the start [%]", ticksuffix=" ", range=_reach(change, (high - low) / scale))
-    fig.update_yaxes(title_text="parameter [-]", autorange="reversed", tickfont_size=12)
+    fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
     return fig
 
 
 def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
-    """The correlation of n parameters, matrix (n, n), with its values written in."""
+    """The correlation of n parameters, matrix (n, n), with its values written in; the ones of the diagonal stay blank."""
     labels = [style.escaped(name) for name in names]
     fig = style.figure(title, 170 + max(28 * len(labels), 200), legend=False)
     fig.add_heatmap(
         x=labels,
         y=labels,
-        z=np.asarray(matrix, float),
+        z=np.where(np.eye(len(labels)), np.nan, matrix),
         zmin=-1,
         zmax=1,
         colorscale=style.DIVERGING,
-        colorbar={"title": {"text": "correlation [-]"}, "thickness": 14},
+        colorbar={"title": {"text": "correlation [-]"}},
         texttemplate="%{z:.2f}",
         textfont={"size": 11},
         xgap=1,
         ygap=1,
         hovertemplate="%{y}, %{x}: %{z:.3f}<extra></extra>",
     )
-    fig.update_xaxes(title_text="parameter [-]", showgrid=False, tickangle=-40)
-    fig.update_yaxes(title_text="parameter [-]", showgrid=False, autorange="reversed")
+    fig.update_xaxes(title_text="parameter [-]", type="category", showgrid=False, tickangle=-40)
+    fig.update_yaxes(title_text="parameter [-]", type="category", showgrid=False, autorange="reversed")
     return fig
 
 
@@ -74,13 +72,25 @@ def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str) -> go.
     fig.add_scatter(
         x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 4, "color": style.SET_POINT, "opacity": 0.6}
     )
-    best = np.minimum.accumulate(np.asarray(cost, float))
+    best = np.fmin.accumulate(np.asarray(cost, float))
     fig.add_scatter(
         x=evaluations, y=best, mode="lines", name="best so far", line={"color": style.AFTER, "width": 2, "shape": "hv"}
     )
     fig.update_xaxes(title_text="evaluations [-]")
-    fig.update_yaxes(title_text="cost [-]", type="log", exponentformat="power", hoverformat=".4~g")
+    fig.update_yaxes(title_text="cost [-]", type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
     return fig
+
+
+def _row(name: str, start: float, final: float, low: float, high: float) -> str:
+    """The label of a parameter: its values, and its interval below."""
+    interval = f"{low:.3g} … {high:.3g}" if np.isfinite(high - low) else "interval unknown"
+    return f"<b>{style.escaped(name)}</b>  {start:.3g} → {final:.3g}<br>{interval}"
+
+
+def _ticks(cost: np.ndarray) -> str | int:
+    """Labels on a logarithmic axis: every digit within two thirds of a decade, 1 2 5 up to three decades, else powers."""
+    decades = np.log10(np.max(cost) / np.min(cost))
+    return "D1" if decades < 0.7 else "D2" if decades < 3.0 else 1
 
 
 def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
@@ -88,5 +98,6 @@ def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
     known = np.isfinite(change)
     if not known.any():
         return [-1.0, 1.0]
-    margin = float(np.median(widths[known])) + 0.1 * float(np.max(np.abs(change[known]))) + 0.5
+    typical = float(np.median(widths[np.isfinite(widths)])) if np.isfinite(widths).any() else 0.0
+    margin = typical + 0.1 * float(np.max(np.abs(change[known]))) + 0.5
     return [min(0.0, float(change[known].min())) - margin, max(0.0, float(change[known].max())) + margin]

@@ -20,11 +20,9 @@ def map_surface(
         z=thrust_grid,
         colorscale="Viridis",
         opacity=0.85,
-        colorbar={"title": {"text": "thrust [N]"}, "thickness": 14, "len": 0.7},
+        colorbar={"title": {"text": "thrust [N]"}, "len": 0.7},
         contours={"z": {"show": True, "color": "rgba(255,255,255,0.6)", "width": 1}},
         hovertemplate="model %{z:.2f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
-        name="model",
-        showlegend=True,
     )
     x, y, z = points
     fig.add_scatter3d(
@@ -35,10 +33,11 @@ def map_surface(
         marker={"size": 3.5, "color": "#111111"},
         hovertemplate="measured %{z:.2f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
         name="measured",
+        showlegend=True,
     )
     axes = {"xaxis": "speed [rpm]", "yaxis": "pitch [deg]", "zaxis": "thrust [N]"}
-    scene = {axis: {"title": {"text": text}, "backgroundcolor": "white", "gridcolor": "#dde3e8"} for axis, text in axes.items()}
-    camera = {"eye": {"x": -1.5, "y": -1.5, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.15}}
+    scene = {axis: {"title": {"text": text}} for axis, text in axes.items()}
+    camera = {"eye": {"x": -1.4, "y": -1.4, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.2}}
     fig.update_layout(scene=scene | {"camera": camera, "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8}})
     fig.update_layout(margin={"l": 0, "r": 0, "b": 0})
     return fig
@@ -53,7 +52,8 @@ def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, tit
     pitches, row = np.unique(beta, return_inverse=True)
     grid = np.full((len(pitches), len(speeds)), np.nan)
     grid[row, column] = residual
-    largest = float(np.nanmax(np.abs(grid)))
+    largest = float(np.nanmax(np.abs(grid))) or 1.0
+    decimals = max(0, 1 - int(np.floor(np.log10(largest))))
     fig = style.figure(title, 520, legend=False)
     fig.add_heatmap(
         x=speeds,
@@ -62,8 +62,8 @@ def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, tit
         zmin=-largest,
         zmax=largest,
         colorscale=style.DIVERGING,
-        colorbar={"title": {"text": "residual [N]"}, "thickness": 14},
-        texttemplate="%{z:+.2f}" if len(speeds) <= 16 else None,
+        colorbar={"title": {"text": "residual [N]"}},
+        texttemplate=f"%{{z:+.{decimals}f}}" if len(speeds) <= 16 else None,
         textfont={"size": 11},
         xgap=1,
         ygap=1,

@@ -10,8 +10,8 @@ from plotly.offline import get_plotlyjs
 from vpp_fmu.report.sheet import DRAW, SHEET
 from vpp_fmu.report.table import number, table
 
-_POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
-"""Forbids the browser to fetch anything. plotly compiles the shaders of 3-D figures' helpers, hence eval."""
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+"""Forbids the browser to fetch anything; images may be made by the page itself."""
 
 
 class Page:
@@ -46,7 +46,7 @@ class Page:
         # "</script>" in a label would end the script; the json engine keeps the bytes the same wherever orjson is about.
         drawing = fig.to_json(engine="json").replace("<", "\\u003c")
         self._parts.append(
-            f'<figure><div id="{name}" class="plot" style="height:{fig.layout.height}px"></div>\n'
+            f'<figure><div id="{name}" class="plot" style="height:{fig.layout.height or 450}px"></div>\n'
             f"<script>draw({name!r},{drawing})</script>\n"
             f"<figcaption><b>Figure {self._figures}.</b> {escape(caption)}</figcaption></figure>"
         )
@@ -58,7 +58,7 @@ class Page:
 
     def note(self, text: str) -> None:
         """A remark that must not be missed."""
-        self._parts.append(f'<aside>{_paragraphs(text)}</aside>')
+        self._parts.append(f"<aside>{_paragraphs(text)}</aside>")
 
     def html(self) -> str:
         """The page, the same bytes for the same input."""
@@ -71,7 +71,7 @@ class Page:
             f"<title>{escape(self.title)}</title>\n<style>{SHEET}</style>\n{scripts}</head>\n<body>\n<main>\n"
             f"<header><h1>{escape(self.title)}</h1>\n{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}"
             + "\n".join(self._parts)
-            + f'\n</main>\n<footer>Made by vpp-fmu {escape(version("vpp-fmu"))}.</footer>\n</body>\n</html>\n'
+            + f"\n</main>\n<footer>Made by vpp-fmu {escape(version('vpp-fmu'))}.</footer>\n</body>\n</html>\n"
         )
 
     def _contents(self) -> str:

@@ -1,12 +1,12 @@
 """Panels over one common time axis: zoom and hover act on all of them."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.report import style
-from vpp_fmu.report.thinning import thinned
 
 _GAP = 22
 """Pixels between two panels."""
@@ -19,7 +19,7 @@ def panels(title: str, labels: Sequence[str], heights: Sequence[int]) -> go.Figu
     top = total
     for k, (label, height) in enumerate(zip(labels, heights, strict=True)):
         domain = [(top - height) / total, top / total]
-        fig.update_layout({_axis("yaxis", k): {"domain": domain, "title": {"text": label}, "anchor": "x"}})
+        fig.update_layout({_axis("yaxis", k): {"domain": domain, "title": {"text": _folded(label, height)}, "anchor": "x"}})
         top -= height + _GAP
     last = _axis("y", len(labels) - 1)
     fig.update_layout(
@@ -30,27 +30,27 @@ def panels(title: str, labels: Sequence[str], heights: Sequence[int]) -> go.Figu
     return fig
 
 
-def add_line(fig: go.Figure, panel: int, time: np.ndarray, values: np.ndarray, name: str, line: dict, legend: bool = True):
-    """A line in the given panel (from 0), thinned if long. Lines of one name go on and off together."""
-    x, y = thinned(np.asarray(time, float), np.asarray(values, float))
+def add_line(
+    fig: go.Figure, panel: int, time: np.ndarray, values: np.ndarray, name: str, line: dict, group: str | None = None
+) -> None:
+    """A line in the given panel (from 0). With a `group` it has no legend entry and goes on and off with the line so named."""
     fig.add_scatter(
-        x=x,
-        y=y,
+        x=time,
+        y=values,
         mode="lines",
         name=style.escaped(name),
-        legendgroup=name,
-        showlegend=legend,
+        legendgroup=group or name,
+        showlegend=group is None,
         line=line,
         yaxis=_axis("y", panel),
     )
 
 
-def add_band(fig: go.Figure, panel: int, half_width: float, name: str):
-    """A band around zero behind the lines of a panel."""
+def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
+    """A band around zero over the lines of a panel: behind them a dense residual would hide it."""
     axis = _axis("y", panel)
     fig.add_shape(
         type="rect",
-        layer="below",
         xref="x domain",
         yref=axis,
         x0=0,
@@ -58,10 +58,15 @@ def add_band(fig: go.Figure, panel: int, half_width: float, name: str):
         y0=-half_width,
         y1=half_width,
         fillcolor=style.NOISE,
-        line_width=0,
+        line={"color": style.MEASURED, "width": 1, "dash": "dot"},
         name=style.escaped(name),
         showlegend=True,
     )
+
+
+def _folded(label: str, height: int) -> str:
+    """The label broken into lines that fit along `height` pixels, at some 8 pixels a letter."""
+    return "<br>".join(textwrap.wrap(label, height // 8))
 
 
 def _axis(kind: str, panel: int) -> str:

@@ -7,9 +7,12 @@ from plotly import graph_objects as go
 
 from vpp_fmu.report import style
 from vpp_fmu.report.panels import add_band, add_line, panels
+from vpp_fmu.report.thinning import places
 
 _HELD = "hv"
 """Commands are held until the next one."""
+
+_LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
 
 
 def measured_against_predicted(
@@ -28,25 +31,27 @@ def measured_against_predicted(
     """
     commands = commands or {}
     labels = [f"{quantity} [{unit}]", f"residual [{unit}]", *map(style.label, commands)]
-    fig = panels(title, labels, [260, 160] + [80] * len(commands))
+    fig = panels(title, labels, [260, 160] + [110] * len(commands))
     measured = np.asarray(measured, float)
-    add_line(fig, 0, time, measured, "measured", {"color": style.MEASURED, "width": 1})
+    residuals = {name: measured - values for name, values in predictions.items()}
+    kept = places([measured, *predictions.values(), *residuals.values(), *commands.values()])
+    time = np.asarray(time)[kept]
+    add_line(fig, 0, time, measured[kept], "measured", {"color": style.MEASURED, "width": 1})
     if noise is not None:
         add_band(fig, 1, 2 * noise, f"± 2 noise ({2 * noise:.2g} {unit})")
     colours = style.colours(predictions)
-    for name, values in predictions.items():
-        residual = measured - values
+    for name, residual in residuals.items():
         shown = f"{name}, rmse {np.sqrt(np.nanmean(residual**2)):.3g} {unit}"
-        add_line(fig, 0, time, values, shown, {"color": colours[name], "width": 1.6})
-        add_line(fig, 1, time, residual, shown, {"color": colours[name], "width": 1}, legend=False)
+        add_line(fig, 0, time, np.asarray(predictions[name])[kept], shown, {"color": colours[name], "width": 1.6})
+        add_line(fig, 1, time, residual[kept], f"{name}, residual", {"color": colours[name], "width": 1}, group=shown)
     for k, (name, values) in enumerate(commands.items(), start=2):
         line = {"color": style.SET_POINT, "width": 1.4, "shape": _HELD}
-        add_line(fig, k, time, values, style.label(name), line, legend=False)
+        add_line(fig, k, time, np.asarray(values)[kept], name, line, group="commands")
     return fig
 
 
 def closed_loop(runs: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.Figure:
-    """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dashed and lighter.
+    """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted and lighter.
 
     A run holds arrays (n,) by column name: time, thrust_set, thrust, omega_ref, omega, beta_ref, beta. What a rig doesn't
     measure may be missing. The set-point is drawn once if all runs share it.
@@ -54,22 +59,29 @@ def closed_loop(runs: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.
     fig = panels(title, [style.label(name) for name in ("thrust", "omega", "beta")], [260, 150, 150])
     colours = style.colours(runs)
     drawn = []
-    for run in runs.values():
-        points = (run["time"], run["thrust_set"])
-        if not any(np.array_equal(points, other) for other in drawn):
-            line = {"color": style.SET_POINT, "width": 1.6, "dash": "dash", "shape": _HELD}
-            add_line(fig, 0, *points, "set-point", line, legend=not drawn)
-            drawn.append(points)
     for name, run in runs.items():
-        add_line(fig, 0, run["time"], run["thrust"], name, {"color": colours[name], "width": 1.5})
-        for panel, quantity in ((1, "omega"), (2, "beta")):
-            command, value = f"{quantity}_ref", quantity
-            if command in run:
-                line = {"color": _lighter(colours[name]), "width": 1.2, "dash": "dot", "shape": _HELD}
-                add_line(fig, panel, run["time"], run[command], f"{name}, command", line, legend=panel == 1)
-            if value in run:
-                add_line(fig, panel, run["time"], run[value], name, {"color": colours[name], "width": 1.5}, legend=False)
+        kept = places([run[column] for column in _LOOP if column in run])
+        columns = {column: np.asarray(run[column])[kept] for column in ("time", *_LOOP) if column in run}
+        if not any(all(np.array_equal(run[column], other[column]) for column in ("time", "thrust_set")) for other in drawn):
+            line = {"color": style.SET_POINT, "width": 1.8, "dash": "dash", "shape": _HELD}
+            group = "set-point" if drawn else None
+            add_line(fig, 0, columns["time"], columns["thrust_set"], "set-point", line, group)
+            drawn.append(run)
+        _add_run(fig, name, columns, colours[name])
     return fig
+
+
+def _add_run(fig: go.Figure, name: str, run: Mapping[str, np.ndarray], colour: str) -> None:
+    """The lines of one run in the panels thrust, speed, pitch."""
+    solid = {"color": colour, "width": 1.5}
+    dotted = {"color": _lighter(colour), "width": 1.4, "dash": "dot", "shape": _HELD}
+    time, commands = run["time"], f"{name}, commands"
+    add_line(fig, 0, time, run["thrust"], name, solid)
+    add_line(fig, 1, time, run["omega_ref"], commands, dotted)
+    add_line(fig, 2, time, run["beta_ref"], f"{name}, pitch command", dotted, group=commands)
+    for panel, column, word in ((1, "omega", "speed"), (2, "beta", "pitch")):
+        if column in run:
+            add_line(fig, panel, time, run[column], f"{name}, {word}", solid, group=name)
 
 
 def two_records(
@@ -85,13 +97,18 @@ def two_records(
 ) -> go.Figure:
     """Two records over time [s], values in `unit`, and b - a at the times of a that both cover, b joined by straight lines."""
     fig = panels(title, [f"{quantity} [{unit}]", f"difference [{unit}]"], [260, 160])
-    time_a, a = np.asarray(time_a, float), np.asarray(a, float)
+    time_a, a, time_b, b = (np.asarray(values, float) for values in (time_a, a, time_b, b))
     colours = style.colours((name_a, name_b))
-    add_line(fig, 0, time_a, a, name_a, {"color": colours[name_a], "width": 1.5})
-    add_line(fig, 0, time_b, b, name_b, {"color": colours[name_b], "width": 1.2})
     common = (time_a >= time_b[0]) & (time_a <= time_b[-1])
-    difference = np.interp(time_a[common], time_b, b) - a[common]
-    add_line(fig, 1, time_a[common], difference, f"{name_b} − {name_a}", {"color": style.MEASURED, "width": 1})
+    difference = np.where(common, np.interp(time_a, time_b, b) - a, np.nan)
+    kept_a, kept_b = places([a, difference]), places([b])
+    if np.array_equal(time_a, time_b):
+        kept_a = kept_b = places([a, b, difference])
+    # Records that agree hide each other: the first shows as a seam around the second.
+    add_line(fig, 0, time_a[kept_a], a[kept_a], name_a, {"color": colours[name_a], "width": 2.6})
+    add_line(fig, 0, time_b[kept_b], b[kept_b], name_b, {"color": colours[name_b], "width": 1})
+    line = {"color": style.MEASURED, "width": 1}
+    add_line(fig, 1, time_a[kept_a], difference[kept_a], f"{name_b} − {name_a}", line)
     return fig
 
 

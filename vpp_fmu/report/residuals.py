@@ -32,7 +32,7 @@ def residual_by_section(
             name=f"noise alone, {noise:.2g} N",
             showlegend=True,
         )
-    fig.update_xaxes(title_text="section [-]")
+    fig.update_xaxes(title_text="section [-]", type="category")
     fig.update_yaxes(title_text="rmse [N]", rangemode="tozero")
     fig.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06, hovermode="x unified")
     return fig
@@ -51,7 +51,12 @@ def residual_histogram(
     centres, width = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
     fig = style.figure(title, 360)
     fig.add_bar(
-        x=centres, y=density, width=width, name=f"residual, std {residual.std():.3g} {unit}", marker_color=style.AFTER, opacity=0.75
+        x=centres,
+        y=density,
+        width=width,
+        name=f"residual, std {residual.std():.3g} {unit}",
+        marker_color=style.AFTER,
+        opacity=0.75,
     )
     x = np.linspace(-largest, largest, 401)
     bell = np.exp(-((x / noise_std) ** 2) / 2) / (noise_std * np.sqrt(2 * np.pi))
@@ -59,7 +64,7 @@ def residual_histogram(
         x=x, y=bell, mode="lines", name=f"noise alone, std {noise_std:.3g} {unit}", line={"color": style.MEASURED, "width": 2}
     )
     fig.update_xaxes(title_text=f"{quantity} [{unit}]")
-    fig.update_yaxes(title_text=f"density [1/{unit}]")
+    fig.update_yaxes(title_text=f"density [1/{unit}]", rangemode="tozero")
     fig.update_layout(bargap=0)
     return fig
 
@@ -79,12 +84,12 @@ def cross_correlation(lags_s: np.ndarray, inputs: Mapping[str, np.ndarray], band
 def _correlation(lines: Mapping[str, np.ndarray], lags_s: np.ndarray, band: float, title: str, label: str) -> go.Figure:
     """Correlations over the lag [s], the band behind them."""
     fig = style.figure(title, 340)
-    fig.add_hrect(-band, band, fillcolor=style.NOISE, line_width=0, layer="below", name=f"± {band:.2g}: no evidence", showlegend=True)
+    fig.add_hrect(
+        -band, band, fillcolor=style.NOISE, line_width=0, layer="below", name=f"± {band:.2g}: no evidence", showlegend=True
+    )
     colours = style.colours(lines)
     for name, values in lines.items():
-        fig.add_scatter(
-            x=lags_s, y=values, mode="lines", name=style.escaped(name), line={"color": colours[name], "width": 1.6}
-        )
+        fig.add_scatter(x=lags_s, y=values, mode="lines", name=style.label(name), line={"color": colours[name], "width": 1.6})
     fig.update_xaxes(title_text="lag [s]", zeroline=True, zerolinecolor="#9aa5b1")
     fig.update_yaxes(title_text=label, zeroline=True, zerolinecolor="#9aa5b1")
     fig.update_layout(hovermode="x unified")

@@ -40,7 +40,8 @@ footer { margin-top: 56px; padding-top: 12px; padding-bottom: 32px; font-size: 1
   main, footer { padding: 0; max-width: none; }
   header { padding-top: 0; }
   nav { display: none; }
-  h2 { break-after: avoid; }
+  .tiles { grid-template-columns: repeat(4, 1fr); }
+  h2, main > p { break-after: avoid; }
   figure, .tile, tr, aside { break-inside: avoid; }
   .modebar-container { display: none; }
 }
@@ -49,7 +50,7 @@ footer { margin-top: 56px; padding-top: 12px; padding-bottom: 32px; font-size: 1
 SHEET = f"body {{ font-family: {FONT}; }}{_MARKS}"
 
 DRAW = """
-const settings = {responsive: true, displaylogo: false, plotlyServerURL: "",
+const settings = {responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "",
   modeBarButtonsToRemove: ["select2d", "lasso2d"], toImageButtonOptions: {scale: 2}};
 function draw(name, figure) { Plotly.newPlot(name, figure.data, figure.layout, settings); }
 // Paper is narrower than most windows, and plotly follows windows only: A4 less its margins is 680 CSS pixels wide.
@@ -57,4 +58,4 @@ function fit(change) { for (const plot of document.querySelectorAll(".plot")) Pl
 addEventListener("beforeprint", () => fit({width: 680}));
 addEventListener("afterprint", () => fit({width: null, autosize: true}));
 """
-"""`draw` puts a figure into the element of that name."""
+"""`draw` puts a figure into the element of that name. plotly 7 would offer a button that uploads the data: off."""

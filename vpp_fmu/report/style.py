@@ -14,7 +14,7 @@ MEASURED = "#4d4d4d"
 BEFORE = "#e08214"
 AFTER = "#0072b2"
 SET_POINT = "#8c8c8c"
-NOISE = "#cfd8dc"
+NOISE = "rgba(77,77,77,0.14)"
 OTHERS = (AFTER, "#009e73", "#cc79a7", "#56b4e9", "#882255", BEFORE)
 """Colours of what has no fixed meaning, in the order they are given out."""
 
@@ -60,9 +60,20 @@ _AXIS = {
     "ticklen": 4,
     "tickcolor": "#9aa5b1",
     "automargin": True,
-    "title": {"standoff": 8},
+    "title": {"standoff": 8, "font": {"size": 13}},
     "hoverformat": ".5~g",
 }
+
+_WIDEST = 80
+"""Letters in a line of a title: what A4 holds at its size."""
+
+_SPATIAL_AXIS = {
+    "title": {"font": {"size": 13}},
+    "tickfont": {"size": 11},
+    "backgroundcolor": "white",
+    "gridcolor": "#dde3e8",
+}
+_COLOUR_BAR = {"thickness": 14, "title": {"font": {"size": 13}}}
 
 TEMPLATE = go.layout.Template(
     layout={
@@ -72,9 +83,11 @@ TEMPLATE = go.layout.Template(
         "colorway": OTHERS,
         "xaxis": _AXIS,
         "yaxis": _AXIS,
-        "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)", "bordercolor": "#9aa5b1", "font": {"size": 12}},
+        "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)", "bordercolor": "#9aa5b1", "font": {"size": 12}, "namelength": -1},
+        "scene": dict.fromkeys(("xaxis", "yaxis", "zaxis"), _SPATIAL_AXIS),
         "modebar": {"bgcolor": "rgba(255,255,255,0.9)", "color": "#9aa5b1", "activecolor": AFTER},
-    }
+    },
+    data={kind: [{"colorbar": _COLOUR_BAR}] for kind in ("heatmap", "surface")},
 )
 
 
@@ -89,11 +102,11 @@ def escaped(text: str) -> str:
 
 
 def colours(names: Iterable[str]) -> dict[str, str]:
-    """A colour a name: by its first word with a fixed meaning (ROLES), otherwise the next one still free."""
+    """A colour a name: by its first word with a fixed meaning (ROLES), if none or taken the next one still free."""
     given = {}
     for name in names:
-        words = re.findall("[a-z]+", name.lower())
-        given[name] = next((ROLES[word] for word in words if word in ROLES), None)
+        role = next((ROLES[word] for word in re.findall("[a-z]+", name.lower()) if word in ROLES), None)
+        given[name] = None if role in given.values() else role
     free = [colour for colour in OTHERS if colour not in given.values()] or list(OTHERS)
     unnamed = [name for name, colour in given.items() if colour is None]
     return given | {name: free[k % len(free)] for k, name in enumerate(unnamed)}
@@ -101,8 +114,9 @@ def colours(names: Iterable[str]) -> dict[str, str]:
 
 def figure(title: str, height: int, legend: bool = True) -> go.Figure:
     """An empty figure `height` px high, as wide as its place; the title wraps, the legend's row stands below it."""
-    lines = textwrap.wrap(title, 100) or [""]
+    lines = _lines(title)
     below_title = 14 + 21 * len(lines)
+    corner = {"x": 0.0, "xref": "container", "xanchor": "left", "yref": "container", "yanchor": "top"}
     return go.Figure(
         layout={
             "template": TEMPLATE,
@@ -110,24 +124,22 @@ def figure(title: str, height: int, legend: bool = True) -> go.Figure:
             "title": {
                 "text": "<br>".join(f"<b>{escaped(line)}</b>" for line in lines),
                 "font": {"size": 15},
-                "x": 0.0,
-                "xref": "container",
-                "xanchor": "left",
                 "y": 1.0,
-                "yref": "container",
-                "yanchor": "top",
-                "pad": {"t": 8},
+                # plotly forgets to lower a title of several lines by the height of a capital.
+                "pad": {"t": 8 if len(lines) < 2 else 19},
+                **corner,
             },
             "showlegend": legend,
-            "legend": {
-                "orientation": "h",
-                "x": 0.0,
-                "xref": "container",
-                "y": 1.0 - below_title / height,
-                "yref": "container",
-                "yanchor": "top",
-                "bgcolor": "rgba(0,0,0,0)",
-            },
-            "margin": {"l": 64, "r": 16, "t": below_title + (34 if legend else 10), "b": 48},
+            "legend": {"orientation": "h", "y": 1.0 - below_title / height, "bgcolor": "rgba(0,0,0,0)", **corner},
+            "margin": {"l": 64, "r": 24, "t": below_title + (34 if legend else 10), "b": 48},
         }
+    )
+
+
+def _lines(title: str) -> list[str]:
+    """The title in as few lines as a page of A4 takes, of much the same length."""
+    fewest = len(textwrap.wrap(title, _WIDEST))
+    return next(
+        (lines for width in range(24, _WIDEST) if len(lines := textwrap.wrap(title, width)) == fewest),
+        textwrap.wrap(title, _WIDEST),
     )

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from html import escape
 from numbers import Integral, Real
 
+_DIGITS = 4
 _STARTS_AS_NUMBER = re.compile(r"[<>≈~±+\-−]?\s*\d")
 
 
-def number(value, digits: int = 4) -> str:
-    """A value as a reader wants it: reals with `digits` significant digits, what is missing as a dash, text as it is."""
+def number(value) -> str:
+    """A value as a reader wants it: reals with four significant digits, what is missing as a dash, text as it is."""
     if value is None or (isinstance(value, Real) and math.isnan(value)):
         return "–"
     if isinstance(value, (bool, Integral)) or not isinstance(value, Real):
@@ -19,14 +20,16 @@ def number(value, digits: int = 4) -> str:
         return {0.0: "0", math.inf: "∞"}.get(value, "−∞")
     exponent = math.floor(math.log10(abs(value)))
     if -4 <= exponent < 6:
-        return f"{value:.{max(0, digits - 1 - exponent)}f}"
-    return f"{value:.{digits - 1}e}"
+        return f"{value:.{max(0, _DIGITS - 1 - exponent)}f}"
+    return f"{value:.{_DIGITS - 1}e}"
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:
     """A table of texts and numbers; a column of numbers only is set flush right. `caption` is HTML."""
     cells = [[number(value) for value in row] for row in rows]
-    right = [all(_STARTS_AS_NUMBER.match(row[k]) or row[k] in {"", "–", "∞", "−∞"} for row in cells) for k in range(len(columns))]
+    right = [
+        all(_STARTS_AS_NUMBER.match(row[k]) or row[k] in {"", "–", "∞", "−∞"} for row in cells) for k in range(len(columns))
+    ]
     head = "".join(_cell("th", text, flush) for text, flush in zip(columns, right, strict=True))
     body = "\n".join(
         "<tr>" + "".join(_cell("td", text, flush) for text, flush in zip(row, right, strict=True)) + "</tr>" for row in cells

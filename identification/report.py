@@ -1,0 +1,118 @@
+"""The report of an identification: what was found, how good it is, what it rests on."""
+
+import numpy as np
+
+from identification.identify import NORMAL_95, Identification, Prediction
+from identification.static_map import design
+from vpp_fmu.report import (
+    Page,
+    correlation_heatmap,
+    learning_curve,
+    map_residuals,
+    map_surface,
+    measured_against_predicted,
+    parameter_change,
+    thinning,
+)
+
+
+def key_figures(found: Identification) -> list[tuple[str, str, str]]:
+    """(label, value, note) of what a reader must know first."""
+    figures = []
+    for name, p in found.predictions.items():
+        role = "fitted" if name == "open_loop" else "not used to fit"
+        figures.append(
+            (f"thrust error, {name}", f"{p.rmse_thrust:.3f} N", f"rmse, fit {p.summary()['fit_thrust']:.1f} %, {role}")
+        )
+    if found.noise_floor is not None:
+        figures.append(("noise of one reading", f"{found.noise_floor:.3f} N", "from the repeated record"))
+    r = found.refinement
+    figures.append(
+        ("cost", f"{r.cost_start:.3g} → {r.cost_final:.3g}", f"mean(e²)/2, {r.evaluations} evaluations, {r.seconds:.2f} s")
+    )
+    if found.static is not None:
+        figures.append(("static map", f"{found.static.r2_adjusted:.4f}", f"adjusted R², {found.static.rmse:.3f} N rms"))
+    return figures
+
+
+def identification_page(found: Identification) -> Page:
+    """The page of one identification."""
+    page = Page("Identification", f"Campaign {found.campaign.folder.name}: from measured records to the plant's parameters.")
+    add_identification(page, found)
+    return page
+
+
+def add_identification(page: Page, found: Identification) -> None:
+    """Tiles, figures and tables of an identification, onto a page."""
+    page.tiles(key_figures(found))
+    for missing in found.campaign.missing:
+        page.note(f"{missing} is missing: what it would have told is left out.")
+    page.section("How well the model predicts")
+    for name, p in found.predictions.items():
+        page.figure(
+            _record_figure(name, p, found.noise_floor),
+            f"{name}.csv of campaign {found.campaign.folder.name}. {thinning(len(p.record))}",
+        )
+    _add_sections(page, found)
+    page.section("What was found")
+    r = found.refinement
+    start = np.array([found.start[n] for n in r.names])
+    final, std = np.array([r.values[n] for n in r.names]), np.array([r.std[n] for n in r.names])
+    moved = "Fine-tuning moves the parameters from steps and static map to what the record asks for"
+    low, high = final - NORMAL_95 * std, final + NORMAL_95 * std
+    page.figure(parameter_change(r.names, start, final, low, high, moved), "Change in % of the start, with 95 % intervals.")
+    rows = [(n, *values) for n, *values in zip(r.names, start, final, std, low, high, strict=True)]
+    columns = ("parameter", "start", "final", "std", "95 % from", "to")
+    page.table(columns, rows, "Time constants in s, coefficients normalised. For white residuals of the size that is left.")
+    page.figure(
+        learning_curve(
+            np.arange(len(r.costs)), np.array(r.costs), f"The cost falls to {r.cost_final:.3g} in {len(r.costs) - 1} steps"
+        ),
+        "The paper's cost, mean(e²)/2 of normalised thrust, after each step that lowered it.",
+    )
+    correlation = np.array(found.summary()["correlation"]["matrix"])
+    apart = _strongest(r.names, correlation)
+    page.figure(correlation_heatmap(r.names, correlation, apart), "Correlation of the estimates.")
+    if found.static is not None:
+        _add_static(page, found)
+
+
+def _record_figure(name: str, p: Prediction, noise: float | None):
+    beside = "" if noise is None else f"; the noise alone is {noise:.3f} N"
+    used = "the record it was fitted to" if name == "open_loop" else "a record it has never seen"
+    title = f"The model predicts {used} to {p.rmse_thrust:.3f} N{beside}"
+    commands = {n: p.record[n] for n in ("omega_ref", "beta_ref")}
+    return measured_against_predicted(
+        p.record.time, p.record["thrust"], {"model": p.thrust}, title, commands=commands, noise=noise
+    )
+
+
+def _add_sections(page: Page, found: Identification) -> None:
+    rows = [
+        (name, section, figures["rmse_thrust"], figures["fit_thrust"])
+        for name, p in found.predictions.items()
+        for section, figures in p.summary()["sections"].items()
+    ]
+    page.table(("record", "section", "rmse [N]", "fit [%]"), rows, "Thrust error by what is commanded.")
+
+
+def _strongest(names, correlation) -> str:
+    pairs = np.abs(np.triu(correlation, 1))
+    i, j = np.unravel_index(np.argmax(pairs), pairs.shape)
+    return f"{names[i]} and {names[j]} are the hardest to tell apart: correlation {correlation[i, j]:.2f}"
+
+
+def _add_static(page: Page, found: Identification) -> None:
+    static, points = found.static, found.campaign.static
+    page.section("The static map")
+    scales = found.refinement.values
+    omega, beta = np.linspace(2000, 6000, 41), np.linspace(-5, 10, 31)
+    grid_omega, grid_beta = np.meshgrid(omega, beta)
+    coefficients = np.array([static.coefficients[n] for n in static.coefficients])
+    thrust = design(grid_omega.ravel(), grid_beta.ravel(), scales) @ coefficients * scales["thrust_scale"]
+    used = points.omega[static.used], points.beta_ref[static.used], points.thrust[static.used]
+    title = f"A cubic fits {static.used.sum()} steady points to {static.rmse:.3f} N (adjusted R² {static.r2_adjusted:.4f})"
+    page.figure(map_surface(omega, beta, thrust.reshape(grid_omega.shape), used, title), "Surface: fitted; points: measured.")
+    left = f"What the cubic leaves stays below {np.max(np.abs(static.residual)):.3f} N"
+    commanded = points.omega_ref[static.used], used[1]
+    page.figure(map_residuals(*commanded, static.residual, left), "Measured less fitted.")

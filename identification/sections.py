@@ -1,0 +1,28 @@
+"""Which rows of a record move what: sections in which only speed, only pitch, or both are commanded."""
+
+import numpy as np
+
+from vpp_fmu.record import Record
+
+STILL = 5.0
+"""A command that stays this long [s] counts as still: the channel has settled and its constants no longer show."""
+
+NAMES = ("speed only", "pitch only", "both", "steady")
+
+
+def sections(record: Record) -> dict[str, np.ndarray]:
+    """Mask (rows,) of each section that the record has, by the names above."""
+    speed, pitch = (_still(record.time, record[name]) for name in ("omega_ref", "beta_ref"))
+    masks = (pitch & ~speed, speed & ~pitch, ~speed & ~pitch, speed & pitch)
+    return {name: mask for name, mask in zip(NAMES, masks, strict=True) if mask.any()}
+
+
+def _still(time: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Rows inside stretches of at least STILL seconds (or the whole record) without a change of the command."""
+    starts = np.flatnonzero(np.append(True, command[1:] != command[:-1]))
+    ends = np.append(starts[1:], len(command) - 1)
+    still = np.zeros(len(command), bool)
+    for start, end in zip(starts, ends, strict=True):
+        if time[end] - time[start] >= min(STILL, time[-1] - time[0]):
+            still[start : end + 1] = True
+    return still

@@ -1,0 +1,113 @@
+"""Commands, references and FMU handles that several test files share."""
+
+from collections.abc import Mapping
+from functools import cache
+
+import fmpy
+import numpy as np
+from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
+from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
+
+from vpp_fmu.fmu import Fmu
+from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.types import Effect, Model
+from vpp_fmu.native import Simulator
+
+OPTIONAL = tuple(e for e in LIBRARY if e.off is not None)
+ALL_ON = plant(e.name for e in OPTIONAL)
+COMMANDS = ("omega_ref", "beta_ref")
+OUTPUTS = ("thrust", "omega", "beta")
+
+
+def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
+    """An effect's values under their full names."""
+    return {effect.full(name): value for name, value in values.items()}
+
+
+PROBES = {name: value for e in OPTIONAL for name, value in named(e, e.probe).items()}
+
+
+def random_steps(rows: int, hold: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """Speed and pitch commands over the rig's whole range; each is held for 1 to `hold` rows."""
+    rng = np.random.default_rng(seed)
+
+    def steps(low, high):
+        lengths = rng.integers(1, hold + 1, rows)
+        return np.repeat(rng.uniform(low, high, rows), lengths)[:rows]
+
+    return {"omega_ref": steps(2000.0, 6000.0), "beta_ref": steps(-5.0, 10.0)}
+
+
+def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps) -> np.ndarray:
+    """What `Simulator.simulate` returns, from the model's functions as they stand."""
+    simulation = Simulation(model, parameters)
+    names = [s.name for s in model.inputs]
+    rows = list(zip(*(np.asarray(inputs[name]).tolist() for name in names), strict=True))
+    shown = [list(simulation.start(dict(zip(names, rows[0], strict=True))).values())]
+    for row, dt in zip(rows, np.asarray(steps).tolist(), strict=False):
+        shown.append(list(simulation.advance(dict(zip(names, row, strict=True)), dt).values()))
+    return np.array(shown)
+
+
+@cache
+def simulator(model: Model, wrt: tuple[str, ...] = ()) -> Simulator:
+    """The model's simulator, made once."""
+    return Simulator(model, wrt)
+
+
+def two_lags(t, tau_1: float, tau_2: float) -> np.ndarray:
+    """Unit step response of two different lags in a row, 0 for t <= 0 (textbook form of eqs. 13 to 15)."""
+    t = np.maximum(t, 0.0)
+    return 1.0 - (tau_1 * np.exp(-t / tau_1) - tau_2 * np.exp(-t / tau_2)) / (tau_1 - tau_2)
+
+
+def steps_through(t, at, values, response) -> np.ndarray:
+    """Response at `t` to a command that takes each of `values` at the time in `at`, at rest on the first before."""
+    moved = np.diff(values, prepend=values[0])
+    return values[0] + sum(move * response(t - when) for move, when in zip(moved, at, strict=True))
+
+
+class Slave:
+    """A bare fmpy slave that keeps what the FMU logs. Value references go by name."""
+
+    def __init__(self, fmu: Fmu, initialised: bool = True):
+        self.messages: list[str] = []
+        self.references = {name: v.valueReference for name, v in fmu.variables.items()}
+        identifier = fmu.description.coSimulation.modelIdentifier
+        self.fmi = FMU2Slave(
+            guid=fmu.description.guid, unzipDirectory=fmu.folder, modelIdentifier=identifier, instanceName=identifier
+        )
+        self._callbacks = fmi2CallbackFunctions()  # must outlive the instance
+        self._callbacks.logger = Logger(lambda _env, _name, _status, _category, text: self.messages.append(text.decode()))
+        self._callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
+        self._callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
+        self.fmi.instantiate(callbacks=self._callbacks, loggingOn=True)
+        if initialised:
+            self.initialise()
+
+    def initialise(self, **values: float) -> "Slave":
+        """Through the initialisation with these variables set in it."""
+        self.fmi.setupExperiment(startTime=0.0)
+        self.fmi.enterInitializationMode()
+        self.set(**values)
+        self.fmi.exitInitializationMode()
+        return self
+
+    def set(self, **values: float) -> None:
+        """Set variables."""
+        self.fmi.setReal([self.references[name] for name in values], list(values.values()))
+
+    def get(self, *names: str) -> list[float]:
+        """Values of variables."""
+        return self.fmi.getReal([self.references[name] for name in names])
+
+    def step(self, inputs: Mapping[str, float], dt: float, *names: str, time: float = 0.0) -> list[float]:
+        """Hold inputs for a step; values of variables at its end."""
+        self.set(**inputs)
+        self.fmi.doStep(time, dt)
+        return self.get(*names)
+
+    def free(self) -> None:
+        """Let the instance go."""
+        self.fmi.freeInstance()

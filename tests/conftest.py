@@ -1,0 +1,59 @@
+"""FMUs and long runs, each made once a session."""
+
+import numpy as np
+import pytest
+from builders import ALL_ON, PROBES, random_steps, reference
+
+from vpp_fmu.export import python_fmu
+from vpp_fmu.fmu import Fmu
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.native import compiler, simulator
+
+FAST_PITCH = {"tau_beta_2": 0.05}
+"""The paper tunes its controllers on the fine-tuned set with a faster pitch actuator (section 4.2)."""
+
+
+@pytest.fixture(scope="session")
+def fmu_files(tmp_path_factory):
+    """Paths of FMUs: the plain plant, with every effect at its probe, the paper's control plant, the controller."""
+    folder = tmp_path_factory.mktemp("fmus")
+    built = {
+        "plain": python_fmu(BASE),
+        "all_on": python_fmu(ALL_ON, PROBES),
+        "fast_pitch": python_fmu(BASE, FAST_PITCH),
+        "controller": python_fmu(CONTROLLER),
+    }
+    paths = {name: folder / f"{name}.fmu" for name in built}
+    for name, path in paths.items():
+        path.write_bytes(built[name])
+    return paths
+
+
+@pytest.fixture(scope="session")
+def fmus(fmu_files):
+    """The same FMUs, unpacked."""
+    unpacked = {name: Fmu(path) for name, path in fmu_files.items()}
+    yield unpacked
+    for fmu in unpacked.values():
+        fmu.close()
+
+
+@pytest.fixture(scope="session")
+def long_run():
+    """60 000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
+    commands, steps = random_steps(60_001, 100, seed=60_000), np.full(60_000, 0.004)
+    return commands, steps, reference(ALL_ON, PROBES, commands, steps)
+
+
+@pytest.fixture
+def no_compiler(monkeypatch):
+    """A machine without a C compiler, on which nothing has been said about it yet."""
+    caches = compiler.compiler, simulator._say_once
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
+    for cached in caches:
+        cached.cache_clear()
+    yield
+    for cached in caches:
+        cached.cache_clear()

@@ -1,0 +1,205 @@
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vpp_fmu.campaign import read_campaign, read_static, read_steps
+from vpp_fmu.errors import BadInput
+from vpp_fmu.record import RecordWarning
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+STATIC = "omega_ref,beta_ref,omega,thrust,thrust_std,samples\n2000,-5,2001,0.5,0.1,375\n6000,10,5999,14,0.2,370\n"
+RECORD = "time,omega_ref,beta_ref,omega,thrust\n0,4000,5,4001,7\n0.004,4000,6,4000,7.1\n0.008,4000,6,3999,7.2\n"
+REPEAT = "time,omega_ref,beta_ref,omega,thrust\n0.000,4e3,5,,6.9\n0.004,4e3,6,,7.2\n0.008,4e3,6,,7.1\n"
+STEPS = "run,time,omega_ref,beta_ref,thrust\n3,0,4000,5,7\n3,0.5,4500,5,8\n3,1,4500,5,8.5\n7,0,4000,5,7\n7,0.25,4000,6,7.5\n"
+ALL = {"static": STATIC, "steps": STEPS, "open_loop": RECORD, "repeat": REPEAT, "validation": RECORD}
+
+
+def filled(folder, **texts):
+    for name, text in texts.items():
+        (folder / f"{name}.csv").write_text(text)
+    return folder
+
+
+def failure(read, path):
+    with pytest.raises(BadInput) as error:
+        read(path)
+    message = str(error.value)
+    assert "\n" not in message
+    assert ": found " in message
+    assert ", allowed is " in message
+    return message
+
+
+@pytest.mark.parametrize("zipped", [(), ("steps", "repeat"), tuple(ALL)])
+def test_a_whole_campaign(tmp_path, zipped):
+    filled(tmp_path, **{name: text for name, text in ALL.items() if name not in zipped})
+    for name in zipped:
+        (tmp_path / f"{name}.csv.gz").write_bytes(gzip.compress(ALL[name].encode()))
+    campaign = read_campaign(str(tmp_path))
+    assert campaign.folder == tmp_path
+    assert campaign.missing == ()
+    np.testing.assert_array_equal(campaign.static.omega_ref, [2000.0, 6000.0])
+    np.testing.assert_array_equal(campaign.static.beta_ref, [-5.0, 10.0])
+    np.testing.assert_array_equal(campaign.static.omega, [2001.0, 5999.0])
+    np.testing.assert_array_equal(campaign.static.thrust, [0.5, 14.0])
+    np.testing.assert_array_equal(campaign.static.thrust_std, [0.1, 0.2])
+    np.testing.assert_array_equal(campaign.static.samples, [375.0, 370.0])
+    np.testing.assert_array_equal(campaign.open_loop["thrust"], [7.0, 7.1, 7.2])
+    np.testing.assert_array_equal(campaign.repeat["thrust"], [6.9, 7.2, 7.1])
+    assert len(campaign.validation) == 3
+    assert Path(campaign.repeat.source).name == ("repeat.csv.gz" if "repeat" in zipped else "repeat.csv")
+
+
+def test_runs_are_records_of_their_own(tmp_path):
+    first, second = read_campaign(filled(tmp_path, steps=STEPS)).steps
+    np.testing.assert_array_equal(first.time, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(first["omega_ref"], [4000.0, 4500.0, 4500.0])
+    np.testing.assert_array_equal(second.time, [0.0, 0.25])
+    np.testing.assert_array_equal(second["beta_ref"], [5.0, 6.0])
+    assert "run" not in first
+    assert second.source == f"{tmp_path / 'steps.csv'}, run 7"
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_any_one_file_may_be_missing(tmp_path, name):
+    campaign = read_campaign(filled(tmp_path, **{n: text for n, text in ALL.items() if n != name}))
+    assert campaign.missing == (f"{name}.csv",)
+    assert getattr(campaign, name) in (None, ())
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_one_file_is_enough(tmp_path, name):
+    campaign = read_campaign(filled(tmp_path, **{name: ALL[name]}))
+    assert campaign.missing == tuple(f"{n}.csv" for n in ALL if n != name)
+    assert getattr(campaign, name) not in (None, ())
+
+
+def test_other_files_do_not_matter(tmp_path):
+    (tmp_path / "notes.txt").write_text("hello")
+    (tmp_path / "prediction.csv").write_text("")
+    assert read_campaign(filled(tmp_path, **ALL)).missing == ()
+
+
+def test_no_folder_no_campaign(tmp_path):
+    missing = failure(read_campaign, tmp_path / "none")
+    assert missing.startswith(f"{tmp_path / 'none'}: campaign folder: found no such folder, allowed is a folder with any of ")
+    (tmp_path / "file.csv").write_text(RECORD)
+    assert "file.csv: campaign folder: found a file, allowed is a folder with any of static.csv, steps.csv" in failure(
+        read_campaign, tmp_path / "file.csv"
+    )
+    assert "campaign folder: found none of a campaign's files, allowed is any of static.csv, steps.csv" in failure(
+        read_campaign, tmp_path
+    )
+
+
+def test_a_file_must_not_stand_there_twice(tmp_path):
+    filled(tmp_path, open_loop=RECORD)
+    (tmp_path / "open_loop.csv.gz").write_bytes(gzip.compress(RECORD.encode()))
+    message = failure(read_campaign, tmp_path)
+    assert message == f"{tmp_path}: open_loop.csv: found open_loop.csv and open_loop.csv.gz, allowed is one of the two"
+
+
+def test_a_folder_in_a_file_s_place(tmp_path):
+    (tmp_path / "static.csv").mkdir()
+    assert "static.csv: file: found a folder, allowed is a file" in failure(read_campaign, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["open_loop", "repeat", "validation"])
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("thrust", "force", "column thrust: found only time, omega_ref, beta_ref, omega, force, allowed is a header with"),
+        (",7.1\n", ",\n", "thrust, line 3: found an empty cell, allowed is a finite number"),
+        ("0.004", "0.04", "time, line 4: found 0.008 after 0.04 (time goes back)"),
+        ("7.1", "710", "thrust, line 3: found 710, allowed is -500 to 500 N"),
+    ],
+)
+def test_records_are_checked(tmp_path, name, old, new, message):
+    filled(tmp_path, **{name: RECORD.replace(old, new)})
+    assert failure(read_campaign, tmp_path).startswith(f"{tmp_path / name}.csv: {message}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("0.004,4e3,6", "0.004,4e3,6.001", "beta_ref, row 2 of the data: found 6.001, allowed is 6 as in "),
+        ("0.008,4e3", "0.008,4100", "omega_ref, row 3 of the data: found 4100, allowed is 4000 as in "),
+        ("0.008,", "0.012,", "time, row 3 of the data: found 0.012, allowed is 0.008 as in "),
+        ("0.008,4e3,6,,7.1\n", "", "row 3 of the data: found 2 rows in all, allowed is 3 as in "),
+        ("7.1\n", "7.1\n0.012,4e3,6,,7\n", "row 4 of the data: found 4 rows in all, allowed is 3 as in "),
+    ],
+)
+def test_a_repeat_must_repeat(tmp_path, old, new, message):
+    assert old in REPEAT
+    filled(tmp_path, open_loop=RECORD, repeat=REPEAT.replace(old, new))
+    assert failure(read_campaign, tmp_path) == f"{tmp_path / 'repeat.csv'}: {message}{tmp_path / 'open_loop.csv'}"
+
+
+def test_a_repeat_to_the_nanosecond_is_one(tmp_path):
+    campaign = read_campaign(filled(tmp_path, open_loop=RECORD, repeat=REPEAT.replace("0.004", "0.0040000000001")))
+    assert len(campaign.repeat) == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("run", "number", "column run: found only number, time, omega_ref"),
+        ("thrust", "force", "column thrust: found only run, time"),
+        ("7,0,", "7,1.5,", "time, line 5: found 1.5, allowed is 0 in the first row of a run"),
+        ("3,1,", "3,0.5,", "time, line 4: found 0.5 after 0.5 (time stands still)"),
+        ("7,0.25,", "3,0.25,", "run, line 6: found 3 once more, allowed is the rows of a run one after another"),
+        ("3,0,", "3.5,0,", "run, line 2: found 3.5, allowed is a whole number"),
+        ("3,0,", "three,0,", "run, line 2: found 'three', allowed is a finite number"),
+        ("8.5", "", "thrust, line 4: found an empty cell, allowed is a finite number"),
+        ("4500,5,8\n", "-1,5,8\n", "omega_ref, line 3: found -1, allowed is 0 to 30000 rpm"),
+    ],
+)
+def test_steps_are_checked(tmp_path, old, new, message):
+    assert old in STEPS
+    path = filled(tmp_path, steps=STEPS.replace(old, new, 1)) / "steps.csv"
+    assert failure(read_steps, path).startswith(f"{path}: {message}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("samples", "count", "column samples: found only omega_ref"),
+        ("2001", "", "omega, line 2: found an empty cell, allowed is a finite number"),
+        ("6000", "60000", "omega_ref, line 3: found 60000, allowed is 0 to 30000 rpm"),
+        ("0.2", "-0.2", "thrust_std, line 3: found -0.2, allowed is 0 N or more"),
+        ("370", "0", "samples, line 3: found 0, allowed is a whole number from 1"),
+        ("370", "3.7", "samples, line 3: found 3.7, allowed is a whole number from 1"),
+        ("14", "nan", "thrust, line 3: found 'nan', allowed is a finite number"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::vpp_fmu.record.RecordWarning")
+def test_static_maps_are_checked(tmp_path, old, new, message):
+    assert old in STATIC
+    path = filled(tmp_path, static=STATIC.replace(old, new)) / "static.csv"
+    assert failure(read_static, path).startswith(f"{path}: {message}")
+
+
+def test_unknown_columns_are_named(tmp_path):
+    static = "\n".join(line + end for line, end in zip(STATIC.splitlines(), (",note", ",a", ",b"), strict=True))
+    steps = "run,time,omega_ref,beta_ref,thrust,torque\n0,0,4000,5,7,0.1\n0,1,4500,5,8,0.2\n1,0,4000,5,7,0.3\n"
+    filled(tmp_path, static=static, steps=steps)
+    with pytest.warns(RecordWarning) as caught:
+        campaign = read_campaign(tmp_path)
+    static_warning, steps_warning = (str(warning.message) for warning in caught)
+    assert static_warning == f"{tmp_path / 'static.csv'}: columns of a static map that are not used: note"
+    assert steps_warning == f"{tmp_path / 'steps.csv'}: columns that nothing here knows, kept as they are: torque"
+    np.testing.assert_array_equal(campaign.steps[0]["torque"], [0.1, 0.2])
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
+@pytest.mark.parametrize("rig", ["rig_a", "rig_b", "rig_c", "rig_d"])
+def test_the_rigs(rig):
+    campaign = read_campaign(DATA / rig)
+    assert campaign.missing == ()
+    assert campaign.static.thrust.shape == (100,)
+    assert [len(run) for run in campaign.steps] == [750] * 40
+    assert all(set(run.steps.tolist()) == {0.004} for run in campaign.steps)
+    assert (len(campaign.open_loop), len(campaign.repeat), len(campaign.validation)) == (22_500, 22_500, 15_000)

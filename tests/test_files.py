@@ -1,0 +1,239 @@
+import contextlib
+import gzip
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder, read_table, read_text
+
+NOBODY = 65534
+
+
+@contextlib.contextmanager
+def without_privileges():
+    """Root may write anywhere: be someone else meanwhile."""
+    if not hasattr(os, "geteuid"):
+        pytest.skip("no users to change to on this system")
+    before = os.geteuid()
+    if before == 0:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(before)
+
+
+@pytest.fixture
+def locked():
+    """A folder that no ordinary user can write to, outside pytest's own, which others can't enter."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o555)
+        yield folder
+        folder.chmod(0o755)
+
+
+def names(folder):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+def test_output_folder_is_created_with_its_parents(tmp_path):
+    folder = OutputFolder(tmp_path / "a" / "b")
+    assert folder.path.is_dir()
+    assert names(folder.path) == []
+
+
+def test_write_text_and_bytes(tmp_path):
+    folder = OutputFolder(tmp_path)
+    assert folder.write("text.json", "µ\n") == tmp_path / "text.json"
+    folder.write("data.bin", b"\x00\xff\r\n")
+    assert (tmp_path / "text.json").read_bytes() == b"\xc2\xb5\n"
+    assert (tmp_path / "data.bin").read_bytes() == b"\x00\xff\r\n"
+    assert names(tmp_path) == ["data.bin", "text.json"]
+
+
+def test_written_files_follow_the_umask(tmp_path):
+    before = os.umask(0o022)
+    try:
+        path = OutputFolder(tmp_path).write("a.json", "{}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
+
+
+def test_replaced_names_only_what_had_other_content(tmp_path):
+    for name in ("same", "other", "untouched"):
+        (tmp_path / name).write_text("old")
+    folder = OutputFolder(tmp_path)
+    assert folder.replaced == ()
+    folder.write("same", "old")
+    folder.write("new", "1")
+    folder.write("new", "2")
+    folder.write("other", "new")
+    assert folder.replaced == ("other",)
+    assert (tmp_path / "new").read_text() == "2"
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError()])
+@pytest.mark.parametrize("where", ["replace", "fsync"])
+def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failure, where):
+    (tmp_path / "run.csv").write_text("old")
+    folder = OutputFolder(tmp_path)
+
+    def fail(*_):
+        raise failure
+
+    monkeypatch.setattr(os, where, fail)
+    expected = BadInput if isinstance(failure, OSError) else type(failure)
+    with pytest.raises(expected) as error:
+        folder.write("run.csv", "new")
+    assert names(tmp_path) == ["run.csv"]
+    assert (tmp_path / "run.csv").read_text() == "old"
+    assert folder.replaced == ()
+    if expected is BadInput:
+        assert "no space left on device" in str(error.value)
+
+
+def test_a_folder_in_the_file_s_place(tmp_path):
+    (tmp_path / "run.csv").mkdir()
+    with pytest.raises(BadInput, match=r"run\.csv: output file: found not writable"):
+        OutputFolder(tmp_path).write("run.csv", "x")
+    assert names(tmp_path) == ["run.csv"]
+
+
+@pytest.mark.parametrize(("below", "found"), [("", "a file"), ("out", "not writable"), ("out/deeper", "not writable")])
+def test_output_folder_on_or_below_a_file(tmp_path, below, found):
+    (tmp_path / "taken").write_text("")
+    path = tmp_path / "taken" / below
+    with pytest.raises(BadInput) as error:
+        OutputFolder(path)
+    assert str(error.value).startswith(f"{path}: output folder: found {found}")
+    assert str(error.value).endswith("allowed is a folder that can be written")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc on this system")
+@pytest.mark.parametrize("path", ["/proc", "/proc/vpp"])
+def test_output_folder_where_even_root_can_not_write(path):
+    with pytest.raises(BadInput, match="output folder: found not writable"):
+        OutputFolder(path)
+
+
+@pytest.mark.parametrize("below", ["", "new"])
+def test_output_folder_without_permission(locked, below):
+    with without_privileges(), pytest.raises(BadInput, match=r"output folder: found not writable \(permission denied\)"):
+        OutputFolder(locked / below)
+
+
+def test_a_folder_that_gets_locked_later(locked):
+    locked.chmod(0o777)
+    folder = OutputFolder(locked)
+    locked.chmod(0o555)
+    with without_privileges(), pytest.raises(BadInput, match=r"run\.csv: output file: found not writable \(permission denied"):
+        folder.write("run.csv", "x")
+    assert names(locked) == []
+
+
+@pytest.mark.parametrize(("name", "data"), [("a.csv", b"%s"), ("a.csv.gz", None)])
+def test_read_text_drops_mark_and_carriage_returns(tmp_path, name, data):
+    plain = b"\xef\xbb\xbfa,\xc2\xb5\r\n1,2\r3,4\n"
+    (tmp_path / name).write_bytes(data % plain if data else gzip.compress(plain))
+    assert read_text(tmp_path / name) == "a,µ\n1,2\n3,4\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("none.csv", None, "file: found no such file, allowed is a file that exists"),
+        ("taken/none.csv", None, "file: found no such file"),
+        ("folder", None, "file: found a folder, allowed is a file"),
+        ("a.csv.gz", b"time\n0\n", "file: found broken or cut off gzip data, allowed is a whole gzip file"),
+        ("a.csv.gz", gzip.compress(b"time\n0\n" * 9)[:-9], "file: found broken or cut off gzip data"),
+        ("a.csv", b"time\n0\n\xff\n", "line 3: found the byte 0xff, allowed is text in UTF-8"),
+        ("a.csv", "time\n0\n".encode("utf-16"), "line 1: found the byte 0xff, allowed is text in UTF-8"),
+    ],
+)
+def test_read_text_says_what_is_wrong(tmp_path, name, data, message):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "taken").write_text("")
+    path = tmp_path / name
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(BadInput) as error:
+        read_text(path)
+    assert str(error.value).startswith(f"{path}: {message}")
+    assert "\n" not in str(error.value)
+
+
+def test_read_text_without_permission(locked):
+    path = locked / "a.csv"
+    locked.chmod(0o755)
+    path.write_text("time\n0\n")
+    path.chmod(0o000)
+    with without_privileges(), pytest.raises(BadInput, match=r"file: found not readable \(permission denied\)"):
+        read_text(path)
+    path.chmod(0o644)
+
+
+def test_table_of_numbers(tmp_path):
+    (tmp_path / "a.csv").write_text(" x , y\n\n1, 2.5\n-3,4e2\n   \n0,0\n\n")
+    table = read_table(tmp_path / "a.csv")
+    assert list(table.columns) == ["x", "y"]
+    assert table.columns["x"].dtype == float
+    np.testing.assert_array_equal(table.columns["x"], [1.0, -3.0, 0.0])
+    np.testing.assert_array_equal(table.columns["y"], [2.5, 400.0, 0.0])
+    np.testing.assert_array_equal(table.lines, [3, 4, 6])
+    assert table.source == str(tmp_path / "a.csv")
+
+
+def test_table_of_anything_keeps_what_it_finds(tmp_path):
+    (tmp_path / "a.csv").write_text('x,"the, note",gap\n1,"a, b",\n\n2,"say ""so""",7\n')
+    table = read_table(tmp_path / "a.csv")
+    np.testing.assert_array_equal(table.columns["x"], [1.0, 2.0])
+    assert list(table.columns["the, note"]) == ["a, b", 'say "so"']
+    assert list(table.columns["gap"]) == ["", "7"]
+    np.testing.assert_array_equal(table.lines, [2, 4])
+    np.testing.assert_array_equal(table.numbers("gap", gaps=True), [np.nan, 7.0])
+
+
+def test_both_ways_of_reading_agree(tmp_path):
+    rows = np.random.default_rng(1).normal(size=(50, 3)) * 10.0 ** np.arange(-4, 5, 4)
+    lines = [",".join(map(repr, row)) for row in rows.tolist()]
+    (tmp_path / "fast.csv").write_text("a,b,c\n" + "\n".join(lines))
+    (tmp_path / "slow.csv").write_text("a,b,c,d\n" + "\n".join(f"{line},x" for line in lines))
+    fast, slow = read_table(tmp_path / "fast.csv"), read_table(tmp_path / "slow.csv")
+    for i, name in enumerate("abc"):
+        np.testing.assert_array_equal(fast.columns[name], rows[:, i])
+        np.testing.assert_array_equal(slow.columns[name], rows[:, i])
+    np.testing.assert_array_equal(fast.lines, slow.lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "file: found an empty file, allowed is a header and at least one row"),
+        ("\n \n", "file: found an empty file"),
+        ("a,b\n\n", "file: found a header without rows, allowed is a header and at least one row"),
+        ('a\n" "\n', "file: found a header without rows"),
+        ("a,,c\n1,2,3\n", "header, column 2: found no name, allowed is a name for each column"),
+        ("a,b\u2028c\n1,2\n", r"header, column 2: found 'b\u2028c', allowed is a name of printable characters"),
+        ("a,b, a\n1,2,3\n", "column a: found more than one of that name, allowed is each column once"),
+        ("a,b\n1,2\n\n3\n", "line 4: found 1 cell, allowed is 2, as in the header"),
+        ("a,b\n1,2\n3,4,5\n", "line 3: found 3 cells, allowed is 2, as in the header"),
+        ("a,b\n1,2,3\n4,5,6\n", "line 2: found 3 cells, allowed is 2, as in the header"),
+        ('a,b\n1,"' + "2" * 200_000 + '"\n', "line 2: found field larger than field limit"),
+        ("a," + "b" * 200_000 + "\n1,2\n", "header: found field larger than field limit"),
+    ],
+)
+def test_read_table_says_what_is_wrong(tmp_path, text, message):
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput) as error:
+        read_table(path)
+    assert str(error.value).startswith(f"{path}: {message}")
+    assert "\n" not in str(error.value)

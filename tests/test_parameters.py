@@ -1,0 +1,264 @@
+import importlib.util
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
+from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
+from vpp_fmu.units import base_unit
+
+SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
+SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
+
+
+def controller(effects):
+    return CONTROLLER
+
+
+def content(**changes):
+    entries = {"tau_omega_1": {"value": 0.2, "std": 0.01, "unit": "s"}, "pitch_delay.delay": {"value": 0.05, "unit": "s"}}
+    return {
+        "format": "vpp-parameters/1",
+        "parameters": entries,
+        "effects": ["pitch_delay"],
+        "source": {"file": "open_loop.csv"},
+        **changes,
+    }
+
+
+def entry(name="c20", **changes):
+    return content(parameters={name: {"value": 0.3, "std": None, "unit": "1", **changes}})
+
+
+def written(folder, what):
+    path = folder / "parameters.json"
+    path.write_text(what if isinstance(what, str) else json.dumps(what))
+    return path
+
+
+def test_read_parameters(tmp_path):
+    parameters = read_parameters(written(tmp_path, content()), plant)
+    assert parameters.model.optional == ("pitch_delay",)
+    assert parameters.estimates == {
+        "tau_omega_1": Estimate(0.2, 0.01, "s"),
+        "pitch_delay.delay": Estimate(0.05, None, "s"),
+    }
+    assert parameters.source == {"file": "open_loop.csv"}
+    assert parameters.values == {**plant(["pitch_delay"]).values(), "tau_omega_1": 0.2, "pitch_delay.delay": 0.05}
+
+
+def test_what_is_not_named_keeps_its_default(tmp_path):
+    parameters = read_parameters(written(tmp_path, '{"format": "vpp-parameters/1"}'), plant)
+    assert parameters.model.optional == ()
+    assert {name: parameters.values[name] for name in FINE_TUNED} == FINE_TUNED
+
+
+def test_gains(tmp_path):
+    gains = {"kp_omega": {"value": 5, "std": None, "unit": "1"}, "speed_only": {"value": 1.0, "std": None, "unit": "1"}}
+    parameters = read_parameters(written(tmp_path, content(parameters=gains, effects=[])), controller)
+    assert parameters.model is CONTROLLER
+    assert parameters.values == {**CONTROLLER.values(), "kp_omega": 5.0, "speed_only": 1.0}
+    assert isinstance(parameters.estimates["kp_omega"].value, float)
+
+
+def test_the_ends_of_the_range_are_allowed(tmp_path):
+    for p in plant().parameters:
+        for value in (p.minimum, p.maximum):
+            path = written(tmp_path, entry(p.name, value=value, unit=p.unit))
+            assert read_parameters(path, plant).values[p.name] == value
+
+
+BAD = {
+    "no JSON": ('{\n"format": "vpp-parameters/1",\n}', "line 3: found no JSON from column 1 on"),
+    "empty": ("", "line 1: found no JSON from column 1 on"),
+    "too deep": ("[" * 100_000, "file: found a number too long, or lists too deep, to read"),
+    "too long": (f'{{"format": {"1" * 5000}}}', "file: found a number too long, or lists too deep, to read"),
+    "a list": ("[]", "file: found [], allowed is an object in braces"),
+    "no format": ({"parameters": {}}, 'format: found null, allowed is "vpp-parameters/1"'),
+    "other format": (content(format="vpp-parameters/2"), 'format: found "vpp-parameters/2", allowed is "vpp-parameters/1"'),
+    "unknown field": (content(parameter={}), '"parameter": found a field that is not known, allowed is format, parameters, '),
+    "name twice": (
+        '{"format": "vpp-parameters/1", "parameters": {"c20": {}, "c20": {}}}',
+        '"c20": found this name more than once, allowed is each name once',
+    ),
+    "parameters no object": (content(parameters=[1]), "parameters: found [1], allowed is an object in braces"),
+    "source no object": (content(source="me"), 'source: found "me", allowed is an object in braces'),
+    "NaN in source": (content(source={"rmse": float("nan")}), "source: found NaN or an infinite number, allowed is finite"),
+    "effects no list": (content(effects="pitch_delay"), 'effects: found "pitch_delay", allowed is a list of effects'),
+    "effects no names": (content(effects=[1]), "effects: found [1], allowed is a list of effects"),
+    "unknown effect": (content(effects=["pitch_dellay"]), 'effects: found "pitch_dellay", allowed is pitch_delay'),
+    "effect always on": (content(effects=["thrust_map"]), 'effects: found "thrust_map", allowed is '),
+    "near name": (
+        entry("tau_omga_1"),
+        'parameters, "tau_omga_1": found a name that VppPlant does not have, allowed is tau_omega_1',
+    ),
+    "far name": (entry("zzz"), 'parameters, "zzz": found a name that VppPlant does not have, allowed is one of tau_omega_1, '),
+    "line break": (entry("a\nb"), r'parameters, "a\nb": found a name that VppPlant does not have, allowed is '),
+    "no entry": (content(parameters={"c20": 0.3}), "parameters, c20: found 0.3, allowed is an object in braces"),
+    "unknown key": (entry(sigma=1), 'parameters, c20, "sigma": found a field that is not known, allowed is value, std, unit'),
+    "no value": (
+        content(parameters={"c20": {"unit": "1"}}),
+        "parameters, c20, value: found nothing, allowed is a value and its",
+    ),
+    "no unit": (content(parameters={"c20": {"value": 1}}), "parameters, c20, unit: found nothing, allowed is a value and its"),
+    "other unit": (entry("tau_beta_1", unit="ms"), 'parameters, tau_beta_1, unit: found "ms", allowed is "s"'),
+    "text": (entry(value="0.3"), 'parameters, c20, value: found "0.3", allowed is a number from -10 to 10'),
+    "truth": (entry(value=True), "parameters, c20, value: found true, allowed is a number from -10 to 10"),
+    "nothing": (entry(value=None), "parameters, c20, value: found null, allowed is a number from -10 to 10"),
+    "NaN": (entry(value=float("nan")), "parameters, c20, value: found NaN, allowed is a number from -10 to 10"),
+    "infinite": (entry(value=float("inf")), "parameters, c20, value: found Infinity, allowed is a number from -10 to 10"),
+    "no float": (entry(value=10**400), "parameters, c20, value: found 1000"),
+    "too small": (
+        entry("tau_beta_2", value=0.0, unit="s"),
+        "parameters, tau_beta_2, value: found 0.0, allowed is a number from 0.001 to 3 s",
+    ),
+    "too large": (entry(value=10.5), "parameters, c20, value: found 10.5, allowed is a number from -10 to 10"),
+    "std negative": (entry(std=-0.1), "parameters, c20, std: found -0.1, allowed is a number from 0, or null"),
+    "std text": (entry(std="small"), 'parameters, c20, std: found "small", allowed is a number from 0, or null'),
+    "std NaN": (entry(std=float("nan")), "parameters, c20, std: found NaN, allowed is a number from 0, or null"),
+}
+
+
+@pytest.mark.parametrize(("what", "message"), BAD.values(), ids=BAD)
+def test_bad_files(tmp_path, what, message):
+    path = written(tmp_path, what)
+    with pytest.raises(BadInput) as error:
+        read_parameters(path, plant)
+    assert str(error.value).startswith(f"{path}: {message}")
+    assert ", allowed is " in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_parameter_of_an_effect_that_is_not_on(tmp_path):
+    path = written(tmp_path, content(effects=[]))
+    with pytest.raises(BadInput, match=r'"pitch_delay\.delay": found a name .*, or "pitch_delay" among the effects$'):
+        read_parameters(path, plant)
+
+
+def test_effects_of_a_model_without_any(tmp_path):
+    path = written(tmp_path, content(parameters={}))
+    with pytest.raises(BadInput, match=r'effects: found "pitch_delay", allowed is none, VppController has no effects'):
+        read_parameters(path, controller)
+
+
+def test_an_error_in_the_builder_stays_one(tmp_path):
+    def broken(effects):
+        raise KeyError("something else")
+
+    with pytest.raises(KeyError, match="something else"):
+        read_parameters(written(tmp_path, content()), broken)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(BadInput, match=r"none\.json: file: found no such file, allowed is a file that exists"):
+        read_parameters(tmp_path / "none.json", plant)
+
+
+def test_replaced_takes_units_from_the_model():
+    first = ParameterSet(plant(["pitch_delay"])).replaced({"c20": np.float64(0.3), "tau_omega_1": 0.1}, {"c20": 0.02})
+    second = first.replaced({"c20": 0.4})
+    assert first.estimates == {"c20": Estimate(0.3, 0.02, "1"), "tau_omega_1": Estimate(0.1, None, "s")}
+    assert second.estimates == {"c20": Estimate(0.4, None, "1"), "tau_omega_1": Estimate(0.1, None, "s")}
+    with pytest.raises(KeyError, match="c99"):
+        first.replaced({"c99": 1.0})
+
+
+def random_set(model):
+    rng = np.random.default_rng(3)
+    values = {p.name: rng.uniform(p.minimum, p.maximum) for p in model.parameters[::2]}
+    return ParameterSet(model, source={"by": "µ", "files": ["a"]}).replaced(
+        values, {n: rng.random() for n in list(values)[::2]}
+    )
+
+
+@pytest.mark.parametrize("build", [plant, controller])
+def test_json_reads_back_to_the_bit(tmp_path, build):
+    model = build(()) if build is controller else plant(e.name for e in LIBRARY if e.off is not None)
+    parameters = random_set(model)
+    text = to_json(parameters)
+    path = tmp_path / "parameters.json"
+    path.write_text(text, encoding="utf-8")
+    back = read_parameters(path, build)
+    assert back.values == parameters.values
+    assert back.source == parameters.source
+    assert back.model.optional == model.optional
+    assert {name: back.estimates[name] for name in parameters.estimates} == dict(parameters.estimates)
+    assert to_json(back) == text
+
+
+def test_json_has_the_contract_s_form():
+    text = to_json(ParameterSet(plant(["pitch_delay"])).replaced({"tau_omega_1": 0.1}, {"tau_omega_1": 1 / 3}))
+    found = json.loads(text)
+    assert text.startswith('{\n  "format": "vpp-parameters/1",\n  "parameters": {\n    "tau_omega_1": {\n      "value": 0.1,\n')
+    assert text.endswith("}\n")
+    assert list(found) == ["format", "parameters", "effects", "source"]
+    assert list(found["parameters"]) == [p.name for p in plant(["pitch_delay"]).parameters]
+    assert found["parameters"]["tau_omega_1"] == {"value": 0.1, "std": 1 / 3, "unit": "s"}
+    assert found["parameters"]["c20"] == {"value": FINE_TUNED["c20"], "std": None, "unit": "1"}
+    assert found["effects"] == ["pitch_delay"]
+
+
+@pytest.mark.parametrize(
+    "model", [plant(e.name for e in LIBRARY if e.off is not None), CONTROLLER], ids=["plant", "controller"]
+)
+def test_ssv_holds_every_parameter(model):
+    parameters = random_set(model)
+    text = to_ssv(parameters, 'rig "a" & b')
+    assert text.startswith('<?xml version="1.0" encoding="UTF-8"?>\n<ssv:ParameterSet ')
+    assert text == to_ssv(parameters, 'rig "a" & b')
+    root = ElementTree.fromstring(text.encode())
+    assert root.tag == f"{SSV}ParameterSet"
+    assert root.attrib == {"version": "1.0", "name": 'rig "a" & b'}
+    assert [child.tag for child in root] == [f"{SSV}Parameters", f"{SSV}Units"]
+    units = {unit.get("name"): unit for unit in root.find(f"{SSV}Units")}
+    assert len(units) == len(root.find(f"{SSV}Units"))
+    found = {}
+    for element in root.find(f"{SSV}Parameters"):
+        assert element.tag == f"{SSV}Parameter"
+        (real,) = element
+        assert real.tag == f"{SSV}Real"
+        found[element.get("name")] = (float(real.get("value")), real.get("unit"))
+        assert real.get("unit") in units
+    assert found == {p.name: (parameters.values[p.name], p.unit) for p in model.parameters}
+    assert all(unit.tag == f"{SSC}Unit" and unit[0].tag == f"{SSC}BaseUnit" for unit in units.values())
+
+
+@pytest.mark.skipif(importlib.util.find_spec("lxml") is None, reason="lxml is not installed")
+@pytest.mark.parametrize(
+    "model", [plant(e.name for e in LIBRARY if e.off is not None), CONTROLLER], ids=["plant", "controller"]
+)
+def test_ssv_obeys_the_standard_s_schema(model):
+    from lxml import etree  # noqa: PLC0415
+
+    schema = Path(importlib.util.find_spec("fmpy").origin).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"
+    etree.XMLSchema(etree.parse(str(schema))).assertValid(etree.fromstring(to_ssv(ParameterSet(model), "a").encode()))
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("1", {}),
+        ("s", {"s": "1"}),
+        ("1/s", {"s": "-1"}),
+        ("N", {"kg": "1", "m": "1", "s": "-2"}),
+        ("N/s", {"kg": "1", "m": "1", "s": "-3"}),
+        ("V/A", {"kg": "1", "m": "2", "s": "-3", "A": "-2"}),
+        ("deg/s/s", {"rad": "1", "s": "-2", "factor": np.pi / 180.0}),
+        ("rpm", {"rad": "1", "s": "-1", "factor": np.pi / 30.0}),
+        ("rpm.s/deg", {"factor": 6.0}),
+    ],
+)
+def test_base_units(unit, expected):
+    found = base_unit(unit)
+    assert float(found.pop("factor", 1.0)) == pytest.approx(expected.pop("factor", 1.0), rel=1e-15)
+    assert found == expected
+
+
+def test_an_unknown_unit_is_no_unit():
+    with pytest.raises(KeyError, match="furlong"):
+        base_unit("furlong/s")

@@ -1,0 +1,298 @@
+import gzip
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
+from vpp_fmu.record import Record, RecordWarning, read_profile, read_record, write_record
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+NEED_THRUST = ("time", "omega_ref", "beta_ref", "thrust")
+
+GOOD = """time,omega_ref,beta_ref,thrust
+0.000,4000,5.5,7.1
+0.004,4000.5,5.5,7.2
+0.008,4001,-5,7.3
+"""
+
+
+def written(folder, text, name="record.csv"):
+    path = folder / name
+    path.write_bytes(gzip.compress(text.encode()) if name.endswith(".gz") else text.encode())
+    return path
+
+
+@pytest.mark.parametrize("name", ["record.csv", "record.csv.gz"])
+@pytest.mark.parametrize("text", [GOOD, "\ufeff" + GOOD.replace("\n", "\r\n"), GOOD.replace("\n", "\n\n")])
+def test_read_record(tmp_path, name, text):
+    record = read_record(written(tmp_path, text, name), NEED_THRUST)
+    assert list(record.columns) == ["time", "omega_ref", "beta_ref", "thrust"]
+    np.testing.assert_array_equal(record.time, [0.0, 0.004, 0.008])
+    np.testing.assert_array_equal(record["omega_ref"], [4000.0, 4000.5, 4001.0])
+    np.testing.assert_array_equal(record["beta_ref"], [5.5, 5.5, -5.0])
+    np.testing.assert_array_equal(record["thrust"], [7.1, 7.2, 7.3])
+    assert record.source == str(tmp_path / name)
+    assert len(record) == 3
+    assert "thrust" in record
+    assert "omega" not in record
+
+
+def test_columns_stand_in_any_order(tmp_path):
+    record = read_record(written(tmp_path, "beta_ref,time,omega_ref\n1,0,2\n3,0.5,4\n"))
+    np.testing.assert_array_equal(record.time, [0.0, 0.5])
+    np.testing.assert_array_equal(record["beta_ref"], [1.0, 3.0])
+
+
+def test_steps_are_exact_on_a_written_grid(tmp_path):
+    rows = "".join(f"{k * 0.004:.3f},4000,5\n" for k in range(25_000))
+    record = read_record(written(tmp_path, "time,omega_ref,beta_ref\n" + rows))
+    assert np.unique(np.diff(record.time)).size > 1
+    assert set(record.steps.tolist()) == {0.004}
+
+
+def test_steps_of_an_uneven_record():
+    record = Record({"time": np.array([0.0, 0.1, 0.1 + 0.2])}, "here")
+    np.testing.assert_array_equal(record.steps, [0.1, 0.2])
+
+
+def test_part_keeps_rows_of_every_column(tmp_path):
+    record = read_record(written(tmp_path, GOOD), NEED_THRUST)
+    np.testing.assert_array_equal(record.part(slice(1, None)).time, [0.004, 0.008])
+    masked = record.part(record["thrust"] != 7.2)
+    np.testing.assert_array_equal(masked["omega_ref"], [4000.0, 4001.0])
+    assert len(masked) == 2
+    assert masked.source == record.source
+    assert len(record) == 3
+
+
+def test_with_columns_adds_and_exchanges(tmp_path):
+    record = read_record(written(tmp_path, GOOD), NEED_THRUST)
+    other = record.with_columns(omega=[1.0, 2.0, 3.0], thrust=record["thrust"] * 2.0)
+    np.testing.assert_array_equal(other["omega"], [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(other["thrust"], [14.2, 14.4, 14.6])
+    np.testing.assert_array_equal(record["thrust"], [7.1, 7.2, 7.3])
+    assert "omega" not in record
+    with pytest.raises(ValueError, match="unequal length"):
+        record.with_columns(omega=np.zeros(2))
+
+
+def test_gaps_in_measured_columns_become_nan(tmp_path):
+    text = "time,omega_ref,beta_ref,omega,thrust,voltage,current,beta\n0,1,2,,3,,,\n1,1,2,5,,24.5,-3,nan\n"
+    record = read_record(written(tmp_path, text))
+    for name, expected in {
+        "omega": [np.nan, 5.0],
+        "thrust": [3.0, np.nan],
+        "voltage": [np.nan, 24.5],
+        "current": [np.nan, -3.0],
+        "beta": [np.nan, np.nan],
+    }.items():
+        assert record[name].dtype == float
+        np.testing.assert_array_equal(record[name], expected)
+    with pytest.raises(BadInput, match=r"thrust, line 3: found an empty cell, allowed is a finite number$"):
+        read_record(tmp_path / "record.csv", NEED_THRUST)
+
+
+def test_unknown_columns_are_kept_and_named_in_one_warning(tmp_path):
+    text = "time,omega_ref,beta_ref,torque,note,gap\n0,1,2,0.5,start,\n1,1,2,0.6,,3\n"
+    with pytest.warns(RecordWarning) as caught:
+        record = read_record(written(tmp_path, text))
+    assert len(caught) == 1
+    assert "record.csv" in str(caught[0].message)
+    assert str(caught[0].message).endswith("torque, note, gap")
+    assert caught[0].filename == __file__
+    np.testing.assert_array_equal(record["torque"], [0.5, 0.6])
+    assert list(record["note"]) == ["start", ""]
+    assert list(record["gap"]) == ["", "3"]
+
+
+def test_a_column_that_is_needed_is_not_unknown(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record = read_record(written(tmp_path, "time,esc\n0,1\n"), ("time", "esc"))
+    np.testing.assert_array_equal(record["esc"], [1.0])
+
+
+def changed(line, text):
+    """GOOD with another line; lines count from 1."""
+    lines = GOOD.splitlines()
+    lines[line - 1] = text
+    return "\n".join(lines)
+
+
+BAD = {
+    "empty file": ("", "file: found an empty file, allowed is a header and at least one row"),
+    "no rows": ("time,omega_ref,beta_ref,thrust\n", "file: found a header without rows"),
+    "missing column": (
+        "time,omega_ref,thrust\n0,1,2\n",
+        "column beta_ref: found only time, omega_ref, thrust, allowed is a header with time, omega_ref, beta_ref, thrust",
+    ),
+    "semicolons": ("time;omega_ref;beta_ref;thrust\n0;1;2;3\n", "column time: found only time;omega_ref;beta_ref;thrust, "),
+    "duplicate column": ("time,omega_ref,beta_ref,thrust,time\n0,1,2,3,0\n", "column time: found more than one of that name"),
+    "empty cell": (changed(3, "0.004,,5,7"), "omega_ref, line 3: found an empty cell, allowed is a finite number"),
+    "NaN": (changed(3, "0.004,4000,nan,7"), "beta_ref, line 3: found 'nan', allowed is a finite number"),
+    "infinite": (changed(4, "0.008,4000,5,-inf"), "thrust, line 4: found '-inf', allowed is a finite number"),
+    "too large": (changed(4, "0.008,4000,5,1e999"), "thrust, line 4: found '1e999', allowed is a finite number"),
+    "no number": (changed(2, "0,4000,5,7 N"), "thrust, line 2: found '7 N', allowed is a finite number"),
+    "long cell": (changed(2, f"0,4000,5,{'x' * 99}"), f"thrust, line 2: found '{'x' * 37}...', allowed is a finite number"),
+    "broken cell": (changed(2, '0,4000,5,"7\n8"'), r"thrust, line 3: found '7\n8', allowed is a finite number"),
+    "commented out": (changed(3, "#0.004,4000,5,7"), "time, line 3: found '#0.004', allowed is a finite number"),
+    "no time": (changed(3, ",4000,5,7"), "time, line 3: found an empty cell, allowed is a finite number"),
+    "decimal comma": (changed(3, "0,004,4000,5,7"), "line 3: found 5 cells, allowed is 4, as in the header"),
+    "ragged": (changed(4, "0.008,4000"), "line 4: found 2 cells, allowed is 4, as in the header"),
+    "late start": (changed(2, "0.002,4000,5,7"), "time, line 2: found 0.002, allowed is 0 in the first row of a record"),
+    "early start": (changed(2, "-1,4000,5,7"), "time, line 2: found -1, allowed is 0 in the first row of a record"),
+    "time goes back": (
+        changed(4, "0.003,4000,5,7"),
+        "time, line 4: found 0.003 after 0.004 (time goes back), allowed is a time after that of the row before",
+    ),
+    "time stands still": (changed(3, "0,4000,5,7"), "time, line 3: found 0 after 0 (time stands still), allowed is "),
+    "less than a step": (changed(3, "1e-10,4000,5,7"), "time, line 3: found 1e-10 after 0 (time stands still), allowed is "),
+    "speed too high": (changed(3, "0.004,30001,5,7"), "omega_ref, line 3: found 30001, allowed is 0 to 30000 rpm"),
+    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, allowed is 0 to 30000 rpm"),
+    "pitch": (changed(4, "0.008,4000,-45.1,7"), "beta_ref, line 4: found -45.1, allowed is -45 to 45 deg"),
+    "thrust in gf": (changed(4, "0.008,4000,5,724"), "thrust, line 4: found 724, allowed is -500 to 500 N"),
+}
+
+
+@pytest.mark.parametrize("name", ["record.csv", "record.csv.gz"])
+@pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD)
+def test_bad_records(tmp_path, text, message, name):
+    path = written(tmp_path, text, name)
+    with pytest.raises(BadInput) as error:
+        read_record(path, NEED_THRUST)
+    assert str(error.value).startswith(f"{path}: {message}")
+    assert ", allowed is " in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_line_is_right_behind_blank_lines(tmp_path):
+    path = written(tmp_path, "\ntime,omega_ref,beta_ref\n0,1,2\n\n\n0.5,-1,2\n")
+    with pytest.raises(BadInput, match="omega_ref, line 6: found -1"):
+        read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("omega", "-1", f"{OMEGA.minimum:g} to {OMEGA.maximum:g} rpm"),
+        ("beta", "46", "-45 to 45 deg"),
+        ("voltage", "-0.1", "0 to 100 V"),
+        ("voltage", "100.5", "0 to 100 V"),
+        ("current", "501", "-500 to 500 A"),
+        ("thrust_set", "-501", "-500 to 500 N"),
+        ("voltage", "high", "a finite number or an empty cell"),
+        ("current", "inf", "a finite number or an empty cell"),
+        ("thrust_set", "", "a finite number"),
+    ],
+)
+def test_bad_columns_beyond_the_needed_ones(tmp_path, name, value, allowed):
+    path = written(tmp_path, f"time,omega_ref,beta_ref,{name}\n0,1,2,0\n1,1,2,{value}\n")
+    with pytest.raises(BadInput) as error:
+        read_record(path)
+    assert str(error.value).startswith(f"{path}: {name}, line 3: found ")
+    assert value in str(error.value)
+    assert str(error.value).endswith(f", allowed is {allowed}")
+
+
+def test_the_ends_of_the_ranges_are_allowed(tmp_path):
+    text = f"time,omega_ref,beta_ref,thrust\n0,{OMEGA_REF.minimum},{BETA_REF.minimum},{THRUST.minimum}\n"
+    text += f"1,{OMEGA_REF.maximum},{BETA_REF.maximum},{THRUST.maximum}\n"
+    assert len(read_record(written(tmp_path, text), NEED_THRUST)) == 2
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(BadInput, match=r"none\.csv: file: found no such file, allowed is a file that exists"):
+        read_record(tmp_path / "none.csv")
+    with pytest.raises(BadInput, match="file: found a folder, allowed is a file"):
+        read_record(tmp_path)
+
+
+def test_read_profile(tmp_path):
+    profile = read_profile(written(tmp_path, "time,thrust_set\n0,5\n2.5,7\n"))
+    np.testing.assert_array_equal(profile.time, [0.0, 2.5])
+    np.testing.assert_array_equal(profile["thrust_set"], [5.0, 7.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,thrust\n0,5\n", "column thrust_set: found only time, thrust, allowed is a header with time, thrust_set"),
+        ("time,thrust_set\n0,5\n1,501\n", "thrust_set, line 3: found 501, allowed is -500 to 500 N"),
+        ("time,thrust_set\n0,5\n1,\n", "thrust_set, line 3: found an empty cell, allowed is a finite number"),
+        ("time,thrust_set\n1,5\n", "time, line 2: found 1, allowed is 0 in the first row"),
+    ],
+)
+def test_bad_profiles(tmp_path, text, message):
+    path = written(tmp_path, text)
+    with pytest.raises(BadInput) as error:
+        read_profile(path)
+    assert str(error.value).startswith(f"{path}: {message}")
+
+
+def test_written_values_are_short(tmp_path):
+    columns = {
+        "time": np.array([0.0, 0.1 + 0.2]),
+        "thrust": np.array([0.1 + 0.2, np.nan]),
+        "omega": np.array([12345.678901234, 1e-7]),
+        "samples": np.array([1, 1234567890]),
+        "note": np.array(["a, b", 'say "so"'], dtype=object),
+    }
+    path = write_record(OutputFolder(tmp_path), "out.csv", Record(columns, "here"))
+    text = 'time,thrust,omega,samples,note\n0.0,0.3,12345.6789,1,"a, b"\n0.3,,1e-07,1234567890,"say ""so"""\n'
+    assert path.read_bytes() == text.encode()
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.csv.gz"])
+def test_what_is_written_reads_back(tmp_path, name):
+    rng = np.random.default_rng(0)
+    n = 2000
+    # over an hour long, so that nine digits would not reach the nanosecond
+    instants = np.concatenate([[0.0], 5000.0 + np.cumsum(rng.uniform(1e-8, 1e-2, n - 1))])
+    columns = {
+        "time": instants,
+        "omega_ref": rng.uniform(0.0, 6000.0, n),
+        "beta_ref": rng.uniform(-5.0, 10.0, n),
+        "thrust": np.where(rng.random(n) < 0.3, np.nan, rng.normal(5.0, 3.0, n)),
+    }
+    path = write_record(OutputFolder(tmp_path), name, Record(columns, "here"))
+    back = read_record(path)
+    np.testing.assert_array_equal(back.time, np.round(instants, 9))
+    for column in ("omega_ref", "beta_ref", "thrust"):
+        np.testing.assert_allclose(back[column], columns[column], rtol=6e-9, atol=0.0)
+    again = write_record(OutputFolder(tmp_path / "again"), name, back)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_gzipped_bytes_do_not_depend_on_clock_or_name(tmp_path, monkeypatch):
+    record = Record({"time": np.arange(3.0), "thrust": np.ones(3)}, "here")
+    folder = OutputFolder(tmp_path)
+    first = write_record(folder, "a.csv.gz", record).read_bytes()
+    monkeypatch.setattr(time, "time", lambda: 2e9)
+    second = write_record(folder, "b.csv.gz", record).read_bytes()
+    assert first == second
+    assert first[4:8] == bytes(4)
+    assert gzip.decompress(first) == b"time,thrust\n0.0,1\n1.0,1\n2.0,1\n"
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
+@pytest.mark.parametrize("rig", ["rig_a", "rig_b", "rig_c", "rig_d"])
+@pytest.mark.parametrize(("name", "rows"), [("open_loop", 22_500), ("repeat", 22_500), ("validation", 15_000)])
+def test_the_rigs_records(rig, name, rows):
+    record = read_record(DATA / rig / f"{name}.csv", NEED_THRUST)
+    assert len(record) == rows
+    assert set(record.steps.tolist()) == {0.004}
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
+def test_reading_is_fast():
+    spent = []
+    for _ in range(5):
+        start = time.perf_counter()
+        read_record(DATA / "rig_a" / "open_loop.csv")
+        spent.append(time.perf_counter() - start)
+    assert min(spent) < 0.1

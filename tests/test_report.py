@@ -1,0 +1,320 @@
+"""The report: a page that needs no network, and figures that say what they show."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from plotly.offline import get_plotlyjs
+
+from vpp_fmu.report import (
+    Page,
+    autocorrelation,
+    closed_loop,
+    correlation_heatmap,
+    cross_correlation,
+    learning_curve,
+    map_residuals,
+    map_surface,
+    measured_against_predicted,
+    parameter_change,
+    residual_by_section,
+    residual_histogram,
+    thinning,
+    two_records,
+)
+from vpp_fmu.report.style import AFTER, BEFORE, MEASURED, colours
+from vpp_fmu.report.table import number
+from vpp_fmu.report.thinning import MOST, places
+
+HOSTILE = '</script><a href="http://evil.example">x</a>'
+
+
+def record(samples: int, seed: int = 1) -> dict[str, np.ndarray]:
+    """A record with a peak of one sample in the thrust."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(samples) * 0.004
+    thrust = 5 + np.sin(time) + 0.1 * rng.normal(size=samples)
+    thrust[samples // 3] = 14.5
+    thrust[samples // 2] = -3.5
+    held = np.where(time < 1, 4.0, 6.0)
+    return {
+        "time": time,
+        "thrust": thrust,
+        "thrust_set": held,
+        "omega_ref": 900 * held,
+        "omega": 900 * held,
+        "beta_ref": held,
+        "beta": held,
+    }
+
+
+def prediction(title: str = "The model errs by 0.1 N", samples: int = 500, name: str = "before"):
+    r = record(samples)
+    models = {name: r["thrust"] + 0.4, "after": r["thrust"] - 0.1}
+    commands = {"omega_ref": r["omega_ref"], "beta_ref": r["beta_ref"]}
+    return measured_against_predicted(r["time"], r["thrust"], models, title, commands=commands, noise=0.1)
+
+
+def grid_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    omega, beta = (axis.ravel() for axis in np.meshgrid([2000.0, 4000.0, 6000.0], [-5.0, 0.0, 5.0, 10.0]))
+    return omega, beta, omega * (beta + 6) / 6000
+
+
+def figures(title: str = "The message") -> dict:
+    r, other = record(400), record(400, seed=2)
+    lags, names = np.arange(50) * 0.004, ["tau_beta_1", "c20", "added"]
+    omega, beta, thrust = grid_points()
+    surface = np.outer(np.linspace(0, 10, 5), np.linspace(1, 2, 4))
+    return {
+        "prediction": prediction(title),
+        "surface": map_surface(np.linspace(2000, 6000, 4), np.linspace(-5, 10, 5), surface, (omega, beta, thrust), title),
+        "map residuals": map_residuals(omega[:-1], beta[:-1], thrust[:-1] - 3, title),
+        "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
+        "two": two_records(r["time"], r["thrust"], other["time"], other["thrust"], "a", "b", title, "thrust", "N"),
+        "change": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
+        "sections": residual_by_section(["1", "2"], [0.9, 0.8], [0.4, 0.5], 0.3, title),
+        "histogram": residual_histogram(r["thrust"] - 5, 0.1, title),
+        "autocorrelation": autocorrelation(lags, np.exp(-lags), 0.05, title),
+        "cross-correlation": cross_correlation(lags, {"omega_ref": lags, "beta_ref": -lags}, 0.05, title),
+        "correlation": correlation_heatmap(names, np.eye(3), title),
+        "learning": learning_curve(np.arange(1, 9), np.geomspace(1, 1e-3, 8), title),
+    }
+
+
+def page() -> Page:
+    report = Page("A rig", "It errs by 0.4 N.\n\nNoise: 0.3 N.")
+    report.tiles([("Error", "0.40 N", "unseen record"), ("Parameters", 9, "")])
+    for section, fig in figures().items():
+        report.section(section, "What it shows.")
+        report.figure(fig, "A caption.")
+    report.table(["parameter", "value [s]"], [["tau", 0.12345], ["late", None]], "Values.")
+    report.note("Mind this.")
+    return report
+
+
+class Markup(HTMLParser):
+    """Tags with attributes, and texts by the tag they stand in."""
+
+    def __init__(self, html: str):
+        super().__init__()
+        self.tags, self.texts, self._open = [], [], ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._open = tag
+
+    def handle_data(self, data):
+        self.texts.append((self._open, data))
+
+
+def test_page_loads_nothing_from_outside():
+    html = page().html()
+    own = html.replace(get_plotlyjs(), "")
+    assert html.count(get_plotlyjs()) == 1
+    assert "http:" not in own
+    assert "https:" not in own
+    assert not re.search(r"@import|@font-face|url\(", own)
+    for tag, attributes in Markup(own).tags:
+        assert tag not in {"link", "iframe", "img", "object", "base"}
+        assert "src" not in attributes
+        assert attributes.get("href", "#").startswith("#")
+
+
+def test_page_forbids_the_browser_to_load_and_plotly_to_upload():
+    html = page().html()
+    policy = next(a["content"] for tag, a in Markup(html).tags if a.get("http-equiv") == "Content-Security-Policy")
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    assert all(source in {"'none'", "'unsafe-inline'", "data:", "blob:"} for r in rules.values() for source in r.split())
+    assert "showSendToCloud: false" in html
+
+
+def test_page_has_the_same_bytes_twice():
+    assert page().html() == page().html()
+
+
+def test_page_without_figures_carries_no_plotly():
+    report = Page("A", "B")
+    report.note("C")
+    assert len(report.html()) < 10_000
+
+
+def test_page_escapes_every_text():
+    report = Page(HOSTILE, HOSTILE)
+    report.tiles([(HOSTILE, HOSTILE, HOSTILE)])
+    for _ in range(3):
+        report.section(HOSTILE, HOSTILE)
+    report.figure(prediction(HOSTILE, name=HOSTILE), HOSTILE)
+    report.table([HOSTILE], [[HOSTILE]], HOSTILE)
+    report.note(HOSTILE)
+    markup = Markup(report.html().replace(get_plotlyjs(), ""))
+    assert [a["href"] for tag, a in markup.tags if tag == "a"] == ["#section-1", "#section-2", "#section-3"]
+    assert sum(tag == "script" for tag, _ in markup.tags) == 3
+    assert not any("<a href" in text for tag, text in markup.texts if tag == "script")
+
+
+def test_figures_show_tags_in_names_to_the_letter():
+    fig = prediction(HOSTILE, name="<b>loud</b>")
+    assert "<a" not in fig.layout.title.text
+    assert not any("<b>" in trace.name for trace in fig.data)
+
+
+def test_key_figures_come_before_everything_else():
+    report = Page("A", "B")
+    report.section("Details", "")
+    report.tiles([("Error", 0.4, "")])
+    html = report.html()
+    assert html.index("0.4000") < html.index("Details")
+
+
+def test_numbers_stand_flush_right_and_texts_left():
+    report = Page("A", "B")
+    report.table(["name", "value [N]", "interval [N]"], [["thrust", 0.5, "0.4 … 0.6"], ["2nd", None, "-"]], "C")
+    html = report.html()
+    assert '<th class="number">value [N]</th>' in html
+    assert "<th>name</th>" in html
+    assert '<td class="number">0.5000</td>' in html
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.123456, "0.1235"),
+        (np.float64(5604.61), "5605"),
+        (np.int64(22500), "22500"),
+        (1234567.8, "1.235e+06"),
+        (-3e-7, "-3.000e-07"),
+        (0.0, "0"),
+        (None, "–"),
+        (float("nan"), "–"),
+        (float("-inf"), "−∞"),
+        (True, "True"),
+        ("as it is", "as it is"),
+    ],
+)
+def test_numbers_are_written_with_four_digits(value, text):
+    assert number(value) == text
+
+
+@pytest.mark.parametrize("name", figures())
+def test_every_axis_names_its_quantity_and_unit(name):
+    layout = figures()[name].layout
+    axes = []
+    for key, value in layout.to_plotly_json().items():
+        if re.fullmatch(r"[xy]axis\d*", key):
+            axes.append(value)
+        if key == "scene":
+            axes += [value[axis] for axis in ("xaxis", "yaxis", "zaxis")]
+    assert len(axes) >= 2
+    for axis in axes:
+        assert re.search(r"\w.*\[.+\]$", axis["title"]["text"])
+
+
+@pytest.mark.parametrize("name", figures())
+def test_every_figure_has_its_title_and_height(name):
+    fig = figures()[name]
+    assert "The message" in fig.layout.title.text
+    assert fig.layout.height > 200
+
+
+def test_long_titles_wrap_into_lines_of_like_length():
+    lines = prediction("word " * 40).layout.title.text.split("<br>")
+    assert len(lines) == 3
+    assert max(map(len, lines)) - min(map(len, lines)) < 15
+
+
+def test_extremes_of_a_long_record_survive():
+    r = record(22_500)
+    fig = prediction(samples=22_500)
+    measured, before = fig.data[0], fig.data[1]
+    assert all(len(trace.x) <= MOST for trace in fig.data)
+    assert (measured.y.min(), measured.y.max()) == (-3.5, 14.5)
+    assert (before.y.min(), before.y.max()) == (-3.1, 14.9)
+    assert (measured.x[0], measured.x[-1]) == (0.0, r["time"][-1])
+    at = np.searchsorted(r["time"], measured.x)
+    np.testing.assert_array_equal(measured.y, r["thrust"][at])
+
+
+def test_each_line_keeps_the_extremes_of_each_bin():
+    rng = np.random.default_rng(3)
+    lines = [rng.normal(size=1000) for _ in range(3)]
+    kept = places(lines, most=400)
+    assert 200 < len(kept) <= 400
+    assert all({int(line.argmin()), int(line.argmax())} <= set(kept) for line in lines)
+
+
+def test_missing_samples_hide_no_peak():
+    line = np.zeros(1000)
+    line[100:200] = np.nan
+    line[150], line[500] = 7.0, np.nan
+    assert 150 in places([line], most=100)
+
+
+def test_short_records_are_drawn_whole_and_the_caption_stays_silent():
+    assert len(places([np.zeros(MOST)])) == MOST
+    assert thinning(MOST) == ""
+    assert "22500" in thinning(22_500)
+
+
+def test_residual_and_its_size_are_those_of_the_data():
+    fig = prediction()
+    after = next(trace for trace in fig.data if trace.name.startswith("after, rmse"))
+    residual = next(trace for trace in fig.data if trace.name == "after, residual")
+    assert after.name == "after, rmse 0.1 N"
+    np.testing.assert_allclose(residual.y, 0.1)
+    assert residual.yaxis == "y2"
+    assert [fig.layout.shapes[0].y0, fig.layout.shapes[0].y1] == [-0.2, 0.2]
+
+
+def test_one_set_point_for_runs_that_share_it():
+    r, longer = record(400), record(500)
+    names = [trace.name for trace in closed_loop({"dual": r, "speed only": record(400, seed=2)}, "T").data]
+    assert names.count("set-point") == 1
+    names = [trace.name for trace in closed_loop({"dual": r, "speed only": longer}, "T").data]
+    assert names.count("set-point") == 2
+
+
+def test_difference_is_taken_where_both_records_are():
+    time = np.arange(10.0)
+    fig = two_records(time, time, time[2:7] + 0.5, 2 * (time[2:7] + 0.5), "a", "b", "T", "thrust", "N")
+    difference = fig.data[2].y
+    np.testing.assert_allclose(difference[3:7], time[3:7])
+    assert np.isnan(difference[[0, 1, 2, 7, 8, 9]]).all()
+
+
+def test_map_residuals_keep_their_places_and_the_gap():
+    omega, beta, thrust = grid_points()
+    order = np.random.default_rng(4).permutation(len(omega))[1:]
+    trace = map_residuals(omega[order], beta[order], thrust[order], "T").data[0]
+    assert np.isnan(trace.z).sum() == 1
+    for k in order:
+        assert trace.z[list(trace.y).index(beta[k]), list(trace.x).index(omega[k])] == thrust[k]
+    assert trace.zmin == -trace.zmax
+
+
+def test_parameter_change_is_in_percent_of_the_start():
+    fig = parameter_change(["c30"], [-0.08], [-0.1], [-0.12], [-0.08], "T")
+    assert fig.data[1].x[0] == pytest.approx(-25.0)
+    assert fig.data[1].error_x.array[0] == pytest.approx(25.0)
+
+
+def test_histogram_is_a_density_and_holds_the_outlier():
+    residual = np.append(np.random.default_rng(5).normal(size=5000) * 0.1, 3.0)
+    bars = residual_histogram(residual, 0.1, "T").data[0]
+    assert np.sum(bars.y * bars.width) == pytest.approx(1.0)
+    assert bars.y[-1] > 0
+
+
+def test_the_same_thing_has_the_same_colour_everywhere():
+    assert colours(["before", "after: with deadband", "rig"]) == {
+        "before": BEFORE,
+        "after: with deadband": AFTER,
+        "rig": MEASURED,
+    }
+    assert len(set(colours(["dual", "speed only", "final", "fitted twice"]).values())) == 4
+    sections = residual_by_section(["a"], [1.0], [0.5], None, "T")
+    assert [bar.marker.color for bar in sections.data] == [BEFORE, AFTER]
+    lines = {trace.name.split(",")[0]: trace.line.color for trace in prediction().data}
+    assert (lines["measured"], lines["before"], lines["after"]) == (MEASURED, BEFORE, AFTER)

@@ -1,0 +1,5 @@
+import sys
+
+from vpp_fmu.cli import main
+
+sys.exit(main())

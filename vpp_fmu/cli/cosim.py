@@ -1,0 +1,60 @@
+"""Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set)."""
+
+from tqdm import tqdm
+
+from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.loop import run as run_loop
+from vpp_fmu.plants import FmuController, FmuPlant
+from vpp_fmu.record import read_profile, write_record
+from vpp_fmu.report import Page, closed_loop
+from vpp_fmu.response import Step, steps
+
+EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv -o out"
+
+
+def configure(parser):
+    parser.add_argument("plant", metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
+    parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
+    parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
+    parser.add_argument("--step", type=float, default=0.004, metavar="S", help="communication step in s (default: 0.004)")
+    add_output(parser)
+
+
+def run(options):
+    if not 1e-6 <= options.step <= 1.0:
+        raise BadInput("vpp cosim", "--step", f"{options.step} s", "1e-6 to 1 s")
+    profile = read_profile(options.profile)
+    folder = OutputFolder(options.output)
+    plant, controller = FmuPlant(options.plant, dt=options.step), FmuController(options.controller, dt=options.step)
+    with tqdm(total=100, unit="%", disable=None, leave=False) as bar:
+        done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))
+    plant.close()
+    controller.close()
+    write_record(folder, "run.csv", done)
+    found = steps(done)
+    page = Page("Closed loop", f"{options.plant} under {options.controller} over {options.profile}.")
+    title = told(found[0]) if found else "Thrust under a constant set-point"
+    page.figure(closed_loop({"loop": done.columns}, title), "Thrust with its set-point, speed and pitch with their commands.")
+    page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
+    folder.write("report.html", page.html())
+    for step in found:
+        print(told(step))
+    say_written(folder)
+
+
+STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
+
+
+def row(step: Step) -> tuple:
+    """A step as cells of a table."""
+    settled = "not before the next" if step.settling is None else step.settling
+    return step.time, step.before, step.after, settled, step.overshoot
+
+
+def told(step: Step) -> str:
+    """A step in words."""
+    when = "has not settled before the next" if step.settling is None else f"has settled after {step.settling:.3f} s"
+    change = f"The step from {step.before:.4g} to {step.after:.4g} N at {step.time:.4g} s"
+    return f"{change} {when}, overshoot {step.overshoot:.1f} %"

@@ -1,0 +1,27 @@
+"""Identify the model's parameters from a measured campaign (a folder with open_loop.csv, static.csv, ...)."""
+
+from identification.identify import identify
+from identification.report import identification_page, key_figures
+from vpp_fmu.campaign import read_campaign
+from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parameters import to_json, to_ssv
+
+EXAMPLE = "vpp identify campaigns/monday -o out"
+
+
+def configure(parser):
+    parser.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
+    add_output(parser)
+
+
+def run(options):
+    folder = OutputFolder(options.output)
+    found = identify(read_campaign(options.campaign))
+    folder.write("parameters.json", to_json(found.parameters))
+    folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
+    folder.write("identification.json", as_json(found.summary()))
+    folder.write("report.html", identification_page(found).html())
+    for label, value, note in key_figures(found):
+        print(f"{label}: {value} ({note})")
+    say_written(folder)

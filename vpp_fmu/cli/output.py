@@ -1,0 +1,22 @@
+"""What the verbs share: where they write, and what they say at the end."""
+
+import json
+
+from vpp_fmu.files import OutputFolder
+
+
+def add_output(parser) -> None:
+    """The option -o."""
+    parser.add_argument("-o", "--output", default="out", metavar="DIR", help="folder to write to (default: out)")
+
+
+def as_json(content: dict) -> str:
+    """JSON as this project writes it."""
+    return json.dumps(content, indent=2) + "\n"
+
+
+def say_written(folder: OutputFolder) -> None:
+    """Where the results are, and what they took the place of."""
+    if folder.replaced:
+        print(f"replaced in {folder.path}: {', '.join(folder.replaced)}")
+    print(f"written to {folder.path}")

@@ -1,0 +1,43 @@
+"""Figures of merit of a closed loop's steps."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from vpp_fmu.record import Record
+
+BAND = 0.02
+"""A step has settled once the thrust stays within this share of the step."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One change of the wanted thrust, from `before` to `after` [N] at `time` [s].
+
+    `settling` s to stay within BAND of the step; None where it never does. `overshoot` in % of the step.
+    """
+
+    time: float
+    before: float
+    after: float
+    settling: float | None
+    overshoot: float
+
+
+def steps(run: Record) -> list[Step]:
+    """Every change of `thrust_set` in a run, judged on `thrust` until the next change."""
+    wanted, time, thrust = run["thrust_set"], run.time, run["thrust"]
+    changes = [*(np.flatnonzero(np.diff(wanted)) + 1), len(wanted)]
+    found = []
+    for start, end in pairwise(changes):
+        before, after = wanted[start - 1], wanted[start]
+        size = after - before
+        missing = (after - thrust[start:end]) / size
+        outside = np.flatnonzero(np.abs(missing) > BAND)
+        settled = len(outside) == 0 or outside[-1] + 1 < end - start
+        after_last = start + (outside[-1] + 1 if len(outside) else 0)
+        settling = float(time[after_last] - time[start]) if settled else None
+        overshoot = 100.0 * max(0.0, float(np.max(-missing)))
+        found.append(Step(float(time[start]), float(before), float(after), settling, overshoot))
+    return found
