@@ -80,7 +80,7 @@ def _variables(model: Model, values: Mapping[str, float]) -> Element:
     """Inputs are held between communication points, and said so (`discrete`): an importer must not interpolate a command."""
     moves = "discrete" if model.sample_time else "continuous"
     kinds = (
-        [("input", "discrete", None, q, 0.0) for q in model.inputs]
+        [("input", "discrete", None, q, q.start) for q in model.inputs]
         + [("output", moves, "calculated", q, None) for q in model.outputs]
         + [("parameter", "fixed", "exact", q, values[q.name]) for q in model.parameters]
         + [("local", moves, "calculated", q, None) for q in model.states]

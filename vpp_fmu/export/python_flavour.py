@@ -44,7 +44,7 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
     program, layout = trace(model), Layout.of(model)
     at = layout.index
     ways = {True: "Sampled", False: "Scheduled" if _has_schedule(model) else "Exact"}
-    start = [0.0] * (len(layout.inputs) + len(layout.outputs)) + [values[n] for n in layout.parameters]
+    start = [*(u.start for u in model.inputs), *[0.0] * len(layout.outputs), *(values[n] for n in layout.parameters)]
     declared = {
         "NAME": model.name,
         "VARIABLES": tuple(variable_names(model)),

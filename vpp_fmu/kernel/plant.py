@@ -13,18 +13,20 @@ from vpp_fmu.kernel.effects import (
 )
 from vpp_fmu.kernel.types import Effect, Model, Signal, compose
 
-_PITCH_DRIVE, _PITCH_FIRST, _PITCH_SECOND = actuator.PITCH
-_SPEED_DRIVE, _SPEED_FIRST, _SPEED_SECOND = actuator.SPEED
+_PITCH_DRIVE, _PITCH_FIRST, _PITCH_SECOND, _PITCH_REACH = actuator.PITCH
+_SPEED_DRIVE, _SPEED_FIRST, _SPEED_SECOND, _SPEED_REACH = actuator.SPEED
 
 LIBRARY: tuple[Effect, ...] = (
     _SPEED_DRIVE,
     _SPEED_FIRST,
     _SPEED_SECOND,
+    _SPEED_REACH,
     pitch_delay.EFFECT,
     pitch_command_deadband.EFFECT,
     _PITCH_DRIVE,
     _PITCH_FIRST,
     _PITCH_SECOND,
+    _PITCH_REACH,
     pitch_speed_coupling.EFFECT,
     thrust_map.THRUST_MAP,
     stand_resonance.EFFECT,

@@ -21,7 +21,7 @@ class Simulation:
         for name, parameter in model.delays:
             self._delays[self._names.index(name)] = self.parameters[parameter]
         self._largest = largest_step(model, NUMBERS, self.parameters)
-        self.start(dict.fromkeys(self._names, 0.0))
+        self.start({s.name: s.start for s in model.inputs})
 
     def start(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """Settle on `inputs` (all of them, by name); returns the outputs."""

@@ -25,11 +25,15 @@ class Signal:
     minimum: float
     maximum: float
     nominal: float = 1.0
+    start: float = 0.0
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant of the model. `minimum` and `maximum` are the FMU's range and the fit's bounds alike."""
+    """A constant of the model. `minimum` and `maximum` are the FMU's range and the fit's bounds alike.
+
+    `choices`: the only values that mean something, where the parameter picks a form of the effect; a search tries each.
+    """
 
     name: str
     unit: str
@@ -38,6 +42,7 @@ class Parameter:
     maximum: float
     description: str
     nominal: float = 1.0
+    choices: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,7 @@ class Effect:
 
     `off` holds the parameter values at which the effect is exactly the identity; None: always part of the model.
     `probe` holds a plausible size: where a search starts, what a sensitivity picture uses.
+    `inputs` are measured quantities that the effect needs beside the commands; a model with the effect has them as inputs.
     `delays` maps an input's name to the parameter that holds it back [s]; the schedule does it, between steps, exactly.
     `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
     """
@@ -80,6 +86,7 @@ class Effect:
     states: tuple[State, ...] = ()
     off: Mapping[str, float] | None = None
     probe: Mapping[str, float] = field(default_factory=dict)
+    inputs: tuple[Signal, ...] = ()
     delays: Mapping[str, str] = field(default_factory=dict)
     largest_step: float | None = None
 
@@ -137,7 +144,8 @@ class Model:
 def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Model:
     """`model` with what is always present and the named effects of `library`, in the library's order."""
     wanted = set(names)
-    return replace(model, effects=tuple(e for e in library if e.off is None or e.name in wanted))
+    effects = tuple(e for e in library if e.off is None or e.name in wanted)
+    return replace(model, inputs=model.inputs + tuple(u for e in effects for u in e.inputs), effects=effects)
 
 
 def step(model: Model, ops, inputs: Mapping, states: Mapping, parameters: Mapping, dt) -> tuple[dict, dict]:

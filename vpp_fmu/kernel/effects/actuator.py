@@ -3,21 +3,24 @@
     tau_2 dx/dt = u_ref - x        (the inner stage)
     tau_1 du/dt = x - u            (the outer stage: rotor speed, or blade pitch)
 
-Three effects, so that others can stand between them: the error that drives the inner stage, the inner stage's move, and the
-outer stage. All are exact for a command held over the step, also where the two time constants are equal. The paper's
-deviations from the operating point are absolute values here; the equations are linear, so nothing else changes.
+Four effects, so that others can stand between them: the error that drives the inner stage, the inner stage's move, the outer
+stage's move, and where that ends. All are exact for a command held over the step, also where the two time constants are
+equal. The paper's deviations from the operating point are absolute values here; the equations are linear, so nothing else
+changes.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
-def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[Effect, Effect, Effect]:
+def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[Effect, ...]:
     """The stages of channel `u` ("omega" or "beta"), commanded by the signal `<u>_ref`.
 
-    Signals: `<u>_inner` (value of the inner stage) and `<u>_error` before the move, `<u>_move` (what the inner stage covers
-    in the step), `tau_<u>_1`, `tau_<u>_2`, and `<u>` at the end.
+    Signals: `<u>_inner` and `<u>_outer` are the stages' values before the step, `<u>_error` is what the inner one lacks,
+    `<u>_move` and `<u>_travel` what the inner and the outer cover in the step; `tau_<u>_1`, `tau_<u>_2`; `<u>` at the end.
     """
-    ref, inner, error, move, ahead = f"{u}_ref", f"{u}_inner", f"{u}_error", f"{u}_move", f"{u}_inner_ahead"
+    ref, error = f"{u}_ref", f"{u}_error"
+    inner, move, inner_ahead = f"{u}_inner", f"{u}_move", f"{u}_inner_ahead"
+    outer, travel, outer_ahead = f"{u}_outer", f"{u}_travel", f"{u}_outer_ahead"
     slow, fast = f"tau_{u}_1", f"tau_{u}_2"
 
     def drive(ops, s, x, p, dt):
@@ -30,11 +33,14 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
     def second_lag(ops, s, x, p, dt):
         # Within the step the inner stage relaxes from its value towards the next with its own time constant; what the
         # outer stage makes of that is the two lags' step response over the inner stage's share.
-        tau_1, tau_2, moved = getattr(s, slow), getattr(s, fast), getattr(s, move)
-        before, value = getattr(s, inner), getattr(x, u)
+        tau_1, tau_2, value = getattr(s, slow), getattr(s, fast), getattr(x, outer)
         carried = ops.two_lag_step(tau_1, tau_2, dt) / ops.gain(tau_2, dt)
-        value = value + ops.gain(tau_1, dt) * (before - value) + carried * moved
-        return {u: value, ahead: before + moved}, {u: value}
+        covered = ops.gain(tau_1, dt) * (getattr(s, inner) - value) + carried * getattr(s, move)
+        return {outer: value, travel: covered}, {}
+
+    def reach(ops, s, x, p, dt):
+        reached = getattr(s, outer) + getattr(s, travel)
+        return {u: reached, outer_ahead: reached, inner_ahead: getattr(s, inner) + getattr(s, move)}, {}
 
     def constant(name, default, stage):
         text = f"time constant of the {stage} lag between commanded and reached {title}"
@@ -46,12 +52,14 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
     def at_inner(ops, s, p):
         return getattr(s, inner)
 
-    states = State(inner, unit, f"{title} after the inner lag", at_command, closed_by=ahead), State(u, unit, title, at_inner)
     constants = constant(slow, tau_1, "outer"), constant(fast, tau_2, "inner")
+    first = State(inner, unit, f"{title} after the inner lag", at_command, closed_by=inner_ahead)
+    second = State(outer, unit, f"{title} after the outer lag", at_inner, closed_by=outer_ahead)
     return (
-        Effect(f"{u}_drive", f"what drives the {title} channel", drive, constants, states[:1]),
+        Effect(f"{u}_drive", f"what drives the {title} channel", drive, constants, (first,)),
         Effect(f"{u}_first_lag", f"inner lag of the {title} channel", first_lag),
-        Effect(f"{u}_second_lag", f"outer lag of the {title} channel", second_lag, states=states[1:]),
+        Effect(f"{u}_second_lag", f"outer lag of the {title} channel", second_lag, states=(second,)),
+        Effect(f"{u}_reach", f"where the {title} channel ends", reach),
     )
 
 
