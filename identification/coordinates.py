@@ -20,13 +20,15 @@ class Coordinates:
     """Free parameters `names` of `model` as a vector: log of the sum and spread for a channel's pair, the rest as it is.
 
     A channel counts as a pair when both its time constants are free. `slow_first`: which of the pair is the slower,
-    `tau_<channel>_1` or the other; it only matters to effects that stand between the lags.
+    `tau_<channel>_1` or the other; it only matters to effects that stand between the lags. `lower`, `upper` bound the
+    coordinates, `floor` the values.
     """
 
     def __init__(self, model: Model, names: Sequence[str], slow_first: Mapping[str, bool] | None = None):
         self.names = tuple(names)
         bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters}
-        lower, upper = np.array([bounds[n] for n in self.names]).T
+        lower, upper = np.array([bounds[n] for n in self.names]).reshape(-1, 2).T.copy()
+        self.floor = lower.copy()
         self.pairs = []
         for channel in CHANNELS:
             pair = [f"tau_{channel}_1", f"tau_{channel}_2"]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.coordinates import CHANNELS
+from identification.problem import Prior
 from identification.quality import fit_percent, noise_floor, rmse
 from identification.refine import Refinement, refine
 from identification.sections import sections
@@ -17,8 +18,6 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
-
-NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -72,22 +71,28 @@ class Identification:
 
     def summary(self) -> dict:
         """The content of `identification.json`."""
-        r = self.refinement
-        correlation, condition, weakest = _directions(r)
+        r, doubt = self.refinement, self.refinement.uncertainty
+        condition, weakest, spread = doubt.directions()
         fitted = {
-            name: {"value": v, "std": r.std[name], "interval": [v - NORMAL_95 * r.std[name], v + NORMAL_95 * r.std[name]]}
-            for name, v in ((n, r.values[n]) for n in r.names)
+            name: {"value": value, "std": std, "interval": interval}
+            for name, value, std, interval in zip(
+                doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True
+            )
         }
         static = self.static
         return {
             "parameters": fitted,
-            "correlation": {"names": list(r.names), "matrix": correlation.tolist()},
+            "correlation": {"names": list(doubt.names), "matrix": doubt.correlation.tolist()},
             "condition_number": condition,
-            "weakest_direction": dict(zip(r.names, weakest.tolist(), strict=True)),
+            "weakest_direction": dict(zip(doubt.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
+            "inflation_by_coloured_residuals": dict(zip(doubt.names, doubt.inflation.tolist(), strict=True)),
+            "not_identifiable": dict(r.held),
+            "method": r.method,
             "cost_start": r.cost_start,
             "cost_final": r.cost_final,
-            "iterations": len(r.costs) - 1,
+            "iterations": len(r.curve) - 1,
             "evaluations": r.evaluations,
+            "starts": {"tried": r.starts, "reached_the_optimum": r.reached},
             "seconds": r.seconds,
             "noise_floor_thrust": self.noise_floor,
             "records": {name: p.summary() for name, p in self.predictions.items()},
@@ -109,17 +114,19 @@ def predict(model: Model, values: Mapping[str, float], record: Record) -> Predic
     return Prediction(record, *outputs.T)
 
 
-def identify(campaign: Campaign, model: Model = BASE) -> Identification:
-    """Static map by least squares where there is one, then all parameters on the open-loop record.
+def identify(
+    campaign: Campaign, model: Model = BASE, method: str = "levenberg-marquardt", starts: int = 8, seed: int = 0
+) -> Identification:
+    """Static map by least squares where there is one, then all parameters on the open-loop record, the map as prior.
 
-    BadInput where the campaign has no `open_loop.csv`.
+    BadInput where the campaign has no `open_loop.csv`. Options as in `refine`.
     """
     if campaign.open_loop is None:
         raise BadInput(campaign.folder, "open_loop.csv", "no such file", "a record with time, omega_ref, beta_ref, thrust")
-    defaults = model.values()
-    static = fit_static_map(campaign.static, defaults) if campaign.static is not None else None
+    static = fit_static_map(campaign.static, model.values()) if campaign.static is not None else None
     start = _slow_first(AVERAGED) | (dict(static.coefficients) if static else {})
-    found = refine(model, campaign.open_loop, start)
+    prior = static and Prior(tuple(static.coefficients), np.array(list(static.coefficients.values())), static.covariance)
+    found = refine(model, [campaign.open_loop], start, prior=prior, method=method, starts=starts, seed=seed)
     source = {"made_by": "vpp identify", "campaign": campaign.folder.name, "record_seconds": float(campaign.open_loop.time[-1])}
     parameters = ParameterSet(model, source=source).replaced(found.values, found.std)
     records = {name: getattr(campaign, name) for name in ("open_loop", "validation") if getattr(campaign, name) is not None}
@@ -135,12 +142,3 @@ def _slow_first(values: Mapping[str, float]) -> dict[str, float]:
         pair = f"tau_{channel}_1", f"tau_{channel}_2"
         values.update(zip(pair, sorted((values[n] for n in pair), reverse=True), strict=True))
     return values
-
-
-def _directions(r: Refinement) -> tuple[np.ndarray, float, np.ndarray]:
-    """(correlation, condition number, weakest direction) of the parameters, each in units of its own value."""
-    std = np.sqrt(np.diag(r.covariance))
-    size = np.array([abs(r.values[n]) or 1.0 for n in r.names])
-    relative = r.covariance / np.outer(size, size)
-    spread, directions = np.linalg.eigh(relative)
-    return r.covariance / np.outer(std, std), float(np.sqrt(spread[-1] / max(spread[0], 1e-300))), directions[:, -1]

@@ -1,7 +1,7 @@
-"""Fine-tuning: the parameters that make the model's response to a record fit the measured one (paper, section 3.2).
+"""Fine-tuning: the parameters that make the model's response fit the measured one (paper, section 3.2).
 
-The paper descends the gradient of the thrust error's mean square; here Levenberg-Marquardt works on the same exact forward
-sensitivities, in coordinates that are regular where the two lags of a channel meet.
+The default is Levenberg-Marquardt on exact forward sensitivities, from several starts, thrust and speed together, with the
+static map as prior knowledge; the paper's gradient descent can be chosen.
 """
 
 import time
@@ -10,87 +10,123 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.coordinates import Coordinates
-from identification.least_squares import Solution, solve
+from identification.gradient_descent import descend
+from identification.identifiability import held as undetermined
+from identification.least_squares import Solution
+from identification.problem import CHANNELS, Prior, Problem
+from identification.uncertainty import Uncertainty, uncertainty
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.kernel.types import Model
-from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 BASE_PARAMETERS = tuple(FINE_TUNED)
 """The four time constants and the five map coefficients."""
+
+METHODS = ("levenberg-marquardt", "gradient-descent")
+
+SAME = 1e-6
+"""Two starts have reached the same optimum when their costs differ by less than this share."""
 
 
 @dataclass(frozen=True)
 class Refinement:
     """What a fine-tuning found.
 
-    `values`: every parameter of the model; `std`: of those that were fitted, for white residuals, scaled to what is left;
-    `covariance` (fitted, fitted) in the order of `names`. Costs are the paper's: mean(e^2) / 2 of normalised thrust.
-    `residual` (rows,) N: predicted less measured.
+    `values`: every parameter of the model. `held`: parameters that the data do not tell, kept at their start: name -> why.
+    `cost_start`, `cost_final`: the paper's cost, mean(e^2) / 2 of normalised thrust. `curve`: the search's own cost after
+    each step of the first fit; `evaluations`: of all fits from the given start. `starts`, `reached`: how many starts were
+    tried, and how many ended at the best optimum.
     """
 
-    names: tuple[str, ...]
+    problem: Problem
+    solution: Solution
     values: Mapping[str, float]
-    std: Mapping[str, float]
-    covariance: np.ndarray
+    uncertainty: Uncertainty
+    held: Mapping[str, str]
     cost_start: float
     cost_final: float
-    costs: tuple[float, ...]
-    residual: np.ndarray
+    curve: tuple[float, ...]
     evaluations: int
-    converged: bool
+    method: str
+    starts: int
+    reached: int
     seconds: float
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that were fitted."""
+        return self.uncertainty.names
 
-class ThrustFit:
-    """The least-squares problem: normalised thrust of a record, in the coordinates of the free parameters."""
-
-    def __init__(self, model: Model, record: Record, values: Mapping[str, float], names: Sequence[str] = BASE_PARAMETERS):
-        self.coordinates = Coordinates(model, names)
-        self.scale = values["thrust_scale"]
-        self._simulator = Simulator(model, names)
-        self._fixed, self._record, self._steps = dict(values), record, record.steps
-        self._column = self._simulator.outputs.index("thrust")
-        self._seen = np.isfinite(record["thrust"])
-
-    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (rows with thrust,) and Jacobian (rows, parameters) at coordinates `x`."""
-        values = self._fixed | self.coordinates.values(x)
-        outputs, tangents = self._simulator.sensitivities(values, self._record.columns, self._steps)
-        residual = (outputs[:, self._column] - self._record["thrust"])[self._seen] / self.scale
-        return residual, tangents[:, self._column][self._seen] @ (self.coordinates.jacobian(x) / self.scale)
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each fitted parameter."""
+        return dict(zip(self.names, self.uncertainty.std.tolist(), strict=True))
 
 
-def refine(model: Model, record: Record, start: Mapping[str, float], names: Sequence[str] = BASE_PARAMETERS) -> Refinement:
-    """Fit the parameters `names` of `model` to the thrust of `record`, from the values `start`.
+def refine(
+    model: Model,
+    records: Sequence[Record],
+    start: Mapping[str, float],
+    names: Sequence[str] = BASE_PARAMETERS,
+    prior: Prior | None = None,
+    channels: Sequence[str] = CHANNELS,
+    method: str = "levenberg-marquardt",
+    starts: int = 1,
+    seed: int = 0,
+) -> Refinement:
+    """Fit the parameters `names` of `model` to `records`, from the values `start` and from `starts` - 1 random ones.
 
-    `start`: changes to the model's defaults, by name.
+    `start`: changes to the model's defaults, by name. Gradient descent uses thrust alone, one start and no prior, as the
+    paper does. The random starts repeat with the `seed`.
     """
     began = time.perf_counter()
     values = model.values(start)
-    fit = ThrustFit(model, record, values, names)
-    found = solve(fit.evaluate, fit.coordinates.vector(values), fit.coordinates.lower, fit.coordinates.upper)
-    covariance = _covariance(found, fit.coordinates)
-    rows = len(found.residual)
+    if method == "gradient-descent":
+        prior, channels, starts = None, ("thrust",), 1
+    trial = Problem(model, records, values, names, prior, channels)
+    why = undetermined(trial, trial.coordinates.vector(values), names)
+    free = [n for n in names if n not in why]
+    problem = Problem(model, records, values, free, prior, channels) if why else trial
+    cost_start = paper_cost(problem, values)
+    if method == "gradient-descent":
+        rounds = found = [descend(problem, problem.coordinates.vector(values))]
+    else:
+        rounds = problem.solve_and_weigh(values)
+        found = [rounds[-1]]
+        found += [problem.solve(at) for at in _random_starts(problem, values, starts - 1, seed)]
+    best = min(found, key=lambda solution: solution.cost)
+    final = values | problem.coordinates.values(best.value)
     return Refinement(
-        names=tuple(names),
-        values=values | fit.coordinates.values(found.value),
-        std=dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
-        covariance=covariance,
-        cost_start=found.costs[0] / rows,
-        cost_final=found.cost / rows,
-        costs=tuple(cost / rows for cost in found.costs),
-        residual=found.residual * fit.scale,
-        evaluations=found.evaluations,
-        converged=found.converged,
+        problem=problem,
+        solution=best,
+        values=final,
+        uncertainty=uncertainty(problem, best),
+        held=why,
+        cost_start=cost_start,
+        cost_final=paper_cost(problem, final),
+        curve=rounds[0].costs,
+        evaluations=sum(solution.evaluations for solution in rounds),
+        method=method,
+        starts=len(found),
+        reached=sum(s.cost <= best.cost * (1 + SAME) for s in found),
         seconds=time.perf_counter() - began,
     )
 
 
-def _covariance(found: Solution, coordinates: Coordinates) -> np.ndarray:
-    """Covariance of the parameter values, linearised at the solution, for white residuals of the size that is left."""
-    rows, n = found.jacobian.shape
-    variance = float(found.residual @ found.residual) / (rows - n)
-    to_values = coordinates.jacobian(found.value)
-    return to_values @ np.linalg.pinv(found.jacobian.T @ found.jacobian, hermitian=True) @ to_values.T * variance
+def paper_cost(problem: Problem, values: Mapping[str, float]) -> float:
+    """mean(e^2) / 2 of normalised thrust over the problem's records (paper, eq. 17, without its stray dt)."""
+    errors = [problem.thrust_error(i, values) / values["thrust_scale"] for i in range(len(problem.records))]
+    return 0.5 * float(np.mean(np.concatenate(errors) ** 2))
+
+
+def _random_starts(problem: Problem, values: Mapping[str, float], count: int, seed: int):
+    """Time constants within a factor of 3 of `values`, coefficients within +-0.3."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        moved = dict(values)
+        for name in problem.coordinates.names:
+            if name.startswith("tau_"):
+                moved[name] *= float(np.exp(rng.uniform(-np.log(3.0), np.log(3.0))))
+            else:
+                moved[name] += float(rng.uniform(-0.3, 0.3))
+        yield moved

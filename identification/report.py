@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identification.identify import NORMAL_95, Identification, Prediction
+from identification.identify import Identification, Prediction
 from identification.static_map import design
 from vpp_fmu.report import (
     Page,
@@ -28,7 +28,11 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
         figures.append(("noise of one reading", f"{found.noise_floor:.3f} N", "from the repeated record"))
     r = found.refinement
     figures.append(
-        ("cost", f"{r.cost_start:.3g} → {r.cost_final:.3g}", f"mean(e²)/2, {r.evaluations} evaluations, {r.seconds:.2f} s")
+        (
+            "cost",
+            f"{r.cost_start:.3g} → {r.cost_final:.3g}",
+            f"mean(e²)/2, {r.evaluations} evaluations, {r.starts} starts, {r.seconds:.2f} s",
+        )
     )
     if found.static is not None:
         figures.append(("static map", f"{found.static.r2_adjusted:.4f}", f"adjusted R², {found.static.rmse:.3f} N rms"))
@@ -55,22 +59,21 @@ def add_identification(page: Page, found: Identification) -> None:
         )
     _add_sections(page, found)
     page.section("What was found")
-    r = found.refinement
-    start = np.array([found.start[n] for n in r.names])
-    final, std = np.array([r.values[n] for n in r.names]), np.array([r.std[n] for n in r.names])
+    r, doubt = found.refinement, found.refinement.uncertainty
+    start, (low, high) = np.array([found.start[n] for n in r.names]), doubt.intervals.T
     moved = "Fine-tuning moves the parameters from steps and static map to what the record asks for"
-    low, high = final - NORMAL_95 * std, final + NORMAL_95 * std
-    page.figure(parameter_change(r.names, start, final, low, high, moved), "Change in % of the start, with 95 % intervals.")
-    rows = [(n, *values) for n, *values in zip(r.names, start, final, std, low, high, strict=True)]
-    columns = ("parameter", "start", "final", "std", "95 % from", "to")
-    page.table(columns, rows, "Time constants in s, coefficients normalised. For white residuals of the size that is left.")
+    page.figure(parameter_change(r.names, start, doubt.values, low, high, moved), "Change in % of the start, 95 % intervals.")
+    rows = list(zip(r.names, start, doubt.values, doubt.std, low, high, doubt.inflation, strict=True))
+    columns = ("parameter", "start", "final", "std", "95 % from", "to", "std over white")
+    page.table(columns, rows, "Time constants in s, coefficients normalised; std accounts for the residuals' colour.")
+    for name, why in r.held.items():
+        page.note(f"{name} is held at {r.values[name]:.4g}: {why}.")
+    curve = np.array(r.curve)
+    fall = f"The search's cost falls to {curve[-1] / curve[0]:.1%} in {len(curve) - 1} steps"
     page.figure(
-        learning_curve(
-            np.arange(len(r.costs)), np.array(r.costs), f"The cost falls to {r.cost_final:.3g} in {len(r.costs) - 1} steps"
-        ),
-        "The paper's cost, mean(e²)/2 of normalised thrust, after each step that lowered it.",
+        learning_curve(np.arange(len(curve)), curve, fall), "Half the weighted sum of squares, under the first weights."
     )
-    correlation = np.array(found.summary()["correlation"]["matrix"])
+    correlation = doubt.correlation
     apart = _strongest(r.names, correlation)
     page.figure(correlation_heatmap(r.names, correlation, apart), "Correlation of the estimates.")
     if found.static is not None:

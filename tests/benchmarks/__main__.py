@@ -106,7 +106,7 @@ def main():
     simulator = Simulator(BASE)
     native = len(record) / best(lambda: simulator.simulate({}, record.columns, record.steps), 20)
     say("kernel, compiled", native, "steps/s", "its functions as they stand", python)
-    fit = best(lambda: refine(BASE, record, AVERAGED), 1)
+    fit = best(lambda: refine(BASE, [record], AVERAGED, channels=("thrust",)), 1)
     print(f"{f'refine nine parameters on {len(record)} samples':50} {fit:10.3g} s")
 
 

@@ -24,7 +24,7 @@ def configure(parser):
 
 def run(options):
     if not 1e-6 <= options.step <= 1.0:
-        raise BadInput("vpp cosim", "--step", f"{options.step} s", "1e-6 to 1 s")
+        raise BadInput("command line", "--step", f"{options.step} s", "1e-6 to 1 s")
     profile = read_profile(options.profile)
     folder = OutputFolder(options.output)
     plant, controller = FmuPlant(options.plant, dt=options.step), FmuController(options.controller, dt=options.step)

@@ -1,6 +1,7 @@
 """Identify the model's parameters from a measured campaign (a folder with open_loop.csv, static.csv, ...)."""
 
 from identification.identify import identify
+from identification.refine import METHODS
 from identification.report import identification_page, key_figures
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.output import add_output, as_json, say_written
@@ -12,12 +13,15 @@ EXAMPLE = "vpp identify campaigns/monday -o out"
 
 def configure(parser):
     parser.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="how to search (default: %(default)s)")
+    parser.add_argument("--starts", type=int, default=8, metavar="N", help="starts of the search (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random starts (default: %(default)s)")
     add_output(parser)
 
 
 def run(options):
     folder = OutputFolder(options.output)
-    found = identify(read_campaign(options.campaign))
+    found = identify(read_campaign(options.campaign), method=options.method, starts=options.starts, seed=options.seed)
     folder.write("parameters.json", to_json(found.parameters))
     folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
     folder.write("identification.json", as_json(found.summary()))

@@ -1,0 +1,159 @@
+"""The least-squares problem of a fit: records, what was measured in them, what is known beforehand.
+
+Residuals are in units of their standard deviation. Thrust is white as far as the fit is concerned; what colour it has is
+accounted for in the uncertainty. A channel's weight follows from what the fit leaves in it (maximum likelihood with unknown
+variances): a sensor that is far better than the model is would otherwise dictate all parameters.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.coordinates import Coordinates
+from identification.least_squares import Solution, solve
+from identification.tachometer import Tachometer
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+CHANNELS = ("thrust", "omega")
+REWEIGHTS = 3
+"""Rounds of fit and weight; the third changes the weights by less than a per cent."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of some parameters beforehand: `names`, `mean` (k,) and `covariance` (k, k)."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    def root(self) -> np.ndarray:
+        """L (k, k) with L.T @ L the inverse covariance: L (p - mean) has unit variance."""
+        return np.linalg.cholesky(np.linalg.inv(self.covariance)).T
+
+
+@dataclass(frozen=True)
+class Block:
+    """The rows of the residual that one channel of one record has, and the record's rows they belong to."""
+
+    record: int
+    channel: str
+    rows: np.ndarray
+    at: slice
+
+
+class Problem:
+    """The residual of `names` over `records`, as a function of coordinates.
+
+    `values`: all parameter values of the model, of which those in `names` are free. `channels`: what of "thrust", "omega"
+    counts where a record has it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        records: Sequence[Record],
+        values: Mapping[str, float],
+        names: Sequence[str],
+        prior: Prior | None = None,
+        channels: Sequence[str] = CHANNELS,
+        slow_first: Mapping[str, bool] | None = None,
+    ):
+        self.model, self.records, self.values = model, tuple(records), dict(values)
+        self.coordinates = Coordinates(model, names, slow_first)
+        self.prior = prior
+        self._simulator = Simulator(model, names)
+        self._thrust, self._omega = (self._simulator.outputs.index(n) for n in CHANNELS)
+        self._blocks: list[Block] = []
+        self._tachometers: dict[int, Tachometer] = {}
+        self.std: dict[str, float] = {}
+        size = 0
+        for i, record in enumerate(self.records):
+            for channel in channels:
+                rows = self._rows(i, record, channel)
+                if len(rows):
+                    self._blocks.append(Block(i, channel, rows, slice(size, size + len(rows))))
+                    self.std[channel] = 1.0 if channel == "omega" else values["thrust_scale"]
+                    size += len(rows)
+        self.size = size
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Where each channel of each record stands in the residual; a prior's rows come last."""
+        return tuple(self._blocks)
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and Jacobian (rows, coordinates) at `x`."""
+        found = self.values | self.coordinates.values(x)
+        inner = self.coordinates.jacobian(x)
+        residual, jacobian = np.empty(self.size), np.empty((self.size, len(x)))
+        for i, record in enumerate(self.records):
+            outputs, tangents = self._simulator.sensitivities(found, record.columns, record.steps)
+            for block in self._blocks:
+                if block.record == i:
+                    e, j = self._compared(block, record, outputs, tangents)
+                    residual[block.at], jacobian[block.at] = e, j @ inner
+        if self.prior is not None:
+            known = self._known(found, inner)
+            residual, jacobian = np.append(residual, known[0]), np.vstack([jacobian, known[1]])
+        return residual, jacobian
+
+    def solve(self, start: Mapping[str, float]) -> Solution:
+        """Fit from `start` under the present weights."""
+        coordinates = self.coordinates
+        return solve(self.evaluate, coordinates.vector(start), coordinates.lower, coordinates.upper)
+
+    def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
+        """Fit from `start`, and weigh the channels by what the fit leaves in them, until the two agree.
+
+        All fits, the last is the result; each has its own weights, so their costs do not compare.
+        """
+        found = [self.solve(start)]
+        if len(self.std) > 1 or self.prior is not None:
+            for _ in range(REWEIGHTS):
+                self.weigh(found[-1].residual)
+                found.append(self.solve(self.coordinates.values(found[-1].value)))
+        return found
+
+    def thrust_error(self, record: int, values: Mapping[str, float]) -> np.ndarray:
+        """Predicted less measured thrust (rows with thrust,) N of one record."""
+        columns, steps = self.records[record].columns, self.records[record].steps
+        predicted = self._simulator.simulate(values, columns, steps)[:, self._thrust]
+        measured = columns["thrust"]
+        return (predicted - measured)[np.isfinite(measured)]
+
+    def weigh(self, residual: np.ndarray) -> None:
+        """Set each channel's standard deviation from a residual under the present ones."""
+        for channel in self.std:
+            parts = [residual[b.at] for b in self._blocks if b.channel == channel]
+            self.std[channel] *= float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) or 1.0
+
+    def _rows(self, i, record, channel):
+        if channel not in record:
+            return np.zeros(0, int)
+        if channel == "omega":
+            self._tachometers[i] = Tachometer(record)
+            return self._tachometers[i].rows
+        return np.flatnonzero(np.isfinite(record[channel]))
+
+    def _compared(self, block, record, outputs, tangents):
+        if block.channel == "omega":
+            tachometer = self._tachometers[block.record]
+            std = tachometer.std * self.std["omega"]
+            error = tachometer.shows(outputs[:, self._omega]) - tachometer.measured
+            return error / std, tachometer.shows(tangents[:, self._omega]) / std[:, None]
+        std = self.std["thrust"]
+        error = outputs[block.rows, self._thrust] - record["thrust"][block.rows]
+        return error / std, tangents[block.rows, self._thrust] / std
+
+    def _known(self, found, inner):
+        root, names = self.prior.root(), self.coordinates.names
+        free = [k for k, n in enumerate(self.prior.names) if n in names]
+        error = root @ (np.array([found[n] for n in self.prior.names]) - self.prior.mean)
+        chosen = np.zeros((len(self.prior.names), len(names)))
+        for k in free:
+            chosen[k, names.index(self.prior.names[k])] = 1.0
+        return error, root @ chosen @ inner
