@@ -79,8 +79,8 @@ class TracedSlave(Fmi2Slave):
     def _schedule(self):
         """What a way to step derives from the parameters before its first step."""
 
-    def _prepare(self, dt, dt_tangent=()):
-        self.prepared_for, self.constants = dt, self.prepare(self.v, dt, dt_tangent)
+    def _prepare(self, dt):
+        self.prepared_for, self.constants = dt, self.prepare(self.v, dt, ())
 
     def _check_step(self, step_size):
         if not (step_size > 0.0 and isfinite(step_size)):
@@ -107,12 +107,13 @@ class TracedSlave(Fmi2Slave):
 
     def _set_fmu_state(self, state):
         self.v[:] = state["v"]
-        self._schedule()
-        for line, kept in zip(self.lines, state["lines"], strict=True):
-            if line is not None:
-                vars(line).update(kept, waits=[*kept["waits"]], values=[*kept["values"]])
         self.wait, self.initialised, self.settled = state["wait"], state["initialised"], False
         self.prepared_for = None
+        if self.initialised:
+            self._schedule()
+            for line, kept in zip(self.lines, state["lines"], strict=True):
+                if line is not None:
+                    vars(line).update(kept, waits=[*kept["waits"]], values=[*kept["values"]])
 
 
 class Exact:
@@ -146,9 +147,9 @@ class Scheduled:
         self.v[:n] = held
         return True
 
-    def _piece(self, acting, dt, dt_tangent):
+    def _piece(self, acting, dt):
         if dt != self.prepared_for:
-            self._prepare(dt, dt_tangent)
+            self._prepare(dt)
         self.v[: self.N_INPUTS] = acting
         self.step(self.v, self.constants, None)
 

@@ -34,6 +34,19 @@ class Prior:
         """L (k, k) with L.T @ L the inverse covariance: L (p - mean) has unit variance."""
         return np.linalg.cholesky(np.linalg.inv(self.covariance)).T
 
+    def rows(self, values: Mapping[str, float], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(residual (k,) of unit variance at parameter values, its derivatives (k, len(names)) in the free ones)."""
+        root = self.root()
+        chosen = np.zeros((len(self.names), len(names)))
+        for k, name in enumerate(self.names):
+            if name in names:
+                chosen[k, names.index(name)] = 1.0
+        return root @ (np.array([values[n] for n in self.names]) - self.mean), root @ chosen
+
+    def loosened(self, factor: float) -> "Prior":
+        """The same knowledge with standard deviations `factor` times as large."""
+        return Prior(self.names, self.mean, self.covariance * factor**2)
+
 
 @dataclass(frozen=True)
 class Block:
@@ -91,14 +104,15 @@ class Problem:
         inner = self.coordinates.jacobian(x)
         residual, jacobian = np.empty(self.size), np.empty((self.size, len(x)))
         for i, record in enumerate(self.records):
-            outputs, tangents = self._simulator.sensitivities(found, record.columns, record.steps)
+            # Kept until the next evaluation: memory that went back to the system costs more to get again than the arithmetic.
+            outputs, tangents = self._work = self._simulator.sensitivities(found, record.columns, record.steps)
             for block in self._blocks:
                 if block.record == i:
                     e, j = self._compared(block, record, outputs, tangents)
                     residual[block.at], jacobian[block.at] = e, j @ inner
         if self.prior is not None:
-            known = self._known(found, inner)
-            residual, jacobian = np.append(residual, known[0]), np.vstack([jacobian, known[1]])
+            error, known = self.prior.rows(found, self.coordinates.names)
+            residual, jacobian = np.append(residual, error), np.vstack([jacobian, known @ inner])
         return residual, jacobian
 
     def solve(self, start: Mapping[str, float]) -> Solution:
@@ -148,12 +162,3 @@ class Problem:
         std = self.std["thrust"]
         error = outputs[block.rows, self._thrust] - record["thrust"][block.rows]
         return error / std, tangents[block.rows, self._thrust] / std
-
-    def _known(self, found, inner):
-        root, names = self.prior.root(), self.coordinates.names
-        free = [k for k, n in enumerate(self.prior.names) if n in names]
-        error = root @ (np.array([found[n] for n in self.prior.names]) - self.prior.mean)
-        chosen = np.zeros((len(self.prior.names), len(names)))
-        for k in free:
-            chosen[k, names.index(self.prior.names[k])] = 1.0
-        return error, root @ chosen @ inner

@@ -1,7 +1,7 @@
 """Fine-tuning: the parameters that make the model's response fit the measured one (paper, section 3.2).
 
 The default is Levenberg-Marquardt on exact forward sensitivities, from several starts, thrust and speed together, with the
-static map as prior knowledge; the paper's gradient descent can be chosen.
+static map as prior knowledge; the paper's gradient descent, or a search on the adjoint gradient, can be chosen.
 """
 
 import time
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.adjoint import AdjointProblem
 from identification.gradient_descent import descend
 from identification.identifiability import held as undetermined
 from identification.least_squares import Solution
@@ -22,7 +23,7 @@ from vpp_fmu.record import Record
 BASE_PARAMETERS = tuple(FINE_TUNED)
 """The four time constants and the five map coefficients."""
 
-METHODS = ("levenberg-marquardt", "gradient-descent")
+METHODS = ("levenberg-marquardt", "gradient-descent", "adjoint")
 
 SAME = 1e-6
 """Two starts have reached the same optimum when their costs differ by less than this share."""
@@ -83,10 +84,11 @@ def refine(
     values = model.values(start)
     if method == "gradient-descent":
         prior, channels, starts = None, ("thrust",), 1
-    trial = Problem(model, records, values, names, prior, channels)
+    kind = AdjointProblem if method == "adjoint" else Problem
+    trial = kind(model, records, values, names, prior, channels)
     why = undetermined(trial, trial.coordinates.vector(values), names)
     free = [n for n in names if n not in why]
-    problem = Problem(model, records, values, free, prior, channels) if why else trial
+    problem = kind(model, records, values, free, prior, channels) if why else trial
     cost_start = paper_cost(problem, values)
     if method == "gradient-descent":
         rounds = found = [descend(problem, problem.coordinates.vector(values))]

@@ -7,6 +7,9 @@ from vpp_fmu.record import Record
 STILL = 5.0
 """A command that stays this long [s] counts as still: the channel has settled and its constants no longer show."""
 
+WORTH = 1.0
+"""Sections shorter than this, s, are slivers between others and are left out."""
+
 NAMES = ("speed only", "pitch only", "both", "steady")
 
 
@@ -14,7 +17,8 @@ def sections(record: Record) -> dict[str, np.ndarray]:
     """Mask (rows,) of each section that the record has, by the names above."""
     speed, pitch = (_still(record.time, record[name]) for name in ("omega_ref", "beta_ref"))
     masks = (pitch & ~speed, speed & ~pitch, ~speed & ~pitch, speed & pitch)
-    return {name: mask for name, mask in zip(NAMES, masks, strict=True) if mask.any()}
+    row = (record.time[-1] - record.time[0]) / max(1, len(record) - 1)
+    return {name: mask for name, mask in zip(NAMES, masks, strict=True) if mask.sum() * row >= WORTH}
 
 
 def _still(time: np.ndarray, command: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ averaged as the sensor does, over a window that the measured value itself gives,
 """
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from vpp_fmu.record import Record
 
@@ -29,29 +30,21 @@ class Tachometer:
         new &= end - period >= time[0]
         self.rows = np.flatnonzero(new)
         self.measured = shown[self.rows]
-        self._time = time
-        self._ends, self._periods = end[self.rows], period[self.rows]
-        self._at = np.concatenate([self._ends, self._ends - self._periods])
-        self._before = np.clip(np.searchsorted(time, self._at, side="right") - 1, 0, len(time) - 2)
-        self._share = (self._at - time[self._before]) / np.diff(time)[self._before]
-        self.std = self._uncertainty(step[self.rows])
+        self.std = self._uncertainty(end[self.rows], step[self.rows])
+        self._average = _means(time, end[self.rows] - period[self.rows], end[self.rows])
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def shows(self, omega: np.ndarray) -> np.ndarray:
         """Mean over the last revolution at each update: (m,) of a speed (rows,), (m, k) of columns (rows, k)."""
-        steps = np.diff(self._time).reshape(-1, *[1] * (omega.ndim - 1))
-        turned = np.concatenate([np.zeros((1, *omega.shape[1:])), np.cumsum(0.5 * (omega[1:] + omega[:-1]) * steps, axis=0)])
-        share = self._share.reshape(-1, *[1] * (omega.ndim - 1))
-        # Between rows the speed runs straight, so the turned angle is a parabola there.
-        length = (np.diff(self._time)[self._before]).reshape(share.shape)
-        first, second = omega[self._before], omega[self._before + 1]
-        angle = turned[self._before] + length * share * (first + 0.5 * share * (second - first))
-        m = len(self.rows)
-        return (angle[:m] - angle[m:]) / self._periods.reshape(-1, *[1] * (omega.ndim - 1))
+        return self._average @ omega
 
-    def _uncertainty(self, step: np.ndarray) -> np.ndarray:
+    def transpose(self, weights: np.ndarray) -> np.ndarray:
+        """The transpose of `shows`: (rows,) such that its product with any speed is that of `weights` (m,) with what shows."""
+        return self._average.T @ weights
+
+    def _uncertainty(self, end: np.ndarray, step: np.ndarray) -> np.ndarray:
         """rpm: the display's digit, the timer's tick, the mark's jitter, and acceleration over the unknown part of a step."""
         if len(self.rows) < 3:
             return np.full(len(self.rows), 1.0)
@@ -61,5 +54,26 @@ class Tachometer:
         # A pulse that comes late makes one revolution long and the next short: neighbours differ by sqrt 3 jitters.
         change = np.diff(self.measured)
         jitter = 1.4826 * np.median(np.abs(change - np.median(change))) / np.sqrt(3.0)
-        rate = np.gradient(self.measured, self._ends)
+        rate = np.gradient(self.measured, end)
         return np.sqrt((digit**2 + 2.0 * tick**2) / 12.0 + jitter**2 + 1.5 * (rate * step) ** 2 / 12.0)
+
+
+def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> csr_array:
+    """Matrix (windows, rows): the mean over each window [start, end] of a signal that runs straight between rows."""
+    steps, n = np.diff(time), len(time)
+    first, last = (np.clip(np.searchsorted(time, at, side="right") - 1, 0, n - 2) for at in (start, end))
+    windows, columns, weights = [], [], []
+    for k in range(int(np.max(last - first, initial=-1)) + 1):
+        w = np.flatnonzero(first + k <= last)
+        at = first[w] + k
+        # The part of the step from row `at` that lies in the window, in shares of the step.
+        u, v = (np.clip((edge[w] - time[at]) / steps[at], 0.0, 1.0) for edge in (start, end))
+        right = 0.5 * (v * v - u * u)
+        share = steps[at] / (end[w] - start[w])
+        windows += [w, w]
+        columns += [at, at + 1]
+        weights += [share * (v - u - right), share * right]
+    if not windows:
+        return csr_array((len(start), n))
+    places = np.concatenate(windows), np.concatenate(columns)
+    return csr_array((np.concatenate(weights), places), shape=(len(start), n))

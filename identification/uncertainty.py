@@ -1,19 +1,26 @@
-"""What estimates are worth: covariance under coloured residuals, weak directions, profiles, bootstrap.
+"""What estimates are worth: covariance under coloured residuals, weak directions, profiles.
 
 Least squares stays unbiased when residuals are correlated, but its textbook covariance is then too small. The covariance
-here is the sandwich H^-1 S H^-1: S sums the correlation of the scores (Jacobian row times residual) over lags up to MEMORY
-with Bartlett's weights (Newey and West, 1987), so it holds for any colour that dies out within that time.
+here is the sandwich H^-1 S H^-1, S the covariance of the scores J.T e. With F the filter of zero phase whose gain is the root
+of the residual's spectrum, J.T e = (F J).T (F^-1 e) exactly, and F^-1 e is white: S sums the outer products of the rows of
+F J times F^-1 e, as White (1980) does for white residuals. So it holds for any colour, and for residuals that are larger
+while the model moves. Sums of the scores' correlation over lags (Newey and West, 1987) must choose a longest lag: the one
+that slow colours need makes intervals of white residuals too small, since a fit absorbs what is slow.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from identification.coordinates import Coordinates
 from identification.least_squares import Solution, solve
 from identification.problem import Problem
 
-MEMORY = 1.0
-"""Longest correlation of residuals that counts, s; a few of the rig's time constants."""
+BAND = 2.0 ** (1.0 / 3.0)
+"""Ratio of a band's edges, in which a spectrum is taken as flat: a third of an octave."""
+
+ORDINATES = 12
+"""Least number of a periodogram's ordinates in a band: its level is then known to 29 %, an amplitude to 14 %."""
 
 NORMAL_95 = 1.959963984540054
 
@@ -22,13 +29,15 @@ NORMAL_95 = 1.959963984540054
 class Uncertainty:
     """Covariance (n, n) of the parameters `names`, in their own units, and what follows from it.
 
-    `inflation` (n,): standard deviation over what white residuals would give.
+    `inflation` (n,): standard deviation over what white residuals would give. `reach` (n, 2): how far below and above the
+    values the 95 % intervals go, where that is not the same on both sides.
     """
 
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
     inflation: np.ndarray
+    reach: np.ndarray | None = None
 
     @property
     def std(self) -> np.ndarray:
@@ -38,8 +47,8 @@ class Uncertainty:
     @property
     def intervals(self) -> np.ndarray:
         """(n, 2) 95 % intervals."""
-        half = NORMAL_95 * self.std
-        return np.column_stack([self.values - half, self.values + half])
+        reach = NORMAL_95 * self.std[:, None] if self.reach is None else self.reach
+        return self.values[:, None] + np.array([-1.0, 1.0]) * reach
 
     @property
     def correlation(self) -> np.ndarray:
@@ -60,40 +69,71 @@ class Uncertainty:
 
 
 def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
-    """Covariance of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance."""
-    free = np.flatnonzero(~found.active & (np.linalg.norm(found.jacobian, axis=0) > 0))
+    """Covariance of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance.
+
+    A double pole is no such bound: the response is smooth through it, only the constants' names end there.
+    """
+    coordinates = problem.coordinates
+    held = found.active.copy()
+    held[[j for _, j in coordinates.pairs if found.value[j] <= coordinates.lower[j]]] = False
+    free = np.flatnonzero(~held & (np.linalg.norm(found.jacobian, axis=0) > 0))
     j, e = found.jacobian[:, free], found.residual
     inverse = _inverse(j.T @ j)
     prior = slice(problem.size, len(e))
-    scores = sum(_long_run(j[b.at] * e[b.at, None], _memory(problem, b)) for b in problem.blocks)
-    scores = scores + j[prior].T @ j[prior]
-    white = sum(_white(j[b.at], e[b.at]) for b in problem.blocks) + j[prior].T @ j[prior]
-    to_values = problem.coordinates.jacobian(found.value)[:, free]
-    coloured, plain = (to_values @ inverse @ s @ inverse @ to_values.T for s in (scores, white))
-    values = np.array(list(problem.coordinates.values(found.value).values()))
+    known = j[prior].T @ j[prior]
+    scores = sum(_coloured(j[b.at], e[b.at], inverse) for b in problem.blocks) + known
+    white = sum(_white(j[b.at], e[b.at]) for b in problem.blocks) + known
+    coloured, plain = (inverse @ s @ inverse for s in (scores, white))
+    spread = np.zeros(len(held))
+    spread[free] = np.sqrt(np.diag(coloured))
+    middle, *sides = (slope[:, free] for slope in _slopes(coordinates, found.value, NORMAL_95 * spread))
+    covariance = middle @ coloured @ middle.T
     with np.errstate(invalid="ignore", divide="ignore"):
-        inflation = np.sqrt(np.diag(coloured) / np.diag(plain))
-    return Uncertainty(problem.coordinates.names, values, coloured, np.nan_to_num(inflation, nan=1.0))
+        inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(middle @ plain @ middle.T)), nan=1.0)
+    values = np.array(list(coordinates.values(found.value).values()))
+    reach = NORMAL_95 * np.column_stack([np.sqrt(np.diag(side @ coloured @ side.T)) for side in sides])
+    return Uncertainty(coordinates.names, values, covariance, inflation, reach)
 
 
-def _memory(problem: Problem, block) -> int:
-    """Rows of a block that span MEMORY."""
-    time = problem.records[block.record].time[block.rows]
-    return max(1, min(len(time) // 4, round(MEMORY / max(1e-9, float(np.median(np.diff(time)))))))
+def _slopes(coordinates: Coordinates, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """d values / d coordinates (n, n) at `x` for what happens within `reach` (n,): on the whole, towards lower, higher values.
+
+    The constants of a pair go with the root of the spread, whose tangent is upright at a double pole: secants take its place.
+    """
+    middle = coordinates.jacobian(x)
+    below, above = middle.copy(), middle.copy()
+    for i, j in coordinates.pairs:
+        if reach[j] > 0:
+            within = np.clip(x[j] + reach[j] * np.array([-1.0, 0.0, 1.0]), coordinates.lower[j], coordinates.upper[j])
+            low, here, high = 0.5 * np.exp(x[i]) * np.sqrt(within) / reach[j]
+            middle[[i, j], j] = 0.5 * (high - low), 0.5 * (low - high)
+            below[[i, j], j] = here - low, here - high
+            above[[i, j], j] = high - here, low - here
+    return middle, below, above
 
 
 def _white(jacobian, residual):
     return jacobian.T @ jacobian * float(np.mean(residual**2))
 
 
-def _long_run(scores: np.ndarray, lags: int) -> np.ndarray:
-    """Sum over lags of the scores' correlation with Bartlett's weights: the mean outer product of moving sums.
+def _coloured(jacobian, residual, inverse):
+    """Covariance of the scores of one block: rows (m, n) and (m,), evenly spaced as far as this goes."""
+    m = len(residual)
+    j, e = np.fft.rfft(jacobian, axis=0), np.fft.rfft(residual)
+    absorbed = np.sum((j @ inverse) * j.conj(), axis=1).real / m
+    gain = np.sqrt(_spectrum(np.abs(e) ** 2 / m, absorbed))
+    scores = np.fft.irfft(j * gain[:, None], m, axis=0) * np.fft.irfft(e / gain, m)[:, None]
+    return scores.T @ scores
 
-    sum_l (1 - |l| / L) Gamma_l equals the outer products of all sums over L neighbours, divided by L: one pass.
-    """
-    sums = np.cumsum(np.vstack([np.zeros((lags, scores.shape[1])), scores, np.zeros((lags - 1, scores.shape[1]))]), axis=0)
-    windows = sums[lags:] - sums[:-lags]
-    return windows.T @ windows / lags
+
+def _spectrum(power: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
+    """Spectrum at a periodogram's ordinates `power` (k,), flat in bands, of which the fit has taken the shares `absorbed`."""
+    edges, count = [0], len(power)
+    while (ahead := max(edges[-1] + ORDINATES, int(edges[-1] * BAND))) <= count - ORDINATES:
+        edges.append(ahead)
+    width = np.diff([*edges, count])
+    left = np.maximum(1.0 - np.add.reduceat(absorbed, edges) / width, 1.0 / ORDINATES)
+    return np.repeat(np.maximum(np.add.reduceat(power, edges) / width / left, 1e-300), width)
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:

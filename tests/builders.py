@@ -1,7 +1,6 @@
 """Commands, references and FMU handles that several test files share."""
 
 from collections.abc import Mapping
-from functools import cache
 
 import fmpy
 import numpy as np
@@ -9,15 +8,15 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFre
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
 from vpp_fmu.fmu import Fmu
-from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import Effect, Model
+from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
 
 OPTIONAL = tuple(e for e in LIBRARY if e.off is not None)
 ALL_ON = plant(e.name for e in OPTIONAL)
-COMMANDS = ("omega_ref", "beta_ref")
-OUTPUTS = ("thrust", "omega", "beta")
+FAST_PITCH = {"tau_beta_2": 0.05}
+"""The paper tunes its controllers on the fine-tuned set with a faster pitch actuator (section 4.2)."""
 
 
 def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
@@ -28,15 +27,17 @@ def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
 PROBES = {name: value for e in OPTIONAL for name, value in named(e, e.probe).items()}
 
 
-def random_steps(rows: int, hold: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """Speed and pitch commands over the rig's whole range; each is held for 1 to `hold` rows."""
+def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> dict[str, np.ndarray]:
+    """Speed and pitch commands over the rig's whole range, each held for 1 to `hold` rows; any other input of the model
+    wanders by a tenth around its nominal value."""
     rng = np.random.default_rng(seed)
 
     def steps(low, high):
         lengths = rng.integers(1, hold + 1, rows)
         return np.repeat(rng.uniform(low, high, rows), lengths)[:rows]
 
-    return {"omega_ref": steps(2000.0, 6000.0), "beta_ref": steps(-5.0, 10.0)}
+    ranges = {"omega_ref": (2000.0, 6000.0), "beta_ref": (-5.0, 10.0)}
+    return {u.name: steps(*ranges.get(u.name, (0.9 * u.nominal, 1.1 * u.nominal))) for u in model.inputs}
 
 
 def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps) -> np.ndarray:
@@ -50,10 +51,35 @@ def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str
     return np.array(shown)
 
 
-@cache
+_simulators: dict[tuple, Simulator] = {}
+
+
 def simulator(model: Model, wrt: tuple[str, ...] = ()) -> Simulator:
-    """The model's simulator, made once."""
-    return Simulator(model, wrt)
+    """The model's simulator, made once; a model is known by its effects' names."""
+    key = model.name, tuple(e.name for e in model.effects), wrt
+    if key not in _simulators:
+        _simulators[key] = Simulator(model, wrt)
+    return _simulators[key]
+
+
+def slopes(model: Model, values: Mapping[str, float], name: str, inputs, steps):
+    """Numeric derivatives of the outputs in a parameter: (central differences, where they are to be trusted, their size).
+
+    A row is trusted where the curve is smooth: both one-sided differences agree, and so do those at h and h / 4. What
+    switches at a threshold is flat in it between switches.
+    """
+    nominal = next(p.nominal for p in model.parameters if p.name == name)
+    h = 1e-5 * max(abs(values[name]), 1e-2 * nominal)
+    small = 2e-3 * np.array([s.nominal for s in model.outputs]) / nominal
+
+    def at(change):
+        return simulator(model).simulate({**values, name: values[name] + change}, inputs, steps)
+
+    below, here, above = at(-h), at(0.0), at(h)
+    wide, narrow = (above - below) / (2.0 * h), (at(h / 4.0) - at(-h / 4.0)) / (h / 2.0)
+    size = np.abs(narrow).max(axis=0) + small
+    smooth = (np.abs(above - 2.0 * here + below) / h < 1e-2 * size) & (np.abs(wide - narrow) < 1e-3 * size)
+    return wide, smooth, size
 
 
 def two_lags(t, tau_1: float, tau_2: float) -> np.ndarray:
@@ -66,6 +92,22 @@ def steps_through(t, at, values, response) -> np.ndarray:
     """Response at `t` to a command that takes each of `values` at the time in `at`, at rest on the first before."""
     moved = np.diff(values, prepend=values[0])
     return values[0] + sum(move * response(t - when) for move, when in zip(moved, at, strict=True))
+
+
+def speed_delay() -> Effect:
+    """An effect from outside the package: dead time of the speed command."""
+    delay = Parameter("delay", "s", 0.0, 0.0, 1.0, "dead time", 0.05)
+    return Effect(
+        "test_speed_delay",
+        "dead time of the speed command",
+        parameters=(delay,),
+        off={"delay": 0.0},
+        probe={"delay": 0.03},
+        delays={"omega_ref": "delay"},
+    )
+
+
+TWO_DELAYS = plant(["pitch_delay", "test_speed_delay"], (*LIBRARY, speed_delay()))
 
 
 class Slave:

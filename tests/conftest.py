@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-from builders import ALL_ON, PROBES, random_steps, reference
+from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
 
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.native import compiler, simulator
-
-FAST_PITCH = {"tau_beta_2": 0.05}
-"""The paper tunes its controllers on the fine-tuned set with a faster pitch actuator (section 4.2)."""
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +39,7 @@ def fmus(fmu_files):
 @pytest.fixture(scope="session")
 def long_run():
     """60 000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
-    commands, steps = random_steps(60_001, 100, seed=60_000), np.full(60_000, 0.004)
+    commands, steps = random_steps(60_001, 100, seed=60_000, model=ALL_ON), np.full(60_000, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
 
 

@@ -1,7 +1,6 @@
 """The command: the whole job from the shell, and one line for whatever is wrong."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest

@@ -198,7 +198,7 @@ def test_table_of_anything_keeps_what_it_finds(tmp_path):
     assert list(table.columns["the, note"]) == ["a, b", 'say "so"']
     assert list(table.columns["gap"]) == ["", "7"]
     np.testing.assert_array_equal(table.lines, [2, 4])
-    np.testing.assert_array_equal(table.numbers("gap", gaps=True), [np.nan, 7.0])
+    np.testing.assert_array_equal(table.numbers("gap", gaps=("", "nan")), [np.nan, 7.0])
 
 
 def test_both_ways_of_reading_agree(tmp_path):

@@ -152,8 +152,8 @@ BAD = {
     ),
     "time stands still": (changed(3, "0,4000,5,7"), "time, line 3: found 0 after 0 (time stands still), allowed is "),
     "less than a step": (changed(3, "1e-10,4000,5,7"), "time, line 3: found 1e-10 after 0 (time stands still), allowed is "),
-    "speed too high": (changed(3, "0.004,30001,5,7"), "omega_ref, line 3: found 30001, allowed is 0 to 30000 rpm"),
-    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, allowed is 0 to 30000 rpm"),
+    "speed too high": (changed(3, "0.004,60001,5,7"), "omega_ref, line 3: found 60001, allowed is 0 to 60000 rpm"),
+    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, allowed is 0 to 60000 rpm"),
     "pitch": (changed(4, "0.008,4000,-45.1,7"), "beta_ref, line 4: found -45.1, allowed is -45 to 45 deg"),
     "thrust in gf": (changed(4, "0.008,4000,5,724"), "thrust, line 4: found 724, allowed is -500 to 500 N"),
 }

@@ -56,12 +56,20 @@ def read_campaign(folder: str | os.PathLike) -> Campaign:
     """
     folder = Path(folder)
     paths = _paths(folder)
-    records = {n: read_record(paths[n], NEED) if n in paths else None for n in ("open_loop", "repeat", "validation")}
+    records = {n: _measured(paths[n]) if n in paths else None for n in ("open_loop", "repeat", "validation")}
     if records["open_loop"] is not None and records["repeat"] is not None:
         _check_repeat(records["open_loop"], records["repeat"])
     static = read_static(paths["static"]) if "static" in paths else None
     steps = read_steps(paths["steps"]) if "steps" in paths else ()
     return Campaign(folder, static, steps, **records)
+
+
+def _measured(path: Path) -> Record:
+    """A record whose thrust holds something; single cells may be empty."""
+    record = read_record(path, NEED, holes=("thrust",))
+    if np.isfinite(record["thrust"]).sum() < 2:
+        raise BadInput(path, "thrust", "no two numbers", "a column of numbers, some cells of which may be empty")
+    return record
 
 
 def _paths(folder: Path) -> dict[str, Path]:

@@ -120,14 +120,14 @@ class Table:
         """The error that names a cell."""
         return BadInput(self.source, f"{name}, line {self.lines[row]}", found, allowed)
 
-    def numbers(self, name: str, gaps: bool = False) -> np.ndarray:
-        """(n,) the column as float; `gaps`: cells may be empty and become NaN. BadInput names the first that may not."""
+    def numbers(self, name: str, gaps: Sequence[str] = ()) -> np.ndarray:
+        """(n,) the column as float; `gaps`: cells that become NaN. BadInput names the first that may not."""
         cells = self.columns[name]
         if cells.dtype != object:
             return cells
         values = np.array([_number(cell) for cell in cells])
         for row in np.flatnonzero(~np.isfinite(values)):
-            if not (gaps and cells[row].lower() in {"", "nan"}):
+            if cells[row].lower() not in gaps:
                 allowed = "a finite number or an empty cell" if gaps else "a finite number"
                 raise self.wrong(name, row, shown(cells[row]), allowed)
         return values

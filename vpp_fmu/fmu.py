@@ -5,7 +5,9 @@ fmpy's own wrapper converts every argument of every call; here the buffers are m
 
 import ctypes
 import itertools
+import platform
 import shutil
+import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -38,6 +40,13 @@ class Fmu:
             raise BadInput(path, "FMU", found, "an FMI 2.0 co-simulation FMU") from problem
         self.variables = {v.name: v for v in self.description.modelVariables}
 
+    @property
+    def library(self) -> str | None:
+        """Path of the library where fmpy looks elsewhere: FMI 2.0.4 calls 64-bit ARM `aarch64-linux`, fmpy `linux64`."""
+        name = self.description.coSimulation.modelIdentifier
+        own = Path(self.folder, "binaries", "aarch64-linux", f"{name}.so")
+        return str(own) if platform.machine() == "aarch64" and own.exists() else None
+
     def close(self) -> None:
         """Remove the unpacked files."""
         shutil.rmtree(self.folder, ignore_errors=True)
@@ -65,12 +74,16 @@ class FmuInstance:
             unzipDirectory=fmu.folder,
             modelIdentifier=description.coSimulation.modelIdentifier,
             instanceName=description.modelName,
+            libraryPath=fmu.library,
         )
         self._callbacks = self._make_callbacks()
         try:
             self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
         except Exception as problem:  # fmpy raises plain Exception
             raise SimulationFailed(f"{fmu.path}: {self._said() or problem}") from problem
+        # An instance that outlives the interpreter's end takes the process down with it.
+        self.close = weakref.finalize(self, _end, self._slave)
+        """Terminate and free the instance."""
         self._bind(read, written)
         self._call("fmi2SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(0.0), 0, ctypes.c_double(0.0))
         if parameters:
@@ -108,13 +121,6 @@ class FmuInstance:
 
         return take
 
-    def close(self) -> None:
-        """Terminate and free the instance."""
-        if self._slave is not None:
-            self._slave.terminate()
-            self._slave.freeInstance()
-            self._slave = None
-
     def _bind(self, read, written):
         def arguments(references):
             n = len(references)
@@ -145,6 +151,11 @@ class FmuInstance:
         callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
         callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
         return callbacks
+
+
+def _end(slave: FMU2Slave) -> None:
+    slave.terminate()
+    slave.freeInstance()
 
 
 def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:

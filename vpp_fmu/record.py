@@ -74,14 +74,15 @@ class Record:
         return Record({**self.columns, **{name: np.asarray(array) for name, array in arrays.items()}}, self.source)
 
 
-def read_record(path: str | os.PathLike, need: Sequence[str] = COMMANDS) -> Record:
+def read_record(path: str | os.PathLike, need: Sequence[str] = COMMANDS, holes: Sequence[str] = ()) -> Record:
     """Read a record that holds at least the columns `need`, `time` among them.
 
-    Measured columns beyond these may have gaps, which become NaN. Unknown columns are kept, as float where every cell is a
-    finite number, else as str; one RecordWarning names them. BadInput says what else is wrong, and on which line.
+    Measured columns beyond these, and those in `holes`, may have empty cells, which become NaN. Unknown columns are kept, as
+    float where every cell is a finite number, else as str; one RecordWarning names them. BadInput says what else is
+    wrong, and on which line.
     """
     table = read_table(path)
-    columns = checked_columns(table, need)
+    columns = checked_columns(table, need, holes)
     check_time(table, columns["time"])
     return Record(columns, table.source)
 
@@ -91,7 +92,7 @@ def read_profile(path: str | os.PathLike) -> Record:
     return read_record(path, ("time", "thrust_set"))
 
 
-def checked_columns(table: Table, need: Sequence[str]) -> dict[str, np.ndarray]:
+def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """The table's columns, those that are known or needed as numbers within their range. BadInput, RecordWarning."""
     for name in need:
         if name not in table.columns:
@@ -101,7 +102,8 @@ def checked_columns(table: Table, need: Sequence[str]) -> dict[str, np.ndarray]:
     columns, unknown = {}, []
     for name, cells in table.columns.items():
         if name in need or name in QUANTITIES or name == "time":
-            columns[name] = table.numbers(name, gaps=name in measured and name not in need)
+            gaps = ("",) if name in holes else ("", "nan") if name in measured and name not in need else ()
+            columns[name] = table.numbers(name, gaps)
             _check_range(table, name, columns[name])
         else:
             columns[name] = cells

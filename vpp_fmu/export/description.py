@@ -4,13 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
+from math import isfinite
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.tracer import Layout
 from vpp_fmu.units import base_unit
 
-LOG_CATEGORIES = {"logStatusError": "calls that failed, and why", "logStatusFatal": "calls after which the instance is lost"}
+LOG_CATEGORIES = {
+    "logStatusDiscard": "questions without an answer",
+    "logStatusError": "calls that failed, and why",
+    "logStatusFatal": "calls after which the instance is lost",
+}
 
 
 @dataclass(frozen=True)
@@ -24,9 +29,18 @@ class Experiment:
 TEN_SECONDS = Experiment()
 
 
-def guid(content: str) -> str:
+@dataclass(frozen=True)
+class Flavour:
+    """In what the flavours' descriptions differ: the tool that made the FMU, what it can do, its source files."""
+
+    tool: str
+    capabilities: Mapping[str, bool]
+    sources: tuple[str, ...] = ()
+
+
+def guid(*content: str | bytes) -> str:
     """A GUID made from what the FMU is made of: the same content has the same one, on any day."""
-    h = sha256(content.encode()).hexdigest()
+    h = sha256(b"\0".join(c.encode() if isinstance(c, str) else c for c in content)).hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
@@ -37,8 +51,10 @@ def variable_names(model: Model) -> list[str]:
     return [*layout.inputs, *layout.outputs, *layout.parameters, *(f"state.{x}" for x in layout.states)]
 
 
-def model_description(model: Model, values: Mapping[str, float], content_guid: str, tool: str, experiment: Experiment) -> bytes:
-    """The XML text. `values`: every parameter's start value. `tool` follows this project's name as generation tool."""
+def model_description(
+    model: Model, values: Mapping[str, float], content_guid: str, flavour: Flavour, experiment: Experiment
+) -> bytes:
+    """The XML text. `values`: every parameter's start value."""
     root = Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -47,22 +63,18 @@ def model_description(model: Model, values: Mapping[str, float], content_guid: s
         description=model.description,
         version=version("vpp-fmu"),
         license="MIT",
-        generationTool=f"vpp-fmu {version('vpp-fmu')}, {tool}",
+        generationTool=f"vpp-fmu {version('vpp-fmu')}, {flavour.tool}",
         variableNamingConvention="structured",
         numberOfEventIndicators="0",
     )
-    co_simulation = dict.fromkeys(
-        ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true"
-    )
-    python = "pythonfmu" in tool
-    SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=model.name,
-        needsExecutionTool=str(python).lower(),
-        canNotUseMemoryManagementFunctions="true",
-        **co_simulation,
-    )
+    can = {"canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"}
+    capabilities = {**dict.fromkeys(sorted(can), True), "canNotUseMemoryManagementFunctions": True, **flavour.capabilities}
+    kind = SubElement(root, "CoSimulation", modelIdentifier=model.name)
+    kind.attrib.update((name, str(value).lower()) for name, value in capabilities.items())
+    if flavour.sources:
+        listed = SubElement(kind, "SourceFiles")
+        for name in flavour.sources:
+            SubElement(listed, "File", name=name)
     units = SubElement(root, "UnitDefinitions")
     for unit in sorted({q.unit for q in (*model.inputs, *model.outputs, *model.parameters, *model.states)}):
         SubElement(SubElement(units, "Unit", name=unit), "BaseUnit", base_unit(unit))
@@ -89,13 +101,22 @@ def _variables(model: Model, values: Mapping[str, float]) -> Element:
     for vr, ((causality, variability, initial, q, start), name) in enumerate(zip(kinds, variable_names(model), strict=True)):
         attributes = {"name": name, "valueReference": str(vr), "description": q.description}
         attributes |= {"causality": causality, "variability": variability} | ({"initial": initial} if initial else {})
-        real = {"unit": q.unit}
-        if causality != "local":
-            real |= {"min": repr(q.minimum), "max": repr(q.maximum), "nominal": repr(q.nominal)}
-        if start is not None:
-            real["start"] = repr(start)
-        SubElement(SubElement(root, "ScalarVariable", attributes), "Real", real)
+        low, high, nominal = _span(model, q.unit) if causality == "local" else (q.minimum, q.maximum, q.nominal)
+        real = {"unit": q.unit, "min": low, "max": high, "nominal": nominal, "start": start}
+        given = {
+            k: x if k == "unit" else repr(float(x)) for k, x in real.items() if k == "unit" or (x is not None and isfinite(x))
+        }
+        SubElement(SubElement(root, "ScalarVariable", attributes), "Real", given)
     return root
+
+
+def _span(model: Model, unit: str) -> tuple[float, float, float]:
+    """(minimum, maximum, nominal) of a state: those of the signals in its unit, else wide around the size of a parameter."""
+    like = [s for s in (*model.outputs, *model.inputs) if s.unit == unit]
+    if like:
+        return min(s.minimum for s in like), max(s.maximum for s in like), like[0].nominal
+    nominal = max((p.nominal for p in model.parameters if p.unit == unit), default=1.0)
+    return -1e6 * nominal, 1e6 * nominal, nominal
 
 
 def _structure(model: Model) -> Element:

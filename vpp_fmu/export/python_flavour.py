@@ -1,49 +1,65 @@
 """The Python FMU: one generated file under pythonfmu."""
 
 import ast
-import sys
-import tempfile
 from collections.abc import Mapping
 from hashlib import sha256
-from importlib.metadata import version
+from importlib.metadata import distribution, version
 from importlib.resources import files
 from pathlib import Path
 
-from pythonfmu import FmuBuilder
-
-from vpp_fmu.export.archive import archive, contents
-from vpp_fmu.export.description import TEN_SECONDS, Experiment, guid, model_description, variable_names
+from vpp_fmu.export.archive import archive
+from vpp_fmu.export.c_text import is_exact
+from vpp_fmu.export.description import TEN_SECONDS, Experiment, Flavour, guid, model_description, variable_names
+from vpp_fmu.export.documentation import documents
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.tracer import Layout, python_source, trace
 
 
-def python_fmu(model: Model, parameters: Mapping[str, float] | None = None, experiment: Experiment = TEN_SECONDS) -> bytes:
+def python_fmu(
+    model: Model,
+    parameters: Mapping[str, float] | None = None,
+    experiment: Experiment = TEN_SECONDS,
+    origins: Mapping[str, str] | None = None,
+) -> bytes:
     """An FMU of `model` that runs under Python; its bytes depend on the arguments and versions alone.
 
-    `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values.
+    `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values. `origins`: where
+    values come from, by name, for the FMU's documentation.
     """
     values = model.values(parameters)
     source = module_source(model, values)
     # Python modules share one namespace in a process: the name must tell apart whatever differs in content.
     module = f"{model.name.lower()}_{sha256(source.encode()).hexdigest()[:16]}"
-    with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder, f"{module}.py")
-        script.write_text(source, encoding="utf-8")
-        try:
-            built = contents(FmuBuilder.build_FMU(script, dest=folder))
-        finally:  # the builder imports the script and leaves its folder on the path
-            sys.modules.pop(module, None)
-            sys.path[:] = [entry for entry in sys.path if Path(entry) != Path(folder)]
-    tool = f"pythonfmu {version('pythonfmu')}"
-    built["modelDescription.xml"] = model_description(model, values, guid(source + tool + repr(experiment)), tool, experiment)
-    return archive(built)
+    flavour = Flavour(f"pythonfmu {version('pythonfmu')}", {"needsExecutionTool": True})
+    identity = guid(source, model_description(model, values, "", flavour, experiment))
+    return archive(
+        {
+            "modelDescription.xml": model_description(model, values, identity, flavour, experiment),
+            "resources/slavemodule.txt": module.encode(),
+            f"resources/{module}.py": source.encode(),
+            **_pythonfmu(model.name),
+            **documents(model, values, origins, packages=["pythonfmu"]),
+        }
+    )
+
+
+def _pythonfmu(name: str) -> dict[str, bytes]:
+    """pythonfmu's binaries and modules, by their place in an FMU.
+
+    As its own builder packs them. That one takes the pythonfmu that is imported, and in a process that has run a Python FMU
+    it may be the FMU's, which carries no binaries; and it runs the script once more.
+    """
+    folder = Path(distribution("pythonfmu").locate_file("pythonfmu"))
+    modules = {f"resources/pythonfmu/{file.name}": file.read_bytes() for file in folder.glob("*.py")}
+    libraries = [file for file in folder.glob("resources/binaries/*/*") if file.suffix in (".so", ".dll", ".dylib")]
+    return modules | {f"binaries/{file.parent.name}/{name}{file.suffix}": file.read_bytes() for file in libraries}
 
 
 def module_source(model: Model, values: Mapping[str, float]) -> str:
     """The one file that travels: schedule, slave, generated functions and the class that ties them."""
     program, layout = trace(model), Layout.of(model)
     at = layout.index
-    ways = {True: "Sampled", False: "Scheduled" if _has_schedule(model) else "Exact"}
+    way = "Sampled" if model.sample_time else "Exact" if is_exact(model) else "Scheduled"
     start = [*(u.start for u in model.inputs), *[0.0] * len(layout.outputs), *(values[n] for n in layout.parameters)]
     declared = {
         "NAME": model.name,
@@ -57,7 +73,7 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
         "SAMPLE_TIME": at["parameter", model.sample_time] if model.sample_time else None,
     }
     functions = ("start", "prepare", "step", "largest_step")
-    lines = [f"class {model.name}({ways[model.sample_time is not None]}, TracedSlave):", f"    {model.description!r}", ""]
+    lines = [f"class {model.name}({way}, TracedSlave):", f"    {model.description!r}", ""]
     lines += [f"    {name} = {value!r}" for name, value in declared.items()]
     lines += [f"    {name} = staticmethod({name})" for name in functions]
     return "\n\n".join(
@@ -69,10 +85,6 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
             "\n".join(lines) + "\n",
         )
     )
-
-
-def _has_schedule(model: Model) -> bool:
-    return bool(model.delays) or any(e.largest_step is not None for e in model.effects)
 
 
 def _text(package: str, name: str) -> str:

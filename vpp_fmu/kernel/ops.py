@@ -61,7 +61,8 @@ class Ops:
         Written so that equal time constants need no case of their own: with the slower and the faster constant,
         e_fast = e_slow exp(-d), d = dt (slow - fast) / (slow fast) >= 0, and the quotient becomes `relaxation(d)`.
         """
-        slow, fast = self.maximum(tau_1, tau_2), self.minimum(tau_1, tau_2)
+        # At a tie each picks another one, so that each constant gets its half of the slope.
+        slow, fast = self.maximum(tau_1, tau_2), self.minimum(tau_2, tau_1)
         apart = dt * (slow - fast) / (slow * fast)
         left = self.exp(-dt / slow)
         return self.gain(slow, dt) - left * (dt / slow) * self.relaxation(apart)

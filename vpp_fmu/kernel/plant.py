@@ -34,10 +34,10 @@ LIBRARY: tuple[Effect, ...] = (
 )
 """Every effect there is, each where it acts between command and reading. A new effect is one file and one line here."""
 
-OMEGA_REF = Signal("omega_ref", "rpm", "commanded rotor speed", 0.0, 30000.0, 6000.0)
+OMEGA_REF = Signal("omega_ref", "rpm", "commanded rotor speed", 0.0, 60000.0, 6000.0)
 BETA_REF = Signal("beta_ref", "deg", "commanded blade pitch", -45.0, 45.0, 10.0)
 THRUST = Signal("thrust", "N", "measured thrust", -500.0, 500.0, 15.0)
-OMEGA = Signal("omega", "rpm", "rotor speed", 0.0, 30000.0, 6000.0)
+OMEGA = Signal("omega", "rpm", "rotor speed", 0.0, 60000.0, 6000.0)
 BETA = Signal("beta", "deg", "blade pitch", -45.0, 45.0, 10.0)
 
 FINE_TUNED = {

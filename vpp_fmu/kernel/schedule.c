@@ -2,10 +2,13 @@
  *
  * Comes after the generated model, which defines the sizes N_INPUTS, N_DELAYED, N_WRT and the functions prepare(), step(),
  * largest_step(); `v` holds all values (inputs, outputs, parameters, states), `c` what prepare() made of parameters and dt,
- * `d` the tangents of states and outputs. With sensitivities a delay moves the ends of pieces: `ends[k]` is the tangent of
- * a piece's end, one-hot in the delay's parameter, and a step's length has the difference of its two ends' tangents. */
+ * `d` the tangents of states and outputs. */
+
+#include <string.h>
 
 #define NOW 1e-9
+#define SLOTS 4096
+#define NUDGE 1e-7 /* s; short enough for a derivative at an instant, long enough to keep its digits */
 
 typedef struct {
   double *waits, *values; /* a ring of `slots` changes, the oldest at `head` */
@@ -32,14 +35,17 @@ static int delay_push(DelayLine *line, double value, double delay) {
   return 1;
 }
 
-static void delay_act(DelayLine *line) {
+static int delay_act(DelayLine *line) {
+  int changed = 0;
   while (line->count && line->waits[line->head] <= NOW) {
     const double left = line->waits[line->head];
     line->acting = line->values[line->head];
     line->head = (line->head + 1) % line->slots;
     line->count--;
     if (line->count) line->waits[line->head] += left;
+    changed = 1;
   }
+  return changed;
 }
 
 static void delay_pass_time(DelayLine *line, double piece) {
@@ -55,8 +61,17 @@ typedef struct {
   double d[N_TANGENTS];
   double dt, dt_tangent[N_DELAYED_OR_1]; /* what `c` was prepared for */
   double wait;
+  int nudging; /* the step being taken is no part of the run, but half of a nudge */
   DelayLine lines[N_DELAYED_OR_1];
 } Instance;
+
+#ifdef OBSERVED /* an FMU's shell looks at every step before it is taken, while it has tangents of its own to move */
+static int is_observed(const Instance *m);
+static void before_step(Instance *m, double dt, const double *dt_tangent);
+#else
+#define is_observed(m) N_WRT
+#define before_step(m, dt, dt_tangent)
+#endif
 
 static void take_step(Instance *m, double dt, const double *dt_tangent) {
   int stale = !(dt == m->dt);
@@ -66,13 +81,43 @@ static void take_step(Instance *m, double dt, const double *dt_tangent) {
     m->dt = dt;
     for (int k = 0; k < N_DELAYED; k++) m->dt_tangent[k] = dt_tangent[k];
   }
+  before_step(m, dt, dt_tangent);
   step(m->v, m->c, m->d);
+}
+
+/* The delay k decides how long the input `old` stood where the acting one stands now: its tangents gain the difference that
+ * an instant of the one and of the other makes. Values don't move. */
+static void nudge(Instance *m, int k, double old) {
+#if N_DELAYED && (N_WRT || defined(OBSERVED))
+  const double acting = m->v[DELAYED_INPUT[k]];
+  double kept[N_VALUES], tangents[N_TANGENTS], gained[N_TANGENTS] = {0}, along[N_DELAYED] = {0};
+  memcpy(kept, m->v, sizeof kept);
+  memcpy(tangents, m->d, sizeof tangents);
+  m->nudging = 1;
+  for (int after = 0; after < 2; after++) {
+    memset(m->d, 0, sizeof m->d);
+    m->v[DELAYED_INPUT[k]] = after ? acting : old;
+    along[k] = after ? -1.0 : 1.0;
+    take_step(m, NUDGE, along);
+    for (int i = 0; i < N_TANGENTS; i++) gained[i] += m->d[i];
+    memcpy(m->v, kept, sizeof kept);
+  }
+  m->nudging = 0;
+  memcpy(m->d, tangents, sizeof tangents);
+#if N_WRT
+  if (DELAY_COLUMN[k] >= 0)
+    for (int i = DELAY_COLUMN[k]; i < N_TANGENTS; i += N_WRT) m->d[i] += gained[i];
+#endif
+#else
+  (void)m, (void)k, (void)old;
+#endif
 }
 
 /* Advance by `span` under the inputs that stand in m->v. 1: done; 0: a delay has no room for more changes. */
 static int run_held(Instance *m, double span) {
-  double wanted[N_DELAYED_OR_1];
-  double ends[N_DELAYED_OR_1] = {0}, tangent[N_DELAYED_OR_1] = {0};
+  static const double no_tangent[N_DELAYED_OR_1] = {0};
+  double wanted[N_DELAYED_OR_1], before[N_DELAYED_OR_1];
+  int began[N_DELAYED_OR_1];
   for (int k = 0; k < N_DELAYED; k++) {
     wanted[k] = m->v[DELAYED_INPUT[k]];
     if (!delay_push(&m->lines[k], wanted[k], m->v[DELAY_PARAMETER[k]])) return 0;
@@ -81,26 +126,21 @@ static int run_held(Instance *m, double span) {
   double left = span;
   for (;;) {
     double piece = left;
-    int cut = -1;
     for (int k = 0; k < N_DELAYED; k++) {
-      delay_act(&m->lines[k]);
+      before[k] = m->lines[k].acting;
+      began[k] = delay_act(&m->lines[k]);
       m->v[DELAYED_INPUT[k]] = m->lines[k].acting;
-      if (m->lines[k].count && m->lines[k].waits[m->lines[k].head] < piece - NOW) {
+      if (m->lines[k].count && m->lines[k].waits[m->lines[k].head] < piece - NOW)
         piece = m->lines[k].waits[m->lines[k].head];
-        cut = k;
-      }
     }
+    for (int k = 0; k < N_DELAYED; k++)
+      if (began[k] && is_observed(m)) nudge(m, k, before[k]);
     double count = 1.0;
-    if (!isinf(largest)) {
+    if (largest < INFINITY) {
       count = ceil(piece / largest - NOW);
       if (count < 1.0) count = 1.0;
     }
-    for (int k = 0; k < N_DELAYED; k++) {
-      const double end = k == cut ? 1.0 : 0.0;
-      tangent[k] = (end - ends[k]) / count;
-      ends[k] = end;
-    }
-    for (double i = 0.0; i < count; i += 1.0) take_step(m, piece / count, tangent);
+    for (double i = 0.0; i < count; i += 1.0) take_step(m, piece / count, no_tangent);
     for (int k = 0; k < N_DELAYED; k++) delay_pass_time(&m->lines[k], piece);
     left -= piece;
     if (left <= NOW) break;

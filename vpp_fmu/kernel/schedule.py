@@ -9,7 +9,12 @@ order, since results are compared bit by bit. This file travels inside the Pytho
 from math import ceil, isinf
 
 NOW = 1e-9  # s; what is due within a nanosecond is due now: rounding must not cut slivers off a step
+NUDGE = 1e-7  # s; short enough for a derivative at an instant, long enough to keep its digits
 SLOTS = 4096  # commands that may wait in one delay; C needs the bound, so Python has it too
+
+
+class DelayFull(OverflowError):
+    """Commands change faster than a delay can hold them."""
 
 
 class DelayLine:
@@ -25,18 +30,20 @@ class DelayLine:
         if value == self.latest:
             return
         if len(self.waits) == SLOTS:
-            raise OverflowError(f"more than {SLOTS} command changes wait in one delay: take longer communication steps")
+            raise DelayFull(f"more than {SLOTS} command changes wait in one delay: take longer communication steps")
         self.waits.append(delay - self.span if self.waits else delay)
         self.values.append(value)
         self.latest, self.span = value, delay
 
     def act(self):
-        """Put in force whatever is due now."""
+        """Put in force whatever is due now. True if anything was."""
+        changed = False
         while self.waits and self.waits[0] <= NOW:
             left = self.waits.pop(0)
-            self.acting = self.values.pop(0)
+            self.acting, changed = self.values.pop(0), True
             if self.waits:
                 self.waits[0] += left
+        return changed
 
     def pass_time(self, piece):
         """`piece` seconds go by."""
@@ -45,31 +52,33 @@ class DelayLine:
             self.span -= piece
 
 
-def run_held(lines, delays, inputs, span, largest, step):
+def run_held(lines, delays, inputs, span, largest, step, nudge=None):
     """Advance a continuous model by `span` seconds under `inputs` that the caller holds.
 
     `lines`: DelayLine or None for each input; `delays`: the seconds each is held back; `largest`: the longest step allowed.
-    `step(acting inputs, dt, tangent)` takes one step; `tangent` is the derivative of dt in each delay (in the order of the
-    delayed inputs), since a delay moves the ends of pieces.
+    `step(acting inputs, dt)` takes one step. Where a delayed command begins to act, `nudge(k, old, new)` is told: the delay
+    of the k-th delayed input decides how long the inputs `old` stood where `new` stand now. Only tangents need to know.
     """
     delayed = [(i, line) for i, line in enumerate(lines) if line is not None]
     for i, line in delayed:
         line.push(inputs[i], delays[i])
     acting = list(inputs)
-    ends = [0.0] * len(delayed)
     left = span
     while True:
-        piece, cut = left, None
+        before = [line.acting for _, line in delayed]
+        began = [line.act() for _, line in delayed]
+        piece = left
         for i, line in delayed:
-            line.act()
             acting[i] = line.acting
             if line.waits and line.waits[0] < piece - NOW:
-                piece, cut = line.waits[0], line
+                piece = line.waits[0]
+        if nudge is not None:
+            for k, (i, _) in enumerate(delayed):
+                if began[k]:
+                    nudge(k, [*acting[:i], before[k], *acting[i + 1 :]], acting)
         count = 1 if isinf(largest) else max(1, ceil(piece / largest - NOW))
-        before, ends = ends, [1.0 if line is cut else 0.0 for _, line in delayed]
-        tangent = [(end - start) / count for end, start in zip(ends, before, strict=True)]
         for _ in range(count):
-            step(acting, piece / count, tangent)
+            step(acting, piece / count)
         for _, line in delayed:
             line.pass_time(piece)
         left -= piece

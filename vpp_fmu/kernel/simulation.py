@@ -41,7 +41,7 @@ class Simulation:
             run_held(self._lines, self._delays, values, dt, self._largest, self._step)
         else:
             period = self.parameters[self.model.sample_time]
-            self._wait = run_sampled(self._wait, period, dt, lambda period: self._step(values, period, ()))
+            self._wait = run_sampled(self._wait, period, dt, lambda period: self._step(values, period))
         return self.outputs
 
     @property
@@ -49,6 +49,6 @@ class Simulation:
         """The outputs by name, as they stand."""
         return {s.name: self.signals[s.name] for s in self.model.outputs}
 
-    def _step(self, values: list[float], dt: float, _tangent) -> None:
+    def _step(self, values: list[float], dt: float) -> None:
         inputs = dict(zip(self._names, values, strict=True))
         self.signals, self.states = step(self.model, NUMBERS, inputs, self.states, self.parameters, dt)

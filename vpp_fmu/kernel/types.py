@@ -33,6 +33,7 @@ class Parameter:
     """A constant of the model. `minimum` and `maximum` are the FMU's range and the fit's bounds alike.
 
     `choices`: the only values that mean something, where the parameter picks a form of the effect; a search tries each.
+    `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Parameter:
     description: str
     nominal: float = 1.0
     choices: tuple[float, ...] = ()
+    limit_form: str = ""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from vpp_fmu.errors import CompilerMissing
 
-FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared", "-ffp-contract=off", "-w")
-"""No contraction into fused multiply-adds: they round once where Python rounds twice, and the bits would differ."""
+FLAGS = ("-std=c11", "-O1", "-fPIC", "-shared", "-ffp-contract=off", "-w")
+"""-O1 runs such straight lines as fast as -O2 and compiles them in two thirds of the time. No contraction into fused
+multiply-adds: they round once where Python rounds twice, and the bits would differ."""
 
 
 @cache

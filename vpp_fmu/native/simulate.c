@@ -11,15 +11,15 @@
  * outputs: n rows of N_OUTPUTS, sampled at each row before its inputs act; tangents: n rows of N_OUTPUTS x N_WRT, or NULL. */
 int simulate(const double *parameters, const double *inputs, const double *steps, long n, double *outputs, double *tangents) {
   Instance *m = calloc(1, sizeof *m);
-  double *rings = N_DELAYED ? malloc(2 * (size_t)n * N_DELAYED_OR_1 * sizeof *rings) : NULL;
+  double *rings = N_DELAYED ? malloc(2 * (size_t)SLOTS * N_DELAYED_OR_1 * sizeof *rings) : NULL;
   int code = m && (rings || !N_DELAYED) ? DONE : NO_MEMORY;
   if (code == DONE) {
     memcpy(m->v + N_INPUTS + N_OUTPUTS, parameters, N_PARAMETERS * sizeof *parameters);
     memcpy(m->v, inputs, N_INPUTS * sizeof *inputs);
     for (int k = 0; k < N_DELAYED; k++) {
-      m->lines[k].waits = rings + 2 * (size_t)n * k;
-      m->lines[k].values = m->lines[k].waits + n;
-      m->lines[k].slots = (int)n;
+      m->lines[k].waits = rings + 2 * (size_t)SLOTS * k;
+      m->lines[k].values = m->lines[k].waits + SLOTS;
+      m->lines[k].slots = SLOTS;
       delay_start(&m->lines[k], m->v[DELAYED_INPUT[k]]);
     }
     start(m->v, m->d);

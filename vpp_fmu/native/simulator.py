@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
-from vpp_fmu.kernel.schedule import DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.schedule import NUDGE, SLOTS, DelayFull, DelayLine, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
 from vpp_fmu.tracer import Program, c_source, python_source, trace
@@ -42,10 +42,12 @@ class Simulator:
 
     def _go(self, parameters, inputs, steps):
         values = np.array(list(self.model.values(parameters).values()))
+        rows = {name: len(inputs[name]) for name in self._inputs}
+        if set(rows.values()) != {len(steps) + 1}:
+            told = ", ".join(f"{name} has {count}" for name, count in rows.items())
+            raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {told}")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         steps = np.ascontiguousarray(steps, float)
-        if len(steps) != len(columns) - 1:
-            raise SimulationFailed(f"{self.model.name}: {len(columns)} rows need {len(columns) - 1} steps, got {len(steps)}")
         outputs = np.empty((len(columns), len(self.outputs)))
         tangents = np.empty((len(columns), len(self.outputs), len(self.wrt)))
         self._run(values, columns, steps, outputs, tangents)
@@ -58,7 +60,7 @@ def _compiled(program: Program):
     function = ctypes.CDLL(str(compiled(source))).simulate
     vector = np.ctypeslib.ndpointer(float, flags="C")
     function.argtypes = [vector, vector, vector, ctypes.c_long, vector, vector]
-    failures = {1: "out of memory", 2: "too many command changes wait in a delay"}
+    failures = {1: "out of memory", 2: f"more than {SLOTS} command changes wait in one delay: take longer communication steps"}
 
     def run(values, inputs, steps, outputs, tangents):
         if code := function(values, inputs, steps, len(inputs), outputs, tangents):
@@ -81,14 +83,29 @@ def _interpreted(program: Program):
             delays[layout.inputs.index(name)] = v[layout.index["parameter", parameter]]
         lines = [None if delay is None else DelayLine(u) for u, delay in zip(v, delays, strict=False)]
         largest = code["largest_step"](v)
+        columns = [program.wrt.index(p) if p in program.wrt else None for _, p in model.delays]
+        still = (0.0,) * len(columns)
         prepared = (None, None, None)
 
-        def step(acting, dt, dt_tangent):
+        def step(acting, dt, dt_tangent=still):
             nonlocal prepared
             v[:n_in] = acting
             if prepared[:2] != (dt, dt_tangent):
                 prepared = dt, dt_tangent, code["prepare"](v, dt, dt_tangent)
             code["step"](v, prepared[2], d)
+
+        def nudge(k, old, new):
+            if columns[k] is None:
+                return
+            kept, tangents, gained = v[:], d[:], [0.0] * len(d)
+            for acting, sign in ((old, 1.0), (new, -1.0)):
+                d[:] = [0.0] * len(d)
+                step(acting, NUDGE, tuple(sign if other == k else 0.0 for other in range(len(columns))))
+                gained = [a + b for a, b in zip(gained, d, strict=True)]
+                v[:] = kept
+            d[:] = tangents
+            for i in range(columns[k], len(d), width):
+                d[i] += gained[i]
 
         code["start"](v, d)
         wait = 0.0
@@ -99,10 +116,13 @@ def _interpreted(program: Program):
                 return
             span = float(steps[row])
             if model.sample_time is None:
-                run_held(lines, delays, held, span, largest, step)
+                try:
+                    run_held(lines, delays, held, span, largest, step, nudge if width else None)
+                except DelayFull as full:
+                    raise SimulationFailed(f"{model.name}: {full}") from full
             else:
                 period = v[layout.index["parameter", model.sample_time]]
-                wait = run_sampled(wait, period, span, lambda dt, held=held: step(held, dt, []))
+                wait = run_sampled(wait, period, span, lambda dt, held=held: step(held, dt))
 
     return run
 

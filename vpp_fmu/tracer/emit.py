@@ -53,11 +53,6 @@ def c_source(program: Program) -> str:
             return f"d[{i[0] * width + i[1]}]"
         return f"{kind}[{i[0]}]" if i else kind
 
-    def body(writes: tuple[Write, ...]) -> str:
-        lines, values = _statements(writes, name, _c_operation, "const double {0} = {1};", inline=False)
-        stores = [f"{name(t)} = {values[t]};" if t != ("result",) else f"return {values[t]};" for t, _ in writes]
-        return "".join(f"  {line}\n" for line in lines + stores)
-
     delayed = [at["input", u] for u, _ in model.delays] or [0]
     delays = [at["parameter", p] for _, p in model.delays] or [0]
     sample_time = at["parameter", model.sample_time] if model.sample_time else 0
@@ -78,14 +73,23 @@ def c_source(program: Program) -> str:
     parts = ["#include <math.h>\n", *(f"#define {k} {n}\n" for k, n in sizes.items())]
     parts.append(f"static const int DELAYED_INPUT[] = {{{', '.join(map(str, delayed))}}};\n")
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
+    columns = [program.wrt.index(p) if p in program.wrt else -1 for _, p in model.delays] or [-1]
+    parts.append(f"static const int DELAY_COLUMN[] = {{{', '.join(map(str, columns))}}};\n")
     for head, writes in (
         ("void start(double *v, double *d)", program.start),
         ("void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
         ("void step(double *v, const double *c, double *d)", program.step),
         ("double largest_step(const double *v)", program.largest_step),
     ):
-        parts.append(f"\nstatic {head} {{\n{body(writes)}}}\n")
+        parts.append(c_function(head, writes, name))
     return "".join(parts)
+
+
+def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
+    """A static C function that does `writes`; `name(target or leaf)` is the C expression of what stands for it."""
+    lines, values = _statements(writes, name, _c_operation, "const double {0} = {1};", inline=False)
+    stores = [f"{name(t)} = {values[t]};" if t != ("result",) else f"return {values[t]};" for t, _ in writes]
+    return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines + stores), "}\n"])
 
 
 def _statements(writes, name: Callable, operation: Callable, form: str, inline: bool = True):

@@ -5,8 +5,8 @@
     D[k] = (1 - delta) D[k-1] + delta (e[k] - e[k-1]) / dt,     delta = dt / t_filter
     w_ref = kp e + ki I + kd D,   held within the limits
 
-Clamping looks at each channel by itself: an integral stops when its own sum leaves its own limits and the step would take
-it further out. With one shared integral, or one shared test, the channel that still has room would stall with the other.
+Clamping looks at each channel by itself: an integral stops when its own sum stands outside its own limits and the step would
+take it further out. With one shared integral, or one shared test, the channel that still has room would stall with the other.
 Departs from the paper: delta is held to 1 where t_filter < dt, since the form is unstable there.
 """
 
@@ -15,13 +15,12 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
 def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
-    """One PID in normalised units: (command within [low, high], next integral)."""
-    moved = integral + move
-    wanted = kp * e + ki * moved + kd * rate
-    above = ops.where(ki * move > 0.0, integral, moved)
-    below = ops.where(ki * move < 0.0, integral, moved)
-    kept = ops.where(wanted > high, above, ops.where(wanted < low, below, moved))
-    return ops.clip(kp * e + ki * kept + kd * rate, low, high), kept
+    """One PID in normalised units: (sum, next integral). `low`, `high`: the channel's limits."""
+    so_far = kp * e + ki * integral + kd * rate
+    above = ops.where(ki * move > 0.0, integral, integral + move)
+    below = ops.where(ki * move < 0.0, integral, integral + move)
+    kept = ops.where(so_far > high, above, ops.where(so_far < low, below, integral + move))
+    return kp * e + ki * kept + kd * rate, kept
 
 
 def _step(ops, s, x, p, dt):
@@ -35,8 +34,10 @@ def _step(ops, s, x, p, dt):
     w, omega_integral = _channel(ops, e, move, x.omega_integral, rate, p.kp_omega, p.ki_omega, p.kd_omega, low, high)
     low, high = (p.beta_min + p.beta_offset) / p.beta_scale, (p.beta_max + p.beta_offset) / p.beta_scale
     b, beta_integral = _channel(ops, e, move, x.beta_integral, rate, p.kp_beta, p.ki_beta, p.kd_beta, low, high)
-    beta = ops.where(p.speed_only > 0.5, p.beta_fixed, p.beta_scale * b - p.beta_offset)
-    commands = {"omega_ref": p.omega_scale * w, "beta_ref": beta}
+    # Limits are held in rpm and deg: scaled back and forth they would be off by a rounding.
+    omega = ops.clip(p.omega_scale * w, p.omega_min, p.omega_max)
+    beta = ops.clip(p.beta_scale * b - p.beta_offset, p.beta_min, p.beta_max)
+    commands = {"omega_ref": omega, "beta_ref": ops.where(p.speed_only > 0.5, p.beta_fixed, beta)}
     memory = {"omega_integral": omega_integral, "beta_integral": beta_integral, "error": e, "rate": rate, "running": 1.0}
     return commands, memory
 

@@ -20,7 +20,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("offset", "N", 0.0, -1.5, 1.5, "thrust reading without thrust, at the start", 0.1),
         Parameter("rate", "N/s", 0.0, -0.03, 0.03, "drift of the thrust reading at the start", 0.003),
-        Parameter("time_constant", "s", 1000.0, 10.0, 1000.0, "time constant of the warm-up", 100.0),
+        Parameter("time_constant", "s", 1000.0, 10.0, 1000.0, "time constant of the warm-up", 100.0, limit_form="a line"),
     ),
     states=(State("drift", "N", "drift of the thrust reading so far", lambda ops, s, p: 0.0),),
     off={"offset": 0.0, "rate": 0.0},

@@ -1,0 +1,49 @@
+/* Derivatives of the outputs, for fmi2GetDirectionalDerivative. Comes after schedule.c, whose steps call `before_step`.
+ *
+ * A tangent `a` has the shape of the values `v`: it holds what inputs and parameters are moved by, and the generated
+ * start_along() and step_along() fill in by how much outputs and states move with them. One direction costs about as much as
+ * the model itself, whatever the number of parameters; all parameters together are carried only for an instance that was
+ * asked for them, one tangent each. */
+
+/* Allocates, if not there yet, a tangent for each parameter. */
+static bool carry_sensitivities(Slave *s) {
+  if (!s->carried) s->carried = calloc(N_PARAMETERS_OR_1, sizeof *s->carried);
+  return s->carried != NULL;
+}
+
+/* The tangents of the values that the instance has settled on. */
+static void start_sensitivities(Slave *s) {
+  memset(s->carried, 0, sizeof(double[N_PARAMETERS_OR_1][N_VALUES]));
+  for (int j = 0; j < N_PARAMETERS; j++) {
+    s->carried[j][FIRST_PARAMETER + j] = 1.0;
+    start_along(s->m.v, s->carried[j]);
+  }
+}
+
+/* Half of a nudge: what an instant under the present inputs makes of the states belongs to the delay alone. */
+static void nudge_sensitivities(Slave *s, double dt, const double *dt_tangent) {
+  for (int k = 0; k < N_DELAYED; k++) {
+    if (dt_tangent[k] == 0.0) continue;
+    double alone[N_VALUES] = {0};
+    step_along(s->m.v, dt, dt_tangent[k], alone);
+    double *carried = s->carried[DELAY_PARAMETER[k] - FIRST_PARAMETER];
+    for (int i = FIRST_STATE; i < N_VALUES; i++) carried[i] += alone[i];
+  }
+}
+
+static int is_observed(const Instance *m) { return ((const Slave *)m)->carried != NULL; }
+
+/* The tangents move with a step of dt, from the states before it. A sample time is the length of a sampled law's step and
+ * moves dt; so does a delay, in the steps that a nudge tries and takes back: what they add to its tangent stays. */
+static void before_step(Instance *m, double dt, const double *dt_tangent) {
+  Slave *s = (Slave *)m; /* m is the first of a slave's members */
+  if (!s->carried) return;
+  for (int j = 0; j < N_PARAMETERS && !m->nudging; j++)
+    step_along(m->v, dt, SAMPLED && SAMPLE_TIME == FIRST_PARAMETER + j, s->carried[j]);
+  for (int k = 0; k < N_DELAYED && m->nudging; k++) {
+    double gained[N_VALUES] = {0};
+    if (dt_tangent[k] == 0.0) continue;
+    step_along(m->v, dt, dt_tangent[k], gained);
+    for (int i = 0; i < N_VALUES; i++) s->carried[DELAY_PARAMETER[k] - FIRST_PARAMETER][i] += gained[i];
+  }
+}

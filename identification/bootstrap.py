@@ -1,0 +1,147 @@
+"""Block bootstrap of a fit: how the estimates scatter when the residual is drawn anew, with its colour but in another order.
+
+The residual of each channel of each record is resampled in blocks of BLOCK seconds that may run over the record's end into
+its start (circular block bootstrap: Politis and Romano, 1992), added to the model's prediction, and the parameters are fitted
+again from the optimum. Unlike the covariance this needs no parabola: near a bound or a double pole the intervals come out
+lopsided, as they are. It supposes that the residual has one colour and size all along the record, which the covariance
+does not. Weights of the channels stay as they are; prior knowledge scatters as its covariance says.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from identification.least_squares import solve
+from identification.problem import Prior, Problem
+from identification.refine import Refinement
+from identification.workers import spread
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.record import Record
+
+BLOCK = 2.0
+"""Length of a block, s: several times what the rig's residuals remember. Correlation at a lag l survives to 1 - l / BLOCK."""
+
+CHUNK = 25
+"""Samples of one piece of work: the model is traced once for them. Numbers do not depend on it."""
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """What `count` refits gave: `samples` (count, n) of the parameters `names`, in their own units.
+
+    `ratio` (n,): standard deviation of the samples over that of the fit's covariance.
+    """
+
+    names: tuple[str, ...]
+    samples: np.ndarray
+    ratio: np.ndarray
+
+    @property
+    def std(self) -> np.ndarray:
+        """(n,)"""
+        return self.samples.std(axis=0, ddof=1)
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """(n, 2) 95 % intervals, from the samples' percentiles."""
+        return np.percentile(self.samples, [2.5, 97.5], axis=0).T
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted problem as plain data that another process can be sent: the model by its effects' names.
+
+    `value` (n,): the optimum's coordinates; `std`: the channels' weights. The rest as `Problem` takes it.
+    """
+
+    effects: tuple[str, ...]
+    records: tuple[Record, ...]
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    prior: Prior | None
+    slow_first: Mapping[str, bool]
+    std: Mapping[str, float]
+    value: np.ndarray
+
+    def problem(self) -> Problem:
+        """The problem, under the weights that it was fitted with."""
+        model, channels = plant(self.effects), tuple(self.std)
+        problem = Problem(model, self.records, self.values, self.names, self.prior, channels, self.slow_first)
+        problem.std.update(self.std)
+        return problem
+
+
+def bootstrap(
+    refinement: Refinement, count: int = 200, seed: int = 0, workers: int = 1, scheduler: str | None = None
+) -> Bootstrap:
+    """Refit `count` resamples of a refinement's residual. The same `seed` gives the same samples, whoever computes them.
+
+    `workers`, `scheduler` as in `identification.workers`. The model's effects must be the library's.
+    """
+    fit = _fit(refinement)
+    seeds = np.random.SeedSequence(seed).spawn(count)
+    chunks = [seeds[k : k + CHUNK] for k in range(0, count, CHUNK)]
+    samples = np.concatenate(spread(partial(_refits, fit), chunks, workers, scheduler, "bootstrap"))
+    std = refinement.uncertainty.std
+    with np.errstate(invalid="ignore", divide="ignore"):  # no variance at a bound: nothing to compare with
+        ratio = samples.std(axis=0, ddof=1) / std
+    return Bootstrap(refinement.names, samples, ratio)
+
+
+def _fit(refinement: Refinement) -> Fit:
+    problem = refinement.problem
+    names = problem.coordinates.names
+    slow_first = {names[i].split("_")[1]: names[i].endswith("_1") for i, _ in problem.coordinates.pairs}
+    return Fit(
+        effects=problem.model.optional,
+        records=problem.records,
+        values=problem.values,
+        names=names,
+        prior=problem.prior,
+        slow_first=slow_first,
+        std=dict(problem.std),
+        value=refinement.solution.value,
+    )
+
+
+@threadpool_limits.wrap(limits=1)  # as many threads everywhere: sums then round the same, and workers don't crowd each other
+def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
+    """Parameters (len(seeds), n) of one refit for each seed."""
+    problem = fit.problem()
+    lower, upper = problem.coordinates.lower, problem.coordinates.upper
+    optimum, _ = problem.evaluate(fit.value)
+    blocks = [(b.at, _rows(problem, b)) for b in problem.blocks]
+    samples = []
+    for seed in seeds:
+        drawn = _drawn(np.random.default_rng(seed), optimum, blocks)
+
+        def evaluate(x, shift=drawn - optimum):
+            # Measured is predicted at the optimum less the drawn residual, so the rest cancels.
+            residual, jacobian = problem.evaluate(x)
+            return residual + shift, jacobian
+
+        found = solve(evaluate, fit.value, lower, upper)
+        samples.append(list(problem.coordinates.values(found.value).values()))
+    return np.array(samples)
+
+
+def _drawn(rng: np.random.Generator, residual: np.ndarray, blocks: Sequence[tuple[slice, int]]) -> np.ndarray:
+    """A residual (rows,) made of blocks of the given one; `blocks`: (where a channel of a record stands, rows in a block)."""
+    drawn = rng.standard_normal(len(residual))  # stays so where a prior stands: its rows have unit variance
+    for at, length in blocks:
+        own = residual[at] - residual[at].mean()  # what has no mean in the model must not become one in the samples
+        m = len(own)
+        starts = rng.integers(0, m, -(-m // length))
+        drawn[at] = own[(starts[:, None] + np.arange(length)) % m].ravel()[:m]
+    return drawn
+
+
+def _rows(problem: Problem, block) -> int:
+    """Rows of a channel of a record that span BLOCK; a quarter of them all where the record is short."""
+    time = problem.records[block.record].time[block.rows]
+    if len(time) < 2:
+        return 1
+    return max(1, min(len(time) // 4, round(BLOCK / float(np.median(np.diff(time))))))

@@ -1,0 +1,179 @@
+"""Close the loop: residual, missing effect, augmented model, error before and after."""
+
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from identification.diagnose.candidates import candidates
+from identification.diagnose.distinguish import Distinguishability, distinguishability
+from identification.diagnose.evidence import Experiment
+from identification.diagnose.experiment import discriminating_experiment
+from identification.diagnose.judge import Seen, seen
+from identification.diagnose.locate import locate
+from identification.diagnose.noise import Noise, noise_from_residual, noise_of
+from identification.diagnose.search import Fit, Searcher
+from identification.diagnose.stepwise import Selection, select
+from identification.diagnose.verdict import Left, Remainder, rivals, verdict
+from identification.identify import Identification, Prediction, identify, predict
+from identification.problem import Prior
+from identification.uncertainty import Uncertainty
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.types import Effect
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+LOOSE = 10.0
+"""How much wider the static map's knowledge is taken than its own scatter: a missing effect bends the steady points too."""
+
+HELD_SHARE = 1.0 / 3.0
+"""Of the open-loop record, its end, kept from the fits where a campaign has no validation record."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data."""
+
+    campaign: Campaign
+    identification: Identification
+    noise: Noise
+    selection: Selection
+    verdict: str
+    explained: float | None
+    left: Left
+    before_left: Left
+    family: Mapping[str, list[str]]
+    doubt: Mapping[str, float | None]
+    apart: Distinguishability
+    location: Mapping
+    experiment: Record
+    held: tuple[Record, ...]
+    held_before: Seen
+    held_after: Seen
+
+    @property
+    def base(self) -> Fit:
+        """The model without any effect."""
+        return self.selection.base
+
+    @property
+    def final(self) -> Fit:
+        """The model with the effects that stand."""
+        return self.selection.final
+
+    def parameters(self, fit: Fit) -> ParameterSet:
+        """A fit's parameters as a set that exports."""
+        source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
+        source["record_seconds"] = float(self.campaign.open_loop.time[-1])
+        doubt = {n: s for n, s in self.doubt.items() if n in fit.values} if fit is self.final else {}
+        return ParameterSet(fit.evidence.model, source=source).replaced(fit.values, doubt)
+
+    def prediction(self, fit: Fit, record: Record) -> Prediction:
+        """A fit's open-loop response to a record."""
+        return predict(fit.evidence.model, fit.values, record)
+
+
+def diagnose(
+    campaign: Campaign,
+    library: Iterable[Effect] = LIBRARY,
+    workers: int = 2,
+    seed: int = 0,
+    stage: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
+
+    BadInput where the campaign has no open-loop record.
+    """
+    library = tuple(library)
+    with threadpool_limits(1):  # the fits run side by side: threads inside each would only fight
+        stage("identify")
+        identified = identify(campaign, seed=seed)
+        fitted, held = _split(campaign)
+        names = list(identified.refinement.names)
+        noise = _noise(campaign, identified)
+        experiments = [Experiment(fitted, noise)]
+        unseen = [Experiment([record], noise) for record in held]
+        searcher = Searcher(experiments, names, _knowledge(identified, names), library)
+        base = searcher.fit((), {}, (), identified.refinement.values)
+        options = candidates(library, (*fitted, *held))
+        stage("what can be told apart")
+        with ThreadPoolExecutor(workers) as pool:
+            apart = distinguishability(base, options, library, pool.map)
+        remainder = Remainder(campaign, unseen, noise.floor)
+        selection = select(searcher, base, options, unseen, lambda fit: _anything(remainder, fit), workers, stage)
+        stage("judge")
+        family = rivals(searcher, selection, unseen)
+        word, explained, left = verdict(selection, remainder, family)
+        final = selection.final
+        shown = predict(final.evidence.model, final.values, campaign.open_loop)
+        return Diagnosis(
+            campaign=campaign,
+            identification=identified,
+            noise=noise,
+            selection=selection,
+            verdict=word,
+            explained=explained,
+            left=left,
+            before_left=remainder.left(base),
+            family=family,
+            doubt=_doubt(final),
+            apart=apart,
+            location=locate(campaign, shown.thrust, shown.omega, shown.beta),
+            experiment=discriminating_experiment(seed),
+            held=tuple(held),
+            held_before=seen(base, unseen),
+            held_after=seen(final, unseen),
+        )
+
+
+def _split(campaign: Campaign) -> tuple[list[Record], list[Record]]:
+    """(records of the fitted experiment, unseen records)."""
+    if campaign.open_loop is None:
+        raise BadInput(campaign.folder, "open_loop.csv", "no such file", "a record with time, omega_ref, beta_ref, thrust")
+    fitted = [r for r in (campaign.open_loop, campaign.repeat) if r is not None]
+    if campaign.validation is not None:
+        return fitted, [campaign.validation]
+    cut = round(len(campaign.open_loop) * (1.0 - HELD_SHARE))
+    end = campaign.open_loop.part(slice(cut, None))
+    end = end.with_columns(time=end.time - end.time[0])
+    return [r.part(slice(None, cut)) for r in fitted], [end]
+
+
+def _noise(campaign: Campaign, identified: Identification) -> Noise:
+    if campaign.repeat is not None:
+        return noise_of(campaign.open_loop, campaign.repeat)
+    error = identified.predictions["open_loop"].thrust - campaign.open_loop["thrust"]
+    return noise_from_residual(campaign.open_loop, error)
+
+
+def _knowledge(identified: Identification, names) -> Prior | None:
+    static = identified.static
+    if static is None:
+        return None
+    kept = [k for k, n in enumerate(static.coefficients) if n in names]
+    mean = np.array(list(static.coefficients.values()))[kept]
+    chosen = tuple(n for n in static.coefficients if n in names)
+    return Prior(chosen, mean, static.covariance[np.ix_(kept, kept)]).loosened(LOOSE) if kept else None
+
+
+def _anything(remainder: Remainder, fit: Fit) -> bool:
+    """Something to explain in thrust, or a speed residual well above what the tachometer's own uncertainty makes."""
+    counts, squares = fit.score.counts, fit.score.squares
+    speed = "omega" in counts and squares["omega"] / counts["omega"] > 1.1
+    return remainder.left(fit).anything or speed
+
+
+def _doubt(fit: Fit) -> dict[str, float | None]:
+    """Standard deviations of all fitted parameters, for whitened residuals; a threshold's from its interval."""
+    free = np.flatnonzero(~fit.solution.active)
+    j = fit.solution.jacobian[:, free]
+    to_values = fit.evidence.coordinates.jacobian(fit.solution.value)[:, free]
+    covariance = to_values @ np.linalg.pinv(j.T @ j, rcond=1e-13, hermitian=True) @ to_values.T
+    names = fit.evidence.coordinates.names
+    std = Uncertainty(names, np.array([fit.values[n] for n in names]), covariance, np.ones(len(names))).std
+    found = dict(zip(names, std.tolist(), strict=True))
+    return found | {n: (high - low) / (2 * 1.96) for n, (low, high) in fit.thresholds.items()}

@@ -1,0 +1,78 @@
+"""What counts as evidence, and what the judgement of an effect rests on.
+
+Every effect of a set is judged in the presence of the others: the set against the set without it. Evidence on the fitted
+records ranks (BIC on whitened residuals); records that no fit has seen only refuse, channel by channel, since a clean speed
+signal could buy an effect that worsens the thrust.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.diagnose.evidence import Evidence, Experiment, Score
+from identification.diagnose.search import Fit
+from identification.quality import rmse
+from vpp_fmu.native import Simulator
+
+ENOUGH_BIC = 10.0
+"""Difference of BIC that counts as very strong (Kass and Raftery, 1995)."""
+
+ENOUGH_HELD_OUT = 3.0
+"""Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""
+
+
+SPILL = 0.05
+"""Share of a gain in thrust that speed may lose: a thrust that fits weighs more, and the shared constants move towards it."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A fit on records it was not fitted to: score, and thrust and speed errors on the rows as they are [N], [rpm]."""
+
+    score: Score
+    rmse_thrust: float
+    rmse_omega: float | None
+
+
+def seen(fit: Fit, experiments: Sequence[Experiment]) -> Seen:
+    """How a fit does on unseen experiments."""
+    simulator = Simulator(fit.evidence.model)
+    score = Evidence(fit.evidence.model, experiments, fit.values, ()).score({}, simulator)
+    thrust, omega = [], []
+    for e in experiments:
+        outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
+        thrust.append(outputs[:, 0] - e.record["thrust"])
+        omega += [outputs[:, 1] - e.record["omega"]] if "omega" in e.record else []
+    return Seen(score, rmse(np.concatenate(thrust)), rmse(np.concatenate(omega)) if omega else None)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """An effect of a set, judged against the set without it. `refused`: reasons in words; none: it stands."""
+
+    effect: str
+    delta_bic: float
+    held_out_gain: Mapping[str, float]
+    refused: tuple[str, ...]
+
+
+def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without: Seen) -> Judgement:
+    """Judge one effect. A bound counts only for the effect's own parameters."""
+    delta = without.bic() - with_it.bic()
+    gain = held_with.score.gain(held_without.score)
+    refused = []
+    if delta <= ENOUGH_BIC:
+        refused.append(f"evidence too weak: BIC falls by {delta:.1f}, {ENOUGH_BIC:g} is asked for")
+    if max(gain.values()) < ENOUGH_HELD_OUT:
+        refused.append(f"unseen data gain nothing: log-likelihood {max(gain.values()):.1f}, {ENOUGH_HELD_OUT:g} is asked for")
+    if gain["thrust"] < -ENOUGH_HELD_OUT:
+        refused.append(f"worsens thrust on unseen data: log-likelihood {gain['thrust']:.1f}")
+    if gain.get("omega", 0.0) < -max(ENOUGH_HELD_OUT, SPILL * gain["thrust"]):
+        refused.append(f"worsens speed on unseen data: log-likelihood {gain['omega']:.1f}")
+    if held_with.rmse_thrust > 1.005 * held_without.rmse_thrust:
+        refused.append(
+            f"thrust error on unseen data rises from {held_without.rmse_thrust:.4g} to {held_with.rmse_thrust:.4g} N"
+        )
+    refused += [f"{name} ended on its bound" for name in with_it.at_bound if name.startswith(f"{effect}.")]
+    return Judgement(effect, float(delta), gain, tuple(refused))

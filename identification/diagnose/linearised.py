@@ -1,0 +1,37 @@
+"""A fitted model whose smooth parameters may move along their sensitivities: the cheap stand-in for a refit."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identification.diagnose.evidence import Evidence
+from identification.least_squares import Solution
+from vpp_fmu.native import Simulator
+
+
+class Linearised:
+    """The solution of a fit; `residual` (rows,) is what its parameters can't follow, in scaled units, data rows only."""
+
+    def __init__(self, evidence: Evidence, solution: Solution, values: Mapping[str, float]):
+        self._evidence, self._values = evidence, dict(values)
+        size = evidence.size
+        self._columns = solution.jacobian[:size]
+        # pinv: at a double pole, or at a bound, columns may coincide or vanish.
+        self._inverse = np.linalg.pinv(self._columns.T @ self._columns, rcond=1e-12, hermitian=True)
+        self.residual = self.apart(solution.residual[:size])
+
+    def apart(self, rows: np.ndarray) -> np.ndarray:
+        """What of `rows` the fitted parameters can't follow."""
+        return rows - self._columns @ (self._inverse @ (self._columns.T @ rows))
+
+    def rows(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
+        """Scaled residual (rows,) of a simulator's model with `changes` to the fitted values."""
+        values = {**self._values, **changes}
+        evidence = self._evidence
+        outputs = [simulator.simulate(values, e.record.columns, e.record.steps) for e in evidence.experiments]
+        return np.concatenate([r / evidence.scale[c] for c, r in evidence.residuals(outputs).items()])
+
+    def cost(self, simulator: Simulator, changes: Mapping[str, float]) -> float:
+        """Half sum of squares with `changes`, the fitted parameters following as far as they can."""
+        left = self.apart(self.rows(simulator, changes))
+        return 0.5 * float(left @ left)

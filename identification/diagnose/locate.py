@@ -1,0 +1,70 @@
+"""Where an error lives that no known effect explains: band, section, input, size of the move, strongest correlate."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import csd
+
+from identification.diagnose.noise import blocks
+from identification.sections import sections
+from vpp_fmu.campaign import Campaign
+
+RATE = 0.02
+"""Means over this many seconds; the bands below end well under their Nyquist frequency."""
+
+BANDS = ((0.0, 0.2), (0.2, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 25.0))
+
+
+def locate(campaign: Campaign, thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> dict:
+    """Description of the repeatable error of a prediction (rows,) [N], [rpm], [deg] of the open-loop record."""
+    record, repeat = campaign.open_loop, campaign.repeat
+    at = blocks(record, RATE)
+    error = at.mean(record["thrust"] - thrust)
+    other = at.mean(repeat["thrust"] - thrust) if repeat is not None else error
+    both = 0.5 * (error + other)
+    by_section = {}
+    for name, mask in sections(record).items():
+        chosen = at.mean(mask.astype(float)) > 0.5
+        if chosen.any():
+            by_section[name] = float(np.mean((error * other)[chosen]))
+    correlates = {
+        name: float(np.corrcoef(both, at.mean(signal))[0, 1]) for name, signal in _signals(record, thrust, omega, beta).items()
+    }
+    ranked = sorted(correlates.items(), key=lambda item: -abs(item[1]))
+    strongest = ranked[0]
+    speed, pitch = (max(abs(correlates[n]) for n in names) for names in (SPEED, PITCH))
+    return {
+        "share_by_band_hz": _bands(error, other),
+        "mean_square_by_section": by_section,
+        "largest": {"time": float(at.time[np.argmax(np.abs(both))]), "thrust": float(both[np.argmax(np.abs(both))])},
+        "strongest_correlate": {"signal": strongest[0], "correlation": strongest[1]},
+        "correlates": dict(ranked),
+        "input": "pitch" if pitch > 1.2 * speed else "speed" if speed > 1.2 * pitch else "both, or neither",
+    }
+
+
+SPEED = ("speed", "rate of speed", "speed still to go")
+PITCH = ("pitch", "rate of pitch", "pitch still to go")
+
+
+def _signals(record, thrust, omega, beta) -> Mapping[str, np.ndarray]:
+    time = record.time
+    return {
+        "time since the start": time,
+        "thrust": thrust,
+        "rate of thrust": np.gradient(thrust, time),
+        "speed": omega,
+        "rate of speed": np.gradient(omega, time),
+        "speed still to go": record["omega_ref"] - omega,
+        "pitch": beta,
+        "rate of pitch": np.gradient(beta, time),
+        "pitch still to go": record["beta_ref"] - beta,
+    }
+
+
+def _bands(error: np.ndarray, other: np.ndarray) -> dict[str, float]:
+    """Share of the power that two records' errors have in common, by frequency band."""
+    frequency, shared = csd(error, other, fs=1.0 / RATE, nperseg=min(1024, len(error)), detrend=False)
+    power = np.maximum(shared.real, 0.0)
+    total = power.sum() or 1.0
+    return {f"{a:g}-{b:g}": float(power[(frequency >= a) & (frequency < b)].sum() / total) for a, b in BANDS}

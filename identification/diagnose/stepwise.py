@@ -1,0 +1,147 @@
+"""Which effects are missing: add the best, refit all, repeat; then every effect must stand in the presence of the others."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+from identification.diagnose.candidates import Candidate
+from identification.diagnose.evidence import Experiment
+from identification.diagnose.judge import ENOUGH_BIC, Judgement, judge, seen
+from identification.diagnose.search import Fit, Look, Searcher
+
+MOST = 3
+"""Effects that one diagnosis may name; with more, the data of one campaign cannot tell sets apart."""
+
+REFITTED = 8
+"""Candidates of a round that are refitted in full; the look before ranks the right one among the first few."""
+
+CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
+"""The channel between whose lags an effect may stand, by the first word of its name."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate in one round: what the look promised and, where it was refitted, what came of it."""
+
+    candidate: Candidate
+    beside: tuple[str, ...]
+    fall: float
+    fit: Fit | None = None
+    delta_bic: float | None = None
+
+
+@dataclass
+class Selection:
+    """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round."""
+
+    base: Fit
+    final: Fit
+    judgements: dict[str, Judgement] = field(default_factory=dict)
+    rounds: list[list[Tried]] = field(default_factory=list)
+    refused: dict[str, Judgement] = field(default_factory=dict)
+
+
+def select(
+    searcher: Searcher,
+    base: Fit,
+    options: Iterable[Candidate],
+    held: Sequence[Experiment],
+    left: Callable[[Fit], bool],
+    workers: int,
+    stage: Callable[[str], None] = lambda text: None,
+) -> Selection:
+    """Search up to MOST effects. `held`: experiments that no fit sees. `left(fit)`: is there anything left to explain?
+
+    An effect that does not stand is banned and the search repeated without it, so that a surrogate does not hide the
+    effect behind it. The result does not depend on `workers`.
+    """
+    options = list(options)
+    found = Selection(base, base)
+    known: dict[tuple, list[Tried]] = {}
+    with ThreadPoolExecutor(workers) as pool:
+        for _ in range(MOST):
+            usable = [c for c in options if c.name not in found.refused]
+            path = _forward(searcher, base, usable, left, pool, known, stage)
+            found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
+            stage("judge")
+            final, judgements, dropped = _backward(searcher, path[-1], held)
+            found.final, found.judgements = final, judgements
+            if not dropped:
+                break
+            found.refused.update(dropped)
+    return found
+
+
+def _key(fit: Fit) -> tuple:
+    return tuple(sorted(fit.effects)), tuple(sorted(fit.forms.items()))
+
+
+def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
+    """Fits along the way, the base first."""
+    path = [base]
+    while len(path) <= MOST and left(path[-1]):
+        key = _key(path[-1])
+        if key not in known:
+            stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
+            known[key] = _round(searcher, path[-1], options, pool)
+        fitted = [t for t in known[key] if t.fit is not None and t.candidate in options]
+        best = max(fitted, key=lambda t: t.delta_bic, default=None)
+        if best is None or best.delta_bic <= ENOUGH_BIC:
+            break
+        path.append(best.fit)
+    return path
+
+
+def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
+    fresh = [c for c in options if c.name not in fit.effects]
+    look = Look(fit, searcher.library)
+    looks = list(pool.map(look.at, fresh))
+    ranked = sorted(zip(fresh, looks, strict=True), key=lambda pair: -pair[1][0])
+    refits = list(pool.map(lambda pair: _refit(searcher, fit, *pair), ranked[:REFITTED]))
+    tried = [
+        Tried(c, fit.effects, fall, new, fit.bic() - new.bic())
+        for (c, (fall, _)), new in zip(ranked[:REFITTED], refits, strict=True)
+    ]
+    return tried + [Tried(c, fit.effects, fall) for c, (fall, _) in ranked[REFITTED:]]
+
+
+def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, looked: tuple[float, Mapping[str, float]]) -> Fit:
+    """The candidate beside what is there already, in both orders of its channel's lags; the better one."""
+    _, at = looked
+    effects, forms = [*fit.effects, candidate.name], {**fit.forms, **candidate.form}
+    channel = CHANNEL.get(candidate.name.split("_")[0])
+    orders = [dict(fit.slow_first)]
+    if channel is not None and not candidate.effect.delays:
+        orders.append({**fit.slow_first, channel: not fit.slow_first.get(channel, True)})
+    start = {**fit.values, **at}
+    fits = [searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order) for order in orders]
+    return min(fits, key=Fit.bic)
+
+
+def _backward(searcher: Searcher, final: Fit, held) -> tuple[Fit, dict[str, Judgement], dict[str, Judgement]]:
+    """Drop the weakest effect that does not stand, until all do: (fit, judgements, what was dropped)."""
+    dropped: dict[str, Judgement] = {}
+    while final.effects:
+        held_with, judgements, rest = seen(final, held), {}, {}
+        for effect in final.effects:
+            rest[effect] = without(searcher, final, effect)
+            judgements[effect] = judge(effect, final, rest[effect], held_with, seen(rest[effect], held))
+        weak = [j for j in judgements.values() if j.refused]
+        if not weak:
+            return final, judgements, dropped
+        weakest = min(weak, key=lambda j: j.delta_bic)
+        dropped[weakest.effect] = weakest
+        final = rest[weakest.effect]
+    return final, {}, dropped
+
+
+def without(searcher: Searcher, fit: Fit, effect: str) -> Fit:
+    """The fit of the same set less one effect."""
+    own = f"{effect}."
+    return searcher.fit(
+        [e for e in fit.effects if e != effect],
+        {n: v for n, v in fit.forms.items() if not n.startswith(own)},
+        [n for n in fit.free if not n.startswith(own)],
+        fit.values,
+        fit.slow_first,
+    )

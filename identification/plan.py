@@ -1,0 +1,131 @@
+"""The next experiment: commands that would tell most about a model, within a rig's limits. See `plan_search` for how.
+
+The optimum belongs to the given values, and is as good as these are.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.excitation import Limits, paper_plan
+from identification.information import Forecast, Information
+from identification.plan_search import Search
+from identification.problem import Prior
+from identification.refine import BASE_PARAMETERS
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.record import Record
+
+EVALUATIONS, DRAWS = 1000, 9
+"""Whole plans that are tried; plans of the paper's kind to compare with."""
+
+DURATION = (5.0, 3600.0)
+"""s"""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """An experiment. `commands`: a record of time, omega_ref, beta_ref; `thrust` (rows,) N as the model predicts it.
+
+    `before`: what was known (None: nothing); `after`: with this plan; `paper`: with the paper's plan of the same length
+    instead, the median of DRAWS. `untold`: parameters that it does not tell, and why; they count as known.
+    """
+
+    commands: Record
+    thrust: np.ndarray
+    limits: Limits
+    noise_std: float
+    seed: int
+    before: Forecast | None
+    after: Forecast
+    paper: Forecast
+    untold: Mapping[str, str]
+
+    @property
+    def gain(self) -> float:
+        """How many times smaller the weakest direction's standard deviation is than with the paper's plan."""
+        return self.paper.weakest()[1] / self.after.weakest()[1]
+
+    def summary(self) -> dict:
+        """The content of `plan.json`."""
+        limits, forecasts = self.limits, {"before": self.before, "after": self.after, "paper_plan": self.paper}
+        slews = {"omega_slew": limits.omega_slew, "beta_slew": limits.beta_slew}
+        return {
+            "seconds": float(self.commands.time[-1]),
+            "limits": {"omega": list(limits.omega), "beta": list(limits.beta), "step": limits.step}
+            | {name: slew if np.isfinite(slew) else None for name, slew in slews.items()},
+            "noise_thrust": self.noise_std,
+            "seed": self.seed,
+            "gain_over_paper_plan": self.gain,
+            **{name: forecast and _summary(forecast) for name, forecast in forecasts.items()},
+            "not_identifiable": dict(self.untold),
+        }
+
+
+def free_parameters(model: Model) -> tuple[str, ...]:
+    """What an experiment is planned for: the plain plant's nine, and the effects' parameters but those that pick a form."""
+    effects = [e for e in model.effects if e.off is not None]
+    return (*BASE_PARAMETERS, *(e.full(p.name) for e in effects for p in e.parameters if not p.choices))
+
+
+def plan(
+    model: Model,
+    values: Mapping[str, float],
+    limits: Limits,
+    seconds: float = 60.0,
+    noise_std: float = 0.3,
+    knowledge: Prior | None = None,
+    seed: int = 0,
+    names: Sequence[str] | None = None,
+    omega_std: float | None = None,
+    evaluations: int = EVALUATIONS,
+) -> Plan:
+    """Plan `seconds` of commands for `model` at `values` (changes to its defaults); the same seed gives the same plan.
+
+    `noise_std` N: white noise of one thrust reading; `omega_std` rpm: of a tachometer's, None: speed is not measured.
+    `knowledge`: covariance from earlier data. `names`: what to learn, default `free_parameters`. BadInput for what makes no
+    sense, NotIdentifiable where the commands move nothing.
+    """
+    if not DURATION[0] <= seconds <= DURATION[1]:
+        raise BadInput("experiment", "seconds", f"{seconds:g} s", f"{DURATION[0]:g} to {DURATION[1]:g} s")
+    for field, std in (("noise of thrust", noise_std), ("noise of speed", omega_std)):
+        if std is not None and not 0.0 < std < np.inf:
+            raise BadInput("experiment", field, f"{std:g}", "a number above 0")
+    names = free_parameters(model) if names is None else tuple(names)
+    information = Information(model, values, names, noise_std, limits.step, omega_std)
+    search = Search(information, limits, seconds, knowledge, np.random.default_rng(seed))
+    search.assemble()
+    untold = search.give_up()
+    search.improve(evaluations)
+    information, commands = search.information, search.commands()
+    time = np.round(np.arange(len(commands)) * limits.step, 9)
+    return Plan(
+        commands=Record({"time": time, "omega_ref": commands[:, 0], "beta_ref": commands[:, 1]}, "vpp plan"),
+        thrust=information.thrust(commands, limits.step),
+        limits=limits,
+        noise_std=noise_std,
+        seed=seed,
+        before=None if knowledge is None else information.forecast(search.known),
+        after=information.forecast(search.known + information.of(commands, limits.step)),
+        paper=_paper(search, np.random.default_rng([seed, 1])),
+        untold=untold,
+    )
+
+
+def _paper(search: Search, rng: np.random.Generator) -> Forecast:
+    """The median of some plans of the paper's kind."""
+    plans = [paper_plan(rng, len(search.targets), search.step, search.limits) for _ in range(DRAWS)]
+    found = [search.information.forecast(search.of(each)) for each in plans]
+    return sorted(found, key=lambda forecast: forecast.typical)[DRAWS // 2]
+
+
+def _summary(forecast: Forecast) -> dict:
+    direction, spread = forecast.weakest()
+    rows = zip(forecast.names, forecast.values.tolist(), forecast.std.tolist(), forecast.intervals.tolist(), strict=True)
+    return {
+        "parameters": {name: {"value": value, "std": std, "interval": interval} for name, value, std, interval in rows},
+        "rms_relative_std": forecast.typical,
+        "weakest_direction": dict(zip(forecast.names, direction.tolist(), strict=True)) | {"relative_std": spread},
+        "covariance": forecast.covariance.tolist(),
+    }

@@ -1,0 +1,288 @@
+"""Logs of RCbenchmark (Tyto Robotics) stands, fixed pitch: read with their units, freed of what is no measurement.
+
+What the logger does to its data, as two logs of 80 to 120 rows a second show (notes/identification.md):
+
+- A third of the filled thrust cells repeat the last value to the last digit, where neighbours differ by 900 steps of the
+  converter: one conversion read twice. The repeat is left empty, or whatever counts readings counts it twice.
+- The logger stalls: a gap of 80 to 97 ms in most steps up, and the row stamped behind it was taken before it (the current in it
+  still is the motor's inrush). Its readings are left empty, but for the voltage.
+- Speed and thrust are smoothed from row to row: behind a gap they approach by half of what is left a row, not a time constant,
+  long after the current has settled. They are left empty until less than 1 % of it is left, REMEMBERED rows in all.
+
+Nothing is resampled: rows keep their uneven times.
+"""
+
+import csv
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import Table, read_text
+from vpp_fmu.record import Record
+
+STALL = 4.0
+"""A gap of this many median intervals is a stall: the logs' stalls are 4.6 to 12 of them, all else is below 3.2."""
+
+REMEMBERED = 7
+"""Rows behind a stall whose speed and thrust still remember it: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step is left."""
+
+COARSE = 10.0
+"""Median change from value to value over the smallest; below it neighbours of a noisy reading are equal by chance, in 3 % of
+the cases and more. The logs have 900."""
+
+AVERAGED = 1.0
+"""Median interval [s] from which rows are averages of steady points and no record in time."""
+
+AT_REST = 0.5
+"""Time [s] without a turning motor after which the thrust is that of rest."""
+
+FEWEST_AT_REST = 10
+"""Readings at rest that a tare needs."""
+
+_GRAVITY = 9.80665
+_TURN = 30.0 / np.pi
+_US = ("us", "µs", "μs")
+
+_UNITS = {
+    "time": {"s": 1.0, "ms": 1e-3},
+    "thrust": {"n": 1.0, "gf": _GRAVITY / 1e3, "g": _GRAVITY / 1e3, "kgf": _GRAVITY, "kg": _GRAVITY, "lbf": 4.4482216152605},
+    "speed": {"rpm": 1.0, "rad/s": _TURN, "hz": 60.0, "rev/s": 60.0},
+    "voltage": {"v": 1.0, "mv": 1e-3},
+    "current": {"a": 1.0, "ma": 1e-3},
+}
+"""Factors to the units of a record, by quantity and unit in lower case."""
+
+_SPEEDS = ("motor optical speed", "motor electrical speed")
+"""Best first: the electrical one needs the right number of poles, and some stands only write zeros there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A log as it stands, each array (n,): time [s] from 0, ESC signal (held through empty cells), speed [rpm] or None, thrust
+    [N] as logged, voltage [V] (held too), current [A] or None; NaN where a cell is empty.
+
+    Masks (n,): `repeated` thrust cells; `late` rows behind a stall; `stalled` rows that still remember one. `start`: what the
+    log calls time 0 [s]. `names`: the columns that were used, by quantity. `dropped`: rows left out, by reason.
+    """
+
+    source: str
+    start: float
+    time: np.ndarray
+    signal: np.ndarray
+    span: SignalRange
+    speed: np.ndarray | None
+    thrust: np.ndarray
+    voltage: np.ndarray
+    current: np.ndarray | None
+    repeated: np.ndarray
+    late: np.ndarray
+    stalled: np.ndarray
+    names: Mapping[str, str]
+    dropped: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def interval(self) -> float:
+        """s, the median from row to row."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def averaged(self) -> bool:
+        """Whether rows are averages of steady points."""
+        return self.interval > AVERAGED
+
+    @property
+    def resting(self) -> np.ndarray:
+        """(n,) rows with a reading of the thrust at rest: no speed, and none for AT_REST before."""
+        if self.speed is None:
+            return np.zeros(len(self.time), bool)
+        turning = np.where(self.speed > 0.0, self.time, -np.inf)
+        still = self.time - np.maximum.accumulate(turning) > AT_REST
+        return still & (self.speed == 0.0) & np.isfinite(self.thrust) & ~self.repeated & ~self.stalled
+
+    @property
+    def loaded_voltage(self) -> float:
+        """V, the median with the motor turning; NaN if it never does."""
+        turning = np.zeros(len(self.time), bool) if self.speed is None else self.speed > 0.0
+        return float(np.median(self.voltage[turning])) if turning.any() else float("nan")
+
+    def steady_points(self) -> SteadyPoints:
+        """Where the motor ran steadily; for averages, every row with the motor turning."""
+        if self.speed is None:
+            return SteadyPoints(*np.empty((3, 0)), np.nan)
+        if self.averaged and (turning := self.speed > 0.0).any():
+            signal = self.signal[turning]
+            return SteadyPoints(signal, self.voltage[turning], self.speed[turning], float(signal.min()))
+        return steady_points(self.time, self.signal, self.speed, self.voltage, ~self.stalled)
+
+    def tare(self) -> tuple[float, float, int] | None:
+        """Thrust at rest: (mean [N], spread of a reading [N], readings); None where the log has too little rest."""
+        rest = self.thrust[self.resting]
+        return (float(rest.mean()), float(rest.std()), len(rest)) if len(rest) >= FEWEST_AT_REST else None
+
+    def record(self, omega_ref: np.ndarray, offset: float = 0.0, keep_stalls: bool = False) -> Record:
+        """The record, thrust less `offset` [N]; pitch is fixed: `beta_ref` is 0.
+
+        Repeated thrust is empty, and what the rows behind a stall measured, unless `keep_stalls`. Voltage has a value in each
+        row, a late one the value from before the stall: it is an effect's input, and an input has no gaps.
+        """
+        late, stalled = (np.zeros_like(rows) if keep_stalls else rows for rows in (self.late, self.stalled))
+        columns = {"time": self.time, "omega_ref": omega_ref, "beta_ref": np.zeros(len(self.time))}
+        if self.speed is not None:
+            columns["omega"] = np.where(stalled, np.nan, self.speed)
+        columns["thrust"] = np.where(stalled | self.repeated, np.nan, self.thrust - offset)
+        columns["voltage"] = _held(np.where(late, np.nan, self.voltage))
+        if self.current is not None:
+            columns["current"] = np.where(late, np.nan, self.current)
+        return Record(columns, self.source)
+
+
+def read_log(path: str | os.PathLike) -> Log:
+    """Read a log. BadInput: no such column, a unit that is not known, a cell that is no number, time that goes back."""
+    table, notes = _table(path)
+    headers = {_split(name)[0]: name for name in table.columns}
+    needed = {"time": "Time", "signal": "ESC signal", "thrust": "Thrust", "voltage": "Voltage"}
+    names = {quantity: _find(table, headers, name) for quantity, name in needed.items()}
+    rows, dropped = _rows(table, names)
+    table = Table(table.source, {name: column[rows] for name, column in table.columns.items()}, table.lines[rows])
+    names |= {"current": headers["current"]} if "current" in headers else {}
+    values = {quantity: _converted(table, name, quantity) for quantity, name in names.items() if quantity != "signal"}
+    speed = _speed(table, headers)
+    names |= {"speed": speed} if speed else {}
+    signal = _held(table.numbers(names["signal"], gaps=("", "nan")))
+    late, stalled = _stalls(values["time"])
+    for quantity in ("thrust", "voltage"):
+        if not np.isfinite(values[quantity]).any():
+            raise BadInput(path, f"column {names[quantity]}", "empty cells only", f"measured {quantity}")
+    return Log(
+        source=str(path),
+        start=float(values["time"][0]),
+        time=values["time"] - values["time"][0],
+        signal=signal,
+        span=_span(table, names["signal"], signal),
+        speed=_converted(table, speed, "speed") if speed else None,
+        thrust=values["thrust"],
+        voltage=_held(values["voltage"]),
+        current=values.get("current"),
+        repeated=_repeated(values["thrust"]),
+        late=late,
+        stalled=stalled,
+        names=names,
+        dropped={"notes": notes, **dropped},
+    )
+
+
+def _table(path: str | os.PathLike) -> tuple[Table, int]:
+    """The cells as text, by header, and the number of lines that are notes: some users write theirs below the data."""
+    lines = [(i, line) for i, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
+    kept = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
+    if len(kept) < 3:
+        raise BadInput(path, "file", f"{max(len(kept) - 1, 0)} rows", "a log of RCbenchmark: a header and at least two rows")
+    cells = [[cell.strip() for cell in next(csv.reader([line]))] for _, line in kept]
+    for (i, _), row in zip(kept, cells, strict=True):
+        if len(row) != len(cells[0]):
+            raise BadInput(path, f"line {i}", f"{len(row)} cells", f"{len(cells[0])}, as in the header")
+    columns = {}
+    for name, *column in zip(*cells, strict=True):
+        if name in columns:
+            raise BadInput(path, f"column {name}", "more than one of that name", "each column once")
+        if name:  # a comma ends each line, and so makes a column without a name
+            columns[name] = np.array(column, dtype=object)
+    return Table(str(path), columns, np.array([i for i, _ in kept[1:]])), len(lines) - len(kept)
+
+
+def _split(header: str) -> tuple[str, str]:
+    """Name and unit of a header such as "Thrust (gf)", both in lower case."""
+    name, unit = re.fullmatch(r"(.*?)\s*(?:\(([^()]*)\))?", header).groups()
+    return name.lower(), (unit or "").strip().lower()
+
+
+def _find(table: Table, headers: Mapping[str, str], name: str) -> str:
+    if name.lower() in headers:
+        return headers[name.lower()]
+    found = f"only {', '.join(table.columns)}"[:200]
+    raise BadInput(table.source, f"column {name}", found, "a log of RCbenchmark with its own header")
+
+
+def _speed(table: Table, headers: Mapping[str, str]) -> str | None:
+    """The header of the best speed that is ever other than 0; if none is, of the best that is there."""
+    readings = {headers[name]: table.numbers(headers[name], gaps=("", "nan")) for name in _SPEEDS if name in headers}
+    there = [name for name, column in readings.items() if np.isfinite(column).any()]
+    moving = [name for name in there if np.nanmax(np.abs(readings[name])) > 0.0]
+    return next(iter(moving or there), None)
+
+
+def _converted(table: Table, header: str, quantity: str) -> np.ndarray:
+    """(n,) a column in the record's unit, NaN where a cell is empty."""
+    units = _UNITS[quantity]
+    unit = _split(header)[1]
+    if unit not in units:
+        raise BadInput(table.source, f"column {header}, unit", repr(unit), f"one of {', '.join(units)}")
+    return table.numbers(header, gaps=("", "nan")) * units[unit]
+
+
+def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str, int]]:
+    """Rows to keep, in their order, and how many are not, by reason. BadInput where time goes back."""
+    time, signal = table.numbers(names["time"], gaps=("", "nan")), table.numbers(names["signal"], gaps=("", "nan"))
+    timed = np.isfinite(time)
+    told = np.maximum.accumulate(np.isfinite(signal))
+    rows = np.flatnonzero(timed & told)
+    moved = np.round(np.diff(time[rows]), 9)
+    # Averages bear the mean of their times, and the first of them comes out a millisecond late.
+    if np.any(moved < 0.0) and np.median(moved) < AVERAGED:
+        row = int(np.argmax(moved < 0.0))
+        now, before = time[rows[row + 1]], time[rows[row]]
+        raise table.wrong(names["time"], rows[row + 1], f"{now:.9g} after {before:.9g}", "time that doesn't go back")
+    kept = rows[np.append(moved != 0.0, True)]  # of rows at one time the last, which knows most
+    if len(kept) < 2:
+        raise BadInput(table.source, "rows", f"{len(kept)} with time and ESC signal", "at least two")
+    early = int((timed & ~told).sum())
+    return kept, {
+        "no time": int((~timed).sum()),
+        "before the first ESC signal": early,
+        "at the time of the next row": len(rows) - len(kept),
+    }
+
+
+def _held(column: np.ndarray) -> np.ndarray:
+    """The column with empty cells holding the last value, at its start the first."""
+    filled = np.isfinite(column)
+    last = np.maximum.accumulate(np.where(filled, np.arange(len(column)), -1))
+    return column[np.where(last < 0, np.argmax(filled), last)]
+
+
+def _stalls(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Masks (n,): the rows right behind a stall; those and the ones that still remember it."""
+    step = np.diff(time)
+    late = np.append(False, step > STALL * np.median(step))
+    late &= np.median(step) < AVERAGED
+    stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
+    return late, stalled
+
+
+def _repeated(thrust: np.ndarray) -> np.ndarray:
+    """(n,) cells that repeat the filled one before to the last digit; none where that comes by chance (COARSE)."""
+    filled = np.flatnonzero(np.isfinite(thrust))
+    change = np.abs(np.diff(thrust[filled]))
+    repeated, moved = np.zeros(len(thrust), bool), change[change > 0.0]
+    if len(moved) and np.median(moved) > COARSE * moved.min():
+        repeated[filled[1:][change == 0.0]] = True
+    return repeated
+
+
+def _span(table: Table, header: str, signal: np.ndarray) -> SignalRange:
+    """DShot or PWM, by the header's unit, else by the values: no PWM idles below 900 us."""
+    unit = _split(header)[1]
+    if unit not in ("", *_US):
+        raise BadInput(table.source, f"column {header}, unit", repr(unit), "µs, or none for DShot")
+    span = RANGES["PWM" if unit in _US or signal.min() >= 900.0 else "DShot"]
+    low, high = (700.0, 2300.0) if span.kind == "PWM" else (span.low, span.high)
+    outside = (signal < low) | (signal > high)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise table.wrong(header, row, f"{signal[row]:.9g}", f"{low:g} to {high:g} for {span.kind}")
+    return span

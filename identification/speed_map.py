@@ -1,0 +1,188 @@
+"""The static map from an ESC's signal to rotor speed, so that a log of signals becomes a record of speed commands.
+
+    omega = a_0 + a_1 x + a_2 x^2 + a_3 x^3,   x = throttle * voltage / nominal voltage   (omega in rpm)
+
+The throttle is the signal as a share of its range. The fit uses the voltage that was measured; `omega_ref` is the map at the
+nominal voltage and so depends on the signal alone, as a command must: what the battery does to the speed is an effect.
+"""
+
+import json
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text
+
+FORMAT = "vpp-speed-map/1"
+
+PLATEAU = 1.0
+"""A signal held longer than this [s] gives a steady point, from the second half of the time it is held."""
+
+UNSTEADY = 0.02
+"""Spread of the speed over its mean from which a part is not steady: a motor that stops, or that stutters at low throttle."""
+
+FEWEST = 5
+"""Different signals that a fit needs: a cubic, and one to contradict it."""
+
+
+@dataclass(frozen=True)
+class SignalRange:
+    """What an ESC's signal runs between; `kind` as in the file."""
+
+    kind: str
+    low: float
+    high: float
+
+    def throttle(self, signal: np.ndarray) -> np.ndarray:
+        """(n,) the signal as a share of its range."""
+        return (signal - self.low) / (self.high - self.low)
+
+
+RANGES = {"DShot": SignalRange("DShot", 0.0, 2047.0), "PWM": SignalRange("PWM", 1000.0, 2000.0)}
+"""The two kinds of signal, by name; PWM in us."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyPoints:
+    """Where the motor ran steadily: signal, voltage [V] and speed [rpm], each (points,).
+
+    `turns_from`: the smallest signal that kept the motor turning, steadily or not; NaN where none did.
+    """
+
+    signal: np.ndarray
+    voltage: np.ndarray
+    speed: np.ndarray
+    turns_from: float
+
+    def __len__(self) -> int:
+        return len(self.signal)
+
+
+@dataclass(frozen=True)
+class SpeedMap:
+    """A fitted map: `coefficients` a_0 ... a_3 [rpm], good for signals from `turns_from` to `fitted_to`.
+
+    `rms` [rpm]: what the `points` steady points of the log `source` leave.
+    """
+
+    coefficients: tuple[float, ...]
+    nominal_voltage: float
+    signal: SignalRange
+    turns_from: float
+    fitted_to: float
+    rms: float
+    points: int
+    source: str
+
+    def speed(self, signal: np.ndarray, voltage: np.ndarray | float) -> np.ndarray:
+        """(n,) rpm at signals (n,) and voltage [V], (n,) or one; 0 below the smallest signal that turns the motor."""
+        x = self.signal.throttle(signal) * voltage / self.nominal_voltage
+        return np.where(signal < self.turns_from, 0.0, np.maximum(np.polyval(self.coefficients[::-1], x), 0.0))
+
+    def omega_ref(self, signal: np.ndarray) -> np.ndarray:
+        """(n,) rpm: the command that a signal means, whatever the battery's voltage is."""
+        return self.speed(signal, self.nominal_voltage)
+
+    def error(self, points: SteadyPoints) -> np.ndarray:
+        """(points,) rpm, map less measured at the measured voltage."""
+        return self.speed(points.signal, points.voltage) - points.speed
+
+    def to_json(self) -> str:
+        """The file `speed_map.json`, exact to the bit when read back."""
+        span = {"kind": self.signal.kind, "minimum": self.signal.low, "maximum": self.signal.high}
+        content = {
+            "format": FORMAT,
+            "coefficients": list(self.coefficients),
+            "nominal_voltage": self.nominal_voltage,
+            "signal": span | {"turns_from": self.turns_from, "fitted_to": self.fitted_to},
+            "rms": self.rms,
+            "points": self.points,
+            "source": self.source,
+            "units": {"coefficients": "rpm", "nominal_voltage": "V", "rms": "rpm"},
+        }
+        return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def steady_points(
+    time: np.ndarray, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray, usable: np.ndarray
+) -> SteadyPoints:
+    """Means over the steady parts with the motor turning; all (n,), in s, rpm, V; rows that are not `usable` are left out."""
+    starts = np.flatnonzero(np.append(True, signal[1:] != signal[:-1]))
+    found, turning = [], [np.nan]
+    for first, end in zip(starts, [*starts[1:], len(signal)], strict=True):
+        held = time[end - 1] - time[first]
+        rows = slice(first + np.searchsorted(time[first:end], time[first] + held / 2), end)
+        good = usable[rows] & np.isfinite(speed[rows]) & np.isfinite(voltage[rows])
+        if held > PLATEAU and good.any():
+            there = speed[rows][good]
+            if np.median(there) > 0.0:
+                turning.append(signal[first])
+                if there.std() < UNSTEADY * there.mean():
+                    found.append((signal[first], voltage[rows][good].mean(), there.mean()))
+    return SteadyPoints(*np.array(found).reshape(-1, 3).T, float(np.fmin.reduce(turning)))
+
+
+def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: float, source: str) -> SpeedMap:
+    """Fit the cubic by least squares. BadInput: too few different signals, or a map that does not rise over them."""
+    different = len(np.unique(points.signal))
+    if different < FEWEST:
+        allowed = f"{FEWEST} or more with the motor turning, or the map of another log with --speed-map"
+        raise BadInput(source, "steady parts", f"{different} different ESC signals held for {PLATEAU:g} s", allowed)
+    x = span.throttle(points.signal) * points.voltage / nominal_voltage
+    a, *_ = np.linalg.lstsq(np.vander(x, 4, increasing=True), points.speed, rcond=None)
+    along = np.linspace(x.min(), x.max(), 101)
+    if np.any(np.diff(np.polyval(a[::-1], along)) <= 0.0):
+        raise BadInput(source, "steady parts", "speeds that don't rise with the ESC signal", "one rising curve")
+    rms = float(np.sqrt(np.mean((np.polyval(a[::-1], x) - points.speed) ** 2)))
+    reach = points.turns_from, float(points.signal.max())
+    return SpeedMap(tuple(a.tolist()), nominal_voltage, span, *reach, rms, len(points), source)
+
+
+def read_speed_map(path: str | os.PathLike) -> SpeedMap:
+    """Read `speed_map.json`. BadInput names file and field."""
+    try:
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise BadInput(path, "file", "no JSON", "a speed map that vpp import wrote") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else content
+        raise BadInput(path, "format", json.dumps(found)[:60], json.dumps(FORMAT))
+    span = content.get("signal")
+    if not isinstance(span, dict) or span.get("kind") not in RANGES:
+        raise BadInput(path, "signal", json.dumps(span)[:60], f"an object with kind, one of {', '.join(RANGES)}")
+    coefficients = content.get("coefficients")
+    if not isinstance(coefficients, list) or len(coefficients) != 4:
+        raise BadInput(path, "coefficients", json.dumps(coefficients)[:60], "a list of 4 numbers in rpm")
+    numbers = [_number(path, f"coefficients, {k}", value) for k, value in enumerate(coefficients, 1)]
+    low, high = (_number(path, f"signal, {name}", span.get(name)) for name in ("minimum", "maximum"))
+    ends = [_number(path, f"signal, {name}", span.get(name)) for name in ("turns_from", "fitted_to")]
+    if not low < high:
+        raise BadInput(path, "signal, maximum", f"{high:g}", f"more than the minimum, {low:g}")
+    return SpeedMap(
+        coefficients=tuple(numbers),
+        nominal_voltage=_number(path, "nominal_voltage", content.get("nominal_voltage"), above=0.0),
+        signal=SignalRange(span["kind"], low, high),
+        turns_from=ends[0],
+        fitted_to=ends[1],
+        rms=_number(path, "rms", content.get("rms")),
+        points=int(_number(path, "points", content.get("points"))),
+        source=str(content.get("source", "")),
+    )
+
+
+def _number(path: str | os.PathLike, field: str, found: object, above: float = -1e300) -> float:
+    if isinstance(found, bool) or not isinstance(found, int | float) or not above < found < 1e300:
+        raise BadInput(path, field, json.dumps(found)[:60], "a number" if above < 0.0 else f"a number above {above:g}")
+    return float(found)
+
+
+def fit_quality(points: SteadyPoints, speed_map: SpeedMap) -> dict[str, float | int]:
+    """How a map fits a log's steady points: how many it is good for and how many lie beyond, rms and largest error [rpm]."""
+    known = (points.signal >= speed_map.turns_from) & (points.signal <= speed_map.fitted_to)
+    figures = {"points": int(known.sum()), "points_beyond": int((~known).sum())}
+    if not known.any():
+        return figures
+    error = np.abs(speed_map.error(points)[known])
+    return figures | {"rms": float(np.sqrt(np.mean(error**2))), "largest": float(error.max())}

@@ -1,0 +1,175 @@
+"""python -m tests.benchmarks.identification [--full]: the refinement beside other ways to the same fit, in one run.
+
+One synthetic record (60 s at 250 Hz, thrust with 0.3 N of white noise) and one start, the paper's averaged constants and static
+map; thrust alone, no prior. Cost and errors of every method come from the same exact model. Machines differ and are noisy, so
+the ratios are what to look at; each time is the best of the runs stated. Numerical libraries may use one thread: matrices are
+small, and on a machine that others use threads wait for each other.
+"""
+
+import argparse
+import contextlib
+import io
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
+
+from identification.gradient_descent import RATE
+from identification.problem import Problem
+from identification.refine import BASE_PARAMETERS, paper_cost, refine
+from tests.benchmarks.rivals import Outcome, casadi_shooting, jax_sysid, paper_descent
+from tests.studies.synthetic import TRUTH, commands, covariance, measured
+from vpp_fmu.kernel.plant import AVERAGED, BASE
+from vpp_fmu.native import Simulator, compiler
+from vpp_fmu.record import Record
+
+PAPER_ITERATIONS = 350
+TIMED_ITERATIONS = 20
+"""Of the paper's descent, unless --full is given; its time for all of them is then scaled."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to fit: `run()` once, of which the best of `runs` counts; `times`: by what its seconds are scaled."""
+
+    name: str
+    run: Callable[[], Outcome]
+    runs: int
+    times: float = 1.0
+
+
+class Yardstick:
+    """The record, and how costs and errors are measured on it."""
+
+    def __init__(self, seed: int = 0):
+        rng = np.random.default_rng(seed)
+        self.record: Record = measured(commands(rng), rng)
+        self.start = np.array([AVERAGED[n] for n in BASE_PARAMETERS])
+        self._problem = Problem(BASE, [self.record], BASE.values(), BASE_PARAMETERS, channels=("thrust",))
+        coordinates = self._problem.coordinates
+        x = coordinates.vector(TRUTH)
+        jacobian = self._problem.evaluate(x)[1] * self._problem.std["thrust"]
+        rms = np.sqrt(2.0 * paper_cost(self._problem, BASE.values(TRUTH))) * BASE.values()["thrust_scale"]
+        bound = coordinates.jacobian(x) @ covariance(jacobian, rms) @ coordinates.jacobian(x).T
+        self._std = np.sqrt(np.diag(bound))
+
+    def cost(self, parameters: np.ndarray) -> float:
+        """mean(e^2) / 2 of normalised thrust."""
+        return paper_cost(self._problem, BASE.values(dict(zip(BASE_PARAMETERS, parameters, strict=True))))
+
+    def off(self, parameters: np.ndarray, truth: np.ndarray) -> float:
+        """The largest distance of a parameter in standard deviations of the Cramer-Rao bound, slower constants first."""
+        return float(np.max(np.abs(_slow_first(parameters) - _slow_first(truth)) / self._std))
+
+
+def _slow_first(parameters: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.sort(parameters[:2])[::-1], np.sort(parameters[2:4])[::-1], parameters[4:]])
+
+
+def ours(record: Record) -> Outcome:
+    """`refine` as it is called: the model's trace, what the record can tell, the search, covariance."""
+    began = time.perf_counter()
+    found = refine(BASE, [record], AVERAGED, channels=("thrust",))
+    return Outcome(np.array([found.values[n] for n in BASE_PARAMETERS]), 0.0, time.perf_counter() - began)
+
+
+def compiling() -> float:
+    """Seconds of the C compiler: once for a model, ever; later runs take the library from the cache."""
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(compiler, "cache_folder", return_value=Path(folder)):
+        began = time.perf_counter()
+        Simulator(BASE, BASE_PARAMETERS)
+        cold = time.perf_counter() - began
+    began = time.perf_counter()
+    Simulator(BASE, BASE_PARAMETERS)
+    return cold - (time.perf_counter() - began)
+
+
+def trf(record: Record, start: np.ndarray) -> Outcome:
+    """scipy's trust-region reflective solver on the same residual and sensitivities."""
+    began = time.perf_counter()
+    values = BASE.values(dict(zip(BASE_PARAMETERS, start, strict=True)))
+    problem = Problem(BASE, [record], values, BASE_PARAMETERS, channels=("thrust",))
+    coordinates, last = problem.coordinates, {}
+
+    def at(x):
+        if not np.array_equal(x, last.get("x")):
+            last["x"], last["found"] = x.copy(), problem.evaluate(x)
+        return last["found"]
+
+    bounds = coordinates.lower, coordinates.upper
+    found = least_squares(lambda x: at(x)[0], coordinates.vector(values), lambda x: at(x)[1], bounds, x_scale="jac")
+    parameters = np.array([coordinates.values(found.x)[n] for n in BASE_PARAMETERS])
+    return Outcome(parameters, 0.0, time.perf_counter() - began)
+
+
+def methods(yardstick: Yardstick, full: bool) -> list[Method]:
+    """All of them; ours first."""
+    scales, record, start = BASE.values(), yardstick.record, yardstick.start
+    u = np.column_stack(
+        [record["omega_ref"] / scales["omega_scale"], (record["beta_ref"] + scales["beta_offset"]) / scales["beta_scale"]]
+    )
+    y = record["thrust"] / scales["thrust_scale"]
+    count = PAPER_ITERATIONS if full else TIMED_ITERATIONS
+    descent = f"the paper's descent, {count} iterations"
+    return [
+        Method("this project's refine", lambda: ours(record), 25),
+        Method("scipy TRF, our sensitivities", lambda: trf(record, start), 10),
+        Method(descent, lambda: paper_descent(u, y, start, RATE, count), 1, PAPER_ITERATIONS / count),
+        Method("CasADi shooting, Gauss-Newton", lambda: casadi_shooting(u, y, start, True), 2),
+        Method("CasADi shooting, exact Hessian", lambda: casadi_shooting(u, y, start, False), 1),
+        Method("jax-sysid L-BFGS", lambda: jax_sysid(u, y, start), 2),
+    ]
+
+
+def measure(method: Method) -> tuple[Outcome, float] | None:
+    """(the run that solved fastest, its seconds); None, and a line why, where a package is missing."""
+    outcomes = []
+    try:
+        for _ in range(method.runs):
+            with contextlib.redirect_stdout(io.StringIO()):
+                outcomes.append(method.run())
+    except ImportError as missing:
+        print(f"{method.name:38} skipped: {missing.name} is not installed (pip install '.[benchmarks]')")
+        return None
+    best = min(outcomes, key=lambda outcome: outcome.solve)
+    return best, best.solve * method.times
+
+
+@threadpool_limits.wrap(limits=1)
+def main(full: bool) -> None:
+    """Run and print all."""
+    yardstick = Yardstick()
+    print(f"{len(yardstick.record)} rows; our model's C is compiled once, ever: {compiling():.2f} s, not counted below")
+    print(f"{'':38} {'best of':>7} {'build s':>8} {'solve s':>8} {'over ours':>9} {'J':>13} {'off truth':>10} {'off ours':>9}")
+    reference = None
+    for method in methods(yardstick, full):
+        if (measured_ := measure(method)) is None:
+            continue
+        outcome, seconds = measured_
+        reference = reference or (seconds, outcome.parameters)
+        truth = np.array([TRUTH[n] for n in BASE_PARAMETERS])
+        print(
+            f"{method.name:38} {method.runs:7} {outcome.build:8.2f} {seconds:8.3f} {seconds / reference[0]:9.1f}"
+            f" {yardstick.cost(outcome.parameters):13.7g} {yardstick.off(outcome.parameters, truth):7.2f} sd"
+            f" {yardstick.off(outcome.parameters, reference[1]):6.2f} sd"
+        )
+    if not full:
+        print(
+            f"The paper's descent ran {TIMED_ITERATIONS} iterations: its seconds are scaled to {PAPER_ITERATIONS}, its cost and"
+            " errors are as they stand then. --full runs them all."
+        )
+    print(
+        "sd: of the Cramer-Rao bound; the farthest parameter counts. Aims: 0.05 s, 1000 x the paper's, 20 x CasADi and jax-sysid."
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.identification", description=__doc__)
+    parser.add_argument("--full", action="store_true", help="run all 350 iterations of the paper's descent (minutes)")
+    main(parser.parse_args().full)

@@ -1,0 +1,121 @@
+"""python -m tests.interop: both flavours in every importer that is installed; prints a table of what works, and why not.
+
+An importer that is missing is skipped: pip install libcosimpy ecospy tbb fmu-manipulation-toolbox.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, STEP, STEPS, WANTED
+from vpp_fmu.cli.export import exported
+from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.parameters import ParameterSet
+
+REST = dict.fromkeys(COMMANDS, 0.0)
+
+
+def alone() -> list[np.ndarray]:
+    """What a plant alone may show at the end: under the commands, and at rest where they can't be given."""
+    plant = Simulation(BASE)
+    rows = [list(plant.start(REST).values())]
+    for k in range(BEFORE + STEPS):
+        rows.append(list(plant.advance(REST if k < BEFORE else COMMANDS, STEP).values()))
+    return [np.array(rows[-1]), np.array(rows[0])]
+
+
+def loops() -> list[np.ndarray]:
+    """What the loop may show: importers differ in how often they exchange values at the start, and in when they look."""
+    found = []
+    for exchanges in (0, 1, 2):
+        plant, controller = Simulation(BASE), Simulation(CONTROLLER)
+        shown = plant.start(REST)
+        commands = controller.start({"thrust_set": WANTED, "thrust": shown["thrust"]})
+        for _ in range(exchanges):
+            shown = plant.start(commands)
+            commands = controller.start({"thrust_set": WANTED, "thrust": shown["thrust"]})
+        for k in range(LOOP_STEPS + 2):
+            following = controller.advance({"thrust_set": WANTED, "thrust": shown["thrust"]}, STEP)
+            shown, commands = plant.advance(commands, STEP), following
+            if k > LOOP_STEPS - 4:
+                found.append(np.array(list(shown.values())))
+    return found
+
+
+def trial(importer: str, case: str, flavour: str, folder: Path):
+    """(what came out, None) or (None, why not)."""
+    command = [sys.executable, "-m", "tests.interop.trials", importer, case, flavour, str(folder)]
+    libraries = os.pathsep.join([str(Path(sys.prefix, "lib")), os.environ.get("LD_LIBRARY_PATH", "")])
+    paths = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"LD_LIBRARY_PATH": libraries, "PYTHONPATH": paths}
+    with tempfile.TemporaryDirectory() as work:
+        try:
+            done = subprocess.run(command, cwd=work, env=environment, check=False, capture_output=True, text=True, timeout=120)
+        except subprocess.TimeoutExpired:
+            return None, "no end after 120 s"
+    if done.returncode < 0:
+        return None, f"signal {-done.returncode}"
+    if done.returncode:
+        return None, done.stderr.strip().splitlines()[-1][:100]
+    return json.loads(done.stdout.splitlines()[-1]), None
+
+
+def judged(shown, allowed: list[np.ndarray]) -> str:
+    """How far from the nearest of what is allowed."""
+    off = min(float(np.max(np.abs(np.array(shown) - right) / np.maximum(np.abs(right), 1.0))) for right in allowed)
+    return "same bits" if off == 0.0 else f"off by {off:.0e}" if off < 1e-5 else f"OTHER: {[round(x, 6) for x in shown]}"
+
+
+def row(importer: str, flavour: str, folder: Path, expected: dict) -> tuple[list[str], object]:
+    cells, shown = [], None
+    for case in ("alone", "loop", "twice"):
+        if not hasattr(IMPORTERS[importer], "loop" if case == "twice" else case):
+            cells.append("-")
+            continue
+        shown, problem = trial(importer, case, flavour, folder)
+        if problem:
+            cells.append(f"fails: {problem}")
+        elif case == "twice":
+            cells.append("same" if shown[0] == shown[1] else f"differs: {shown}")
+        else:
+            cells.append(judged(shown, expected[case]))
+    return cells, shown
+
+
+def main():
+    parts = [ParameterSet(BASE), ParameterSet(CONTROLLER)]
+    expected = {"alone": alone(), "loop": loops()}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        flavours = ["python", "native"]
+        try:
+            files = exported(parts, flavours)
+        except CompilerMissing as missing:
+            print(f"native flavour skipped: {missing}\n")
+            flavours = ["python"]
+            files = exported(parts, flavours)
+        for path, content in files.items():
+            (folder / path).write_bytes(content if isinstance(content, bytes) else content.encode())
+        print("| importer | flavour | plant alone | loop | loop twice in a process | flavours |\n|---|---|---|---|---|---|")
+        for importer, kind in IMPORTERS.items():
+            if find_spec(kind.package) is None:
+                print(f"| {importer} | | skipped: {kind.package} is not installed | | | |")
+                continue
+            ends = []
+            for flavour in flavours:
+                cells, shown = row(importer, flavour, folder, expected)
+                ends.append(shown)
+                same = "" if len(ends) < 2 or None in ends else "same bits" if ends[0] == ends[1] else "DIFFER"
+                print(f"| {importer} | {flavour} | {' | '.join(cells)} | {same} |", flush=True)
+
+
+main()

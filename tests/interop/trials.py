@@ -1,0 +1,175 @@
+"""One importer, one case, one FMU flavour: run in a process of its own, since an importer may crash.
+
+python -m tests.interop.trials IMPORTER CASE FLAVOUR FOLDER prints the outcome as JSON: [thrust, omega, beta] at the end, for
+`twice` of both runs.
+"""
+
+import csv
+import json
+import os
+import stat
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+STEP, BEFORE, STEPS = 0.004, 1, 250  # s; communication steps at rest, then under the commands
+COMMANDS = {"omega_ref": 5000.0, "beta_ref": 3.0}
+OUTPUTS = ("thrust", "omega", "beta")
+LOOP_STEPS, WANTED = 500, 8.0
+
+
+class Fmpy:
+    """fmpy: its own simulation alone; in the loop, its SSP simulation, which knows no parameter values."""
+
+    package = "fmpy"
+
+    def alone(self, folder, suffix):
+        import fmpy
+        import numpy as np
+
+        change = BEFORE * STEP
+        table = [(0.0, 0.0, 0.0), (change, 0.0, 0.0), (change, *COMMANDS.values())]
+        held = np.array(table, dtype=[(name, float) for name in ("time", *COMMANDS)])
+        stop = (BEFORE + STEPS) * STEP
+        path = str(folder / f"VppPlant{suffix}.fmu")
+        return [float(fmpy.simulate_fmu(path, input=held, stop_time=stop, output_interval=STEP)[n][-1]) for n in OUTPUTS]
+
+    def loop(self, folder, suffix):
+        from fmpy.ssp.simulation import simulate_ssp
+
+        path, stop = str(folder / f"VppLoop{suffix}.ssp"), LOOP_STEPS * STEP
+        result = simulate_ssp(path, stop_time=stop, step_size=STEP, input=lambda t: None)
+        return [float(result[f"VppPlant.{name}"][-1]) for name in OUTPUTS]
+
+
+class Libcosim:
+    """libcosim, under DNV's and SINTEF's Open Simulation Platform."""
+
+    package = "libcosimpy"
+
+    def alone(self, folder, suffix):
+        from libcosimpy.CosimExecution import CosimExecution
+        from libcosimpy.CosimSlave import CosimLocalSlave
+
+        execution = CosimExecution.from_step_size(int(STEP * 1e9))
+        index = execution.add_local_slave(CosimLocalSlave(str(folder / f"VppPlant{suffix}.fmu"), "plant"))
+        observer, manipulator = self._watch(execution)
+        execution.step(BEFORE)
+        manipulator.slave_real_values(index, [0, 1], list(COMMANDS.values()))
+        execution.step(STEPS)
+        return observer.last_real_values(index, [2, 3, 4])
+
+    def loop(self, folder, suffix):
+        from libcosimpy.CosimExecution import CosimExecution
+
+        execution = CosimExecution.from_ssp_file(str(folder / f"VppLoop{suffix}.ssp"), int(STEP * 1e9))
+        observer, _ = self._watch(execution)
+        execution.step(LOOP_STEPS)
+        return observer.last_real_values(execution.slave_index_from_instance_name("VppPlant"), [2, 3, 4])
+
+    def _watch(self, execution):
+        from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
+        from libcosimpy.CosimManipulator import CosimManipulator
+        from libcosimpy.CosimObserver import CosimObserver
+
+        log_output_level(CosimLogLevel.ERROR)
+        observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
+        execution.add_observer(observer)
+        execution.add_manipulator(manipulator)
+        return observer, manipulator
+
+
+class Ecos:
+    """Ecos from Python."""
+
+    package = "ecospy"
+
+    def alone(self, folder, suffix):
+        from ecospy import EcosSimulation, EcosSimulationStructure
+
+        structure = EcosSimulationStructure()
+        structure.add_model("plant", str(folder / f"VppPlant{suffix}.fmu"))
+        with EcosSimulation(structure=structure, step_size=STEP) as simulation:
+            simulation.init()
+            simulation.step(BEFORE)
+            for name, value in COMMANDS.items():
+                simulation.set_real(f"plant::{name}", value)
+            simulation.step(STEPS)
+            found = [simulation.get_real(f"plant::{name}") for name in OUTPUTS]
+            simulation.terminate()
+        return found
+
+    def loop(self, folder, suffix):
+        from ecospy import EcosSimulation
+
+        with EcosSimulation(ssp_path=str(folder / f"VppLoop{suffix}.ssp"), step_size=STEP) as simulation:
+            simulation.init(parameter_set="VppLoop")
+            simulation.step(LOOP_STEPS)
+            found = [simulation.get_real(f"VppPlant::{name}") for name in OUTPUTS]
+            simulation.terminate()
+        return found
+
+
+class EcosCommand:
+    """Ecos' own program: a host without Python. It can't change an input on the way: alone it stands still."""
+
+    package = "ecospy"
+
+    def alone(self, folder, suffix):
+        return self._run(folder / f"VppPlant{suffix}.fmu", "instance")
+
+    def loop(self, folder, suffix):
+        return self._run(folder / f"VppLoop{suffix}.ssp", "VppPlant", "--parameterSet", "VppLoop")
+
+    def _run(self, path, instance, *more):
+        shipped = Path(find_spec("ecospy").origin).parent / "binaries" / ("ecos.exe" if os.name == "nt" else "ecos")
+        program = Path.cwd() / shipped.name  # as installed it may not be run
+        program.write_bytes(shipped.read_bytes())
+        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+        options = ["--path", path, "--stepSize", STEP, "--stopTime", (LOOP_STEPS + 0.5) * STEP, "-l", "err", *more]
+        done = subprocess.run([str(x) for x in (program, "simulate", *options)], check=False, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"exit code {done.returncode}")
+        with open(f"{path.stem}.csv", newline="") as file:
+            rows = [[cell.strip() for cell in row] for row in csv.reader(file)]
+        at = {name: rows[0].index(f"{instance}::{name}[REAL]") for name in OUTPUTS}
+        return [float(rows[-1][at[name]]) for name in OUTPUTS]
+
+
+class Container:
+    """fmucontainer: the loop packed as one FMU, run by fmpy. Its own reading of SSP knows no values."""
+
+    package = "fmu_manipulation_toolbox"
+
+    def loop(self, folder, suffix):
+        import fmpy
+
+        plant, controller = f"VppPlant{suffix}.fmu", f"VppController{suffix}.fmu"
+        rules = ["rule;from_fmu;from_port;to_fmu;to_port", f"FMU;{plant};;;", f"FMU;{controller};;;"]
+        rules += [f"LINK;{controller};{name};{plant};{name}" for name in COMMANDS]
+        rules += [f"LINK;{plant};thrust;{controller};thrust", f"INPUT;;thrust_set;{controller};thrust_set"]
+        rules += [f"OUTPUT;{plant};{name};;{name}" for name in OUTPUTS]
+        Path("container.csv").write_text("\n".join(rules) + "\n")
+        for fmu in (plant, controller):
+            Path(fmu).write_bytes((folder / fmu).read_bytes())
+        command = [Path(sys.executable).parent / "fmucontainer", "-container", f"container.csv:{STEP}", "-fmu-directory", "."]
+        subprocess.run([str(x) for x in command], check=True, capture_output=True, text=True)
+        values = {"thrust_set": WANTED}
+        stop = LOOP_STEPS * STEP
+        result = fmpy.simulate_fmu("container.fmu", start_values=values, stop_time=stop, output_interval=STEP, validate=False)
+        return [float(result[name][-1]) for name in OUTPUTS]
+
+
+IMPORTERS = {"fmpy": Fmpy, "libcosim": Libcosim, "Ecos": Ecos, "ecos command": EcosCommand, "fmucontainer": Container}
+
+
+def main(importer, case, suffix, folder):
+    trial = IMPORTERS[importer]()
+    if case == "twice":
+        return [trial.loop(Path(folder), suffix), trial.loop(Path(folder), suffix)]
+    return getattr(trial, case)(Path(folder), suffix)
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(sys.argv[1], sys.argv[2], {"python": "", "native": ".native"}[sys.argv[3]], sys.argv[4])))

@@ -1,0 +1,20 @@
+"""python -m tests.studies NAME [options]: what the estimates are worth, on data whose truth is known.
+
+A study states what it aims at and prints what came out beside it. NAME is one of the modules of this folder.
+"""
+
+import argparse
+
+from . import identification
+
+STUDIES = {"identification": identification.main}
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.studies", description=__doc__, add_help=False)
+    parser.add_argument("study", choices=STUDIES)
+    chosen, options = parser.parse_known_args()
+    STUDIES[chosen.study](options)
+
+
+main()

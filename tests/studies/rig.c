@@ -1,0 +1,183 @@
+/* The rig's physics for the studies, written from the descriptions of its effects alone: nothing here knows the project's kernel.
+ *
+ * All quantities are the paper's normalised ones (w = speed / 6000 rpm, b = (pitch + 5 deg) / 15 deg, T = thrust / 15 N), time
+ * in s. Everything moves by small explicit steps of STEP. `struct rig` is put before this text by physics.py, one double a
+ * field; a field that is 0 switches its effect off.
+ */
+#include <math.h>
+
+#define STEP 0.0005
+#define PREROLL 4000 /* steps on the first command before the record begins, at t = 0 */
+
+static double clip(double v, double low, double high) { return v < low ? low : v > high ? high : v; }
+
+static double sign(double v) { return (v > 0.0) - (v < 0.0); }
+
+/* A command `delay` seconds ago; row r holds from r * sub steps on. Between steps it is weighed by its share of the step. */
+static double late(const double *command, long step, long sub, double delay) {
+    double back = delay / STEP, whole = floor(back), share = back - whole;
+    long now = step - (long)whole, before = now - 1;
+    double a = command[now < 0 ? 0 : now / sub], b = command[before < 0 ? 0 : before / sub];
+    return share > 0.0 ? (1.0 - share) * a + share * b : a;
+}
+
+struct state {
+    double held, x, b, play, active, timer, latched, before;
+    double y, w, spin, trail, push, inflow, slow, creep[4], cell, cell_rate, load, stalled;
+};
+
+/* Rate of the actuator's stage that carries the nonlinear effects: from error e and time constant tau. */
+static double actuator(const struct rig *r, struct state *s, double e, double tau) {
+    double v, size = fabs(e), left = size > r->deadzone ? sign(e) * (size - r->deadzone) : 0.0;
+    if (r->pitch_asym != 0.0) tau *= exp(e > 0.0 ? r->pitch_asym : -r->pitch_asym);
+    v = left / tau;
+    if (r->stop_band > 0.0 && size <= r->stop_band) v = 0.0;
+    if (r->restart > 0.0) {
+        if (size <= r->stop) s->active = 0.0;
+        if (size > r->restart) s->active = 1.0;
+        if (s->active < 0.5) v = 0.0;
+    }
+    if (r->speed_max > 0.0) v = size > 0.003 ? sign(e) * fmin(clip(size / tau, r->speed_min, r->speed_max), size / STEP) : 0.0;
+    if (r->rate > 0.0) v = clip(v, -r->rate, r->rate);
+    if (r->stall_time > 0.0) {
+        if (s->latched != 0.0 && sign(e) != s->latched) s->latched = 0.0;
+        if (s->latched == 0.0) {
+            s->timer = fabs(v) < r->stall_speed && size > r->stall_band ? s->timer + STEP : 0.0;
+            if (s->timer > r->stall_time) s->latched = sign(e), s->timer = 0.0;
+        }
+        if (s->latched != 0.0) v = 0.0;
+    }
+    return v;
+}
+
+static double pitch(const struct rig *r, struct state *s, const double *command, long step, long sub, double warm) {
+    double u = late(command, step, sub, r->pitch_delay), e, tau_1 = r->tau_b1 * warm, tau_2 = r->tau_b2 * warm;
+    if (r->late_up != 0.0) {
+        double other = late(command, step, sub, fabs(r->late_up));
+        u = r->late_up > 0.0 ? fmin(u, other) : fmax(u, other);
+    }
+    if (r->deadband > 0.0) {
+        if (fabs(u - s->held) > r->deadband) s->held = u;
+        u = s->held;
+    }
+    if (r->pitch_step > 0.0) u = r->pitch_step * floor(u / r->pitch_step + 0.5);
+    if (r->travel_max > 0.0) u = fmin(u, r->travel_max);
+    e = u - s->x;
+    s->x += STEP * (r->last_stage > 0.5 ? e / tau_1 : actuator(r, s, e, tau_1));
+    e = s->x - s->b;
+    if (r->torsion != 0.0) e -= r->torsion * s->load;
+    if (r->friction > 0.0) { /* Stribeck: breaks loose above `friction`, then slides against 0.4 of it and less with speed */
+        double moving = fabs(s->before) > 1e-4, speed = fabs(s->before);
+        double drag = moving > 0.5 ? r->friction * (0.4 + 0.6 * exp(-speed * speed / 0.01)) : r->friction;
+        s->before = fabs(e) > drag ? sign(e) * (fabs(e) - drag) / tau_2 : 0.0;
+        s->b += STEP * s->before;
+    } else
+        s->b += STEP * (r->last_stage > 0.5 ? actuator(r, s, e, tau_2) : e / tau_2);
+    s->play = fmin(fmax(s->play, s->b - r->backlash), s->b + r->backlash);
+    return s->play;
+}
+
+static double rotor(const struct rig *r, struct state *s, const double *command, long step, long sub, double b, double volt) {
+    double u = late(command, step, sub, r->speed_delay), tau = r->tau_w1, v, dip;
+    if (r->speed_max_w > 0.0) u = fmin(u, r->speed_max_w - r->sag * b);
+    if (r->volt_gain > 0.0) u = fmin(u, r->volt_gain * volt - r->sag * b);
+    if (r->speed_asym != 0.0) tau *= exp(u > s->y ? r->speed_asym : -r->speed_asym);
+    if (r->damping != 0.0) tau /= fmax(1.0 + r->damping * (s->w - 2.0 / 3.0), 0.2);
+    v = (u - s->y) / tau;
+    if (r->ramp > 0.0) v = clip(v, -r->ramp, r->ramp);
+    s->y += STEP * v;
+    if (r->hunt_hz > 0.0) { /* the loop's second pole becomes an underdamped pair */
+        double p = 2.0 * M_PI * r->hunt_hz;
+        s->spin += STEP * (p * p * (s->y - s->w) - 2.0 * r->hunt_zeta * p * s->spin);
+        s->w += STEP * s->spin;
+    } else
+        s->w += STEP * (s->y - s->w) / r->tau_w2;
+    if (r->coupling == 0.0) return s->w;
+    dip = (b - s->trail) / r->tau_w1;
+    s->trail += STEP * dip;
+    s->push += STEP * (dip - s->push) / r->tau_w2;
+    return s->w - r->coupling * s->push;
+}
+
+static double thrust(const struct rig *r, struct state *s, double w, double b, double rate, double t) {
+    double T = w * (w * (r->c20 + r->c21 * b + r->c30 * w) + b * (r->c11 + r->c12 * b)), steady;
+    T += r->map_w * w + r->map_w2b2 * w * w * b * b + r->map_wb3 * w * b * b * b;
+    if (r->stall > 0.0) {
+        double angle = b - 0.45 * w;
+        if (angle > 0.45) s->stalled = 1.0;
+        if (angle < 0.2) s->stalled = 0.0;
+        T *= 1.0 - r->stall * s->stalled;
+    }
+    steady = T;
+    if (r->fade != 0.0) T *= 1.0 + r->fade * (r->fade_time > 0.0 ? 1.0 - exp(-t / r->fade_time) : t / 100.0);
+    if (r->inflow != 0.0) {
+        s->inflow += STEP * (b - s->inflow) / r->inflow_time;
+        T += r->inflow * w * w * (b - s->inflow);
+    }
+    T += r->feedthrough * w * w * rate;
+    if (r->wash != 0.0) {
+        s->slow += STEP * (steady - s->slow) / r->wash_time;
+        T -= r->wash * s->slow;
+    }
+    s->load += STEP * (steady - s->load) / 0.02;
+    return T;
+}
+
+static double cell(const struct rig *r, struct state *s, double T, double t) {
+    static const double times[4] = {0.3, 1.5, 7.0, 35.0};
+    double reading = T;
+    if (r->ring_hz > 0.0) {
+        double p = 2.0 * M_PI * r->ring_hz;
+        s->cell_rate += STEP * (p * p * (T - s->cell) - 2.0 * r->ring_zeta * p * s->cell_rate);
+        reading = s->cell += STEP * s->cell_rate;
+    } else if (r->cell_time > 0.0)
+        reading = s->cell += STEP * (T - s->cell) / r->cell_time;
+    for (int k = 0; k < 4 && r->creep != 0.0; k++) {
+        s->creep[k] += STEP * (T - s->creep[k]) / times[k];
+        reading += 0.25 * r->creep * s->creep[k];
+    }
+    return reading + r->bias + r->drift * t / 100.0;
+}
+
+/* Everything settled on the first commands. */
+static struct state settled(const struct rig *r, double w, double b) {
+    struct state s = {0};
+    s.held = s.x = s.b = s.play = s.trail = s.inflow = r->travel_max > 0.0 ? fmin(b, r->travel_max) : b;
+    s.held = b;
+    s.active = 1.0;
+    s.y = s.w = w;
+    double T = thrust(r, &s, w, b, 0.0, 0.0);
+    s.inflow = b;
+    s.slow = s.load = T;
+    s.cell = T * (1.0 - r->wash);
+    for (int k = 0; k < 4; k++) s.creep[k] = s.cell;
+    return s;
+}
+
+/* A record of n rows, `sub` steps apart; what a row shows was there before its command acted. `angle`: of the mark at the start,
+ * revolutions; `jitter[m]` s: by what the m-th pulse comes late. `shown`: as the 4 us timer measures it, rpm. */
+void run(const struct rig *r, long n, long sub, const double *w_ref, const double *b_ref, double angle, const double *jitter,
+         double *omega, double *beta, double *load, double *shown, double *turn) {
+    struct state s = settled(r, w_ref[0], b_ref[0]);
+    double last = s.play, pulse = -1.0, display = floor(6000.0 * s.w + 0.5);
+    long m = 0;
+    for (long k = -PREROLL; k < n * sub; k++) {
+        double t = k > 0 ? k * STEP : 0.0, warm = 1.0 + r->warm * (1.0 - exp(-t / 40.0));
+        long at = k < 0 ? 0 : k;
+        double volt = 1.0 - r->discharge * t / 100.0;
+        double b = pitch(r, &s, b_ref, at, sub, warm);
+        double w = rotor(r, &s, w_ref, at, sub, b, volt);
+        double reading = cell(r, &s, thrust(r, &s, w, b, (b - last) / STEP, t), t);
+        last = b;
+        double step = 100.0 * w * STEP; /* 6000 rpm is 100 revolutions a second */
+        if (floor(angle + step) > floor(angle)) {
+            double came = (k + 1) * STEP - (angle + step - floor(angle + step)) / (100.0 * w) + jitter[m++];
+            if (pulse >= -0.9 * PREROLL * STEP) display = floor(60.0 / (4e-6 * floor((came - pulse) / 4e-6 + 0.5)) + 0.5);
+            pulse = came;
+        }
+        angle += step;
+        if (k + 1 < 0 || (k + 1) % sub || (k + 1) / sub >= n) continue;
+        long row = (k + 1) / sub;
+        omega[row] = w, beta[row] = b, load[row] = reading, shown[row] = display, turn[row] = angle;
+    }
+}

@@ -1,0 +1,71 @@
+"""Records with a known truth: the paper's fine-tuned model under commands like the paper's, with noise on the thrust."""
+
+import numpy as np
+from scipy.signal import lfilter
+
+from vpp_fmu.kernel.plant import BASE, FINE_TUNED
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+STEP = 0.004
+"""The paper's 250 Hz, s."""
+
+SECTION = 20.0
+"""Speed only, pitch only, both: this long each, s."""
+
+SPEED, PITCH, HOLD = (2000.0, 6000.0), (-5.0, 10.0), (1.0, 2.5)
+"""Levels in rpm and deg, and for how long one is held, s: all drawn evenly."""
+
+NOISE = 0.3
+"""Standard deviation of a thrust reading, N: 0.02 of the paper's scale."""
+
+TRUTH = FINE_TUNED | {"tau_beta_1": FINE_TUNED["tau_beta_2"], "tau_beta_2": FINE_TUNED["tau_beta_1"]}
+"""The fine-tuned set, each channel's slower constant first, as a fit reports them; the response is the same."""
+
+
+def commands(rng: np.random.Generator, section: float = SECTION) -> Record:
+    """Three sections of `section` s; the channel that is not in play rests in the middle of its range."""
+    rows = round(section / STEP)
+    speed = [_levels(rng, rows, *SPEED), np.full(rows, np.mean(SPEED)), _levels(rng, rows, *SPEED)]
+    pitch = [np.full(rows, np.mean(PITCH)), _levels(rng, rows, *PITCH), _levels(rng, rows, *PITCH)]
+    columns = {"time": np.arange(3 * rows) * STEP, "omega_ref": np.concatenate(speed), "beta_ref": np.concatenate(pitch)}
+    return Record(columns, "synthetic")
+
+
+def _levels(rng: np.random.Generator, rows: int, low: float, high: float) -> np.ndarray:
+    """A command (rows,) that jumps to a new level after each hold."""
+    most = int(rows * STEP / HOLD[0]) + 2
+    holds = np.round(rng.uniform(*HOLD, most) / STEP).astype(int)
+    return np.repeat(rng.uniform(low, high, most), holds)[:rows]
+
+
+def measured(record: Record, rng: np.random.Generator, std: float = NOISE, memory: float = 0.0) -> Record:
+    """The record with the true model's thrust and Gaussian noise of `std` N on it.
+
+    White, or first-order autoregressive with a correlation that falls to 1 / e in `memory` s.
+    """
+    thrust = Simulator(BASE).simulate(TRUTH, record.columns, record.steps)[:, 0]
+    drive = rng.standard_normal(len(record)) * np.sqrt(_innovation(len(record), memory))
+    return record.with_columns(thrust=thrust + std * lfilter([1.0], [1.0, -_rho(memory)], drive))
+
+
+def covariance(jacobian: np.ndarray, std: float, memory: float = 0.0) -> np.ndarray:
+    """Covariance (n, n) of least squares by linear theory, for thrust's Jacobian (rows, n) [N] and noise as in `measured`.
+
+    For white noise this is the Cramer-Rao bound.
+    """
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    driven = lfilter([1.0], [1.0, -_rho(memory)], jacobian[::-1], axis=0)[::-1]
+    scores = driven.T @ (driven * _innovation(len(jacobian), memory)[:, None])
+    return std**2 * inverse @ scores @ inverse
+
+
+def _rho(memory: float) -> float:
+    return float(np.exp(-STEP / memory)) if memory > 0 else 0.0
+
+
+def _innovation(rows: int, memory: float) -> np.ndarray:
+    """Variance (rows,) of what drives the noise; the first row is drawn from the settled noise."""
+    variance = np.full(rows, 1.0 - _rho(memory) ** 2)
+    variance[0] = 1.0
+    return variance

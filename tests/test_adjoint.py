@@ -1,0 +1,209 @@
+"""Reverse mode: the forward tangents' own numbers, at a price that does not know how many parameters there are."""
+
+import numpy as np
+import pytest
+from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, named, random_steps, simulator
+
+from identification.adjoint import AdjointProblem
+from identification.demo import example_folder
+from identification.problem import Prior, Problem
+from identification.refine import BASE_PARAMETERS, METHODS, refine
+from identification.static_map import fit_static_map
+from identification.tachometer import Tachometer
+from vpp_fmu.campaign import read_campaign
+from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import AVERAGED, BASE, plant
+from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
+from vpp_fmu.native import Adjoint
+from vpp_fmu.record import Record
+from vpp_fmu.tracer import c_source, trace
+from vpp_fmu.tracer.adjoints import c_adjoints
+from vpp_fmu.tracer.graph import CALLS
+
+PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
+ROWS = 3000
+UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], ROWS - 1)
+
+
+def is_the_tangents(model, values, inputs, steps):
+    """The gradient in every parameter is the product of tangents and random cotangents, to rounding."""
+    outputs, tangents = simulator(model, tuple(p.name for p in model.parameters)).sensitivities(values, inputs, steps)
+    cotangents = np.random.default_rng(7).normal(size=outputs.shape) / np.abs(outputs).max(axis=0)
+    shown, gradient = Adjoint(model).gradient(values, inputs, steps, cotangents)
+    np.testing.assert_array_equal(shown, outputs)
+    wanted = np.einsum("rop,ro->p", tangents, cotangents)
+    summed = np.einsum("rop,ro->p", np.abs(tangents), np.abs(cotangents))  # what the sum rounds against
+    assert np.isfinite(gradient).all()
+    off = np.abs(gradient - wanted) / np.where(summed > 0.0, summed, 1.0)
+    assert off.max() < 1e-13, dict(zip((p.name for p in model.parameters), off, strict=True))
+    assert np.count_nonzero(gradient) >= 4
+
+
+EACH = {"plain": (BASE, {})} | {e.name: (plant([e.name]), named(e, e.probe)) for e in OPTIONAL}
+
+
+@pytest.mark.parametrize("model", EACH)
+@pytest.mark.parametrize("step", [0.004, 0.0037])
+def test_gradient_is_the_tangents_for_each_effect(model, step):
+    model, values = EACH[model]
+    is_the_tangents(model, values, random_steps(ROWS, 150, model=model), np.full(ROWS - 1, step))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.004, 0.04, 0.0413, 0.3])
+@pytest.mark.parametrize("hold", [1, 150])
+def test_gradient_in_a_delay_on_and_off_the_grid(delay, hold):
+    inputs, steps = random_steps(ROWS, hold), np.full(ROWS - 1, 0.004)
+    is_the_tangents(plant(["pitch_delay"]), {PITCH: delay}, inputs, steps)
+    is_the_tangents(TWO_DELAYS, {PITCH: delay, SPEED: 0.0413}, inputs, steps)
+
+
+@pytest.mark.parametrize(("model", "values"), [(ALL_ON, PROBES), (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087})])
+def test_gradient_at_uneven_steps(model, values):
+    is_the_tangents(model, values, random_steps(ROWS, 60, model=model), UNEVEN)
+
+
+@pytest.mark.parametrize("step", [0.0013, 0.004, 0.0091])
+def test_gradient_of_a_sampled_law(step):
+    """Rows without a sample and rows with several."""
+    rng = np.random.default_rng(2)
+    inputs = {"thrust_set": np.repeat(rng.uniform(2.0, 12.0, 30), 100), "thrust": rng.normal(7.0, 2.0, ROWS)}
+    is_the_tangents(CONTROLLER, {}, inputs, np.full(ROWS - 1, step))
+
+
+def every_operation():
+    """A model whose one step uses every operation, of prepared constants and of what moves."""
+
+    def step(ops, s, x, p, dt):
+        y = 0.3 * x.y + sum(getattr(ops, name)(0.4 + p.a * p.b) + getattr(ops, name)(0.5 + 0.1 * s.u * x.y) for name in CALLS)
+        y = ops.where(s.u > 0.0, p.a * y, y / p.b) - ops.clip(y, -p.b, p.a) + ops.where(p.a < p.b, p.a, -p.b) * (2.0 - s.u)
+        y = ops.tanh(0.1 * y) + dt * p.b
+        return {"y": y * y}, {"y": y}
+
+    parameters = tuple(Parameter(name, "1", value, -9.0, 9.0, name) for name, value in (("a", 0.7), ("b", 0.9)))
+    states = (State("y", "1", "y", lambda ops, s, p: s.u * p.a),)
+    effect = Effect("toy", "toy", step, parameters, states)
+    return Model("Toy", "toy", (Signal("u", "1", "u", -9.0, 9.0),), (Signal("y", "1", "y", -9.0, 9.0),), (effect,))
+
+
+def test_gradient_of_every_operation_is_the_central_difference():
+    model, inputs, steps = every_operation(), {"u": np.linspace(-1.0, 1.03, 50)}, UNEVEN[:49]
+    weights = np.random.default_rng(0).normal(size=(50, 1))
+    _, gradient = Adjoint(model).gradient({}, inputs, steps, weights)
+    for name, shown in zip("ab", gradient, strict=True):
+        value = model.values()[name]
+        ahead = [simulator(model).simulate({name: value + k * 1e-3}, inputs, steps) for k in (-2, -1, 1, 2)]
+        numeric = (8.0 * (ahead[2] - ahead[1]) - (ahead[3] - ahead[0])) / 12e-3
+        assert shown == pytest.approx(np.sum(weights * numeric), rel=1e-8)
+
+
+def test_gradient_in_a_coefficient_is_its_term_of_the_map():
+    """Thrust is linear in c20 and c12: 15 N w^2 and 15 N w b^2, whatever the rest."""
+    inputs, steps = random_steps(ROWS, 150), np.full(ROWS - 1, 0.004)
+    weights = np.random.default_rng(0).normal(size=(ROWS, 3)) * [1.0, 0.0, 0.0]
+    outputs, gradient = Adjoint(BASE, ("c12", "c20")).gradient({}, inputs, steps, weights)
+    w, b = outputs[:, 1] / 6000.0, (outputs[:, 2] + 5.0) / 15.0
+    assert gradient == pytest.approx([np.sum(weights[:, 0] * 15.0 * term) for term in (w * b**2, w**2)], rel=1e-12)
+
+
+def test_a_tape_can_be_gone_back_over_again_and_is_linear_in_rows():
+    adjoint, steps = Adjoint(ALL_ON), np.full(2 * ROWS, 0.004)
+    inputs = random_steps(2 * ROWS + 1, 150, model=ALL_ON)
+    tape = adjoint.record(PROBES, inputs, steps)
+    ones, twos = (tape.pull_back(np.full((2 * ROWS + 1, 3), weight)) for weight in (1.0, 2.0))
+    np.testing.assert_array_equal(tape.pull_back(1.0), ones)
+    np.testing.assert_allclose(twos, 2.0 * ones, rtol=1e-14)
+    half = Adjoint(ALL_ON).record(PROBES, {name: column[: ROWS + 1] for name, column in inputs.items()}, steps[:ROWS])
+    assert tape._entries.size == pytest.approx(2 * half._entries.size, rel=0.05)
+
+
+def operations(text, name):
+    """Statements of a C function."""
+    return text.split(f" {name}(")[1].split("\n}\n")[0].count(";")
+
+
+@pytest.mark.parametrize("model", [BASE, ALL_ON])
+def test_cost_does_not_know_how_many_parameters_there_are(model):
+    """There and back costs a few times the step itself (theory: at most five); tangents cost that for a few parameters."""
+    names = [p.name for p in model.parameters]
+    plain, back = c_source(trace(model)), c_adjoints(trace(model))
+    once = operations(plain, "step")
+    both = once + operations(back, "step_back")
+    assert both < 5 * once
+    assert operations(plain, "prepare") + operations(back, "prepare_back") < 5 * operations(plain, "prepare")
+    assert both < operations(c_source(trace(model, names)), "step") / 2
+
+
+def test_without_a_compiler_it_is_said(no_compiler):
+    with pytest.raises(CompilerMissing, match="adjoint"):
+        Adjoint(BASE)
+
+
+def test_wrong_names_and_lengths():
+    with pytest.raises(KeyError, match="c99"):
+        Adjoint(BASE, ["c99"])
+    with pytest.raises(SimulationFailed, match="10 rows need 9 steps"):
+        Adjoint(BASE).record({}, random_steps(10, 2), np.full(8, 0.004))
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    """The example's open-loop record, a start, and the static map as prior."""
+    campaign = read_campaign(example_folder())
+    static = fit_static_map(campaign.static, BASE.values())
+    prior = Prior(tuple(static.coefficients), np.array(list(static.coefficients.values())), static.covariance)
+    return campaign.open_loop, BASE.values(AVERAGED | dict(static.coefficients)), prior
+
+
+def test_tachometer_s_transpose(campaign):
+    record = campaign[0]
+    tachometer, rng = Tachometer(record), np.random.default_rng(3)
+    for _ in range(5):
+        speed, weights = rng.normal(size=len(record)), rng.normal(size=len(tachometer))
+        there, back = weights @ tachometer.shows(speed), tachometer.transpose(weights) @ speed
+        assert there == pytest.approx(back, rel=1e-11)
+
+
+@pytest.mark.parametrize("channels", [("thrust",), ("thrust", "omega")])
+def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
+    """Half a second of thrust is missing, as a rig may lose it."""
+    record, values, prior = campaign
+    thrust = record["thrust"].copy()
+    thrust[1000:1125] = np.nan
+    problem = AdjointProblem(BASE, [record.with_columns(thrust=thrust)], values, BASE_PARAMETERS, prior, channels)
+    problem.std["thrust"] = 0.2
+    at, rng = problem.coordinates.vector(values), np.random.default_rng(1)
+    for moved in (at, at * rng.uniform(0.9, 1.1, len(at)), at * rng.uniform(0.9, 1.1, len(at))):
+        x = np.clip(moved, problem.coordinates.lower, problem.coordinates.upper)
+        cost, gradient = problem.slope(x)
+        residual, jacobian = problem.evaluate(x)
+        assert cost == pytest.approx(0.5 * np.sum(residual**2), rel=1e-13)
+        np.testing.assert_allclose(gradient, jacobian.T @ residual, rtol=1e-10)
+
+
+def test_it_ends_where_levenberg_marquardt_does(campaign):
+    record, values, prior = campaign
+    problems = [kind(BASE, [record], values, BASE_PARAMETERS, prior) for kind in (Problem, AdjointProblem)]
+    wanted, found = (problem.solve(values) for problem in problems)
+    assert found.converged
+    assert found.cost == pytest.approx(wanted.cost, rel=1e-6)
+    assert found.costs[0] == pytest.approx(wanted.costs[0], rel=1e-12)
+    spread = np.sqrt(np.diag(np.linalg.inv(wanted.jacobian.T @ wanted.jacobian) * wanted.cost / len(record)))
+    assert (np.abs(found.value - wanted.value) < 0.02 * spread).all()
+    np.testing.assert_allclose(found.jacobian, wanted.jacobian, atol=1e-3 * np.abs(wanted.jacobian).max())
+
+
+def test_it_can_be_chosen():
+    """A plant with a pitch delay, which the adjoint must move too."""
+    model, truth = plant(["pitch_delay"]), {PITCH: 0.0331, "tau_beta_1": 0.3, "tau_beta_2": 0.15, "c11": 0.1}
+    inputs, steps = random_steps(5001, 250, model=model), np.full(5000, 0.004)
+    thrust = simulator(model).simulate(truth, inputs, steps)[:, 0] + np.random.default_rng(6).normal(0.0, 0.1, 5001)
+    record = Record({"time": np.arange(5001) * 0.004, **inputs, "thrust": thrust}, "made up")
+    names, start = (*BASE_PARAMETERS, PITCH), {PITCH: 0.0213, "tau_beta_1": 0.25, "tau_beta_2": 0.17}
+    found, wanted = (refine(model, [record], start, names, method=method) for method in ("adjoint", METHODS[0]))
+    assert found.method == "adjoint"
+    assert found.names == names
+    for name, value in zip(names, (model.values(truth)[name] for name in names), strict=True):
+        assert found.values[name] == pytest.approx(wanted.values[name], abs=0.05 * wanted.std[name])
+        assert found.values[name] == pytest.approx(value, abs=4.5 * wanted.std[name])
+    assert found.std == pytest.approx(wanted.std, rel=0.02)

@@ -1,0 +1,222 @@
+"""What holds for every optional effect in the library, whatever it does: a new one is tested here without an edit."""
+
+from functools import reduce
+
+import numpy as np
+import pytest
+from builders import OPTIONAL, named, random_steps, reference, simulator, slopes
+from scipy.signal import lsim
+
+from vpp_fmu.export import python_fmu
+from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
+from vpp_fmu.units import base_unit
+
+STEP = 0.004
+each_effect = pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
+
+
+def test_the_library_has_effects():
+    assert len({e.name for e in LIBRARY}) == len(LIBRARY)
+    assert OPTIONAL
+
+
+@each_effect
+def test_it_declares_itself(effect):
+    assert effect.off
+    assert effect.probe
+    assert effect.description
+    declared = {p.name: p for p in effect.parameters}
+    assert set(effect.off) <= set(effect.probe) <= set(declared)
+    assert set(effect.delays.values()) <= set(declared)
+    for p in declared.values():
+        assert base_unit(p.unit) is not None  # KeyError: an FMU couldn't declare it
+        assert p.description
+        assert np.isfinite([p.minimum, p.maximum, p.nominal]).all()
+        assert p.minimum < p.maximum
+        assert p.nominal > 0.0
+        for value in (p.default, effect.off.get(p.name, p.default), effect.probe.get(p.name, p.default), *p.choices):
+            assert p.minimum <= value <= p.maximum, p.name
+    for x in (*effect.states, *effect.inputs):
+        assert base_unit(x.unit) is not None
+        assert x.description
+
+
+@each_effect
+@pytest.mark.parametrize("dt", [0.001, 0.002, STEP, 0.0073, 0.05])
+def test_off_is_the_model_without_it_to_the_bit(effect, dt):
+    model = plant([effect.name])
+    inputs, steps = random_steps(300, 20, model=model), np.full(299, dt)
+    without = reference(BASE, {}, inputs, steps)
+    for values in (named(effect, effect.off), named(effect, {**effect.probe, **effect.off})):
+        np.testing.assert_array_equal(reference(model, values, inputs, steps), without)
+        np.testing.assert_array_equal(simulator(model).simulate(values, inputs, steps), without)
+
+
+@each_effect
+def test_c_is_python_to_the_bit(effect):
+    model, values = plant([effect.name]), named(effect, effect.probe)
+    inputs, steps = random_steps(1500, 150, model=model), np.random.default_rng(3).choice([STEP, STEP, 0.0013, 0.011], 1499)
+    shown = simulator(model).simulate(values, inputs, steps)
+    np.testing.assert_array_equal(shown, reference(model, values, inputs, steps))
+    assert np.isfinite(shown).all()
+
+
+@each_effect
+def test_the_probe_shows(effect):
+    model = plant([effect.name])
+    inputs, steps = random_steps(5000, 250, model=model), np.full(4999, STEP)
+    on = simulator(model).simulate(named(effect, effect.probe), inputs, steps)
+    moved = np.abs(on - simulator(BASE).simulate({}, inputs, steps)).max(axis=0)
+    assert (moved > [0.03, 3.0, 0.03]).any(), f"thrust, omega, beta differ by no more than {moved} N, rpm, deg"
+
+
+@each_effect
+@pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
+def test_at_every_bound_the_numbers_are_finite_and_c_is_python(effect, dt):
+    """Overflow, division by zero and roots of negative numbers raise in Python, not in C: the bounds must keep them out."""
+    model = plant([effect.name])
+    inputs, steps = random_steps(12, 3, model=model), np.full(11, dt)
+    for p in effect.parameters:
+        for value in (p.minimum, p.maximum):
+            values = named(effect, {**effect.probe, p.name: value})
+            shown = reference(model, values, inputs, steps)
+            np.testing.assert_array_equal(simulator(model).simulate(values, inputs, steps), shown)
+            assert np.isfinite(shown).all(), values
+
+
+@pytest.mark.parametrize("effects", [(), *((e,) for e in OPTIONAL), OPTIONAL], ids=lambda e: "+".join(x.name for x in e)[:40])
+def test_the_communication_step_does_not_matter(effects):
+    """Commands over the whole range on a grid of 8 ms, some changing every time, seen from 1, 2, 4 and 8 ms."""
+    model, values = plant(e.name for e in effects), {k: v for e in effects for k, v in named(e, e.probe).items()}
+    slow, fast = random_steps(2000, 150, model=model), random_steps(200, 1, model=model)
+    coarse = {name: np.r_[slow[name], fast[name]] for name in slow}
+    at_8_ms = simulator(model).simulate(values, coarse, np.full(2199, 0.008))
+    for split in (2, 4, 8):
+        fine = {name: np.repeat(column, split)[: 2199 * split + 1] for name, column in coarse.items()}
+        shown = simulator(model).simulate(values, fine, np.full(2199 * split, 0.008 / split))[::split]
+        np.testing.assert_allclose(shown[:, 0], at_8_ms[:, 0], rtol=0, atol=1e-3)
+
+
+@each_effect
+@pytest.mark.parametrize("step", [STEP, 0.0037])
+def test_tangents_are_central_differences_away_from_kinks(effect, step):
+    """Also where a threshold makes the curve flat: the tangent is 0 there."""
+    model = plant([effect.name])
+    wrt = (*(effect.full(p.name) for p in effect.parameters), "tau_omega_1", "tau_beta_1", "tau_beta_2", "c21")
+    values, declared = model.values(named(effect, effect.probe)), {p.name: p for p in model.parameters}
+    inputs, steps = random_steps(2000, 150, model=model), np.full(1999, step)
+    tangents = simulator(model, wrt).sensitivities(values, inputs, steps)[1]
+    for j, name in enumerate(wrt):
+        p = declared[name]
+        if p.choices or not p.minimum < values[name] < p.maximum:
+            continue  # not a number to vary, or one side only
+        numeric, smooth, size = slopes(model, values, name, inputs, steps)
+        assert smooth.mean() > 0.9, f"{name}: hardly a row where differences agree"
+        error = np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0).max(axis=0) / size
+        assert error.max() < 3e-3, f"{name}: thrust, omega, beta are off by these shares of their size: {error}"
+
+
+def test_deadband_ignores_changes_up_to_its_half_width():
+    simulation = Simulation(plant(["pitch_command_deadband"]), {"pitch_command_deadband.half_width": 1.5})
+    simulation.start({"omega_ref": 4000.0, "beta_ref": 2.0})
+    reached = []
+    for command in (3.5, 0.5, 3.500001, 2.25, 5.0, 5.001, 3.75, 3.5, 5.0):
+        reached.append(simulation.advance({"omega_ref": 4000.0, "beta_ref": command}, 100.0)["beta"])
+    assert reached == pytest.approx([2.0, 2.0, 3.500001, 3.500001, 3.500001, 5.001, 5.001, 3.5, 3.5], abs=1e-12)
+
+
+@pytest.mark.parametrize("gain", [25.0, -80.0])
+def test_coupling_is_the_transfer_function_under_scipy(gain):
+    """From pitch command to speed: -gain s / ((0.207 s + 1)(0.374 s + 1)(0.172 s + 1)(0.053 s + 1))."""
+    inputs, time = random_steps(1000, 200), np.arange(1000) * 0.004
+    model, steps = plant(["pitch_speed_coupling"]), np.full(999, 0.004)
+    shown = reference(model, {"pitch_speed_coupling.gain": gain}, inputs, steps) - reference(BASE, {}, inputs, steps)
+    lags = reduce(np.polymul, ([tau, 1.0] for tau in (0.207, 0.374, 0.172, 0.053)))
+    moved = lsim(([-gain, 0.0], lags), inputs["beta_ref"] - inputs["beta_ref"][0], time, interp=False)[1]
+    assert np.abs(moved).max() > 200.0
+    np.testing.assert_allclose(shown[:, 1], moved, rtol=0, atol=4e-4 * abs(gain))
+    np.testing.assert_allclose(shown[:, 2], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(3.0, 0.05), (10.0, 0.3), (1.0, 0.005)])
+def test_stand_is_the_oscillator_under_scipy(frequency, damping):
+    inputs, steps = random_steps(1000, 200), np.full(999, 0.004)
+    values = {"stand_resonance.frequency": frequency, "stand_resonance.damping": damping}
+    shown = reference(plant(["stand_resonance"]), values, inputs, steps)[:, 0]
+    fine = {name: np.repeat(column, 16)[:15985] for name, column in inputs.items()}
+    thrust, w0 = simulator(BASE).simulate({}, fine, np.full(15984, 0.00025))[:, 0], 2.0 * np.pi * frequency
+    swung = lsim(([w0**2], [1.0, 2.0 * damping * w0, w0**2]), thrust - thrust[0], np.arange(15985) * 0.00025)[1]
+    np.testing.assert_allclose(shown, thrust[0] + swung[::16], rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(3.0, 0.05), (60.0, 0.3), (1.0, 0.005)])
+def test_stand_rings_down_with_its_frequency_and_damping(frequency, damping):
+    """A free oscillation obeys y[k+1] = 2 r cos(wd h) y[k] - r^2 y[k-1] with r = exp(-damping w0 h)."""
+    fast = dict.fromkeys(("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2"), 0.001)
+    values = fast | {"stand_resonance.frequency": frequency, "stand_resonance.damping": damping}
+    inputs = {"omega_ref": np.r_[4000.0, np.full(199, 5000.0)], "beta_ref": np.full(200, 5.0)}
+    reading = simulator(plant(["stand_resonance"])).simulate(values, inputs, np.r_[0.05, 0.05, np.full(197, 0.002)])[:, 0]
+    settled = simulator(BASE).simulate({}, inputs, np.full(199, 9.0))[-1, 0]
+    y = reading[2:] - settled
+    (a, b), *_ = np.linalg.lstsq(np.column_stack([y[1:-1], y[:-2]]), y[2:])
+    decay, turn = -np.log(-b) / 2.0 / 0.002, np.arccos(a / 2.0 / np.sqrt(-b)) / 0.002
+    assert np.hypot(decay, turn) / 2.0 / np.pi == pytest.approx(frequency, rel=1e-6)
+    assert decay / np.hypot(decay, turn) == pytest.approx(damping, rel=1e-5)
+
+
+@pytest.mark.parametrize(("offset", "rate", "time_constant"), [(0.1, 0.003, 1000.0), (-1.0, -0.03, 10.0), (0.5, 0.0, 30.0)])
+def test_drift_is_the_closed_form(offset, rate, time_constant):
+    steps = np.random.default_rng(5).uniform(0.001, 1.0, 200)
+    inputs, t = random_steps(201, 20), np.r_[0.0, np.cumsum(steps)]
+    values = {"sensor_drift.offset": offset, "sensor_drift.rate": rate, "sensor_drift.time_constant": time_constant}
+    drifted = reference(plant(["sensor_drift"]), values, inputs, steps) - reference(BASE, {}, inputs, steps)
+    exact = offset + rate * time_constant * (1.0 - np.exp(-t / time_constant))
+    np.testing.assert_allclose(drifted[:, 0], exact, rtol=0, atol=1e-10)
+    assert not drifted[:, 1:].any()
+
+
+def _gust(ops, s, x, p, dt):
+    wake = ops.lag(x.wake, s.thrust * ops.tanh(s.crosswind / 10.0), p.time_constant, dt)
+    return {"thrust": s.thrust - p.share * wake}, {"wake": wake}
+
+
+GUST = Effect(
+    "gust",
+    "an effect that the package has never heard of, with an input of its own",
+    _gust,
+    parameters=(
+        Parameter("share", "1", 0.0, 0.0, 1.0, "share of the thrust that a strong crosswind takes"),
+        Parameter("time_constant", "s", 0.4, 0.01, 10.0, "time constant of the wake"),
+    ),
+    states=(State("wake", "N", "what the wake takes", lambda ops, s, p: s.thrust * ops.tanh(s.crosswind / 10.0)),),
+    off={"share": 0.0},
+    probe={"share": 0.2},
+    inputs=(Signal("crosswind", "1", "strength of the wind", 0.0, 100.0, 8.0, start=2.0),),
+)
+
+
+def test_a_new_effect_runs_everywhere_without_an_edit(tmp_path):
+    model = plant(["gust", "pitch_delay"], (*LIBRARY, GUST))
+    values = {"gust.share": 0.3, "pitch_delay.delay": 0.0237}
+    inputs, steps = random_steps(500, 40, model=model), np.full(499, STEP)
+    shown = reference(model, values, inputs, steps)
+    np.testing.assert_array_equal(simulator(model).simulate(values, inputs, steps), shown)
+    tangents = simulator(model, ("gust.share",)).sensitivities(values, inputs, steps)[1][:, 0, 0]
+    rest = reference(model, {**values, "gust.share": 0.0}, inputs, steps)
+    np.testing.assert_allclose(tangents, (shown - rest)[:, 0] / 0.3, rtol=0, atol=1e-12)
+
+    path = tmp_path / "gust.fmu"
+    path.write_bytes(python_fmu(model, values))
+    fmu = Fmu(path)
+    assert float(fmu.variables["crosswind"].start) == 2.0
+    instance = FmuInstance(fmu, list(inputs), ["thrust", "omega", "beta"])
+    rows = np.column_stack(list(inputs.values())).tolist()
+    stepped = [instance.start(rows[0])]
+    take = instance.stepper(STEP)
+    stepped += [take(row) for row in rows[:-1]]
+    np.testing.assert_array_equal(stepped, shown)
+    instance.close()
+    fmu.close()

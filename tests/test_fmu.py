@@ -1,0 +1,374 @@
+"""The Python FMU in fmpy: valid, reproducible, the kernel's numbers, state that can be kept, plain words when refused."""
+
+import ast
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from hashlib import sha256
+from pathlib import Path
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from builders import ALL_ON, PROBES, Slave, random_steps, reference
+from fmpy.fmi1 import FMICallException
+from fmpy.util import read_csv
+from fmpy.validation import validate_fmu
+
+import vpp_fmu
+from vpp_fmu.errors import BadInput, SimulationFailed
+from vpp_fmu.export import python_fmu
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.record import Record, read_record, write_record
+
+OUTPUTS = ["thrust", "omega", "beta"]
+MODELS = {"plain": BASE, "all_on": ALL_ON, "controller": CONTROLLER}
+each_fmu = pytest.mark.parametrize("name", MODELS)
+
+
+@each_fmu
+def test_fmpy_finds_no_problem(fmu_files, name):
+    assert validate_fmu(str(fmu_files[name])) == []
+
+
+def described(path):
+    with zipfile.ZipFile(path) as packed:
+        return ElementTree.fromstring(packed.read("modelDescription.xml"))
+
+
+@each_fmu
+@pytest.mark.parametrize("causality", ["input", "output", "parameter", "local"])
+def test_every_variable_says_what_it_is(fmu_files, name, causality):
+    root = described(fmu_files[name])
+    units = {unit.get("name") for unit in root.iter("Unit")}
+    variables = [v for v in root.iter("ScalarVariable") if v.get("causality") == causality]
+    assert variables
+    for v in variables:
+        real = v.find("Real")
+        assert v.get("description"), v.get("name")
+        assert real.get("unit") in units, v.get("name")
+        missing = {"min", "max", "nominal"} - set(real.attrib)
+        assert not missing, f"{v.get('name')} has no {missing}"
+        assert float(real.get("min")) < float(real.get("max"))
+        assert float(real.get("min")) <= float(real.get("start", real.get("min"))) <= float(real.get("max"))
+
+
+@each_fmu
+def test_units_are_si_factors(fmu_files, name):
+    factors = {u.get("name"): float(u[0].get("factor", 1.0)) for u in described(fmu_files[name]).iter("Unit")}
+    turn = 2.0 * np.pi
+    assert factors["rpm"] == pytest.approx(turn / 60.0, rel=1e-15)
+    assert factors["deg"] == pytest.approx(turn / 360.0, rel=1e-15)
+    assert factors.get("rpm.s/deg", 6.0) == pytest.approx(6.0, rel=1e-15)
+
+
+@each_fmu
+def test_the_contracts_variables_are_there(fmu_files, fmus, name):
+    plant = ["tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c11", "c21", "c12", "c30"]
+    pid = ["kp_omega", "ki_omega", "kd_omega", "kp_beta", "ki_beta", "kd_beta", "t_filter", "sample_time"]
+    by = {"input": ["omega_ref", "beta_ref"], "output": OUTPUTS, "parameter": plant}
+    if name == "controller":
+        by = {"input": ["thrust_set", "thrust"], "output": ["omega_ref", "beta_ref"], "parameter": pid}
+    if name == "all_on":
+        by["parameter"] += list(PROBES)
+    for causality, names in by.items():
+        assert len(fmus[name].references(names, causality)) == len(names)
+    shown = {v.name: float(v.start) for v in fmus[name].variables.values() if v.causality == "parameter"}
+    assert shown == MODELS[name].values(PROBES if name == "all_on" else {})
+
+
+@each_fmu
+def test_initial_unknowns_name_all_that_the_outputs_start_from(fmus, name):
+    description = fmus[name].description
+    listed = {u.variable.name: {d.name for d in u.dependencies} for u in description.initialUnknowns}
+    outputs = [v.name for v in description.modelVariables if v.causality == "output"]
+    assert set(listed) == set(outputs)
+    inputs = {v.name: 0.37 * float(v.nominal) for v in description.modelVariables if v.causality == "input"}
+    values = {v.name: float(v.start) for v in description.modelVariables if v.causality == "parameter"}
+    rest = Slave(fmus[name], initialised=False).initialise(**inputs).get(*outputs)
+    for changed, value in {**inputs, **values}.items():
+        there = Slave(fmus[name], initialised=False).initialise(**{**inputs, changed: value * 0.999 + 1e-6}).get(*outputs)
+        for output, before, after in zip(outputs, rest, there, strict=True):
+            assert before == after or changed in listed[output]
+
+
+def test_outputs_can_be_read_during_the_initialisation(fmus):
+    slave = Slave(fmus["all_on"], initialised=False)
+    slave.fmi.setupExperiment(startTime=0.0)
+    slave.fmi.enterInitializationMode()
+    for omega, c21 in ((0.0, 0.8), (5000.0, 0.8), (5000.0, 0.7)):
+        slave.set(omega_ref=omega, beta_ref=3.0, c21=c21)
+        exact = Simulation(ALL_ON, {**PROBES, "c21": c21}).start({"omega_ref": omega, "beta_ref": 3.0})
+        assert slave.get(*exact) == list(exact.values())
+
+
+def test_an_input_does_nothing_before_the_next_step(fmus):
+    plant = Slave(fmus["plain"])
+    plant.step({"omega_ref": 5000.0, "beta_ref": 3.0}, 0.1)
+    before = plant.get(*OUTPUTS)
+    plant.set(omega_ref=100.0, beta_ref=-4.0)
+    assert plant.get(*OUTPUTS) == before
+
+
+def test_an_input_holds_until_it_is_set_again(fmus):
+    slave, kernel, held = Slave(fmus["all_on"]), Simulation(ALL_ON, PROBES), {"omega_ref": 5000.0, "beta_ref": 6.0}
+    slave.set(**held)
+    for k in range(30):
+        slave.fmi.doStep(k * 0.004, 0.004)
+        assert slave.get(*OUTPUTS) == list(kernel.advance(held, 0.004).values())
+        assert slave.get(*held) == list(held.values())
+
+
+def in_a_new_process(code, folder, **variables):
+    """What Python code prints in another process, with the tests and this project on the path."""
+    path = os.pathsep.join(map(str, (Path(__file__).parent, Path(vpp_fmu.__file__).parents[1])))
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | variables | {"PYTHONPATH": path},
+        cwd=folder,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.strip()
+
+
+def test_an_fmu_built_after_another_one_ran_is_whole(fmu_files, tmp_path):
+    code = (
+        "import io, sys, zipfile; from vpp_fmu.fmu import Fmu, FmuInstance;"
+        f"FmuInstance(Fmu({str(fmu_files['plain'])!r}), ['omega_ref'], ['thrust']).start([0.0]);"
+        "from vpp_fmu.export import python_fmu; from vpp_fmu.kernel.plant import BASE;"
+        "print(*zipfile.ZipFile(io.BytesIO(python_fmu(BASE))).namelist())"
+    )
+    with zipfile.ZipFile(fmu_files["plain"]) as packed:
+        assert in_a_new_process(code, tmp_path, TMPDIR=str(tmp_path)).split() == packed.namelist()
+
+
+@each_fmu
+def test_two_builds_have_the_same_bytes(name, tmp_path):
+    model = MODELS[name]
+    first = python_fmu(model)
+    assert python_fmu(model) == first
+    code = f"from test_fmu import *; print(sha256(python_fmu(MODELS[{name!r}])).hexdigest())"
+    elsewhere = in_a_new_process(code, tmp_path, PYTHONHASHSEED="7", TZ="Asia/Tokyo", TMPDIR=str(tmp_path))
+    assert elsewhere == sha256(first).hexdigest()
+    assert python_fmu(model, {next(p.name for p in model.parameters): 0.5}) != first
+
+
+@each_fmu
+def test_it_carries_no_path_of_this_machine_and_needs_nothing_of_this_project(fmu_files, name):
+    places = [Path.cwd(), Path.home(), Path(__file__).parents[1], Path(sys.prefix), Path(os.path.realpath(sys.prefix))]
+    sources = 0
+    with zipfile.ZipFile(fmu_files[name]) as packed:
+        for entry in packed.namelist():
+            if Path(entry).suffix in (".so", ".dll", ".dylib", ".png"):
+                continue
+            text = packed.read(entry).decode()
+            for place in (*map(str, places), "/tmp", sysconfig.get_paths()["purelib"]):
+                assert place not in text, f"{entry}: {place}"
+            if entry.endswith(".py") and "pythonfmu/" not in entry:
+                sources += 1
+                for node in ast.walk(ast.parse(text)):
+                    imported = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+                    imported += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
+                    for module in imported:
+                        assert module.split(".")[0] in {*sys.stdlib_module_names, "pythonfmu"}, f"{entry}: {module}"
+    assert sources == 1
+
+
+def test_60_000_steps_with_every_effect_are_the_kernels_to_the_bit(fmus, long_run):
+    commands, _, exact = long_run
+    instance = FmuInstance(fmus["all_on"], list(commands), OUTPUTS)
+    rows = np.column_stack(list(commands.values())).tolist()
+    shown = [instance.start(rows[0])]
+    step = instance.stepper(0.004)
+    shown += [step(row) for row in rows[:-1]]
+    np.testing.assert_array_equal(shown, exact)
+    instance.close()
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A written record of 6 s with measured thrust: its path, its content as read back, the kernel's outputs on fmpy's grid."""
+    folder, rows = tmp_path_factory.mktemp("record"), 1501
+    columns = {"time": np.arange(rows) * 0.004, **random_steps(rows, 60, model=ALL_ON), "thrust": np.linspace(1.0, 2.0, rows)}
+    path = write_record(OutputFolder(folder), "record.csv", Record(columns, "test"))
+    record = read_record(path, list(columns)[:-1])
+    steps = np.diff(np.arange(rows) * 0.004)  # fmpy's steps: differences of n h, that scatter by a rounding
+    inputs = {u.name: record[u.name] for u in ALL_ON.inputs}
+    return path, record, reference(ALL_ON, PROBES, inputs, steps)
+
+
+def test_fmpy_runs_a_written_record_as_the_kernel_to_the_bit(fmu_files, written):
+    path, _, exact = written
+    result = fmpy.simulate_fmu(str(fmu_files["all_on"]), input=read_csv(path), stop_time=6.0, output_interval=0.004)
+    np.testing.assert_array_equal(np.column_stack([result[name] for name in OUTPUTS]), exact)
+
+
+def test_the_fmpy_command_runs_a_written_record_as_the_kernel_to_the_bit(fmu_files, written, tmp_path):
+    path, record, exact = written
+    options = {"--input-file": path, "--output-interval": 0.004, "--stop-time": 6, "--output-file": tmp_path / "out.csv"}
+    command = [
+        Path(sys.executable).parent / "fmpy",
+        "simulate",
+        fmu_files["all_on"],
+        *(x for kv in options.items() for x in kv),
+    ]
+    subprocess.run([str(x) for x in command], check=True, capture_output=True, text=True, cwd=tmp_path)
+    result = read_csv(tmp_path / "out.csv")
+    np.testing.assert_allclose(result["time"], record.time, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(np.column_stack([result[name] for name in OUTPUTS]), exact)
+
+
+def test_without_any_input_the_plant_stands_still(tmp_path):
+    for i, model in enumerate((BASE, ALL_ON)):
+        path = tmp_path / f"{i}.fmu"
+        path.write_bytes(python_fmu(model))
+        result = fmpy.simulate_fmu(str(path), stop_time=2.0, output_interval=0.01)
+        for name in OUTPUTS:
+            assert not result[name].any(), name
+
+
+def test_instances_of_several_fmus_do_not_mix(fmus, tmp_path):
+    """Two plants and two controllers of the same names, other content, interleaved, beside this project's own modules."""
+    slow = tmp_path / "slow.fmu"
+    slow.write_bytes(python_fmu(BASE, {"tau_omega_1": 0.5, "c21": 0.7}))
+    speed_only = tmp_path / "speed_only.fmu"
+    speed_only.write_bytes(python_fmu(CONTROLLER, SPEED_ONLY))
+    slow, speed_only = Fmu(slow), Fmu(speed_only)
+    pairs = [
+        (Slave(fmus["plain"]), Simulation(BASE)),
+        (Slave(fmus["controller"]), Simulation(CONTROLLER)),
+        (Slave(slow), Simulation(BASE, {"tau_omega_1": 0.5, "c21": 0.7})),
+        (Slave(speed_only), Simulation(CONTROLLER, SPEED_ONLY)),
+        (Slave(fmus["plain"], False).initialise(tau_beta_1=0.9), Simulation(BASE, {"tau_beta_1": 0.9})),
+        (Slave(fmus["all_on"]), Simulation(ALL_ON, PROBES)),
+    ]
+    rng = np.random.default_rng(0)
+    for _, kernel in pairs:
+        kernel.start({u.name: u.start for u in kernel.model.inputs})
+    for dt in rng.choice([0.004, 0.0013, 0.011], 300).tolist():
+        for slave, kernel in pairs:
+            inputs = {u.name: float(rng.uniform(0.0, u.nominal)) for u in kernel.model.inputs}
+            exact = kernel.advance(inputs, dt)
+            assert slave.step(inputs, dt, *exact) == list(exact.values())
+    for slave, _ in pairs:
+        slave.free()
+    slow.close()
+    speed_only.close()
+
+
+def all_values(slave):
+    return slave.get(*slave.references)
+
+
+@each_fmu
+def test_a_kept_state_goes_on_to_the_bit(fmus, name):
+    """At random moments, delays under way and the controller between two samples: in place, and in a fresh instance."""
+    rng, fmu = np.random.default_rng(1), fmus[name]
+    slave, inputs = Slave(fmu), [u for u in fmu.variables.values() if u.causality == "input"]
+    tuned = {"controller": "kp_omega"}.get(name, "tau_omega_1")
+
+    def go_on(slave, script):
+        return [slave.step(values, dt) or all_values(slave) for values, dt in script]
+
+    def script(steps):
+        held = [{u.name: float(rng.uniform(0.0, float(u.nominal))) for u in inputs} for _ in range(steps)]
+        return list(zip(held, rng.choice([0.0011, 0.004, 0.0137], steps).tolist(), strict=True))
+
+    go_on(slave, script(20))
+    for _ in range(8):
+        kept = slave.fmi.getFMUstate()
+        before, ahead = all_values(slave), script(40)
+        exact = go_on(slave, ahead)
+        slave.fmi.setFMUstate(kept)
+        assert all_values(slave) == before
+        assert go_on(slave, ahead) == exact
+        data = slave.fmi.serializeFMUstate(kept)
+        fresh = Slave(fmu, initialised=False).initialise(**{tuned: 1.0})
+        go_on(fresh, ahead[:1])  # it has been somewhere else, with another parameter and the same step
+        fresh.fmi.setFMUstate(fresh.fmi.deSerializeFMUstate(data))
+        assert go_on(fresh, ahead) == exact
+        slave.fmi.freeFMUstate(kept)
+        fresh.free()
+
+
+@each_fmu
+def test_a_state_kept_during_the_initialisation_starts_again_from_there(fmus, name):
+    inputs = {v.name: 0.4 * float(v.nominal) for v in fmus[name].variables.values() if v.causality == "input"}
+    slave, fresh = Slave(fmus[name], initialised=False), Slave(fmus[name], initialised=False).initialise(**inputs)
+    slave.fmi.setupExperiment(startTime=0.0)
+    slave.fmi.enterInitializationMode()
+    slave.set(**inputs)
+    kept = slave.fmi.getFMUstate()
+    slave.set(**{u: 2.0 * value for u, value in inputs.items()})
+    slave.fmi.setFMUstate(kept)
+    slave.fmi.exitInitializationMode()
+    for _ in range(5):
+        assert slave.step(inputs, 0.013) == fresh.step(inputs, 0.013)
+        assert all_values(slave) == all_values(fresh)
+
+
+@each_fmu
+def test_reset_gives_a_fresh_instance(fmus, name):
+    inputs = {v.name: 0.4 * float(v.nominal) for v in fmus[name].variables.values() if v.causality == "input"}
+    slave, fresh = Slave(fmus[name], initialised=False), Slave(fmus[name])
+    tuned = {"controller": "kp_omega"}.get(name, "tau_omega_1")
+    slave.initialise(**{tuned: 0.9})
+    slave.step(inputs, 0.05)
+    slave.fmi.reset()
+    slave.initialise()
+    for _ in range(5):
+        slave.step(inputs, 0.013)
+        fresh.step(inputs, 0.013)
+        assert all_values(slave) == all_values(fresh)
+
+
+REFUSED = {
+    "NaN input": (lambda s: s.set(omega_ref=float("nan")), ["omega_ref", "nan", "finite"]),
+    "infinite input": (lambda s: s.set(beta_ref=float("-inf")), ["beta_ref", "-inf", "finite"]),
+    "output": (lambda s: s.set(thrust=1.0), ["thrust", "can't be set"]),
+    "state": (lambda s: s.set(**{"state.omega_inner": 1.0}), ["state.omega_inner", "can't be set"]),
+    "parameter after initialisation": (lambda s: s.set(tau_omega_1=0.2), ["tau_omega_1", "fixed", "initialisation"]),
+    "no step": (lambda s: s.fmi.doStep(0.0, 0.0), ["step", "0.0 s", "positive"]),
+    "negative step": (lambda s: s.fmi.doStep(0.0, -0.004), ["step", "-0.004 s", "positive"]),
+    "NaN step": (lambda s: s.fmi.doStep(0.0, float("nan")), ["step", "nan s", "positive"]),
+    "infinite step": (lambda s: s.fmi.doStep(0.0, float("inf")), ["step", "inf s", "positive"]),
+    "reading an unknown reference": (lambda s: s.fmi.getReal([999]), ["999", "unknown", "0 to"]),
+    "setting an unknown reference": (lambda s: s.fmi.setReal([999], [1.0]), ["999", "unknown", "0 to"]),
+}
+
+
+@pytest.mark.parametrize("name", ["plain", "all_on"])
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_is_refused_is_said(fmus, what, name):
+    call, words = REFUSED[what]
+    slave = Slave(fmus[name])
+    with pytest.raises(FMICallException):
+        call(slave)
+    said = slave.messages[-1].strip().splitlines()[-1]
+    for word in ("VppPlant", *words):
+        assert word in said
+
+
+@pytest.mark.parametrize("value", [3.5, 0.0, -1.0])
+def test_a_parameter_out_of_range_is_refused_by_name(fmus, value):
+    with pytest.raises(SimulationFailed, match=f"tau_omega_1 is {value} s, allowed is 0.001 to 3.0 s"):
+        FmuInstance(fmus["plain"], ["omega_ref"], ["thrust"], {"tau_omega_1": value}).start([0.0])
+
+
+def test_what_is_no_plant_fmu_is_bad_input(fmus, tmp_path):
+    (tmp_path / "text.fmu").write_text("not a zip")
+    for path in (tmp_path / "text.fmu", tmp_path / "none.fmu"):
+        with pytest.raises(BadInput, match=path.name):
+            Fmu(path)
+    with pytest.raises(BadInput, match="thrust_set"):
+        FmuInstance(fmus["plain"], ["thrust_set"], ["thrust"])
+    with pytest.raises(BadInput, match="omega_ref"):
+        FmuInstance(fmus["plain"], ["omega_ref"], ["omega_ref"])

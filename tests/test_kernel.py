@@ -1,0 +1,219 @@
+"""Lags, map, plant and schedule against closed forms, high precision and scipy."""
+
+import math
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from builders import TWO_DELAYS, random_steps, reference, simulator, steps_through, two_lags
+from scipy.linalg import expm
+from scipy.signal import lsim
+
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED, plant
+from vpp_fmu.kernel.schedule import run_sampled
+from vpp_fmu.kernel.simulation import Simulation
+
+APART = [1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12]
+TAUS = [(0.172, 0.053), (0.053, 0.172), (0.207, 0.374), (0.1, 0.1), (3.0, 0.001), (0.001, 3.0), (3.0, 3.0), (0.001, 0.001)]
+TAUS += [(0.1, 0.1 * (1.0 + apart)) for apart in APART] + [(0.1 * (1.0 + apart), 0.1) for apart in APART]
+DTS = [1e-6, 1e-4, 0.004, 0.0301, 0.5, 3.0, 100.0]
+
+
+def precise(function, *args: float) -> float:
+    """`function` of Decimals that hold the floats exactly, with 80 digits."""
+    with localcontext(prec=80):
+        return float(function(*map(Decimal, args)))
+
+
+def decimal_two_lag_step(tau_1, tau_2, dt):
+    if tau_1 == tau_2:
+        return 1 - (-dt / tau_1).exp() * (1 + dt / tau_1)
+    return 1 - (tau_1 * (-dt / tau_1).exp() - tau_2 * (-dt / tau_2).exp()) / (tau_1 - tau_2)
+
+
+def decimal_lag_ramp(x, before, after, tau, dt):
+    slope, left = (after - before) / dt, (-dt / tau).exp()
+    return after - slope * tau + (x - before + slope * tau) * left
+
+
+@pytest.mark.parametrize("dt", DTS)
+@pytest.mark.parametrize(("tau_1", "tau_2"), TAUS)
+def test_two_lag_step_is_the_closed_form(tau_1, tau_2, dt):
+    rounding = 4e-16 * min(1.0, dt / max(tau_1, tau_2))
+    exact = precise(decimal_two_lag_step, tau_1, tau_2, dt)
+    assert NUMBERS.two_lag_step(tau_1, tau_2, dt) == pytest.approx(exact, rel=0.0, abs=rounding)
+
+
+@pytest.mark.parametrize(("tau_1", "tau_2", "dt"), [(0.172, 0.053, 0.004), (0.1, 0.1, 0.05), (0.2, 0.2000001, 0.3)])
+def test_two_lag_step_is_the_matrix_exponential(tau_1, tau_2, dt):
+    a = np.array([[-1 / tau_1, 1 / tau_1, 0.0], [0.0, -1 / tau_2, 1 / tau_2], [0.0, 0.0, 0.0]])
+    assert NUMBERS.two_lag_step(tau_1, tau_2, dt) == pytest.approx(expm(a * dt)[0, 2], rel=1e-12)
+
+
+@pytest.mark.parametrize("x", [0.0, 5e-324, 1e-300, 1e-8, 0.1, math.nextafter(0.3, 0.0), 0.3, 0.31, 1.0, 10.0, 700.0, 1e5])
+def test_relaxation_is_the_closed_form(x):
+    exact = 1.0 if x == 0.0 else precise(lambda x: (1 - (-x).exp()) / x, x) if x > 1e-9 else 1.0 - x / 2.0
+    assert NUMBERS.relaxation(x) == pytest.approx(exact, rel=4e-16, abs=0.0)
+
+
+@pytest.mark.parametrize("dt", DTS)
+@pytest.mark.parametrize("tau", [0.001, 0.053, 0.374, 3.0, 1000.0])
+def test_lag_and_its_gain_are_the_closed_form(tau, dt):
+    assert NUMBERS.gain(tau, dt) == pytest.approx(precise(lambda tau, dt: 1 - (-dt / tau).exp(), tau, dt), rel=4e-16, abs=0.0)
+    exact = precise(lambda x, u, tau, dt: u + (x - u) * (-dt / tau).exp(), 2.5, -7.0, tau, dt)
+    assert NUMBERS.lag(2.5, -7.0, tau, dt) == pytest.approx(exact, rel=0.0, abs=4e-15)
+    assert NUMBERS.lag(0.1, 0.1, tau, dt) == 0.1
+
+
+@pytest.mark.parametrize("dt", DTS)
+@pytest.mark.parametrize("tau", [0.001, 0.053, 0.374, 3.0])
+def test_lag_ramp_is_the_closed_form(tau, dt):
+    exact = precise(decimal_lag_ramp, 2.5, -7.0, 4.0, tau, dt)
+    assert NUMBERS.lag_ramp(2.5, -7.0, 4.0, tau, dt) == pytest.approx(exact, rel=0.0, abs=1e-14)
+    assert NUMBERS.lag_ramp(2.5, -7.0, -7.0, tau, dt) == pytest.approx(NUMBERS.lag(2.5, -7.0, tau, dt), rel=0.0, abs=1e-14)
+
+
+def paper_map(omega, beta):
+    """The paper's final thrust model, normalised, in N."""
+    w, b = omega / 6000.0, (beta + 5.0) / 15.0
+    return 15.0 * (0.355 * w**2 + 0.064 * w * b + 0.8 * w**2 * b - 0.16 * w * b**2 - 0.081 * w**3)
+
+
+def paper_lags(inputs, time):
+    """Eq. 16 by scipy: speed and pitch under held commands, at rest on the first. Absolute values: the DC gain is 1."""
+    t1, t2, t3, t4 = 0.172, 0.053, 0.207, 0.374
+    a = [[-1 / t1, 0, 1 / t1, 0], [0, -1 / t3, 0, 1 / t3], [0, 0, -1 / t2, 0], [0, 0, 0, -1 / t4]]
+    b, c = [[0, 0], [0, 0], [1 / t2, 0], [0, 1 / t4]], [[1, 0, 0, 0], [0, 1, 0, 0]]
+    u = np.column_stack([inputs[name] for name in ("omega_ref", "beta_ref")])
+    return lsim((np.array(a), np.array(b), np.array(c), np.zeros((2, 2))), u, time, X0=[*u[0], *u[0]], interp=False)[1]
+
+
+def test_plant_is_the_papers_equations_under_scipy():
+    inputs, time = random_steps(2001, 200), np.arange(2001) * 0.004
+    omega, beta = paper_lags(inputs, time).T
+    shown = reference(BASE, {}, inputs, np.full(2000, 0.004))
+    np.testing.assert_allclose(shown[:, 1], omega, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(shown[:, 2], beta, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(shown[:, 0], paper_map(omega, beta), rtol=0, atol=1e-10)
+
+
+def test_step_response_of_the_plant_is_the_closed_form():
+    t = np.arange(500) * 0.01
+    inputs = {"omega_ref": np.r_[2000.0, np.full(499, 5500.0)], "beta_ref": np.r_[-5.0, np.full(499, 10.0)]}
+    shown = reference(BASE, {}, inputs, np.full(499, 0.01))
+    omega = 2000.0 + 3500.0 * two_lags(t - 0.01, 0.172, 0.053)
+    beta = -5.0 + 15.0 * two_lags(t - 0.01, 0.207, 0.374)
+    np.testing.assert_allclose(shown, np.column_stack([paper_map(omega, beta), omega, beta]), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "taus", [{}, {"tau_beta_2": 0.207}, {"tau_omega_2": 0.172 + 1e-9}, {"tau_omega_1": 3, "tau_omega_2": 0.001}]
+)
+@pytest.mark.parametrize("seed", range(4))
+def test_splitting_a_step_gives_the_same_state(taus, seed):
+    rng = np.random.default_rng(seed)
+    rest, held = {"omega_ref": 2000.0, "beta_ref": 10.0}, {"omega_ref": 5900.0, "beta_ref": -4.0}
+    whole, split = Simulation(BASE, taus), Simulation(BASE, taus)
+    cuts = np.sort(np.r_[0.0, 1e-6, rng.uniform(0, 0.3, 20), 0.3])
+    for simulation, pieces in ((whole, [0.3]), (split, np.diff(cuts))):
+        simulation.start(rest)
+        for dt in pieces:
+            simulation.advance(held, float(dt))
+    for name, value in whole.states.items():
+        assert split.states[name] == pytest.approx(value, rel=1e-12), name
+
+
+@pytest.mark.parametrize("dt", [1e-6, 0.001, 0.004, 0.1, 100.0])
+def test_settled_plant_stays_still_to_the_bit(dt):
+    simulation = Simulation(plant(["pitch_command_deadband", "pitch_delay", "pitch_speed_coupling", "stand_resonance"]))
+    for omega, beta in np.random.default_rng(1).uniform([0.0, -10.0], [7000.0, 12.0], (5, 2)):
+        held = {"omega_ref": omega, "beta_ref": beta}
+        begun = simulation.start(held)
+        assert begun["omega"] == omega
+        assert begun["beta"] == beta
+        assert begun["thrust"] == pytest.approx(paper_map(omega, beta), rel=1e-13, abs=1e-13)
+        for _ in range(3):
+            assert simulation.advance(held, dt) == begun
+
+
+def test_sets_are_the_papers_numbers():
+    assert FINE_TUNED == {
+        **{"tau_omega_1": 0.172, "tau_omega_2": 0.053, "tau_beta_1": 0.207, "tau_beta_2": 0.374},
+        **{"c20": 0.355, "c11": 0.064, "c21": 0.8, "c12": -0.16, "c30": -0.081},
+    }
+    assert {p.name: p.default for p in BASE.parameters} | FINE_TUNED == BASE.values()
+    taus = {"tau_omega_1": 0.15, "tau_omega_2": 0.04, "tau_beta_1": 0.11, "tau_beta_2": 0.28}
+    assert {name: AVERAGED[name] for name in taus} == taus
+
+
+@pytest.mark.parametrize("beta", np.linspace(-10.0, 10.0, 10))
+@pytest.mark.parametrize("omega", np.linspace(2000.0, 6000.0, 10))
+def test_averaged_map_is_the_papers_polynomial_but_for_the_dropped_term(omega, beta):
+    """Put beta = 15 b - 5 in: w alone gets (5 x 5.7 - 25 x 1.25) 1e-6 = -2.75e-6 N/rpm, 0.0165 N at 6000 rpm."""
+    paper = (
+        0.21 * omega**2 - 5.7 * omega * beta + 0.023 * omega**2 * beta - 1.25 * omega * beta**2 - 2.15e-6 * omega**3
+    ) * 1e-6
+    ours = Simulation(BASE, AVERAGED).start({"omega_ref": omega, "beta_ref": beta})["thrust"]
+    assert ours - paper == pytest.approx(2.75e-6 * omega, rel=1e-9)
+    assert abs(ours - paper) <= 0.017
+
+
+def test_full_speed_and_pitch_give_the_papers_thrust():
+    thrust = Simulation(BASE).start({"omega_ref": 6000.0, "beta_ref": 10.0})["thrust"]
+    assert thrust == pytest.approx(0.978 * 15.0, rel=1e-14)
+
+
+def test_unknown_names_are_key_errors():
+    with pytest.raises(KeyError, match="tau_omega_3"):
+        BASE.values({"tau_omega_3": 1.0})
+    with pytest.raises(KeyError, match=r"pitch_delay\.delay"):
+        Simulation(BASE, {"pitch_delay.delay": 0.1})
+    with pytest.raises(KeyError, match="no_such_effect"):
+        plant(["pitch_delay", "no_such_effect"])
+
+
+GRIDS = {
+    "1 ms": np.full(1200, 0.001),
+    "4 ms": np.full(300, 0.004),
+    "37 ms": np.full(33, 0.037),
+    "uneven": np.random.default_rng(2).choice([1e-4, 0.0013, 0.004, 0.011, 0.05], 400),
+}
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("hold", [1, 30])
+@pytest.mark.parametrize(
+    ("pitch", "speed"), [(0.0, 0.0), (0.004, 0.0), (0.04, 0.04), (0.0137, 0.0021), (1e-4, 0.3), (0.3, 0.29999), (1e-7, 0.111)]
+)
+def test_delay_shifts_the_response_exactly(pitch, speed, hold, grid):
+    steps, delays = GRIDS[grid], {"pitch_delay.delay": pitch, "test_speed_delay.delay": speed}
+    t, inputs = np.r_[0.0, np.cumsum(steps)], random_steps(len(steps) + 1, hold)
+    beta = steps_through(t, t + pitch, inputs["beta_ref"], lambda t: two_lags(t, 0.207, 0.374))
+    omega = steps_through(t, t + speed, inputs["omega_ref"], lambda t: two_lags(t, 0.172, 0.053))
+    exact = np.column_stack([paper_map(omega, beta), omega, beta])
+    shown = simulator(TWO_DELAYS).simulate(delays, inputs, steps)
+    np.testing.assert_allclose(shown / [15.0, 6000.0, 15.0], exact / [15.0, 6000.0, 15.0], rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(shown, reference(TWO_DELAYS, delays, inputs, steps))
+
+
+@pytest.mark.parametrize("period", ["0.004", "0.01", "0.007", "0.0003"])
+@pytest.mark.parametrize("span", ["0.001", "0.003", "0.004", "0.007", "0.011"])
+def test_every_sample_falls_into_its_communication_step(period, span):
+    """Sample n is due at n period: in the step that begins then or before, whatever rounding has gathered."""
+    wait, taken = 0.0, []
+    for k in range(3000):
+        wait = run_sampled(wait, float(period), float(span), lambda _, k=k: taken.append(k))
+    exact = (n * Fraction(period) // Fraction(span) for n in range(len(taken) + 1))
+    assert [k for k in exact if k < 3000] == taken
+
+
+def test_delay_does_not_depend_on_the_communication_step():
+    delays = {"pitch_delay.delay": 0.0537}
+    coarse, rows = random_steps(200, 3), np.arange(200)
+    at_8_ms = reference(TWO_DELAYS, delays, coarse, np.full(199, 0.008))
+    for split in (2, 8):
+        fine = {name: np.repeat(column, split)[: 199 * split + 1] for name, column in coarse.items()}
+        shown = reference(TWO_DELAYS, delays, fine, np.full(199 * split, 0.008 / split))
+        np.testing.assert_allclose(shown[rows * split], at_8_ms, rtol=1e-12)

@@ -1,0 +1,162 @@
+"""Compiled and generated code over whole records: the functions' own bits, true derivatives, and life without a compiler."""
+
+import subprocess
+import tempfile
+
+import numpy as np
+import pytest
+from builders import ALL_ON, PROBES, TWO_DELAYS, random_steps, reference, simulator, slopes
+
+from vpp_fmu.errors import SimulationFailed
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.native import Simulator, compiler
+
+PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
+UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 4000)
+MODELS = {"plain": (BASE, {}), "all on": (ALL_ON, PROBES), "two delays": (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087})}
+
+
+def test_60_000_compiled_steps_are_the_functions_to_the_bit(long_run):
+    commands, steps, exact = long_run
+    np.testing.assert_array_equal(simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
+    assert np.isfinite(exact).all()
+    assert np.ptp(exact, axis=0).min() > 5.0
+
+
+def test_60_000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
+    commands, steps, exact = long_run
+    np.testing.assert_array_equal(Simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
+    model, values = MODELS[model]
+    inputs = random_steps(4001, 60, model=model)
+    exact = reference(model, values, inputs, UNEVEN)
+    np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, UNEVEN), exact)
+    request.getfixturevalue("no_compiler")
+    np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, UNEVEN), exact)
+
+
+def off_by(model, values, inputs, steps, wrt):
+    """For each parameter the largest distance from the numeric derivative, as a share of its size."""
+    values = model.values(values)
+    shown, tangents = simulator(model, tuple(wrt)).sensitivities(values, inputs, steps)
+    np.testing.assert_array_equal(shown, simulator(model).simulate(values, inputs, steps))
+    shares = {}
+    for j, name in enumerate(wrt):
+        numeric, smooth, size = slopes(model, values, name, inputs, steps)
+        assert smooth.mean() > 0.9, name
+        shares[name] = (np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0) / size).max()
+    return shares
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("even", [True, False])
+def test_sensitivities_are_central_differences(model, even):
+    """In every parameter that is always present and every delay; each effect's own are looked at in test_effects."""
+    model, values = MODELS[model]
+    values = {**values, PITCH: 0.0413} if model.delays else values
+    uneven = np.random.default_rng(5).uniform(5e-4, 0.03, 2000)
+    inputs, steps = random_steps(2001, 150, model=model), np.full(2000, 0.004) if even else uneven
+    wrt = [p.name for p in BASE.parameters] + [name for _, name in model.delays]
+    shares = off_by(model, values, inputs, steps, wrt)
+    assert max(shares.values()) < 3e-3, shares
+
+
+@pytest.mark.parametrize("pitch", [0.004, 0.04, 0.0413])
+@pytest.mark.parametrize("speed", [0.02, 0.0413])
+def test_sensitivities_in_delays_that_end_together_or_on_the_grid_are_central_differences(pitch, speed):
+    inputs, steps = random_steps(2001, 150), np.full(2000, 0.004)
+    shares = off_by(TWO_DELAYS, {PITCH: pitch, SPEED: speed}, inputs, steps, [PITCH, SPEED])
+    assert max(shares.values()) < 3e-3, shares
+
+
+@pytest.mark.parametrize("taus", [{"tau_omega_1": 0.1, "tau_omega_2": 0.1}, {"tau_beta_1": 0.2, "tau_beta_2": 0.2}])
+def test_sensitivities_in_equal_time_constants_are_central_differences(taus):
+    inputs, steps = random_steps(2001, 150), np.full(2000, 0.004)
+    shares = off_by(BASE, taus, inputs, steps, list(taus))
+    assert max(shares.values()) < 3e-3, shares
+
+
+def test_without_a_compiler_the_numbers_are_the_same_and_it_is_said_once(request):
+    models = (ALL_ON, PROBES, ("tau_beta_1", PITCH)), (BASE, {}, ("c20",)), (CONTROLLER, {}, ("ki_omega",))
+    noise = {"thrust_set": np.full(500, 9.0), "thrust": np.random.default_rng(0).normal(9.0, 1.0, 500)}
+    inputs, steps = random_steps(500, 40, model=ALL_ON) | noise, np.full(499, 0.0043)
+    compiled = [Simulator(model, wrt).sensitivities(values, inputs, steps) for model, values, wrt in models]
+    request.getfixturevalue("no_compiler")
+    with pytest.warns(RuntimeWarning, match="compiler") as said:
+        generated = [Simulator(model, wrt).sensitivities(values, inputs, steps) for model, values, wrt in models]
+    assert len(said) == 1
+    for (shown, tangents), (shown_without, tangents_without) in zip(compiled, generated, strict=True):
+        np.testing.assert_array_equal(shown_without, shown)
+        np.testing.assert_array_equal(tangents_without, tangents)
+        assert tangents.any()
+
+
+@pytest.fixture
+def own_cache(monkeypatch, tmp_path):
+    """A compiler cache that only this test knows."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    compiler.cache_folder.cache_clear()
+    yield tmp_path / "cache" / "vpp-fmu"
+    compiler.cache_folder.cache_clear()
+
+
+def test_what_was_compiled_is_kept(own_cache, monkeypatch):
+    inputs, steps = random_steps(50, 5), np.full(49, 0.004)
+    first = Simulator(BASE).simulate({}, inputs, steps)
+    kept = list(own_cache.iterdir())
+    assert len(kept) == 1
+    Simulator(plant(["pitch_delay"]))
+    assert len(list(own_cache.iterdir())) == 2
+    monkeypatch.setattr(subprocess, "run", None)  # whoever compiles again fails
+    np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
+
+
+def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(own_cache, monkeypatch, tmp_path):
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    inputs = random_steps(50, 5)
+    np.testing.assert_array_equal(
+        Simulator(BASE).simulate({}, inputs, np.full(49, 0.004)), reference(BASE, {}, inputs, np.full(49, 0.004))
+    )
+
+
+@pytest.mark.parametrize(("rows", "steps"), [((10, 10), 10), ((10, 10), 8), ((1, 1), 1), ((0, 0), 0), ((10, 9), 9)])
+def test_wrong_lengths_fail_by_name(rows, steps):
+    inputs = {"omega_ref": np.full(rows[0], 4000.0), "beta_ref": np.full(rows[1], 5.0)}
+    with pytest.raises(SimulationFailed, match="VppPlant"):
+        simulator(BASE).simulate({}, inputs, np.full(steps, 0.004))
+
+
+def test_one_row_is_the_settled_plant():
+    inputs = {"omega_ref": [6000.0], "beta_ref": [10.0]}
+    assert simulator(BASE).simulate({}, inputs, [])[0] == pytest.approx([14.67, 6000.0, 10.0], rel=1e-14)
+
+
+def test_a_delay_that_holds_thousands_of_changes_does_the_same_with_and_without_a_compiler(request, recwarn):
+    """0.3 s at 50 us: 6000 changes wait."""
+    model, values = plant(["pitch_delay"]), {PITCH: 0.3}
+    inputs, steps = random_steps(8000, 1), np.full(7999, 5e-5)
+
+    def outcome():
+        try:
+            return Simulator(model).simulate(values, inputs, steps).tolist()
+        except SimulationFailed as failed:
+            return str(failed)
+
+    compiled = outcome()
+    request.getfixturevalue("no_compiler")
+    assert outcome() == compiled
+
+
+def test_unknown_names_are_key_errors():
+    inputs = random_steps(10, 2)
+    with pytest.raises(KeyError, match="tau_omega_3"):
+        simulator(BASE).simulate({"tau_omega_3": 1.0}, inputs, np.full(9, 0.004))
+    with pytest.raises(KeyError, match="beta_ref"):
+        simulator(BASE).simulate({}, {"omega_ref": inputs["omega_ref"]}, np.full(9, 0.004))
+    with pytest.raises(KeyError, match="tau_omega_3"):
+        Simulator(BASE, ["tau_omega_3"])

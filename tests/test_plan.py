@@ -1,0 +1,282 @@
+"""The next experiment: within limits, better than the paper's, and right about what it will bring."""
+
+import json
+
+import numpy as np
+import pytest
+from builders import simulator
+
+from identification.excitation import Limits, candidate, paper_plan
+from identification.information import Information, read_knowledge
+from identification.plan import free_parameters, plan
+from identification.problem import Prior, Problem
+from identification.refine import BASE_PARAMETERS
+from vpp_fmu import cli
+from vpp_fmu.errors import BadInput, NotIdentifiable
+from vpp_fmu.kernel.plant import BASE, FINE_TUNED, LIBRARY, plant
+from vpp_fmu.kernel.types import Effect, Parameter, Signal
+from vpp_fmu.parameters import ParameterSet, to_json
+from vpp_fmu.record import read_record
+
+SORTED = FINE_TUNED | {"tau_beta_1": 0.374, "tau_beta_2": 0.207}
+"""The paper's values, the slower constant of each channel first, as a fit orders them."""
+
+NARROW = Limits((2500.0, 5000.0), (-2.0, 8.0), 6000.0, 45.0, 0.005)
+
+
+@pytest.fixture(scope="module")
+def planned():
+    """A plan of 20 s for the paper's plant."""
+    return plan(BASE, SORTED, Limits(), 20.0, 0.3, evaluations=200)
+
+
+@pytest.fixture(scope="module")
+def narrow():
+    """A plan of 12 s within narrow limits."""
+    return plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=3, evaluations=50)
+
+
+def test_limits_and_slew_hold_at_every_row(narrow):
+    commands = narrow.commands
+    assert len(commands) == 2401
+    np.testing.assert_allclose(commands.steps, 0.005, rtol=0, atol=0)
+    assert commands.time[-1] == 12.0
+    assert commands["omega_ref"].min() >= 2500.0
+    assert commands["omega_ref"].max() <= 5000.0
+    assert commands["beta_ref"].min() >= -2.0
+    assert commands["beta_ref"].max() <= 8.0
+    speed, pitch = (np.abs(np.diff(commands[name])).max() / 0.005 for name in ("omega_ref", "beta_ref"))
+    assert speed == pytest.approx(6000.0, rel=1e-9)  # used to the full, and not beyond
+    assert pitch == pytest.approx(45.0, rel=1e-9)
+
+
+def test_every_family_stays_within_the_limits_and_some_reach_them():
+    rng = np.random.default_rng(0)
+    drawn = np.array([candidate(rng, 300, 0.02, NARROW) for _ in range(200)])
+    assert (drawn >= NARROW.low).all()
+    assert (drawn <= NARROW.high).all()
+    np.testing.assert_array_equal(drawn.min(axis=(0, 1)), NARROW.low)
+    np.testing.assert_array_equal(drawn.max(axis=(0, 1)), NARROW.high)
+    moved = (np.ptp(drawn, axis=1) > 0.0).T
+    assert (moved[0] & moved[1]).any()
+    assert (moved[0] & ~moved[1]).any()
+    assert (~moved[0] & moved[1]).any()
+
+
+def test_the_paper_s_plan_is_the_paper_s():
+    commands = paper_plan(np.random.default_rng(0), 3000, 0.02, Limits())
+    moves = np.diff(commands, axis=0) != 0.0
+    assert not moves[:999, 1].any()
+    assert not moves[1000:1999, 0].any()
+    for part in (moves[:999, 0], moves[1000:1999, 1], moves[2000:, 0], moves[2000:, 1]):
+        holds = np.diff(np.flatnonzero(part)) * 0.02
+        assert holds.min() >= 1.0
+        assert holds.max() <= 2.5
+
+
+def test_the_same_seed_gives_the_same_plan(narrow):
+    again, other = (plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=seed, evaluations=50) for seed in (3, 4))
+    for name in ("time", "omega_ref", "beta_ref"):
+        np.testing.assert_array_equal(again.commands[name], narrow.commands[name])
+    assert again.summary() == narrow.summary()
+    assert not np.array_equal(other.commands["omega_ref"], narrow.commands["omega_ref"])
+
+
+def test_it_beats_the_paper_s_plan(planned, narrow):
+    """Steps every 0.2 to 0.8 s on both channels cut tau_beta_1 to a third (notes); the weakest direction follows."""
+    assert planned.gain > 2.0
+    assert planned.after.typical < 0.5 * planned.paper.typical
+    taus = [planned.after.names.index(f"tau_beta_{k}") for k in (1, 2)]
+    assert (planned.after.relative[taus] < 0.5 * planned.paper.relative[taus]).all()
+    assert narrow.gain > 1.3
+    assert narrow.after.typical < 0.75 * narrow.paper.typical
+
+
+def test_information_on_a_coefficient_is_the_closed_form():
+    """Thrust is linear in c20: information is the sum of (15 N w^2 c20 / noise)^2."""
+    commands = np.column_stack([np.full(400, 5000.0), np.full(400, 3.0)])
+    for step, readings in ((0.004, 1.0), (0.02, 5.0)):
+        told = Information(BASE, {}, ("c20", "c12"), 0.2, 0.004).of(commands, step)
+        wanted = 400 * readings * (15.0 * (5000.0 / 6000.0) ** 2 * 0.355 / 0.2) ** 2
+        assert told[0, 0] == pytest.approx(wanted, rel=1e-12)
+
+
+def test_forecast_is_what_refits_scatter_by(planned):
+    """60 records of the planned commands with noise, each fitted: per parameter, and all of them together."""
+    truth, rng, count = BASE.values(SORTED), np.random.default_rng(1), 60
+    record = planned.commands
+    thrust = simulator(BASE).simulate(truth, record.columns, record.steps)[:, 0]
+    np.testing.assert_allclose(planned.thrust, thrust, rtol=1e-12)
+    found = []
+    for _ in range(count):
+        noisy = record.with_columns(thrust=thrust + rng.normal(0.0, 0.3, len(record)))
+        problem = Problem(BASE, [noisy], truth, BASE_PARAMETERS, channels=("thrust",))
+        values = problem.coordinates.values(problem.solve(truth).value)
+        found.append([values[name] for name in planned.after.names])
+    error = np.array(found) - planned.after.values
+    ratio = np.sqrt(np.mean(error**2, axis=0)) / planned.after.std
+    assert np.abs(ratio - 1.0).max() < 4.0 / np.sqrt(2 * count), dict(zip(planned.after.names, ratio, strict=True))
+    distances = np.einsum("ki,ij,kj->", error, np.linalg.inv(planned.after.covariance), error)
+    assert distances == pytest.approx(error.size, abs=4.0 * np.sqrt(2 * error.size))
+    inside = (planned.after.intervals[:, 0] <= np.array(found)) & (np.array(found) <= planned.after.intervals[:, 1])
+    assert inside.mean() == pytest.approx(0.95, abs=0.04)
+
+
+def test_what_is_known_adds_up_and_steers():
+    """Gaussian knowledge: inverse covariances add. With the map known, the search turns to the time constants."""
+    names = BASE_PARAMETERS[4:]
+    mean = np.array([SORTED[n] for n in names])
+    knowledge = Prior(names, mean, np.diag((1e-3 * mean) ** 2))
+    found = plan(BASE, SORTED, Limits(), 12.0, 0.3, knowledge, evaluations=50)
+    information = Information(BASE, SORTED, BASE_PARAMETERS, 0.3, 0.004)
+    commands = np.column_stack([found.commands["omega_ref"], found.commands["beta_ref"]])
+    alone = information.of(commands, 0.004) / np.outer(information.size, information.size)
+    alone[4:, 4:] += np.linalg.inv(knowledge.covariance)
+    np.testing.assert_allclose(found.after.covariance, np.linalg.inv(alone), rtol=1e-4, atol=1e-9)
+    assert found.before.relative[4:] == pytest.approx(np.full(5, 1e-3), rel=1e-6)
+    assert (found.before.relative[:4] > 1e3).all()
+    without = plan(BASE, SORTED, Limits(), 12.0, 0.3, evaluations=50)
+    taus = information.of(np.column_stack([without.commands[n] for n in ("omega_ref", "beta_ref")]), 0.004)
+    told = information.forecast(taus + information.known(knowledge))
+    assert np.sum(found.after.relative[:4] ** 2) < np.sum(told.relative[:4] ** 2)
+
+
+def test_a_model_with_effects_is_planned_for_and_what_cannot_be_told_is_said():
+    """A threshold has no slope anywhere; under much noise some coefficients drown before others."""
+    model, delay = plant(["pitch_delay", "pitch_command_deadband"]), "pitch_delay.delay"
+    values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
+    found = plan(model, values, Limits(), 20.0, 0.1, evaluations=20)
+    assert found.after.relative[found.after.names.index(delay)] < 0.05
+    assert list(found.untold) == ["pitch_command_deadband.half_width"]
+    assert "first order" in found.untold["pitch_command_deadband.half_width"]
+    assert set(found.after.names) | set(found.untold) == set(free_parameters(model))
+
+    noisy = plan(BASE, SORTED, Limits(), 10.0, 15.0, evaluations=1)
+    assert 0 < len(noisy.untold) < 9
+    assert all("times its size" in why for why in noisy.untold.values())
+    assert (noisy.after.relative < 1.1).all()
+
+
+def _wind(ops, s, x, p, dt):
+    return {"thrust": s.thrust * (1.0 - p.share * ops.where(p.kind > 0.5, s.crosswind, 0.0))}, {}
+
+
+WIND = Effect(
+    "wind",
+    "an effect with a form to choose and an input of its own",
+    _wind,
+    parameters=(
+        Parameter("share", "1", 0.0, 0.0, 1.0, "share of the thrust that the wind takes", 0.1),
+        Parameter("kind", "1", 1.0, 0.0, 1.0, "whether it blows", choices=(0.0, 1.0)),
+    ),
+    off={"share": 0.0},
+    probe={"share": 0.05},
+    inputs=(Signal("crosswind", "1", "strength of the wind", 0.0, 100.0, 2.0),),
+)
+
+
+def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value():
+    model = plant(["wind"], (*LIBRARY, WIND))
+    assert free_parameters(model) == (*BASE_PARAMETERS, "wind.share")
+    found = plan(model, {"wind.share": 0.05}, Limits(), 5.0, 0.3, names=("wind.share", "tau_beta_1"), evaluations=1)
+    assert found.after.names == ("wind.share", "tau_beta_1")
+    rest = Information(model, {"wind.share": 0.05}, ("wind.share",), 0.3, 0.004).thrust(np.full((2, 2), [4000.0, 5.0]), 0.004)
+    none = Information(BASE, {}, ("c20",), 0.3, 0.004).thrust(np.full((2, 2), [4000.0, 5.0]), 0.004)
+    np.testing.assert_allclose(rest, none * (1.0 - 0.05 * 2.0), rtol=1e-14)
+
+
+def test_a_tachometer_tells_of_the_speed_channel():
+    deaf, hearing = (plan(BASE, SORTED, Limits(), 10.0, 0.3, evaluations=1, omega_std=std) for std in (None, 20.0))
+    improved = hearing.after.relative / deaf.after.relative
+    assert (improved[:2] < 0.7).all()
+
+
+def test_noise_that_drowns_everything_is_said():
+    with pytest.raises(NotIdentifiable, match="tell"):
+        plan(BASE, SORTED, Limits(), 10.0, 1e6, evaluations=1)
+
+
+BAD = [
+    (lambda: Limits(omega=(6000.0, 2000.0)), "range of speed: found 6000 to 2000 rpm"),
+    (lambda: Limits(beta=(-50.0, 10.0)), "range of pitch"),
+    (lambda: Limits(omega=(2000.0, float("nan"))), "range of speed"),
+    (lambda: Limits(omega_slew=0.0), "slew of speed"),
+    (lambda: Limits(beta_slew=-3.0), "slew of pitch"),
+    (lambda: Limits(step=0.1), "step"),
+    (lambda: plan(BASE, {}, Limits(), 1.0), "seconds: found 1 s, allowed is 5 to 3600 s"),
+    (lambda: plan(BASE, {}, Limits(), noise_std=0.0), "noise of thrust"),
+    (lambda: plan(BASE, {}, Limits(), omega_std=float("inf")), "noise of speed"),
+]
+
+
+@pytest.mark.parametrize(("call", "says"), BAD)
+def test_what_makes_no_sense_is_bad_input_in_one_line(call, says):
+    with pytest.raises(BadInput) as bad:
+        call()
+    assert says in str(bad.value)
+    assert "\n" not in str(bad.value)
+
+
+@pytest.fixture
+def parameters(tmp_path, monkeypatch):
+    """A parameter file, and an identification.json beside it."""
+    monkeypatch.setitem(cli.VERBS, "plan", "the next experiment for a model")
+    path = tmp_path / "parameters.json"
+    path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
+    fitted = {name: {"value": SORTED[name], "std": 0.1 * abs(SORTED[name])} for name in BASE_PARAMETERS}
+    correlation = {"names": list(BASE_PARAMETERS), "matrix": np.eye(9).tolist()}
+    content = {"parameters": fitted, "correlation": correlation, "inflation_by_coloured_residuals": dict.fromkeys(fitted, 4.0)}
+    (tmp_path / "identification.json").write_text(json.dumps(content))
+    return path
+
+
+def test_the_verb_writes_a_record_that_can_be_run(parameters, tmp_path, capsys):
+    out, known = tmp_path / "out", str(tmp_path / "identification.json")
+    limits = ["--seconds", "8", "--omega", "2500", "5000", "--pitch", "-2", "8", "--omega-slew", "6000", "--pitch-slew", "45"]
+    assert cli.main(["plan", "--parameters", str(parameters), "--knowledge", known, *limits, "-o", str(out)]) == 0
+    record = read_record(out / "plan.csv")
+    assert list(record.columns) == ["time", "omega_ref", "beta_ref"]
+    assert len(record) == 2001
+    assert np.abs(np.diff(record["omega_ref"])).max() <= 24.0 * (1 + 1e-6)
+    said = json.loads((out / "plan.json").read_text())
+    for when in ("before", "after", "paper_plan"):
+        assert set(said[when]["parameters"]) == set(BASE_PARAMETERS)
+        for entry in said[when]["parameters"].values():
+            assert entry["interval"] == pytest.approx([entry["value"] + k * 1.959964 * entry["std"] for k in (-1, 1)])
+    assert said["before"]["parameters"]["c11"]["std"] == pytest.approx(0.1 * 0.064)
+    assert said["after"]["weakest_direction"]["relative_std"] < said["before"]["weakest_direction"]["relative_std"]
+    assert (out / "report.html").stat().st_size > 1e6
+    told = capsys.readouterr().out
+    assert "gain over the paper's plan" in told
+    assert "--noise 1.2" in told  # residuals were coloured, four times as wide
+
+
+def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
+    broken = tmp_path / "broken.json"
+    broken.write_text(json.dumps({"parameters": {}, "correlation": {"names": ["c11"], "matrix": [[1.0]]}}))
+    singular = tmp_path / "singular.json"
+    entry = {"value": 1.0, "std": 0.1}
+    both = {"names": ["c11", "c20"], "matrix": [[1.0, 1.0], [1.0, 1.0]]}
+    singular.write_text(json.dumps({"parameters": {"c11": entry, "c20": entry}, "correlation": both}))
+    calls = [
+        (["--pitch", "10", "-5"], "range of pitch"),
+        (["--seconds", "1e9"], "seconds"),
+        (["--noise", "nan"], "noise"),
+        (["--knowledge", str(parameters)], "parameters.json"),
+        (["--knowledge", str(broken)], "broken.json"),
+        (["--knowledge", str(singular)], "singular.json"),
+    ]
+    for arguments, says in calls:
+        assert cli.main(["plan", "--parameters", str(parameters), *arguments, "-o", str(tmp_path / "bad")]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        for word in (says, "found", "allowed"):
+            assert word in said
+    assert not (tmp_path / "bad" / "plan.csv").exists()
+
+
+def test_knowledge_is_read_as_written(parameters):
+    prior, inflation = read_knowledge(parameters.parent / "identification.json")
+    assert prior.names == BASE_PARAMETERS
+    np.testing.assert_allclose(np.sqrt(np.diag(prior.covariance)), [0.1 * abs(SORTED[n]) for n in BASE_PARAMETERS])
+    assert inflation == 4.0

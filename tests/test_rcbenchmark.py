@@ -1,0 +1,500 @@
+"""Logs of RCbenchmark stands: what is read, what is left out, and the map from ESC signal to speed."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.rcbenchmark import REMEMBERED, read_log
+from identification.speed_map import (
+    RANGES,
+    SpeedMap,
+    SteadyPoints,
+    fit_quality,
+    fit_speed_map,
+    read_speed_map,
+    steady_points,
+)
+from vpp_fmu import cli
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import OMEGA
+from vpp_fmu.record import read_record
+
+LOGS = Path(__file__).resolve().parents[2] / "shared" / "data" / "sar_motor"
+FIRST, SECOND = (LOGS / f"TimeConstant_Test_{day}.csv" for day in ("2023-12-13_130935", "2023-12-16_130840"))
+POINTS = LOGS / "StepsTestV2_2024-02-06_103903.csv"
+real = pytest.mark.skipif(not FIRST.exists(), reason="the real logs are not here: ../shared/data/sar_motor")
+
+OFFSET, GRAM = -0.3, 9.80665e-3
+COEFFICIENTS = (-300.0, 24000.0, -15000.0, 9000.0)
+NOMINAL = 22.0
+HEADERS = {
+    "time": "Time (s)",
+    "signal": "ESC signal",
+    "thrust": "Thrust (gf)",
+    "voltage": "Voltage (V)",
+    "current": "Current (A)",
+    "electrical": "Motor Electrical Speed (rad/s)",
+    "optical": "Motor Optical Speed (rad/s)",
+}
+
+
+def truth(signals=(0, 200, 600, 1000, 1500, 1900, 800, 0), held=2.0, seed=1) -> dict[str, np.ndarray]:
+    """A log's quantities in a record's units: steps of the signal, a motor that follows at once, a battery that sags."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.007, 0.011, int(len(signals) * held / 0.009)))
+    signal = np.array(signals, float)[np.minimum((time / held).astype(int), len(signals) - 1)]
+    voltage = 23.0 - signal / 2047.0 - 0.01 * time
+    x = signal / 2047.0 * voltage / NOMINAL
+    speed = np.where(signal > 0, np.polyval(COEFFICIENTS[::-1], x), 0.0)
+    thrust = 12.0 * (speed / 20000.0) ** 2 + OFFSET + 0.01 * rng.normal(size=len(time))
+    return {"time": time, "signal": signal, "thrust": thrust, "voltage": voltage, "current": signal / 100.0, "optical": speed}
+
+
+def write(path, columns, headers=HEADERS, factors=None, notes=()) -> Path:
+    """A log as the stand writes it: byte-order mark, CRLF, a comma at each line's end; NaN is an empty cell."""
+    factors = {"thrust": 1.0 / GRAM, "optical": np.pi / 30.0, "electrical": np.pi / 30.0} | (factors or {})
+    names = [name for name in headers if name in columns]
+    lines = [",".join(headers[name] for name in names) + ",App message,"]
+    for row in zip(*(np.asarray(columns[name], float) * factors.get(name, 1.0) for name in names), strict=True):
+        lines.append(",".join("" if np.isnan(value) else repr(float(value)) for value in row) + ",,")
+    path.write_bytes(("\ufeff" + "\r\n".join([*lines, *notes]) + "\r\n").encode())
+    return path
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Writes a log of `truth`, with columns exchanged, and reads it."""
+
+    def made(headers=HEADERS, factors=None, notes=(), **columns):
+        return read_log(write(tmp_path / "log.csv", truth() | columns, headers, factors, notes))
+
+    return made
+
+
+def gapped(columns, rows, gap=0.09):
+    """The time column with the logger standing still before each of `rows`."""
+    time = columns["time"].copy()
+    for row in rows:
+        time[row:] += gap
+    return time
+
+
+# Reading
+
+
+def test_a_log_is_read_in_the_units_of_a_record(log):
+    t, read = truth(), log()
+    np.testing.assert_allclose(read.time, t["time"] - t["time"][0], atol=1e-12)
+    for name, found in (("thrust", read.thrust), ("optical", read.speed), ("voltage", read.voltage), ("current", read.current)):
+        np.testing.assert_allclose(found, t[name], rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(read.signal, t["signal"])
+    assert read.start == t["time"][0]
+    assert np.ptp(np.diff(read.time)) > 0.003
+
+
+@pytest.mark.parametrize(
+    ("name", "header", "factor"),
+    [
+        ("thrust", "Thrust (N)", 1.0),
+        ("thrust", "Thrust (kgf)", 1e-3 / GRAM),
+        ("thrust", "Thrust (lbf)", 1.0 / 4.4482216152605),
+        ("optical", "Motor Optical Speed (RPM)", 1.0),
+        ("optical", "Motor Optical Speed (Hz)", 1.0 / 60.0),
+        ("time", "Time (ms)", 1e3),
+        ("voltage", "Voltage (mV)", 1e3),
+    ],
+)
+def test_the_unit_in_the_header_counts(log, name, header, factor):
+    read, usual = log(HEADERS | {name: header}, {name: factor}), log()
+    for column, other in ((read.time, usual.time), (read.thrust, usual.thrust), (read.speed, usual.speed)):
+        np.testing.assert_allclose(column, other, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(read.voltage, usual.voltage, rtol=1e-12)
+
+
+def test_notes_blank_lines_and_rows_without_time_are_left_out_and_counted(log):
+    time = truth()["time"]
+    time[[5, 900]] = np.nan
+    read = log(time=time, notes=("", "# rise 0.011 s, by hand", "# fall 0.031 s"))
+    assert len(read.time) == len(time) - 2
+    assert read.dropped["notes"] == 2
+    assert read.dropped["no time"] == 2
+
+
+def test_of_two_rows_at_one_time_the_later_one_stays(log):
+    t = truth()
+    time, thrust = t["time"].copy(), t["thrust"].copy()
+    time[1], thrust[0], thrust[1] = time[0], np.nan, 0.25
+    read = log(time=time, thrust=thrust)
+    assert read.dropped["at the time of the next row"] == 1
+    assert read.thrust[0] == pytest.approx(0.25)
+    assert np.all(np.diff(read.time) > 0)
+
+
+def test_empty_cells_hold_the_signal_and_stay_empty_in_the_thrust(log):
+    t = truth()
+    signal, thrust, voltage = t["signal"].copy(), t["thrust"].copy(), t["voltage"].copy()
+    signal[[0, 1, 300, 301]] = thrust[1::2] = voltage[700] = np.nan
+    read = log(signal=signal, thrust=thrust, voltage=voltage)
+    np.testing.assert_array_equal(read.signal, t["signal"][2:])
+    assert read.dropped["before the first ESC signal"] == 2
+    assert np.isnan(read.thrust[1::2]).all()
+    assert read.voltage[698] == pytest.approx(t["voltage"][699])
+
+
+def test_optical_speed_comes_before_electrical_unless_it_never_moves(log):
+    t = truth()
+    assert log(electrical=7.0 * t["optical"]).names["speed"] == HEADERS["optical"]
+    read = log(electrical=t["optical"], optical=np.zeros(len(t["time"])))
+    assert read.names["speed"] == HEADERS["electrical"]
+    np.testing.assert_allclose(read.speed, t["optical"])
+    none = log({name: header for name, header in HEADERS.items() if name not in ("optical", "electrical")})
+    assert none.speed is None
+    assert "omega" not in none.record(np.zeros(len(none.time)))
+
+
+@pytest.mark.parametrize(
+    ("header", "low", "kind"), [("ESC signal", 0, "DShot"), ("ESC signal (µs)", 1000, "PWM"), ("ESC signal", 1000, "PWM")]
+)
+def test_the_kind_of_signal_is_told_by_its_unit_or_its_values(log, header, low, kind):
+    read = log(HEADERS | {"signal": header}, signal=low + truth()["signal"] / 2.0)
+    assert read.span == RANGES[kind]
+
+
+# What is no measurement
+
+
+def test_repeated_thrust_counts_once(log):
+    thrust = truth()["thrust"]
+    thrust[1::3], thrust[2::3] = thrust[: len(thrust[1::3]) * 3 : 3], np.nan
+    read = log(thrust=thrust)
+    assert read.repeated.sum() == len(thrust[1::3])
+    record = read.record(np.zeros(len(thrust)))
+    assert np.isfinite(record["thrust"]).sum() == len(thrust[::3])
+    np.testing.assert_allclose(record["thrust"][::3], thrust[::3], rtol=1e-12)
+
+
+def test_equal_neighbours_of_a_coarse_reading_are_no_repeats(log):
+    thrust = np.round(truth()["thrust"] / 0.5) * 0.5
+    read = log(thrust=thrust)
+    assert np.any(np.diff(thrust) == 0.0)
+    assert not read.repeated.any()
+
+
+def test_rows_behind_a_stall_are_left_empty(log):
+    t, rows = truth(), (400, 1000)
+    read = log(time=gapped(t, rows))
+    np.testing.assert_array_equal(np.flatnonzero(read.late), rows)
+    record = read.record(np.zeros(len(read.time)))
+    behind = np.concatenate([np.arange(row, row + REMEMBERED) for row in rows])
+    for name in ("omega", "thrust"):
+        np.testing.assert_array_equal(np.flatnonzero(np.isnan(record[name])), behind)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(record["current"])), rows)
+    np.testing.assert_allclose(record["voltage"][list(rows)], t["voltage"][np.array(rows) - 1])
+    assert np.isfinite(record["voltage"]).all()
+
+
+def test_rows_behind_a_stall_can_be_kept(log):
+    t = truth()
+    record = log(time=gapped(t, (400,))).record(np.zeros(len(t["time"])), keep_stalls=True)
+    np.testing.assert_allclose(record["omega"], t["optical"])
+    assert all(np.isfinite(record[name]).all() for name in ("thrust", "voltage", "current"))
+
+
+def test_uneven_rows_are_no_stall(log):
+    assert not log().late.any()
+
+
+def test_thrust_is_tared_by_the_rest(log):
+    read = log()
+    mean, spread, readings = read.tare()
+    still = np.flatnonzero(truth()["optical"] > 0)
+    assert mean == pytest.approx(OFFSET, abs=4 * 0.01 / np.sqrt(readings))
+    assert spread == pytest.approx(0.01, rel=0.3)
+    assert not read.resting[still[0] : still[-1] + int(0.4 / 0.011)].any()
+    record = read.record(np.zeros(len(read.time)), mean)
+    np.testing.assert_allclose(record["thrust"] + mean, truth()["thrust"], rtol=1e-12, atol=1e-12)
+
+
+def test_a_log_without_rest_has_no_tare(tmp_path):
+    assert read_log(write(tmp_path / "log.csv", truth((300, 900, 1500)))).tare() is None
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda text: text.replace("Thrust (gf)", "Thrust (stone)"), "column Thrust (stone), unit: found 'stone'"),
+        (lambda text: text.replace("Thrust (gf)", "Thrust"), "column Thrust, unit: found ''"),
+        (lambda text: text.replace("ESC signal", "ESC signal (%)"), "column ESC signal (%), unit: found '%'"),
+        (lambda text: text.replace("Voltage (V)", "Volts"), "column Voltage: found only Time (s)"),
+        (lambda text: text.replace("Current (A)", "Voltage (V)"), "column Voltage (V): found more than one"),
+        (lambda text: "\n".join(text.split("\n")[:1]), "file: found 0 rows"),
+        (lambda text: "", "file: found 0 rows"),
+        (lambda text: text[:-30], "cells, allowed is 8, as in the header"),
+        (lambda text: text.replace("\n", "\nx", 2), "Time (s), line 2: found 'x"),
+    ],
+)
+def test_a_bad_log_is_told_in_one_line(tmp_path, change, told):
+    path = write(tmp_path / "log.csv", truth())
+    path.write_text(change(path.read_text(encoding="utf-8-sig")))
+    with pytest.raises(BadInput) as caught:
+        read_log(path)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_time_must_not_go_back(log):
+    time = truth()["time"]
+    time[500] -= 1.0
+    with pytest.raises(BadInput, match=r"Time \(s\), line 502: found .* time that doesn't go back"):
+        log(time=time)
+
+
+def test_a_signal_out_of_range_and_an_empty_column_are_refused(log):
+    with pytest.raises(BadInput, match="ESC signal, line 2: found -5, allowed is 0 to 2047 for DShot"):
+        log(signal=truth()["signal"] - 5.0)
+    with pytest.raises(BadInput, match="empty cells only, allowed is measured thrust"):
+        log(thrust=np.full(len(truth()["time"]), np.nan))
+
+
+# The map from signal to speed
+
+
+def test_the_map_is_that_of_the_steady_parts(log):
+    read = log()
+    points = read.steady_points()
+    found = fit_speed_map(points, read.span, NOMINAL, "log.csv")
+    assert len(points) == 6
+    # A mean of a curve is not the curve at the mean: the sag of 0.01 V/s leaves that much.
+    np.testing.assert_allclose(found.coefficients, COEFFICIENTS, rtol=1e-3)
+    assert found.rms < 1.0
+    assert (found.turns_from, found.fitted_to) == (200.0, 1900.0)
+
+
+def test_the_command_depends_on_the_signal_alone(log):
+    read = log()
+    found = fit_speed_map(read.steady_points(), read.span, NOMINAL, "log.csv")
+    omega_ref = found.omega_ref(read.signal)
+    assert len(np.unique(omega_ref)) == len(np.unique(read.signal))
+    np.testing.assert_array_equal(omega_ref[read.signal < 200.0], 0.0)
+    expected = np.polyval(COEFFICIENTS[::-1], 1000.0 / 2047.0)
+    assert found.omega_ref(np.array([1000.0]))[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_parts_that_are_short_or_unsteady_make_no_point():
+    time = np.arange(0.0, 6.0, 0.01)
+    signal = np.select([time < 2.0, time < 2.8, time < 4.0], [100.0, 200.0, 300.0], 400.0)
+    speed = np.where(time < 2.0, 1000.0 * (np.arange(len(time)) % 3 == 0), 10.0 * signal)
+    usable = time < 5.5
+    speed[~usable] = 1e9
+    points = steady_points(time, signal, speed, np.full(len(time), 20.0), usable)
+    np.testing.assert_array_equal(points.signal, [300.0, 400.0])
+    np.testing.assert_allclose(points.speed, [3000.0, 4000.0])
+    assert points.turns_from == 300.0
+
+
+def cubic_points(signals) -> SteadyPoints:
+    signals = np.array(signals, float)
+    voltage = 23.0 - signals / 1000.0
+    return SteadyPoints(signals, voltage, np.polyval(COEFFICIENTS[::-1], signals / 2047.0 * voltage / NOMINAL), signals.min())
+
+
+def test_a_map_reads_back_as_it_was_written(tmp_path):
+    found = fit_speed_map(cubic_points([100, 400, 800, 1200, 1900]), RANGES["DShot"], NOMINAL, "log.csv")
+    np.testing.assert_allclose(found.coefficients, COEFFICIENTS, rtol=1e-9)
+    path = tmp_path / "speed_map.json"
+    path.write_text(found.to_json())
+    assert read_speed_map(path) == found
+    assert json.loads(path.read_text())["format"] == "vpp-speed-map/1"
+
+
+def test_too_few_signals_or_a_falling_speed_make_no_map():
+    with pytest.raises(BadInput, match=r"4 different ESC signals.*--speed-map"):
+        fit_speed_map(cubic_points([100, 400, 400, 800, 1200]), RANGES["DShot"], NOMINAL, "log.csv")
+    points = cubic_points([100, 400, 800, 1200, 1900])
+    falling = SteadyPoints(points.signal, points.voltage, points.speed[::-1], 100.0)
+    with pytest.raises(BadInput, match="don't rise"):
+        fit_speed_map(falling, RANGES["DShot"], NOMINAL, "log.csv")
+
+
+def test_points_beyond_a_map_do_not_judge_it():
+    found = SpeedMap(COEFFICIENTS, NOMINAL, RANGES["DShot"], 300.0, 1500.0, 1.0, 9, "log.csv")
+    points = cubic_points([100, 400, 800, 1900])
+    shifted = SteadyPoints(points.signal, points.voltage, points.speed + np.array([500.0, 3.0, 4.0, 500.0]), 100.0)
+    figures = fit_quality(shifted, found)
+    assert (figures["points"], figures["points_beyond"]) == (2, 2)
+    assert figures["rms"] == pytest.approx(np.sqrt(12.5))
+    assert figures["largest"] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"format": "vpp-parameters/1"}, "format: found"),
+        ({"coefficients": [1.0, 2.0]}, "coefficients: found [1.0, 2.0], allowed is a list of 4"),
+        ({"coefficients": [1.0, 2.0, "x", 3.0]}, 'coefficients, 3: found "x", allowed is a number'),
+        ({"nominal_voltage": 0}, "nominal_voltage: found 0, allowed is a number above 0"),
+        ({"signal": {"kind": "OneShot"}}, "signal: found"),
+        ({"signal": {"kind": "PWM", "minimum": 5, "maximum": 5, "turns_from": 1, "fitted_to": 2}}, "signal, maximum: found 5"),
+        ({"rms": None}, "rms: found null"),
+    ],
+)
+def test_a_bad_map_is_told_in_one_line(tmp_path, change, told):
+    good = json.loads(SpeedMap(COEFFICIENTS, NOMINAL, RANGES["DShot"], 100.0, 1900.0, 1.0, 9, "log.csv").to_json())
+    path = tmp_path / "speed_map.json"
+    path.write_text(json.dumps(good | change))
+    with pytest.raises(BadInput) as caught:
+        read_speed_map(path)
+    assert told in str(caught.value)
+    path.write_text("no json")
+    with pytest.raises(BadInput, match="no JSON"):
+        read_speed_map(path)
+
+
+# The verb
+
+
+@pytest.fixture
+def vpp(monkeypatch):
+    """Runs the command line."""
+    monkeypatch.setitem(cli.VERBS, "import", "a test stand's log to a record")
+    return lambda *arguments: cli.main(["import", "rcbenchmark", *map(str, arguments)])
+
+
+def test_the_verb_writes_a_record_that_reads_back(tmp_path, vpp, capsys):
+    t = truth()
+    path = write(tmp_path / "monday.csv", t | {"time": gapped(t, (400,))}, notes=("# by hand",))
+    assert vpp(path, "-o", tmp_path / "out") == 0
+    record = read_record(tmp_path / "out" / "record.csv")
+    assert list(record.columns) == ["time", "omega_ref", "beta_ref", "omega", "thrust", "voltage", "current"]
+    assert record.time[0] == 0.0
+    assert not record["beta_ref"].any()
+    assert np.isnan(record["thrust"]).sum() == REMEMBERED
+    assert np.nanmean(record["thrust"][:100]) == pytest.approx(0.0, abs=0.01)
+    said = capsys.readouterr().out
+    for part in ("left out: notes 1", "1 gaps of", "tare: -0.", "fitted to 6 steady parts", "DShot"):
+        assert part in said
+    figures = json.loads((tmp_path / "out" / "import.json").read_text())
+    assert figures["start"] == t["time"][0]
+    assert figures["stalls"]["rows_behind"] == REMEMBERED
+    assert figures["thrust"]["kept"] == len(t["time"]) - REMEMBERED
+
+
+def test_another_log_takes_the_map_over_unchanged(tmp_path, vpp, capsys):
+    write(tmp_path / "monday.csv", truth())
+    t = truth((0, 500, 1200, 1700), seed=2)
+    write(tmp_path / "tuesday.csv", t | {"optical": t["optical"] + np.where(t["optical"] > 0, 250.0, 0.0)})
+    assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "monday") == 0
+    saved = tmp_path / "monday" / "speed_map.json"
+    assert vpp(tmp_path / "tuesday.csv", "--speed-map", saved, "-o", tmp_path / "tuesday") == 0
+    assert (tmp_path / "tuesday" / "speed_map.json").read_bytes() == saved.read_bytes()
+    assert "taken over from monday.csv" in capsys.readouterr().out
+    here = json.loads((tmp_path / "tuesday" / "import.json").read_text())["speed_map"]["here"]
+    assert here["rms"] == pytest.approx(250.0, abs=2.0)
+    pwm = write(tmp_path / "pwm.csv", t | {"signal": 1000.0 + t["signal"] / 3.0})
+    assert vpp(pwm, "--speed-map", saved, "-o", tmp_path / "pwm") == 2
+    assert "signal, kind: found DShot, allowed is a map for PWM" in capsys.readouterr().err
+
+
+def test_rows_that_are_averages_give_a_map_and_no_record(tmp_path, vpp, capsys):
+    points = cubic_points([100, 300, 600, 1000, 1400, 1800])
+    time = np.array([1.2404, 1.2392, 6.7, 12.2, 17.8, 23.3])
+    columns = {"time": time, "signal": points.signal, "thrust": points.speed / 1e4, "voltage": points.voltage}
+    path = write(tmp_path / "points.csv", columns | {"optical": points.speed})
+    assert vpp(path, "-o", tmp_path / "out") == 0
+    assert "averages, no record.csv" in capsys.readouterr().out
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["import.json", "speed_map.json"]
+    nominal = float(np.median(points.voltage))
+    found = read_speed_map(tmp_path / "out" / "speed_map.json")
+    np.testing.assert_allclose(
+        found.coefficients, [c * (nominal / NOMINAL) ** k for k, c in enumerate(COEFFICIENTS)], rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("keep", "told"),
+    [
+        (
+            ("time", "signal", "thrust", "voltage"),
+            "columns: found no speed, allowed is the motor's optical or electrical speed, or the map",
+        ),
+        (("time", "signal", "voltage", "optical"), "column Thrust: found only Time"),
+    ],
+)
+def test_a_bad_log_ends_in_one_line_and_exit_2(tmp_path, vpp, capsys, keep, told):
+    path = write(tmp_path / "log.csv", truth(), {name: HEADERS[name] for name in keep})
+    assert vpp(path, "-o", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"vpp import: {path}: ")
+    assert error.count("\n") == 1
+    assert told in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_speeds_that_no_reader_takes_are_warned_of(tmp_path, vpp, capsys):
+    t = truth()
+    path = write(tmp_path / "log.csv", t | {"optical": 2.0 * t["optical"] * OMEGA.maximum / t["optical"].max()})
+    assert vpp(path, "-o", tmp_path / "out") == 0
+    assert "readers will refuse it" in capsys.readouterr().err
+
+
+# The real logs
+
+
+@real
+@pytest.mark.parametrize(("path", "start", "offset"), [(FIRST, 0.0, -0.245), (SECOND, 10.85363, -0.005)])
+def test_real_logs_are_cleaned(path, start, offset):
+    log = read_log(path)
+    assert log.start == pytest.approx(start)
+    assert log.names["speed"] == "Motor Optical Speed (rad/s)"
+    with open(path, encoding="utf-8-sig") as file:
+        cells = [row[9] for row in csv.reader(file) if len(row) == 22][1:]
+    filled = [cell for cell in cells if cell]
+    again = sum(a == b for a, b in zip(filled[1:], filled[:-1], strict=True))
+    assert log.repeated.sum() == again
+    assert 0.30 < again / len(filled) < 0.34  # a third
+    gaps = np.diff(log.time)[log.late[1:]]
+    assert 0.04 < gaps.min() <= gaps.max() < 0.1
+    assert 0.02 < log.stalled.mean() < 0.035  # about 3 % of the rows
+    assert log.tare()[0] == pytest.approx(offset, abs=0.003)
+
+
+@real
+def test_the_row_behind_a_real_stall_is_older_than_it_says():
+    """90 ms after a step up the speed is still on its way in that row, and has arrived in the last row that is left empty."""
+    log = read_log(SECOND)
+    steps = np.flatnonzero(np.diff(log.signal) > 0) + 1
+    stale = 0
+    for step in steps:
+        late = np.flatnonzero(log.late[step : step + 5])
+        if len(late):
+            row, end = step + late[0], step + 40
+            before, after = log.speed[step - 1], log.speed[end]
+            left = (after - log.speed[row : row + REMEMBERED]) / (after - before)
+            assert log.time[row] - log.time[step] > 0.09
+            assert left[-1] < 0.02
+            stale += left[0] > 0.3
+    assert stale >= 10
+
+
+@real
+def test_a_map_of_one_day_misses_the_other_by_a_few_hundred_rpm():
+    first, second = read_log(FIRST), read_log(SECOND)
+    found = fit_speed_map(first.steady_points(), first.span, first.loaded_voltage, FIRST.name)
+    own, other = (fit_quality(log.steady_points(), found) for log in (first, second))
+    assert own["rms"] == pytest.approx(found.rms)
+    assert own["rms"] < other["rms"]
+    assert 100.0 < other["rms"] < 300.0
+    assert other["largest"] < 500.0
+    assert other["points"] >= 20
+
+
+@real
+def test_averaged_points_are_known_as_such():
+    log = read_log(POINTS)
+    assert log.averaged
+    found = fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, POINTS.name)
+    assert found.points == 47
+    assert found.rms < 150.0

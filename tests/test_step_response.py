@@ -1,0 +1,363 @@
+"""Start values from step responses: known constants come back, and runs that tell nothing are told from the others."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import simulator
+
+from identification.demo import example_folder
+from identification.step_response import fit_steps, two_lags
+from vpp_fmu.campaign import read_steps
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.plant import BASE, FINE_TUNED, plant
+from vpp_fmu.record import Record
+from vpp_fmu.report.steps import FIT, LEFT_OUT, step_responses
+
+RIGS = Path(__file__).resolve().parents[2] / "shared" / "data"
+STEP = 0.004
+AT = 0.5
+NOISE = 0.1
+VALUES = BASE.values()
+MAP = {name: VALUES[name] for name in ("c20", "c11", "c21", "c12", "c30")}
+DELAY = plant(["pitch_delay"])
+
+
+def run(channel, start, end, level, seconds=3.0, noise=0.0, seed=0, model=BASE, shown=True, **values) -> Record:
+    """One step at 0.5 s: the model's thrust with noise, and its speed through a tachometer."""
+    fine = 8
+    rows = round(seconds / STEP)
+    time = np.arange(rows * fine) * STEP / fine
+    command = np.where(time < AT - 1e-9, start, end)
+    held = np.full(len(time), float(level))
+    inputs = {"omega_ref": command, "beta_ref": held} if channel == "omega" else {"omega_ref": held, "beta_ref": command}
+    thrust, omega, _ = simulator(model).simulate(values, inputs, np.full(len(time) - 1, STEP / fine)).T
+    rng = np.random.default_rng(seed)
+    columns = {name: column[::fine] for name, column in inputs.items()} | {"time": np.arange(rows) * STEP}
+    columns["thrust"] = thrust[::fine] + noise * rng.normal(size=rows)
+    if shown:
+        columns["omega"] = tachometer(time, omega, rng)[::fine]
+    return Record(columns, f"steps.csv, run {seed}")
+
+
+def tachometer(time, omega, rng) -> np.ndarray:
+    """One mark a revolution, a timer of 4 us, 20 us of jitter; the value holds until the next pulse."""
+    turned = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * np.diff(time) / 60.0)]) + rng.uniform()
+    pulses = np.interp(np.arange(1, int(turned[-1]) + 1), turned, time) + 20e-6 * rng.normal(size=int(turned[-1]))
+    pulses = np.round(pulses / 4e-6) * 4e-6
+    values = np.concatenate([[omega[0], omega[0]], 60.0 / np.diff(pulses)])
+    return values[np.searchsorted(pulses, time, side="right")]
+
+
+SPEEDS = [(2000.0, end) for end in (3000.0, 4000.0, 5000.0, 6000.0)] + [
+    (6000.0, end) for end in (5000.0, 4000.0, 3000.0, 2000.0)
+]
+PITCHES = [(-5.0, end) for end in (0.0, 3.0, 6.0, 10.0)] + [(10.0, end) for end in (5.0, 2.0, -1.0, -5.0)]
+FAST = {"tau_beta_1": 0.2, "tau_beta_2": 0.08}
+"""A pitch actuator that settles within the runs."""
+
+
+def runs(noise=NOISE, **values) -> list[Record]:
+    """Steps of both channels, at two levels of the other."""
+    values = FAST | values
+    made = []
+    for channel, steps, levels in (("omega", SPEEDS, (0.0, 7.0)), ("beta", PITCHES, (4000.0, 6000.0))):
+        for level in levels:
+            for start, end in steps:
+                made.append(run(channel, start, end, level, noise=noise, seed=len(made), **values))
+    return made
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Steps of both channels with noise, fitted."""
+    return fit_steps(runs(), VALUES, MAP)
+
+
+def found(summary, channel, signal="thrust", direction="both"):
+    wanted = channel, signal, direction
+    return next(a for a in summary.averages if (a.channel, a.signal, a.direction) == wanted)
+
+
+# The response
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(0.172, 0.053), (0.37, 0.36), (0.5, 0.001)])
+def test_response_is_that_of_the_kernel_and_its_derivatives_are_right(slow, fast):
+    t = np.linspace(-0.1, 2.0, 60)  # none at the kink
+    value, in_slow, in_fast, in_time = two_lags(t, slow, fast).T
+    expected = [NUMBERS.two_lag_step(slow, fast, x) if x > 0 else 0.0 for x in t]
+    np.testing.assert_allclose(value, expected, atol=1e-12)
+    h = 1e-6
+    for derivative, args in (
+        (in_slow, (slow, fast, 1, 0, 0)),
+        (in_fast, (slow, fast, 0, 1, 0)),
+        (in_time, (slow, fast, 0, 0, 1)),
+    ):
+        a, b, da, db, dt = args
+        up, down = (two_lags(t + s * h * dt, a + s * h * a * da, b + s * h * b * db)[:, 0] for s in (1, -1))
+        size = a * da + b * db + dt
+        np.testing.assert_allclose(derivative, (up - down) / (2 * h * size), rtol=1e-4, atol=2e-5)
+
+
+def test_constants_come_back_exactly_without_noise():
+    summary = fit_steps([run("omega", 2000, 6000, 7, shown=False), run("beta", -5, 10, 6000, **FAST)], VALUES, MAP)
+    speed, pitch = (r.fits["thrust"] for r in summary.runs)
+    for fits, slow, fast in ((speed, 0.172, 0.053), (pitch, 0.2, 0.08)):
+        for fit in (fits.plain, fits.delayed):
+            assert (fit.slow, fit.fast, fit.delay) == pytest.approx((slow, fast, 0.0), abs=1e-6)
+    assert speed.plain.gain == pytest.approx(summary.runs[0].expected)
+    expected = {"tau_omega_1": 0.172, "tau_omega_2": 0.053, "tau_beta_1": 0.2, "tau_beta_2": 0.08}
+    assert dict(summary.start) == pytest.approx(expected, abs=1e-6)
+    assert not summary.outliers
+
+
+def test_without_a_map_the_lags_are_those_of_the_normalised_thrust():
+    straight = {"c12": 0.0}
+    record = run("beta", -5, 10, 5000, **FAST, **straight)
+    fit = fit_steps([record], VALUES).runs[0].fits["thrust"].plain
+    assert (fit.slow, fit.fast) == pytest.approx((0.2, 0.08), abs=1e-6)
+    bent = fit_steps([run("omega", 2000, 6000, 7, shown=False)], VALUES).runs[0].fits["thrust"].plain
+    assert bent.slow + bent.fast > 1.05 * 0.225  # thrust goes with the square of the speed: upwards it comes late
+
+
+def test_offset_and_gain_of_a_run_do_not_touch_its_lags():
+    record = run("omega", 6000, 3000, 0, shown=False)
+    record = record.with_columns(thrust=0.7 * record["thrust"] - 2.0)
+    fit = fit_steps([record], VALUES, MAP).runs[0].fits["thrust"].plain
+    assert (fit.slow, fit.fast) == pytest.approx((0.172, 0.053), abs=1e-6)
+
+
+def test_equal_lags_are_one_double_pole():
+    equal = {"tau_omega_1": 0.1, "tau_omega_2": 0.1}
+    exact = fit_steps([run("omega", 2000, 6000, 7, shown=False, **equal)], VALUES, MAP).runs[0].fits["thrust"].plain
+    assert exact.slow + exact.fast == pytest.approx(0.2, abs=1e-5)
+    assert exact.double_pole
+    assert exact.std["slow"] is None
+    assert exact.std["sum"] is not None
+    fits = [run("omega", 2000, 6000, 7, noise=NOISE, seed=seed, shown=False, **equal) for seed in range(8)]
+    plain = [r.fits["thrust"].plain for r in fit_steps(fits, VALUES, MAP).runs]
+    assert all(abs(p.slow + p.fast - 0.2) < 4 * p.std["sum"] for p in plain)
+    assert any(p.double_pole for p in plain)
+
+
+def test_a_delay_is_found_beside_the_lags():
+    late = {"pitch_delay.delay": 0.06}
+    exact = fit_steps([run("beta", -5, 10, 6000, model=DELAY, **FAST, **late)], VALUES, MAP).runs[0].fits["thrust"]
+    assert (exact.delayed.slow, exact.delayed.fast, exact.delayed.delay) == pytest.approx((0.2, 0.08, 0.06), abs=1e-5)
+    made = [run("beta", *s, 6000, noise=NOISE, seed=k, model=DELAY, **FAST, **late) for k, s in enumerate(PITCHES)]
+    summary = fit_steps(made, VALUES, MAP)
+    assert summary.delayed("beta")
+    assert found(summary, "beta").delay == pytest.approx(0.06, abs=0.015)
+    # The start is for a model without a delay: its lags take the delay in.
+    assert summary.start["tau_beta_1"] + summary.start["tau_beta_2"] == pytest.approx(0.34, abs=0.02)
+
+
+def test_gaps_in_the_thrust_are_no_readings():
+    record = run("omega", 2000, 6000, 7, shown=False)
+    thrust = np.where(np.arange(len(record)) % 3 > 0, np.nan, record["thrust"])
+    fit = fit_steps([record.with_columns(thrust=thrust)], VALUES, MAP).runs[0].fits["thrust"].plain
+    assert (fit.slow, fit.fast) == pytest.approx((0.172, 0.053), abs=1e-6)
+    assert fit.readings == 250
+
+
+# The doubt
+
+
+def test_standard_deviations_are_those_of_repeats():
+    made = [run("omega", 2000, 5000, 7, noise=NOISE, seed=seed) for seed in range(60)]
+    fits = [r.fits for r in fit_steps(made, VALUES, MAP).runs]
+    # A pulse that comes late makes one revolution long and the next short: such jitter hardly moves a lag, and the deviations
+    # from white residuals are larger than what repeats show.
+    for signal, least in (("thrust", 0.7), ("omega", 0.2)):
+        plain = [f[signal].plain for f in fits]
+        pulls = [(p.slow + p.fast - 0.225) / p.std["sum"] for p in plain]
+        assert least < np.sqrt(np.mean(np.square(pulls))) < 1.4
+    gains = np.array([f["thrust"].plain.gain for f in fits])
+    assert gains.std() == pytest.approx(np.mean([f["thrust"].plain.std["gain"] for f in fits]), rel=0.35)
+
+
+def test_rms_is_the_noise():
+    fit = fit_steps([run("omega", 2000, 5000, 7, noise=NOISE, shown=False)], VALUES, MAP).runs[0]
+    assert fit.fits["thrust"].plain.rms == pytest.approx(NOISE, rel=0.1)
+    assert fit.noise == pytest.approx(NOISE, rel=0.1)
+
+
+def test_averages_are_near_the_truth_and_slow_comes_first(noisy):
+    for channel, slow, fast in (("omega", 0.172, 0.053), ("beta", 0.2, 0.08)):
+        for direction, number in (("up", 8), ("down", 8), ("both", 16)):
+            average = found(noisy, channel, direction=direction)
+            assert average.runs == number
+            assert average.slow > average.fast
+            error = 4 * average.spread["slow"] / np.sqrt(number)
+            assert average.slow == pytest.approx(slow, abs=error)
+            assert average.slow + average.fast == pytest.approx(slow + fast, rel=0.03)
+        assert not noisy.delayed(channel)
+
+
+def test_the_speed_tells_its_lags_through_the_tachometer(noisy):
+    average = found(noisy, "omega", "omega")
+    assert not average.delayed
+    assert (average.slow, average.fast) == pytest.approx((0.172, 0.053), rel=0.02)
+    assert (noisy.start["tau_omega_1"], noisy.start["tau_omega_2"]) == (average.slow, average.fast)
+    assert "omega" not in next(r for r in noisy.runs if r.channel == "beta").fits
+
+
+# Runs that are left out
+
+
+def test_good_runs_are_all_used(noisy):
+    assert [r.reason for r in noisy.runs] == [""] * 32
+    assert not noisy.unreadable
+
+
+@pytest.fixture(scope="module")
+def pitch_runs():
+    return [run("beta", *s, 6000.0, noise=NOISE, seed=k, **FAST) for k, s in enumerate(PITCHES)]
+
+
+def reason(records, odd) -> str:
+    """Why `odd` is left out among `records`; all others must stay."""
+    summary = fit_steps([*records, odd], VALUES, MAP)
+    assert not any(r.reason for r in summary.runs[:-1])
+    return summary.runs[-1].reason
+
+
+def test_a_noisy_run_is_left_out(pitch_runs):
+    assert reason(pitch_runs, run("beta", -5, 3, 6000, noise=1.5, seed=99, **FAST)).startswith("noise is ")
+
+
+def test_a_step_that_does_not_show_is_left_out(pitch_runs):
+    assert reason(pitch_runs, run("beta", -5, -4.99, 6000, noise=NOISE, seed=99, **FAST)).startswith("step too small")
+
+
+def test_a_step_that_ends_early_is_left_out(pitch_runs):
+    odd = run("beta", -5, 3, 6000, noise=0.0, seed=99, tau_beta_1=1.5, tau_beta_2=0.1)
+    assert reason(pitch_runs, odd).startswith("not settled")
+
+
+def test_a_run_unlike_the_model_is_left_out(pitch_runs):
+    odd = run("beta", -5, 10, 6000, noise=NOISE, seed=99, **FAST)
+    time = odd.time - AT
+    swing = np.where(time > 0, 2.0 * np.exp(-time / 0.3) * np.sin(25.0 * time), 0.0)
+    assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the fit leaves ")
+
+
+def test_a_command_that_was_not_reached_is_told_by_the_thrust(pitch_runs):
+    half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
+    odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
+    assert "thrust moves by 5" in reason(pitch_runs, odd)
+
+
+def test_a_command_that_was_not_reached_is_told_by_its_own_sensor():
+    record = run("omega", 2000, 6000, 7, noise=NOISE)
+    odd = record.with_columns(omega_ref=np.where(record["omega_ref"] > 2000, 6600.0, 2000.0))
+    assert "command not reached: omega ends at " in fit_steps([odd], VALUES, MAP).runs[0].reason
+
+
+def test_left_out_runs_do_not_count(pitch_runs):
+    odd = run("beta", -5, 3, 6000, noise=2.0, seed=99, tau_beta_1=0.4, tau_beta_2=0.3)
+    with_it, without = (fit_steps(r, VALUES, MAP) for r in ([*pitch_runs, odd], pitch_runs))
+    assert with_it.averages == without.averages
+    assert with_it.start == without.start
+
+
+def test_runs_without_one_single_step_are_named():
+    record = run("omega", 2000, 6000, 7)
+    both = record.with_columns(beta_ref=np.where(record.time > 1.0, 5.0, 7.0))
+    none = record.with_columns(omega_ref=np.full(len(record), 2000.0))
+    blind = record.with_columns(thrust=np.where(record.time > 2.0, np.nan, record["thrust"]))
+    parts = {"both": both, "none": none, "blind": blind}
+    summary = fit_steps([replace(part, source=name) for name, part in parts.items()], VALUES, MAP)
+    assert not summary.runs
+    assert not summary.start
+    assert summary.unreadable["both"].startswith("2 changes")
+    assert summary.unreadable["none"].startswith("0 changes")
+    assert summary.unreadable["blind"].startswith("thrust readings")
+
+
+def test_overshoot_is_measured_and_flagged(pitch_runs):
+    record = run("beta", -5, 10, 6000, noise=NOISE, seed=99, **FAST)
+    size = 8.0
+    time = record.time - AT
+    lump = np.where(time > 0, 0.15 * size * (time / 0.6) * np.exp(1.0 - time / 0.6), 0.0)
+    summary = fit_steps([*pitch_runs, record.with_columns(thrust=record["thrust"] + lump)], VALUES, MAP)
+    assert summary.runs[-1].overshoots
+    assert 5.0 < summary.runs[-1].overshoot < 16.0
+    assert not any(r.overshoots for r in summary.runs[:-1])
+
+
+# Recorded campaigns
+
+
+def test_the_example_campaign_gives_a_start():
+    records = read_steps(example_folder() / "steps.csv.gz")
+    summary = fit_steps(records, VALUES, MAP)
+    assert len(summary.runs) == len(records) == 40
+    check_rig(summary)
+    content = json.loads(json.dumps(summary.summary(), allow_nan=False))
+    assert len(content["runs"]) == 40
+    assert content["start"] == summary.start
+    assert {a["direction"] for a in content["averages"]} == {"up", "down", "both"}
+    assert content["runs"][0]["omega"]["plain"]["std"]["slow"] > 0
+
+
+@pytest.mark.skipif(not RIGS.exists(), reason="the rigs' campaigns are not here: ../shared/data")
+@pytest.mark.parametrize("rig", ["rig_a", "rig_b", "rig_c", "rig_d"])
+def test_rigs_give_a_start(rig):
+    check_rig(fit_steps(read_steps(RIGS / rig / "steps.csv"), VALUES, MAP))
+
+
+def check_rig(summary):
+    """Data's README: within 15 % of the fine-tuned set, but for a faster pitch actuator."""
+    for name in ("tau_omega_1", "tau_omega_2"):
+        assert summary.start[name] == pytest.approx(FINE_TUNED[name], rel=0.15)
+    spread = found(summary, "omega", "omega").spread
+    assert spread["slow"] < 0.005
+    assert summary.start["tau_beta_1"] + summary.start["tau_beta_2"] < FINE_TUNED["tau_beta_1"] + FINE_TUNED["tau_beta_2"]
+    assert len(summary.outliers) <= 6
+
+
+# The figure
+
+
+def test_figure_has_a_panel_a_step_and_greys_what_was_left_out(pitch_runs):
+    odd = run("beta", -5, 3, 6000, noise=2.0, seed=99, **FAST)
+    other = run("beta", -5, 10, 4000, noise=NOISE, seed=98, **FAST)
+    summary = fit_steps([*pitch_runs, other, odd], VALUES, MAP)
+    fig = step_responses(summary.runs, "Two lags explain all but one", unit="deg", level_unit="rpm")
+    assert "Two lags explain all but one" in fig.layout.title.text
+    headings = [note.text for note in fig.layout.annotations]
+    assert headings == [
+        "-5 → 0 deg",
+        "-5 → 3 deg",
+        "-5 → 6 deg",
+        "-5 → 10 deg",
+        "10 → 5 deg",
+        "10 → 2 deg",
+        "10 → -1 deg",
+        "10 → -5 deg",
+    ]
+    assert len({trace.xaxis for trace in fig.data}) == 8
+    grey = [trace for trace in fig.data if trace.line.color == LEFT_OUT]
+    assert len(grey) == 1
+    assert "noise is" in grey[0].hovertemplate
+    assert len([trace for trace in fig.data if trace.line.color == FIT]) == 9
+    assert len(fig.data) == 19
+    legend = [trace.name for trace in fig.data if trace.showlegend]
+    assert sorted(legend) == ["fitted", "left out", "measured at 4000 rpm", "measured at 6000 rpm"]
+    titles = {axis.title.text for axis in fig.select_xaxes()} | {axis.title.text for axis in fig.select_yaxes()}
+    assert {"time [s]", "thrust [share of step]"} <= titles
+    for trace in fig.data:
+        assert len(trace.x) <= 240
+        assert np.isfinite(trace.y).all()
+
+
+def test_figure_shows_the_share_of_the_step():
+    fig = step_responses(fit_steps([run("omega", 2000, 6000, 7, noise=0.01)], VALUES, MAP).runs, "Message")
+    for trace in fig.data:
+        x, y = np.array(trace.x), np.array(trace.y)
+        assert np.abs(y[x < 0.0]).max() < 0.01
+        assert np.abs(y[x > 1.4] - 1.0).max() < 0.01

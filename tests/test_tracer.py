@@ -1,0 +1,226 @@
+"""What is recorded, what can't be, derivatives of each operation, and what is set apart from the step."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from builders import ALL_ON, PROBES, reference
+
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
+from vpp_fmu.native import Simulator
+from vpp_fmu.tracer import c_source, python_source, trace
+from vpp_fmu.tracer.graph import CALLS, COMPARE, Graph, Node
+
+FINITE = (-1e3, 1e3)
+
+
+def toy(formula) -> Model:
+    """A model with one state: y[k+1] = formula(ops, parameter a, parameter b, input u, state y)."""
+
+    def step(ops, s, x, p, dt):
+        y = formula(ops, p.a, p.b, s.u, x.y)
+        return {"y": y}, {"y": y}
+
+    parameters = tuple(Parameter(name, "1", 0.5, *FINITE, name) for name in "ab")
+    state = State("y", "1", "y", lambda ops, s, p: s.u * 0.0)
+    effect = Effect("toy", "toy", step, parameters, (state,))
+    return Model("Toy", "toy", (Signal("u", "1", "u", *FINITE),), (Signal("y", "1", "y", *FINITE),), (effect,))
+
+
+FORMULAS = {
+    "add": lambda ops, a, b, u, y: a + 0.1 * y + (2.0 + b) + u,
+    "subtract": lambda ops, a, b, u, y: a - y - (2.0 - b) - u,
+    "multiply": lambda ops, a, b, u, y: a * y + 3.0 * b * u + a * b,
+    "divide": lambda ops, a, b, u, y: a / b + y / (2.0 + a) + u / b + 1.0 / a,
+    "negate": lambda ops, a, b, u, y: -(a * u) + -b,
+    "exp": lambda ops, a, b, u, y: ops.exp(a * u + 0.1 * y),
+    "expm1": lambda ops, a, b, u, y: ops.expm1(a * b * u),
+    "sqrt": lambda ops, a, b, u, y: ops.sqrt(a * a + b + u * u),
+    "sin": lambda ops, a, b, u, y: ops.sin(a * u + y),
+    "cos": lambda ops, a, b, u, y: ops.cos(a * u + b),
+    "tanh": lambda ops, a, b, u, y: ops.tanh(a * u + b * y),
+    "where": lambda ops, a, b, u, y: ops.where(u < 0.1, a * u, ops.where(u > 0.6, b * u * u, a * b)),
+    "abs": lambda ops, a, b, u, y: ops.abs(a * u - 0.3),
+    "minimum": lambda ops, a, b, u, y: ops.minimum(a * u, b),
+    "maximum": lambda ops, a, b, u, y: ops.maximum(a * u, b * 0.3),
+    "clip": lambda ops, a, b, u, y: ops.clip(u, -a, b * 0.5),
+    "gain": lambda ops, a, b, u, y: ops.gain(a, b) * u,
+    "lag": lambda ops, a, b, u, y: ops.lag(y, u, a, b),
+    "lag_ramp": lambda ops, a, b, u, y: ops.lag_ramp(y, u, u + a, a, b),
+    "relaxation": lambda ops, a, b, u, y: ops.relaxation(a * u * u) + ops.relaxation(b),
+    "two_lag_step": lambda ops, a, b, u, y: ops.two_lag_step(a, b, 0.3) * u,
+}
+VALUES = {"a": 0.73, "b": 0.9}
+INPUT = {"u": np.r_[np.linspace(-1.003, 1.007, 41), 0.0]}
+STEPS = np.ones(41)
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_generated_code_is_the_function_to_the_bit(formula, no_compiler, recwarn):
+    model = toy(FORMULAS[formula])
+    np.testing.assert_array_equal(Simulator(model).simulate(VALUES, INPUT, STEPS), reference(model, VALUES, INPUT, STEPS))
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_compiled_code_and_derivatives(formula):
+    model = toy(FORMULAS[formula])
+    exact = reference(model, VALUES, INPUT, STEPS)
+    shown, tangents = Simulator(model, ("a", "b")).sensitivities(VALUES, INPUT, STEPS)
+    np.testing.assert_array_equal(shown, exact)
+    for j, name in enumerate("ab"):  # fourth-order differences: of a step of 1e-3, nothing above 1e-9 is left
+        ahead = {k: reference(model, VALUES | {name: VALUES[name] + k * 1e-3}, INPUT, STEPS) for k in (-2, -1, 1, 2)}
+        numeric = (8.0 * (ahead[1] - ahead[-1]) - (ahead[2] - ahead[-2])) / 12e-3
+        np.testing.assert_allclose(tangents[:, :, j], numeric, rtol=0, atol=1e-8)
+
+
+def test_every_operation_has_a_formula_above():
+    graph, seen = Graph(), set()
+    a, b, u, y = (graph.node("v", i) for i in range(4))
+    for formula in FORMULAS.values():
+        formula(graph, a, b, u, y)
+    seen = {n.op for n in graph._known.values()}
+    assert seen == {"v", "+", "-", "*", "/", "neg", "where", *CALLS, *COMPARE}
+
+
+@pytest.mark.parametrize(("x", "slope"), [(0.0, -0.5), (1e-9, -0.5), (0.2999999, None), (0.3000001, None), (5.0, None)])
+def test_slope_of_relaxation_is_right_down_to_zero(x, slope):
+    model = toy(lambda ops, a, b, u, y: ops.relaxation(a))
+    tangents = Simulator(model, ("a",)).sensitivities({"a": x}, {"u": [0.0, 0.0]}, [1.0])[1]
+    exact = (math.exp(-x) * (x + 1.0) - 1.0) / x**2 if slope is None else slope
+    assert tangents[-1, 0, 0] == pytest.approx(exact, rel=1e-8)
+
+
+@pytest.mark.parametrize("a", [0.1, 3.0])
+def test_slopes_of_two_equal_lags_are_each_half_of_the_slope_of_both(a):
+    """S(a, b) is symmetric: at a == b both slopes are half of d/da (1 - exp(-t/a) (1 + t/a))."""
+    model, t = toy(lambda ops, a, b, u, y: ops.two_lag_step(a, b, 0.3)), 0.3
+    tangents = Simulator(model, ("a", "b")).sensitivities({"a": a, "b": a}, {"u": [0.0, 0.0]}, [1.0])[1]
+    half = -0.5 * math.exp(-t / a) * t**2 / a**3
+    assert tangents[-1, 0].tolist() == pytest.approx([half, half], rel=1e-9)
+
+
+UNSEEN = {
+    "if": lambda x: 1.0 if x > 0.0 else 2.0,
+    "if on a value": lambda x: 1.0 if x else 2.0,
+    "and": lambda x: x > 0.0 and x < 1.0,
+    "or": lambda x: x or 1.0,
+    "not": lambda x: not x,
+    "chained comparison": lambda x: 0.0 < x < 1.0,
+    "==": lambda x: x == 1.0,
+    "!=": lambda x: x != 1.0,
+    "<=": lambda x: x <= 1.0,
+    ">=": lambda x: x >= 1.0,
+    "in": lambda x: x in (1.0, 2.0),
+    "max": lambda x: max(x, 1.0),
+    "min": lambda x: min(1.0, x),
+    "sorted": lambda x: sorted([x, 1.0]),
+    "sum of an iterable": sum,
+    "**": lambda x: x**2,
+    "2 **": lambda x: 2.0**x,
+    "pow": lambda x: pow(x, 2),
+    "//": lambda x: x // 2.0,
+    "%": lambda x: x % 2.0,
+    "2 %": lambda x: 2.0 % x,
+    "divmod": lambda x: divmod(x, 2.0),
+    "abs": abs,
+    "float": float,
+    "int": int,
+    "complex": complex,
+    "bool": bool,
+    "round": round,
+    "range": range,
+    "index": lambda x: [1.0, 2.0][x],
+    "+x": lambda x: +x,
+    "math.exp": math.exp,
+    "math.sqrt": math.sqrt,
+    "math.floor": math.floor,
+    "math.ceil": math.ceil,
+    "math.trunc": math.trunc,
+    "math.isnan": math.isnan,
+    "math.copysign": lambda x: math.copysign(1.0, x),
+    "NUMBERS.exp": NUMBERS.exp,
+    "NUMBERS.where": lambda x: NUMBERS.where(x > 0.0, 1.0, 2.0),
+    "format": lambda x: f"{x:.3f}",
+}
+
+
+@pytest.mark.parametrize("what", UNSEEN)
+def test_what_the_tracer_cannot_see_is_a_type_error(what):
+    with pytest.raises(TypeError):
+        trace(toy(lambda ops, a, b, u, y: UNSEEN[what](a * u)))
+
+
+@pytest.mark.parametrize(
+    "number", [0.1, -0.1, 1e-300, 5e-324, -0.0, 1.0 / 3.0, 2.0**53, 1e22, 1.7976931348623157e308, math.inf]
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_constants_survive_exactly(number, sign, no_compiler, recwarn):
+    model = toy(lambda ops, a, b, u, y: ops.where(u > 0.0, sign * number, u))
+    inputs = {"u": [-2.0, 1.0, 0.0]}
+    shown = [Simulator(model).simulate({}, inputs, [1.0, 1.0])]
+    shown.append(reference(model, {}, inputs, [1.0, 1.0]))
+    for rows in shown:
+        assert rows[1:, 0].tolist() == [-2.0, sign * number]
+        assert math.copysign(1.0, rows[2, 0]) == math.copysign(1.0, sign * number)
+
+
+def test_constants_survive_compilation():
+    numbers = [0.1, -0.1, 1e-300, 5e-324, 1.0 / 3.0, 1e22, 1.7976931348623157e308, math.inf, -math.inf, 7]
+
+    def pick(ops, a, b, u, y):
+        for i, number in enumerate(numbers):
+            y = ops.where(u > i - 0.5, number, y)
+        return y
+
+    shown = Simulator(toy(pick)).simulate({}, {"u": np.arange(len(numbers) + 1.0)}, np.ones(len(numbers)))
+    assert shown[1:, 0].tolist() == numbers
+
+
+def c_body(model, function, wrt=()):
+    source = c_source(trace(model, wrt))
+    return re.search(rf"static \w+ {function}\(.*?\n}}", source, re.DOTALL).group()
+
+
+def test_step_of_the_plain_plant_has_no_exponential_left():
+    for wrt in ((), ("tau_omega_1", "tau_beta_2", "c21")):
+        assert "exp" not in c_body(BASE, "step", wrt)
+        assert "exp" in c_body(BASE, "prepare", wrt)
+
+
+@pytest.mark.parametrize("model", [BASE, ALL_ON, CONTROLLER], ids=["plain", "all on", "controller"])
+@pytest.mark.parametrize("wrt", [False, True])
+def test_all_that_needs_only_parameters_and_the_step_is_prepared(model, wrt):
+    program = trace(model, [p.name for p in model.parameters] if wrt else ())
+    fixed_values = set(program.layout.positions("parameter"))
+    moving: dict[Node, bool] = {}
+
+    def moves(n) -> bool:
+        if not isinstance(n, Node):
+            return False
+        if n not in moving:
+            assert n.op not in ("dt", "dt_tangent"), "the step's length is read at every step"
+            leaf = (n.op == "v" and n.args[0] not in fixed_values) or n.op == "d"
+            below = [moves(a) for a in n.nodes]
+            moving[n] = leaf or any(below)
+            # what tells a prepared condition's outcome is left: a comparison of a prepared constant
+            assert moving[n] or not n.nodes or (n.op in COMPARE and n.args[0].op == "c"), n.op
+        return moving[n]
+
+    for _, value in program.step:
+        moves(value)
+    assert any(moving.values())
+
+
+def test_generated_python_of_the_whole_plant_runs_without_this_project():
+    code = {"__builtins__": {"float": float}} | {name: getattr(math, name) for name in CALLS}
+    exec(python_source(trace(ALL_ON)), code)
+    assert {"start", "prepare", "step", "largest_step"} <= set(code)
+    layout = trace(ALL_ON).layout
+    values = ALL_ON.values(PROBES)
+    v = [4000.0, 5.0, *[0.0] * (len(layout.inputs) - 2 + len(layout.outputs)), *values.values(), *[0.0] * len(layout.states)]
+    code["start"](v, None)
+    assert v[layout.index["output", "omega"]] == 4000.0

@@ -1,0 +1,122 @@
+"""The one C file of a native FMU: what FMI fixes, the traced model with its tables and tangents, schedule and shell."""
+
+from collections.abc import Mapping
+from hashlib import sha256
+from importlib.resources import files
+from math import isinf
+
+from vpp_fmu.export.description import variable_names
+from vpp_fmu.kernel.types import Model, start, step
+from vpp_fmu.tracer import Layout, c_source, trace
+from vpp_fmu.tracer.emit import c_function
+from vpp_fmu.tracer.graph import Graph
+from vpp_fmu.tracer.tangents import Tangents
+
+COMPILERS = """\
+/* Fused multiply-adds round once where the model rounds twice: results would differ from machine to machine. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#endif
+
+#ifdef __GNUC__ /* what one model needs of the common texts, another does not */
+#pragma GCC diagnostic ignored "-Wunused-function"
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#pragma GCC diagnostic ignored "-Wunused-const-variable"
+#endif
+"""
+
+
+def c_text(model: Model, values: Mapping[str, float], guid: str) -> str:
+    """`values`: every parameter's start value."""
+    title = f"/* {model.name}: {model.description}.\n *\n * Generated; compiles alone with any C99 compiler. */\n"
+    return "\n".join(
+        (
+            title + COMPILERS,
+            _text("fmu_src", "fmi2.h"),
+            c_source(trace(model)) + tangent_source(model),
+            _tables(model, values, guid),
+            _text("vpp_fmu.kernel", "schedule.c"),
+            *(_text("fmu_src", name) for name in ("slave.h", "sensitivity.c", "saved_state.c", "shell.c")),
+        )
+    )
+
+
+def tangent_source(model: Model) -> str:
+    """`start_along(v, a)` and `step_along(v, dt, dt_along, a)`: by how much outputs and states move along one direction.
+
+    `a` is laid out as the values are and holds the moves of inputs, parameters and, before a step, states; those of outputs
+    and states are filled in. `v` holds what stands before the step.
+    """
+    layout, graph = Layout.of(model), Graph()
+    inputs, parameters, states = (
+        {name: graph.node("v", layout.index[kind, name]) for name in names}
+        for kind, names in (("input", layout.inputs), ("parameter", layout.parameters), ("state", layout.states))
+    )
+    dt = graph.node("dt")
+    leaves = {v: graph.node("a", *v.args) for v in (*inputs.values(), *parameters.values())}
+    from_start = Tangents(graph, leaves)
+    leaves |= {v: graph.node("a", *v.args) for v in states.values()}
+    from_step = Tangents(graph, leaves | {dt: graph.node("dt_along")})
+
+    def writes(signals, ahead, tangents):
+        reached = [signals[n] for n in layout.outputs] + [ahead[n] for n in layout.states]
+        return tuple((("a", i), tangents.of(value)) for i, value in zip(layout.moving, reached, strict=True))
+
+    def name(target):
+        kind, *i = target
+        return f"{kind}[{i[0]}]" if i else kind
+
+    begun = writes(*start(model, graph, inputs, parameters), from_start)
+    moved = writes(*step(model, graph, inputs, states, parameters, dt), from_step)
+    return c_function("void start_along(const double *v, double *a)", begun, name) + c_function(
+        "void step_along(const double *v, double dt, double dt_along, double *a)", moved, name
+    )
+
+
+def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
+    """Names, start values and ranges, for the shell's checks and messages."""
+    layout = Layout.of(model)
+    begin = [*(u.start for u in model.inputs), *[0.0] * len(layout.outputs), *(values[n] for n in layout.parameters)]
+    begin += [0.0] * len(layout.states)
+    ranges = [
+        f"{{{_number(p.minimum)}, {_number(p.maximum)}, {_string(p.unit)}, {_string(f'{p.minimum} to {p.maximum} {p.unit}')}}}"
+        for p in model.parameters
+    ]
+    defined = {
+        "MODEL_NAME": _string(model.name),
+        "MODEL_GUID": _string(guid),
+        "MODEL_TAG": f"{int(sha256(guid.encode()).hexdigest()[:12], 16)}.0",  # 48 bits: a double holds it exactly
+        "EXACT": int(is_exact(model)),
+        "N_PARAMETERS_OR_1": max(1, len(model.parameters)),
+    }
+    return "".join(
+        (
+            *(f"#define {name} {value}\n" for name, value in defined.items()),
+            f"static const char *const NAMES[] = {{{', '.join(map(_string, variable_names(model)))}}};\n",
+            f"static const double START[] = {{{', '.join(map(_number, begin))}}};\n",
+            "static const struct {\n  double minimum, maximum;\n  const char *unit, *text;\n} RANGES[] = {\n",
+            *(f"  {line},\n" for line in ranges or ['{0.0, 0.0, "", ""}']),
+            "};\n#define OBSERVED\n",
+        )
+    )
+
+
+def is_exact(model: Model) -> bool:
+    """Whether one communication step is one step of the chain."""
+    return not (model.sample_time or model.delays or any(e.largest_step is not None for e in model.effects))
+
+
+def _string(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _number(x: float) -> str:
+    return ("-" if x < 0 else "") + "INFINITY" if isinf(x) else repr(float(x))
+
+
+def _text(package: str, name: str) -> str:
+    return (files(package) / name).read_text(encoding="utf-8")

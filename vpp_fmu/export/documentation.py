@@ -1,0 +1,137 @@
+"""What an FMU says about itself to people: a page with equations and parameters, licences, an icon."""
+
+import importlib
+from collections.abc import Iterable, Mapping
+from html import escape
+from importlib.metadata import distribution
+from importlib.util import find_spec
+from textwrap import dedent
+
+from vpp_fmu.export.icon import icon
+from vpp_fmu.kernel.types import Effect, Model, no_step
+
+EFFECTS = "vpp_fmu.kernel.effects"
+
+STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
+    "table{border-collapse:collapse;width:100%}th,td{text-align:left;padding:.25em .6em;border-bottom:1px solid #ddd;"
+    "vertical-align:top}pre{background:#f4f4f2;padding:.8em;overflow:auto}"
+)
+
+USE = """\
+Initialise on the commands that stand: the model starts at rest on the inputs at the end of the initialisation, so that a
+record that begins in the middle of things has no artificial transient. Without any input set, it starts on the start values.
+
+Inputs are held over a communication step and act in it; at a communication point no output depends on an input directly.
+
+Parameters can be set until the initialisation ends, within the ranges below. States can be read, saved and restored.
+
+In the native flavour, directional derivatives of outputs and states are given with respect to inputs and parameters in
+initialisation mode. At a communication point those with respect to inputs are zero. Those with respect to parameters are how
+far outputs depend on them since the start, provided that a derivative with respect to any parameter was asked for in
+initialisation mode: they cost time at each step, and only then are they carried along."""
+
+
+def documents(
+    model: Model, values: Mapping[str, float], origins: Mapping[str, str] | None = None, packages: Iterable[str] = ()
+) -> dict[str, bytes]:
+    """The files by their place in an FMU.
+
+    `values`: every parameter's start value. `origins`: where values come from, by name, for those of which that is known;
+    the others are defaults, or were set at the export. `packages`: whose code travels along, besides this project's.
+    """
+    licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in packages}
+    return {
+        "documentation/index.html": _page(model, values, origins or {}).encode(),
+        "documentation/licenses/license.txt": _licence("vpp-fmu").encode(),
+        **licences,
+        "model.png": icon(),
+    }
+
+
+def _page(model: Model, values: Mapping[str, float], origins: Mapping[str, str]) -> str:
+    def signals(kind, quantities):
+        return [(q.name, kind, q.unit, f"{q.minimum:g} to {q.maximum:g}", q.description) for q in quantities]
+
+    parameters = [
+        (
+            p.name,
+            repr(values[p.name]),
+            p.unit,
+            f"{p.minimum:g} to {p.maximum:g}",
+            _origin(model, p, values, origins),
+            p.description,
+        )
+        for p in model.parameters
+    ]
+    states = [(f"state.{x.name}", x.unit, x.description) for x in model.states]
+    parts = [
+        f"<h1>{escape(model.name)}</h1><p>{escape(model.description)}</p>",
+        "<h2>Variables</h2>",
+        _table(("name", "", "unit", "range", "meaning"), signals("input", model.inputs) + signals("output", model.outputs)),
+        "<h2>Use</h2>",
+        _prose(USE),
+        "<h2>Equations</h2><p>In the order in which they act.</p>",
+        *_equations(model),
+        "<h2>Parameters</h2>",
+        _table(("name", "value", "unit", "range", "origin", "meaning"), parameters),
+        "<h2>States</h2>",
+        _table(("name", "unit", "meaning"), states),
+    ]
+    head = f'<meta charset="utf-8"><title>{escape(model.name)}</title><style>{STYLE}</style>'
+    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(parts) + "\n</body></html>\n"
+
+
+def _origin(model: Model, parameter, values: Mapping[str, float], origins: Mapping[str, str]) -> str:
+    value = values[parameter.name]
+    if parameter.name in origins:
+        return origins[parameter.name]
+    if value != parameter.default:
+        return "set at the export"
+    named = [name for name, given in model.sets.items() if given.get(parameter.name) == value]
+    return f"default ({named[0].replace('_', ' ')} set)" if named else "default"
+
+
+def _equations(model: Model) -> list[str]:
+    """One part for each module that brings effects, with what its docstring says."""
+    parts: dict[str | None, list[Effect]] = {}
+    for effect in model.effects:
+        parts.setdefault(_module(effect), []).append(effect)
+    found = []
+    for module, effects in parts.items():
+        names = ", ".join(e.name for e in effects)
+        text = (importlib.import_module(module).__doc__ or "") if module else effects[0].description
+        found.append(f"<h3>{escape(names)}</h3>{_prose(text)}")
+    return found
+
+
+def _module(effect: Effect) -> str | None:
+    """The module that an effect's equation stands in; what only delays an input has no step of its own to tell."""
+    if effect.step is not no_step:
+        return effect.step.__module__
+    own = f"{EFFECTS}.{effect.name}"
+    return own if find_spec(own) else None
+
+
+def _prose(text: str) -> str:
+    """Paragraphs; equations, which are indented or have an equals sign in each line, as they stand."""
+    out = []
+    for part in text.strip("\n").split("\n\n"):
+        equations = all(line.startswith("    ") or " = " in line for line in part.split("\n"))
+        out.append(f"<pre>{escape(dedent(part))}</pre>" if equations else f"<p>{escape(part)}</p>")
+    return "\n".join(out)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    def row(cells, tag):
+        return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    return "<table>\n" + row(head, "th") + "\n" + "\n".join(row(cells, "td") for cells in rows) + "\n</table>"
+
+
+def _licence(package: str) -> str:
+    """The licence that a package was installed with."""
+    for file in distribution(package).files or ():
+        if file.name == "LICENSE":
+            return file.read_text(encoding="utf-8")
+    raise LookupError(f"{package} was installed without its licence")

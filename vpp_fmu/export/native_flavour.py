@@ -1,0 +1,50 @@
+"""The native FMU: one generated C file, compiled; it needs no Python where it runs."""
+
+from collections.abc import Iterable, Mapping
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from vpp_fmu.export.archive import archive
+from vpp_fmu.export.c_text import c_text
+from vpp_fmu.export.description import TEN_SECONDS, Experiment, Flavour, guid, model_description
+from vpp_fmu.export.documentation import documents
+from vpp_fmu.export.toolchain import binaries
+from vpp_fmu.kernel.types import Model
+
+
+def native_fmu(
+    model: Model,
+    parameters: Mapping[str, float] | None = None,
+    experiment: Experiment = TEN_SECONDS,
+    platforms: str | Iterable[str] = "host",
+    origins: Mapping[str, str] | None = None,
+) -> bytes:
+    """An FMU of `model` in compiled C, with its source; its bytes depend on the arguments and the compiler alone.
+
+    `parameters`, `origins`: as `python_fmu` has them. `platforms`: "host" for this machine with its own compiler, "all" or
+    names of `toolchain.TARGETS` with Zig's. CompilerMissing where there is none.
+    """
+    values = model.values(parameters)
+    source = f"{model.name}.c"
+    flavour = Flavour("C", {"needsExecutionTool": False, "providesDirectionalDerivative": True}, (source,))
+    identity = guid(c_text(model, values, ""), model_description(model, values, "", flavour, experiment))
+    text = c_text(model, values, identity)
+    return archive(
+        {
+            "modelDescription.xml": model_description(model, values, identity, flavour, experiment),
+            f"sources/{source}": text.encode(),
+            "sources/buildDescription.xml": _build_description(model.name, source),
+            **binaries(model.name, text, platforms),
+            **documents(model, values, origins),
+        }
+    )
+
+
+def _build_description(name: str, source: str) -> bytes:
+    """What FMI 3.0 tools read to compile the sources; those for FMI 2.0 look into the model description."""
+    root = Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = SubElement(root, "BuildConfiguration", modelIdentifier=name)
+    files = SubElement(configuration, "SourceFileSet", language="C99", compilerOptions="-O2 -ffp-contract=off")
+    SubElement(files, "SourceFile", name=source)
+    SubElement(configuration, "Library", name="m", external="true", description="C's mathematical functions")
+    indent(root)
+    return tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"

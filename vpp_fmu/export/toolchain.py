@@ -1,0 +1,139 @@
+"""C text to shared libraries: for this machine with its own compiler, for every platform with Zig's."""
+
+import os
+import platform
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+
+from vpp_fmu.errors import BadInput, CompilerMissing
+from vpp_fmu.native.compiler import cache_folder, compiler
+from vpp_fmu.tracer.graph import CALLS
+
+TARGETS = {
+    "linux64": ("x86_64-linux-gnu.2.17", "so"),
+    "aarch64-linux": ("aarch64-linux-gnu.2.17", "so"),
+    "win64": ("x86_64-windows-gnu", "dll"),
+    "darwin64": ("x86_64-macos", "dylib"),
+    "aarch64-darwin": ("aarch64-macos", "dylib"),
+}
+"""FMI 2.0.4's platform folders: Zig's name for each, and its libraries' ending. The oldest C libraries Zig knows."""
+
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0", "-w")
+"""Not what `vpp_fmu.native` uses: compiled once and shipped. No debug information, for that names folders."""
+
+UCRT = (
+    *CALLS,
+    *("ceil", "malloc", "calloc", "realloc", "free", "memcpy", "memmove", "memset", "strcmp", "strlen", "strcpy", "strchr"),
+    *("strtod", "atoi", "__stdio_common_vsprintf"),
+)
+"""What an FMU asks of Windows' C library."""
+
+
+def host() -> str:
+    """FMI's name for this machine."""
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+    system = platform.system().lower()
+    name = (
+        {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}.get(system)
+        if machine == "x86_64"
+        else f"{machine}-{system}"
+    )
+    if name not in TARGETS:
+        raise BadInput("native FMU", "this machine", f"{machine} under {system}", f"one of {', '.join(TARGETS)}")
+    return name
+
+
+def binaries(name: str, text: str, platforms: str | Iterable[str]) -> dict[str, bytes]:
+    """Shared libraries of the C text by their place in an FMU. `platforms`: "host", "all", or names of TARGETS.
+
+    Importers differ about where 64-bit ARM is found. An FMU for the machine it was made on has its library under the names
+    of both; one for all platforms keeps FMI's names, and a library for both kinds of Mac under the older one.
+    """
+    if platforms == "host":
+        here, library = host(), _with_own_compiler(text)
+        places = {here, {"aarch64-linux": "linux64", "aarch64-darwin": "darwin64"}.get(here, here)}
+        return {f"binaries/{place}/{name}.{TARGETS[here][1]}": library for place in places}
+    wanted = list(TARGETS) if platforms == "all" else list(platforms)
+    for unknown in set(wanted) - set(TARGETS):
+        raise BadInput("native FMU", "platform", unknown, f"host, all, {', '.join(TARGETS)}")
+    _check_zig()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        built = dict(zip(wanted, pool.map(lambda p: _with_zig(name, text, p), wanted), strict=True))
+    if {"darwin64", "aarch64-darwin"} <= set(built):
+        built["darwin64"] = _universal(built["darwin64"], built["aarch64-darwin"])
+    return {f"binaries/{p}/{name}.{TARGETS[p][1]}": library for p, library in built.items()}
+
+
+def _with_own_compiler(text: str) -> bytes:
+    try:
+        command = [compiler()]
+    except CompilerMissing:
+        if not find_spec("ziglang"):
+            raise
+        command = [sys.executable, "-m", "ziglang", "cc"]
+    linked = ["-s", "-Wl,--build-id=none"] if platform.system() == "Linux" else []
+    with tempfile.TemporaryDirectory() as work:
+        Path(work, "model.c").write_text(text, encoding="utf-8")
+        _run([*command, *FLAGS, "-shared", *linked, "model.c", "-o", "model.so", "-lm"], work)
+        return Path(work, "model.so").read_bytes()
+
+
+def _check_zig() -> None:
+    if not find_spec("ziglang"):
+        raise CompilerMissing("no compiler for other platforms found: pip install 'vpp-fmu[cross]' brings it (ziglang)")
+
+
+def _with_zig(name: str, text: str, target: str) -> bytes:
+    zig, (triple, ending) = [sys.executable, "-m", "ziglang"], TARGETS[target]
+    with tempfile.TemporaryDirectory() as work:
+        library = Path(work, f"{name}.{ending}")
+        Path(work, "model.c").write_text(text, encoding="utf-8")
+        if ending == "dll":
+            _link_for_windows([*zig, "cc", "-target", triple], zig, library.name, work)
+            return _without_date(library.read_bytes())
+        _run([*zig, "cc", "-target", triple, *FLAGS, "-shared", "-s", "model.c", "-o", library.name, "-lm"], work)
+        return library.read_bytes()
+
+
+def _link_for_windows(cc: list[str], zig: list[str], library: str, work: str) -> None:
+    Path(work, "windows.c").write_text((files("fmu_src") / "windows.c").read_text(encoding="utf-8"), encoding="utf-8")
+    Path(work, "ucrt.def").write_text("\n".join(["LIBRARY ucrtbase.dll", "EXPORTS", *UCRT, ""]))
+    for source in ("model", "windows"):
+        _run([*cc, *FLAGS, "-c", f"{source}.c", "-o", f"{source}.obj"], work)
+    _run([*zig, "dlltool", "-m", "i386:x86-64", "-d", "ucrt.def", "-l", "ucrt.lib"], work)
+    _run([*cc, "-nostdlib", "-shared", "-s", "model.obj", "windows.obj", "ucrt.lib", "-o", library], work)
+
+
+def _run(command: list[str], work: str) -> None:
+    """In the folder `work`, with relative names only: a library must not depend on where it was made."""
+    cache = str(cache_folder() / "zig")
+    environment: Mapping[str, str] = {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache, **os.environ}
+    done = subprocess.run(command, cwd=work, env=environment, check=False, capture_output=True, text=True)
+    if done.returncode:
+        said = next((line for line in done.stderr.splitlines() if "error" in line), f"exit code {done.returncode}")
+        raise CompilerMissing(f"{Path(command[0]).name} could not compile a native FMU: {said}")
+
+
+def _without_date(library: bytes) -> bytes:
+    """A Windows library without the time of its build: the third field of its COFF header."""
+    at = struct.unpack_from("<I", library, 0x3C)[0] + 8
+    return library[:at] + bytes(4) + library[at + 4 :]
+
+
+def _universal(*slices: bytes) -> bytes:
+    """One macOS library for several processors: a table of where each one's library starts, then the libraries."""
+    align, table, body = 14, struct.pack(">II", 0xCAFEBABE, len(slices)), b""
+    start = 1 << align
+    for part in slices:
+        processor, kind = struct.unpack_from("<II", part, 4)
+        body += bytes(-len(body) % (1 << align))
+        table += struct.pack(">5I", processor, kind, start + len(body), len(part), align)
+        body += part
+    return table.ljust(start, b"\0") + body

@@ -1,0 +1,148 @@
+"""Figure of step responses: small panels, a step each, as the paper shows them."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.report import style
+from vpp_fmu.report.thinning import places
+
+FIT = "#111111"
+LEFT_OUT = "#b4bcc4"
+
+_COLUMNS = 5
+_PANEL, _GAP, _HEADING = 150, 52, 22
+"""Pixels: height of a panel, from one row to the next, and of the headings above the first."""
+
+_RANKS = {"fitted": 2, "left out": 3}
+"""Order in the legend, behind the measured ones."""
+
+_AFTER = 1.5
+"""s from the step that are drawn: what comes later is settled, or is told in the reasons."""
+
+_POINTS = 240
+"""Points a line, as many as a panel is pixels wide."""
+
+
+class Run(Protocol):
+    """What a run must have: `time` (rows,) s from the step, commands, and why it counts for nothing, if it does."""
+
+    time: np.ndarray
+    start: float
+    end: float
+    level: float
+    direction: str
+    reason: str
+
+    def normalised(self, delayed: bool) -> tuple[np.ndarray, np.ndarray]:
+        """(measured, fitted), each (rows,): thrust as a share of the step."""
+
+
+def step_responses(
+    runs: Sequence[Run], title: str, unit: str = "rpm", level_unit: str = "deg", delayed: bool = False
+) -> go.Figure:
+    """Normalised thrust over the time from the step, of the runs (one at least) of one channel; black: fitted.
+
+    Rows of panels: up, then down; columns: steps by size, commands in `unit` above; a colour each level of the other command,
+    in `level_unit`. Runs that were left out are grey and without their fit; a reader who points at them learns why.
+    """
+    places_of = _grid(runs)
+    rows = 1 + max(row for row, _ in places_of.values())
+    columns = 1 + max(column for _, column in places_of.values())
+    plot = rows * (_PANEL + _GAP) - _GAP
+    margin = style.figure(title, plot).layout.margin
+    fig = style.figure(title, plot + margin.t + _HEADING + margin.b)
+    fig.update_layout(hovermode="closest", margin_t=margin.t + _HEADING)
+    panels = {step: row * columns + column for step, (row, column) in places_of.items()}
+    for step, (row, column) in places_of.items():
+        _add_axes(fig, panels[step], row, column, columns, _PANEL / plot, (_PANEL + _GAP) / plot, step, unit)
+        if column == 0:
+            fig.layout[_axis("yaxis", panels[step])].title = {"text": "thrust [share of step]", "font": {"size": 12}}
+        if panels[step] + columns not in panels.values():
+            fig.layout[_axis("xaxis", panels[step])].title = {"text": "time [s]", "font": {"size": 12}, "standoff": 2}
+    levels = sorted({run.level for run in runs})
+    shades = {level: style.OTHERS[k % len(style.OTHERS)] for k, level in enumerate(levels)}
+    named: set[str] = set()
+    for run in sorted(runs, key=lambda run: not run.reason):  # the grey ones first, under the others
+        name = "left out" if run.reason else f"measured at {run.level:g} {level_unit}"
+        _add_run(fig, panels[run.direction, run.start, run.end], run, name, shades[run.level], delayed, named)
+    return fig
+
+
+def _grid(runs: Sequence[Run]) -> dict[tuple[str, float, float], tuple[int, int]]:
+    """Row and column of each step (direction, start, end): by direction, then by size, a new row after _COLUMNS."""
+    found, row = {}, 0
+    for direction in ("up", "down"):
+        steps = {(run.direction, run.start, run.end) for run in runs if run.direction == direction}
+        for k, step in enumerate(sorted(steps, key=lambda s: (abs(s[2] - s[1]), s[1]))):
+            found[step] = row + k // _COLUMNS, k % _COLUMNS
+        row += -(-len(steps) // _COLUMNS)
+    return found
+
+
+def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit) -> None:
+    """The axes of a panel and its heading; `tall` and `pitch` are shares of the plot's height."""
+    width, top = 1.0 / columns, 1.0 - row * pitch
+    x, y = _axis("xaxis", panel), _axis("yaxis", panel)
+    left = column * width
+    fig.update_layout(
+        {
+            x: {
+                "domain": [left + 0.012, left + width - 0.012],
+                "anchor": _axis("y", panel),
+                "range": [-0.2, _AFTER],
+                "tickfont": {"size": 11},
+            },
+            y: {
+                "domain": [max(0.0, top - tall), top],
+                "anchor": _axis("x", panel),
+                "range": [-0.45, 1.55],
+                "showticklabels": column == 0,
+                "tickfont": {"size": 11},
+            },
+        }
+    )
+    fig.add_annotation(
+        text=f"{step[1]:g} → {step[2]:g} {unit}",
+        font={"size": 12},
+        showarrow=False,
+        x=left + width / 2,
+        y=top,
+        xref="paper",
+        yref="paper",
+        xanchor="center",
+        yanchor="bottom",
+    )
+
+
+def _add_run(fig, panel, run, name, colour, delayed, named) -> None:
+    """The lines of one run; `named` are those that the legend has already."""
+    measured, fitted = run.normalised(delayed)
+    near = np.flatnonzero((run.time >= -0.2) & (run.time <= _AFTER) & np.isfinite(measured))
+    kept = near[places([measured[near]], most=_POINTS)]
+    lines = [(name, measured, {"color": LEFT_OUT if run.reason else colour, "width": 1})]
+    if not run.reason:
+        lines.append(("fitted", fitted, {"color": FIT, "width": 1.6}))
+    for label, values, line in lines:
+        fig.add_scatter(
+            x=np.round(run.time[kept], 4),
+            y=np.round(values[kept], 4),
+            mode="lines",
+            name=label,
+            legendgroup=label,
+            showlegend=label not in named,
+            legendrank=_RANKS.get(label, 1),
+            line=line,
+            opacity=1.0 if label == "fitted" else 0.75,
+            xaxis=_axis("x", panel),
+            yaxis=_axis("y", panel),
+            hovertemplate=f"%{{y:.2f}} at %{{x:.3f}} s<br>{style.escaped(run.reason or label)}<extra></extra>",
+        )
+        named.add(label)
+
+
+def _axis(kind: str, panel: int) -> str:
+    """Plotly's name of an axis: the first bears no number."""
+    return kind if panel == 0 else f"{kind}{panel + 1}"
