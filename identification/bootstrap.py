@@ -2,9 +2,10 @@
 
 The residual of each channel of each record is resampled in blocks of BLOCK seconds that may run over the record's end into
 its start (circular block bootstrap: Politis and Romano, 1992), added to the model's prediction, and the parameters are fitted
-again from the optimum. Unlike the covariance this needs no parabola: near a bound or a double pole the intervals come out
-lopsided, as they are. It supposes that the residual has one colour and size all along the record, which the covariance
-does not. Weights of the channels stay as they are; prior knowledge scatters as its covariance says.
+again from the optimum. What the fit took out of the residual is first put back, by frequency. Unlike the covariance this needs
+no parabola: near a bound or a double pole the intervals come out lopsided, as they are. It supposes that the residual has one
+colour and size all along the record, which the covariance does not. Weights of the channels stay as they are; prior knowledge
+scatters as its covariance says.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from identification.least_squares import solve
 from identification.problem import Prior, Problem
 from identification.refine import Refinement
+from identification.uncertainty import restored
 from identification.workers import spread
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.record import Record
@@ -54,7 +56,8 @@ class Bootstrap:
 class Fit:
     """A fitted problem as plain data that another process can be sent: the model by its effects' names.
 
-    `value` (n,): the optimum's coordinates; `std`: the channels' weights. The rest as `Problem` takes it.
+    `value` (n,): the optimum's coordinates; `std`: the channels' weights; `residual` (rows,): what is drawn from. The rest as
+    `Problem` takes it.
     """
 
     effects: tuple[str, ...]
@@ -65,6 +68,7 @@ class Fit:
     slow_first: Mapping[str, bool]
     std: Mapping[str, float]
     value: np.ndarray
+    residual: np.ndarray
 
     def problem(self) -> Problem:
         """The problem, under the weights that it was fitted with."""
@@ -104,6 +108,7 @@ def _fit(refinement: Refinement) -> Fit:
         slow_first=slow_first,
         std=dict(problem.std),
         value=refinement.solution.value,
+        residual=restored(problem, refinement.solution),
     )
 
 
@@ -116,7 +121,7 @@ def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
     blocks = [(b.at, _rows(problem, b)) for b in problem.blocks]
     samples = []
     for seed in seeds:
-        drawn = _drawn(np.random.default_rng(seed), optimum, blocks)
+        drawn = _drawn(np.random.default_rng(seed), fit.residual, blocks)
 
         def evaluate(x, shift=drawn - optimum):
             # Measured is predicted at the optimum less the drawn residual, so the rest cancels.

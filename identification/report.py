@@ -3,10 +3,14 @@
 import numpy as np
 
 from identification.identify import Identification, Prediction
-from identification.static_map import design
+from identification.map_selection import select_terms
+from identification.static_map import coefficient_grid, design
+from identification.steady import samples_needed
 from vpp_fmu.report import (
     Page,
+    autocorrelation,
     correlation_heatmap,
+    cross_correlation,
     learning_curve,
     map_residuals,
     map_surface,
@@ -14,6 +18,8 @@ from vpp_fmu.report import (
     parameter_change,
     thinning,
 )
+from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
+from vpp_fmu.report.steps import step_responses
 
 
 def key_figures(found: Identification) -> list[tuple[str, str, str]]:
@@ -51,6 +57,8 @@ def add_identification(page: Page, found: Identification) -> None:
     page.tiles(key_figures(found))
     for missing in found.campaign.missing:
         page.note(f"{missing} is missing: what it would have told is left out.")
+    for left_out in found.left_out:
+        page.note(f"open_loop.csv: {left_out}.")
     page.section("How well the model predicts")
     for name, p in found.predictions.items():
         page.figure(
@@ -58,6 +66,7 @@ def add_identification(page: Page, found: Identification) -> None:
             f"{name}.csv of campaign {found.campaign.folder.name}. {thinning(len(p.record))}",
         )
     _add_sections(page, found)
+    _add_tests(page, found)
     page.section("What was found")
     r, doubt = found.refinement, found.refinement.uncertainty
     start, (low, high) = np.array([found.start[n] for n in r.names]), doubt.intervals.T
@@ -78,6 +87,38 @@ def add_identification(page: Page, found: Identification) -> None:
     page.figure(correlation_heatmap(r.names, correlation, apart), "Correlation of the estimates.")
     if found.static is not None:
         _add_static(page, found)
+    if found.steps is not None:
+        _add_steps(page, found)
+
+
+def _add_tests(page: Page, found: Identification) -> None:
+    tests, outside = found.tests, found.tests.outside
+    title = f"The residual remembers itself at {outside['itself']:.0%} of the lags; chance gives 5 %"
+    page.figure(
+        autocorrelation(tests.lags, tests.own, tests.band, title), "Thrust residual of open_loop.csv, means over 20 ms."
+    )
+    if tests.crossed:
+        worst = max((n for n in outside if n != "itself"), key=outside.get)
+        title = f"Changes of {worst} show in the residual at {outside[worst]:.0%} of the lags"
+        figure = cross_correlation(tests.lags, tests.crossed, tests.band, title)
+        page.figure(figure, "The residual against the changes of each command before it.")
+
+
+def _add_steps(page: Page, found: Identification) -> None:
+    steps = found.steps
+    page.section("The step responses")
+    for channel, unit, level in (("omega", "rpm", "deg"), ("beta", "deg", "rpm")):
+        runs = [run for run in steps.runs if run.channel == channel]
+        if runs:
+            slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
+            kept = sum(not run.reason for run in runs)
+            lags = "" if slow is None else f": lags of {slow:.3f} and {fast:.3f} s on average"
+            title = f"{kept} of {len(runs)} steps of {'speed' if channel == 'omega' else 'pitch'} count{lags}"
+            figure = step_responses(runs, title, unit, level, steps.delayed(channel))
+            page.figure(figure, "Thrust as a share of the step; black: two lags through the static map.")
+    rows = [(run.source.rsplit("/", 1)[-1], run.reason) for run in steps.outliers]
+    if rows:
+        page.table(("run", "left out because"), rows, "Runs that tell nothing of the lags.")
 
 
 def _record_figure(name: str, p: Prediction, noise: float | None):
@@ -97,6 +138,8 @@ def _add_sections(page: Page, found: Identification) -> None:
         for section, figures in p.summary()["sections"].items()
     ]
     page.table(("record", "section", "rmse [N]", "fit [%]"), rows, "Thrust error by what is commanded.")
+    shares = ", ".join(f"{name} {share:.1%}" for name, share in found.coverage.items())
+    page.note(f"Readings within the prediction's 95 % band: {shares}.")
 
 
 def _strongest(names, correlation) -> str:
@@ -119,3 +162,29 @@ def _add_static(page: Page, found: Identification) -> None:
     left = f"What the cubic leaves stays below {np.max(np.abs(static.residual)):.3f} N"
     commanded = points.omega_ref[static.used], used[1]
     page.figure(map_residuals(*commanded, static.residual, left), "Measured less fitted.")
+    page.figure(thrust_coefficients(*coefficient_grid(points), COEFFICIENT), "C_T = T / (ρ n² D⁴), 10 inch propeller.")
+    doubt = static.uncertainty(omega, beta[:, None], scales)
+    title = f"The map is known to {doubt.max():.3f} N or better where it was measured"
+    page.figure(map_uncertainty(omega, beta, doubt, title), "Standard deviation from the coefficients' covariance.")
+    chosen = select_terms(points, scales)
+    caption = (
+        f"The best of each number of terms w^i b^j; the paper's are number {chosen.rank(chosen.of(), 'bic')} of their size."
+    )
+    page.table(("terms", "best set", "BIC", "adjusted R²", "leave-one-out rmse [N]"), chosen.rows(), caption)
+    _add_samples(page, found)
+
+
+COEFFICIENT = "C_T over pitch hardly depends on speed: the blades work in their linear range"
+
+MEAN_STD = 0.01
+"""N; how well a steady point's mean shall be known."""
+
+
+def _add_samples(page: Page, found: Identification) -> None:
+    record, repeat = found.campaign.open_loop, found.campaign.repeat
+    if repeat is None:
+        return
+    noise = (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0)
+    need = samples_needed(noise[np.isfinite(noise)], MEAN_STD)
+    title = f"A steady point needs {need.number} readings for a mean that is good to {MEAN_STD} N"
+    page.figure(mean_convergence(need.m, need.std, need.white, title), "Standard deviation of a mean over m readings.")

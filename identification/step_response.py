@@ -19,14 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.coordinates import CHANNELS, CLOSEST, WIDEST
-from identification.least_squares import solve
+from identification.coordinates import CHANNELS
+from identification.lag_fit import LagFit, Response, settled_from
 from identification.static_map import TERMS, design
 from identification.tachometer import Tachometer
 from vpp_fmu.record import Record
-
-LONGEST_DELAY = 0.3
-"""s, as far as the model's effects reach."""
 
 NOISY = 0.2
 """Noise over step from which a run tells nothing that the others don't tell better."""
@@ -66,36 +63,6 @@ FLATTEST = 0.1
 
 EVIDENCE = 10.0
 """Difference of the BIC, summed over the runs of a channel, from which a delay is there."""
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """A fit of one signal: `slow`, `fast`, `delay` [s], `offset` and `gain` in the signal's unit.
-
-    `std`: standard deviations by the same names and of `sum` (slow + fast), for white residuals of the size that is left; None
-    where the lags can't be told apart, or the faster one from none at all. `rms`: what is left in `readings` readings, each
-    weighted by what its sensor is good for. `predicted` (rows,): the signal at each row, before any sensor.
-    """
-
-    slow: float
-    fast: float
-    delay: float
-    offset: float
-    gain: float
-    std: Mapping[str, float | None]
-    rms: float
-    readings: int
-    predicted: np.ndarray
-
-    @property
-    def double_pole(self) -> bool:
-        """Whether both lags came out the same: often the sign of a rate limit."""
-        return self.slow - self.fast < 0.01 * self.slow
-
-    def summary(self) -> dict:
-        """For identification.json."""
-        names = ("slow", "fast", "delay", "offset", "gain", "rms")
-        return {name: getattr(self, name) for name in names} | {"std": dict(self.std)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,15 +239,10 @@ def _step(record: Record) -> tuple[str, int] | str:
     if len(rows) != 1:
         return f"{len(rows)} changes of the commands instead of one"
     row, seen = int(rows[0]), record.time[np.isfinite(record["thrust"])] - record.time[rows[0]]
-    numbers = [int(np.sum(part)) for part in (seen < 0.0, seen >= 0.0, seen > _settled_from(record.time - record.time[row]))]
+    numbers = [int(np.sum(part)) for part in (seen < 0.0, seen >= 0.0, seen > settled_from(record.time - record.time[row]))]
     if any(number < least for number, least in zip(numbers, READINGS, strict=True)):
         return f"thrust readings before, after and long after the step: {numbers}, at least {list(READINGS)} are needed"
     return next(channel for channel, found in changes.items() if len(found)), row
-
-
-def _settled_from(time: np.ndarray) -> float:
-    """s from the step, from which the response counts as settled: the last third."""
-    return float(time[-1]) * 2.0 / 3.0
 
 
 def _fit_run(record: Record, channel: str, row: int, scales: Mapping, coefficients: Mapping | None) -> StepRun:
@@ -290,12 +252,12 @@ def _fit_run(record: Record, channel: str, row: int, scales: Mapping, coefficien
     time, thrust = record.time - record.time[row], record["thrust"]
     curve, expected = _curve(channel, start, end, level, scales, coefficients)
     seen = np.flatnonzero(np.isfinite(thrust))
-    problems = {"thrust": _Problem(time, time[seen], thrust[seen], lambda columns: columns[seen], np.ones(len(seen)), curve)}
+    problems = {"thrust": LagFit(time, time[seen], thrust[seen], lambda columns: columns[seen], np.ones(len(seen)), curve)}
     if channel == "omega" and "omega" in record and len(tachometer := Tachometer(record)) >= 20:
         at, line = time[tachometer.rows], np.array([0.0, 1.0])
-        problems["omega"] = _Problem(time, at, tachometer.measured, tachometer.shows, tachometer.std, line)
+        problems["omega"] = LagFit(time, at, tachometer.measured, tachometer.shows, tachometer.std, line)
     fits = {signal: Fits(problem.solve(False), problem.solve(True)) for signal, problem in problems.items()}
-    before, tail = seen[time[seen] < 0.0], seen[time[seen] > _settled_from(time)]
+    before, tail = seen[time[seen] < 0.0], seen[time[seen] > settled_from(time)]
     parts = (len(before), np.var(thrust[before])), (len(seen) - len(before), np.var(thrust[tail]))
     overshoot, band = _overshoot(time[seen], thrust[seen], fits["thrust"].plain.gain or 1.0)
     return StepRun(
@@ -330,92 +292,12 @@ def _curve(channel: str, start: float, end: float, level: float, scales: Mapping
     return np.polynomial.polynomial.polyfit(s, (thrust - thrust[0]) / change, 3), float(change) * scales["thrust_scale"]
 
 
-def two_lags(t: np.ndarray, slow: float, fast: float) -> np.ndarray:
-    """Unit step response of two different lags in a row, (n, 4): the value, its derivatives in slow, fast and t.
-
-    1 - (a e_a - b e_b) / (a - b) with e_a = exp(-t / a), a slow, b fast; 0 for t <= 0 (solution of the paper's eqs. 13 to 15).
-    """
-    t, apart = np.maximum(t, 0.0), slow - fast
-    e_slow, e_fast = np.exp(-t / slow), np.exp(-t / fast)
-    left = (slow * e_slow - fast * e_fast) / apart
-    in_slow = (left - e_slow * (1.0 + t / slow)) / apart
-    in_fast = (e_fast * (1.0 + t / fast) - left) / apart
-    return np.column_stack([1.0 - left, in_slow, in_fast, (e_slow - e_fast) / apart])
-
-
-class _Problem:
-    """Least squares of one signal of a run, in the coordinates offset, gain, log(slow + fast), spread and, maybe, delay.
-
-    Of `time` (rows,) the predicted signal is observed by `observe`, (rows, k) -> (readings, k), and compared with `measured`
-    (readings,) at `at` (readings,) s in units of `std` (readings,). `curve` as of `_curve`.
-    """
-
-    def __init__(self, time, at, measured, observe, std, curve):
-        self.time, self.at, self.measured, self.observe, self.std, self.curve = time, at, measured, observe, std, curve
-        self.slope = np.polynomial.polynomial.polyder(curve)
-
-    def signal(self, x: np.ndarray) -> np.ndarray:
-        """(rows, 1 + coordinates): the signal and its derivatives at coordinates `x`."""
-        apart = np.sqrt(x[3])
-        slow, fast = (0.5 * np.exp(x[2]) * (1.0 + sign * apart) for sign in (1.0, -1.0))
-        s, in_slow, in_fast, in_time = two_lags(self.time - (x[4] if len(x) > 4 else 0.0), slow, fast).T
-        g, rise = (np.polynomial.polynomial.polyval(s, p) for p in (self.curve, self.slope))
-        in_spread = (in_slow - in_fast) * np.exp(x[2]) / (4.0 * apart)
-        inner = (in_slow * slow + in_fast * fast, in_spread, -in_time)[: len(x) - 2]
-        return np.column_stack([x[0] + x[1] * g, np.ones_like(g), g, *(x[1] * rise * d for d in inner)])
-
-    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (readings,) and Jacobian (readings, coordinates)."""
-        seen = self.observe(self.signal(x))
-        return (seen[:, 0] - self.measured) / self.std, seen[:, 1:] / self.std[:, None]
-
-    def start(self, delay: bool) -> np.ndarray:
-        """Where the search starts: the mean time by which the response lags its step is the sum of all lags and delays."""
-        # A quiet tachometer shows no new value once the speed has settled: then its last ones must do.
-        settled = self.measured[self.at >= min(_settled_from(self.time), self.at[-3])].mean()
-        before, after = self.at < 0.0, self.at >= 0.0
-        offset = self.measured[before].mean() if before.any() else self.measured[0]
-        missing = (settled - self.measured[after]) / ((settled - offset) or 1.0)
-        lag = float(np.clip(np.sum(missing[1:] * np.diff(self.at[after])), 0.02, self.time[-1] / 4.0))
-        return np.array([offset, settled - offset, np.log(lag), 0.3, *[0.1 * lag] * delay])
-
-    def solve(self, delay: bool) -> Response:
-        """The best fit."""
-        lower = np.array([-np.inf, -np.inf, np.log(0.002), CLOSEST, *[0.0] * delay])
-        upper = np.array([np.inf, np.inf, np.log(2.0 * self.time[-1]), WIDEST, *[LONGEST_DELAY] * delay])
-        found = solve(self.evaluate, self.start(delay), lower, upper)
-        x, total, apart = found.value, np.exp(found.value[2]), np.sqrt(found.value[3])
-        degrees = max(len(self.at) - len(x), 1)
-        known = np.delete(np.arange(len(x)), 3) if found.active[3] else np.arange(len(x))
-        normal = found.jacobian[:, known].T @ found.jacobian[:, known]
-        covariance = np.zeros((len(x), len(x)))
-        covariance[np.ix_(known, known)] = np.linalg.pinv(normal, hermitian=True) * 2.0 * found.cost / degrees
-        std = dict(zip(("offset", "gain", "sum", "spread", "delay"), np.sqrt(np.diag(covariance)).tolist(), strict=False))
-        std |= {"sum": std["sum"] * total, "delay": std.get("delay")}
-        for name, sign in (("slow", 1.0), ("fast", -1.0)):
-            to = np.array([0.0, 0.0, 0.5 * total * (1.0 + sign * apart), sign * total / (4.0 * apart), *[0.0] * delay])
-            std[name] = None if found.active[3] else float(np.sqrt(to @ covariance @ to))
-        del std["spread"]
-        rms = np.sqrt(np.mean(found.residual**2) / np.mean(self.std**-2.0))
-        return Response(
-            slow=float(0.5 * total * (1.0 + apart)),
-            fast=float(0.5 * total * (1.0 - apart)),
-            delay=float(x[4]) if delay else 0.0,
-            offset=float(x[0]),
-            gain=float(x[1]),
-            std=std,
-            rms=max(float(rms), 1e-12),
-            readings=len(self.at),
-            predicted=self.signal(x)[:, 0],
-        )
-
-
 def _overshoot(time: np.ndarray, thrust: np.ndarray, gain: float) -> tuple[float, float]:
     """(highest smoothed value beyond the final one, what noise alone may show), both in % of the step; (readings,) s, N."""
     width = max(1, round(SMOOTHED / float(np.median(np.diff(time)))))
     smoothed = np.convolve(thrust / gain, np.ones(width) / width, "valid")
     at = time[width - 1 :]
-    settled = smoothed[at > _settled_from(time)]
+    settled = smoothed[at > settled_from(time)]
     return max(0.0, 100.0 * float(smoothed[at > 0.0].max() - settled.mean())), 100.0 * BAND * float(settled.std())
 
 

@@ -14,17 +14,29 @@ TIMER = 4e-6
 """Resolution of the period, s."""
 
 
+MORE = 1.3
+"""New values per pulse of one mark from which a sensor has more marks, or is no tachometer."""
+
+
 class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into what the sensor would have shown at its updates.
 
     `rows` (m,): the rows at which a new value came in; `measured` (m,) rpm there; `std` (m,) rpm: what resolution, and the
-    unknown instant of the pulse within the row's step, leave uncertain.
+    unknown instant of the pulse within the row's step, leave uncertain. A sensor that renews its value faster than the rotor
+    turns is compared as it stands.
     """
 
     def __init__(self, record: Record):
         time, shown = record.time, record["omega"]
         step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
         new = np.append(False, shown[1:] != shown[:-1]) & np.isfinite(shown) & (shown > 0)
+        pulses = np.minimum(np.where(np.isfinite(shown), shown, 0.0) / 60.0 * step, 1.0).sum()
+        if new.sum() > MORE * pulses:  # a sensor that renews faster than the rotor turns shows the speed of the moment
+            self.rows = np.flatnonzero(new)
+            self.measured = shown[self.rows]
+            self.std = self._uncertainty(time[self.rows], np.zeros(len(self.rows)))
+            self._average = csr_array((np.ones(len(self)), (np.arange(len(self)), self.rows)), shape=(len(self), len(time)))
+            return
         period = 60.0 / np.where(new, shown, 1.0)
         end = time - 0.5 * step  # the pulse came somewhere between the rows
         new &= end - period >= time[0]

@@ -30,7 +30,9 @@ class Uncertainty:
     """Covariance (n, n) of the parameters `names`, in their own units, and what follows from it.
 
     `inflation` (n,): standard deviation over what white residuals would give. `reach` (n, 2): how far below and above the
-    values the 95 % intervals go, where that is not the same on both sides.
+    values the 95 % intervals go, where that is not the same on both sides. The covariance is a tangent's: near a double pole
+    it is right for what depends on a pair's sum and product, as predictions do, and too wide for the single constants;
+    their `std` follows from their reach.
     """
 
     names: tuple[str, ...]
@@ -42,7 +44,7 @@ class Uncertainty:
     @property
     def std(self) -> np.ndarray:
         """(n,)"""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.diag(self.covariance)) if self.reach is None else self.reach.mean(axis=1) / NORMAL_95
 
     @property
     def intervals(self) -> np.ndarray:
@@ -53,8 +55,9 @@ class Uncertainty:
     @property
     def correlation(self) -> np.ndarray:
         """(n, n); 0 where a parameter has no variance."""
-        std = np.where(self.std > 0, self.std, np.inf)
-        return self.covariance / np.outer(std, std) + np.diag(np.where(self.std > 0, 0.0, 1.0))
+        own = np.sqrt(np.diag(self.covariance))
+        size = np.where(own > 0, own, np.inf)
+        return self.covariance / np.outer(size, size) + np.diag(np.where(own > 0, 0.0, 1.0))
 
     def directions(self) -> tuple[float, np.ndarray, float]:
         """(condition number, weakest direction (n,) of unit length, its relative standard deviation), values as units."""
@@ -69,47 +72,41 @@ class Uncertainty:
 
 
 def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
-    """Covariance of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance.
-
-    A double pole is no such bound: the response is smooth through it, only the constants' names end there.
-    """
+    """Covariance of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance."""
     coordinates = problem.coordinates
-    held = found.active.copy()
-    held[[j for _, j in coordinates.pairs if found.value[j] <= coordinates.lower[j]]] = False
-    free = np.flatnonzero(~held & (np.linalg.norm(found.jacobian, axis=0) > 0))
+    free, inverse = _free(problem, found)
     j, e = found.jacobian[:, free], found.residual
-    inverse = _inverse(j.T @ j)
     prior = slice(problem.size, len(e))
     known = j[prior].T @ j[prior]
     scores = sum(_coloured(j[b.at], e[b.at], inverse) for b in problem.blocks) + known
     white = sum(_white(j[b.at], e[b.at]) for b in problem.blocks) + known
     coloured, plain = (inverse @ s @ inverse for s in (scores, white))
-    spread = np.zeros(len(held))
-    spread[free] = np.sqrt(np.diag(coloured))
-    middle, *sides = (slope[:, free] for slope in _slopes(coordinates, found.value, NORMAL_95 * spread))
-    covariance = middle @ coloured @ middle.T
+    std = np.zeros(len(found.value))
+    std[free] = np.sqrt(np.diag(coloured))
+    tangent = coordinates.jacobian(found.value)[:, free]
+    covariance, plain = (tangent @ c @ tangent.T for c in (coloured, plain))
     with np.errstate(invalid="ignore", divide="ignore"):
-        inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(middle @ plain @ middle.T)), nan=1.0)
+        inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(plain)), nan=1.0)
     values = np.array(list(coordinates.values(found.value).values()))
+    sides = (slope[:, free] for slope in _secants(coordinates, found.value, NORMAL_95 * std))
     reach = NORMAL_95 * np.column_stack([np.sqrt(np.diag(side @ coloured @ side.T)) for side in sides])
     return Uncertainty(coordinates.names, values, covariance, inflation, reach)
 
 
-def _slopes(coordinates: Coordinates, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """d values / d coordinates (n, n) at `x` for what happens within `reach` (n,): on the whole, towards lower, higher values.
+def _secants(coordinates: Coordinates, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """d values / d coordinates (n, n) for changes of `reach` (n,) from `x`: towards (lower, higher) values.
 
-    The constants of a pair go with the root of the spread, whose tangent is upright at a double pole: secants take its place.
+    The constants of a pair go with the root of the spread, whose tangent is upright at a double pole.
     """
-    middle = coordinates.jacobian(x)
-    below, above = middle.copy(), middle.copy()
+    below = coordinates.jacobian(x)
+    above = below.copy()
     for i, j in coordinates.pairs:
         if reach[j] > 0:
             within = np.clip(x[j] + reach[j] * np.array([-1.0, 0.0, 1.0]), coordinates.lower[j], coordinates.upper[j])
             low, here, high = 0.5 * np.exp(x[i]) * np.sqrt(within) / reach[j]
-            middle[[i, j], j] = 0.5 * (high - low), 0.5 * (low - high)
             below[[i, j], j] = here - low, here - high
             above[[i, j], j] = high - here, low - here
-    return middle, below, above
+    return below, above
 
 
 def _white(jacobian, residual):
@@ -120,20 +117,49 @@ def _coloured(jacobian, residual, inverse):
     """Covariance of the scores of one block: rows (m, n) and (m,), evenly spaced as far as this goes."""
     m = len(residual)
     j, e = np.fft.rfft(jacobian, axis=0), np.fft.rfft(residual)
-    absorbed = np.sum((j @ inverse) * j.conj(), axis=1).real / m
-    gain = np.sqrt(_spectrum(np.abs(e) ** 2 / m, absorbed))
+    spectrum = np.maximum(_banded(np.abs(e) ** 2 / m), 1e-300) / _left(j, inverse, m)  # never 0: noise-free data
+    gain = np.sqrt(spectrum)
     scores = np.fft.irfft(j * gain[:, None], m, axis=0) * np.fft.irfft(e / gain, m)[:, None]
     return scores.T @ scores
 
 
-def _spectrum(power: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
-    """Spectrum at a periodogram's ordinates `power` (k,), flat in bands, of which the fit has taken the shares `absorbed`."""
-    edges, count = [0], len(power)
+def _left(j, inverse, m):
+    """Share (k,) of the residual's power that the fit has left in it, by frequency; from the Jacobian's transform (k, n)."""
+    absorbed = np.sum((j @ inverse) * j.conj(), axis=1).real / m
+    return np.maximum(1.0 - _banded(absorbed), 1.0 / ORDINATES)
+
+
+def _banded(values: np.ndarray) -> np.ndarray:
+    """Each of (k,) replaced by the mean in its band of frequencies."""
+    edges, count = [0], len(values)
     while (ahead := max(edges[-1] + ORDINATES, int(edges[-1] * BAND))) <= count - ORDINATES:
         edges.append(ahead)
     width = np.diff([*edges, count])
-    left = np.maximum(1.0 - np.add.reduceat(absorbed, edges) / width, 1.0 / ORDINATES)
-    return np.repeat(np.maximum(np.add.reduceat(power, edges) / width / left, 1e-300), width)
+    return np.repeat(np.add.reduceat(values, edges) / width, width)
+
+
+def restored(problem: Problem, found: Solution) -> np.ndarray:
+    """The residual (rows,) as large as it was before the fit took its share, at each frequency; a prior's rows stay.
+
+    What a bootstrap should draw from: a fit of steady levels absorbs a good part of what is slow.
+    """
+    free, inverse = _free(problem, found)
+    residual = found.residual.copy()
+    for b in problem.blocks:
+        j, m = np.fft.rfft(found.jacobian[b.at][:, free], axis=0), b.at.stop - b.at.start
+        residual[b.at] = np.fft.irfft(np.fft.rfft(residual[b.at]) / np.sqrt(_left(j, inverse, m)), m)
+    return residual
+
+
+def _free(problem, found):
+    """(coordinates that vary, inverse of their normal matrix).
+
+    A double pole is no bound to hold them: the response is smooth through it, only the constants' names end there.
+    """
+    coordinates, held = problem.coordinates, found.active.copy()
+    held[[j for _, j in coordinates.pairs if found.value[j] <= coordinates.lower[j]]] = False
+    free = np.flatnonzero(~held & (np.linalg.norm(found.jacobian, axis=0) > 0))
+    return free, _inverse(found.jacobian[:, free].T @ found.jacobian[:, free])
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:

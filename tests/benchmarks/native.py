@@ -6,6 +6,7 @@ Machines differ and are noisy, so the ratios are what to look at; every time is 
 import ctypes
 import tempfile
 import time
+import zipfile
 from pathlib import Path
 
 import fmpy
@@ -43,8 +44,6 @@ def empty_fmu(plant: Path) -> bytes:
     begin = text.index("FMI(fmi2Status, DoStep)")
     body = "FMI(fmi2Status, DoStep)(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean no) { return fmi2OK; }\n"
     text = text[:begin] + body + text[text.index("#define READABLE") :]
-    import zipfile
-
     with zipfile.ZipFile(plant) as packed:
         kept = {"modelDescription.xml": packed.read("modelDescription.xml")}
     return archive(kept | binaries(BASE.name, text, "host"))
@@ -77,12 +76,40 @@ def do_steps(*paths):
     return found
 
 
-def loop(plant_path, controller_path, count=20000):
-    """Seconds of a communication step of the closed loop: `vpp_fmu.loop.run` as it is, and its foreign calls alone."""
-    profile = Record({"time": np.array([0.0, count * STEP]), "thrust_set": np.array([5.0, 5.0])}, "constant")
+def loop(plant_path, controller_path, short=200, long=600):
+    """Seconds of a communication step of `vpp_fmu.loop.run`; what a run costs once falls out of the difference."""
     plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
-    whole = best(lambda: run(plant, controller, profile), 1, 5) / count
-    return whole
+
+    def whole(count):
+        profile = Record({"time": np.array([0.0, count * STEP]), "thrust_set": np.array([5.0, 5.0])}, "constant")
+        return best(lambda: run(plant, controller, profile), 1, 150)
+
+    return (whole(long) - whole(short)) / (long - short)
+
+
+def foreign_calls(plant_path, controller_path, count=1000):
+    """Seconds of the same communication step's six foreign calls alone, the controller's outputs being the plant's inputs."""
+    pair = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
+    for part, values in zip(pair, ((0.0, 0.0), (5.0, 0.0)), strict=True):
+        part.start(*values)
+    (plant, p), (controller, c) = ((part._instance, part._instance._slave.dll) for part in pair)
+    timing = ctypes.c_double(0.0), ctypes.c_double(STEP), ctypes.c_int(1)
+    written, read, feedback = plant._written, (*controller._read[:2], plant._inputs), controller._written
+    set_c, step_c, get_c = c["fmi2SetReal"], c["fmi2DoStep"], c["fmi2GetReal"]
+    set_p, step_p, get_p = p["fmi2SetReal"], p["fmi2DoStep"], p["fmi2GetReal"]
+    at_c, at_p = controller._component, plant._component
+
+    def work():
+        for _ in range(count):
+            controller._inputs[1] = plant._outputs[0]
+            set_c(at_c, *feedback)
+            step_c(at_c, *timing)
+            get_c(at_c, *read)
+            set_p(at_p, *written)
+            step_p(at_p, *timing)
+            get_p(at_p, *plant._read)
+
+    return best(work, 1, 60) / count
 
 
 def main():
@@ -94,8 +121,8 @@ def main():
         ours, theirs = do_steps(paths["plant"], paths["empty"])
         for way, mine, empty in zip(("fmpy's wrapper", "bound call"), ours, theirs, strict=True):
             say(f"doStep of the native plant FMU, {way}", mine * 1e6, "us", "an empty C slave", empty * 1e6)
-        here = loop(paths["plant"], paths["controller"])
-        print(f"{'closed loop of native FMUs, one communication step':50} {here * 1e6:10.3g} us")
+        here, floor = loop(paths["plant"], paths["controller"]), foreign_calls(paths["plant"], paths["controller"])
+        say("closed loop of native FMUs, one communication step", here * 1e6, "us", "its foreign calls", floor * 1e6)
 
 
 def say(what, ours, unit, yardstick, theirs):

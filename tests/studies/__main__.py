@@ -5,9 +5,9 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import identification
+from . import diagnosis, identification, measured
 
-STUDIES = {"identification": identification.main}
+STUDIES = {"diagnosis": diagnosis.main, "identification": identification.main, "measured": measured.main}
 
 
 def main():

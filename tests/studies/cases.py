@@ -6,17 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.studies.detectable import evidence
-from tests.studies.missing import HIDDEN, LISTED, OUTSIDE, PAIRS
-from tests.studies.rig import Rig, campaign, random_base, random_vibration
 from vpp_fmu.campaign import Campaign
 
-KINDS = ("singles", "none", "deleted", "outside", "pairs")
+from . import orders
+from .detectable import evidence
+from .missing import HIDDEN, LISTED, OUTSIDE, PAIRS, SCALABLE, SIZES
+from .rig import Rig, campaign, random_base, random_vibration
+
+KINDS = ("singles", "none", "deleted", "outside", "pairs", "faint")
+
+FAINT = 20.0, 200.0
+"""Evidence that faint cases are scaled to, log-uniform: from the limit of what can be seen."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One rig. `hidden`: names of what it hides; `deleted`: the name that the library given to the diagnosis lacks."""
+    """One rig. `hidden`: names of what it hides; `deleted`: the name that the library given to the diagnosis lacks.
+
+    Kind "faint": a single effect whose size is scaled down to little evidence.
+    """
 
     kind: str
     hidden: tuple[str, ...]
@@ -32,8 +40,18 @@ class Case:
             drawn = dict(HIDDEN[name].draw(rng))
             extra = drawn.pop("extra", extra)
             sizes |= drawn
+        if self.kind == "faint":
+            sizes = self._faint(rng, base, sizes)
         rig = Rig(base | sizes, extra, shaking)
         return campaign(rig, rng), rig, sizes
+
+    def _faint(self, rng: np.random.Generator, base: dict, sizes: dict) -> dict:
+        wanted, commands, scaled = np.exp(rng.uniform(*np.log(FAINT))), orders.open_loop(rng), dict(sizes)
+        for _ in range(4):
+            there = evidence(Rig(base | scaled), base, *commands)
+            factor = np.sqrt(wanted / max(there, 1.0))
+            scaled = {k: v * factor if k in SIZES else v for k, v in scaled.items()}
+        return scaled
 
     def truth(self, sizes: dict) -> dict[str, float]:
         """True values of the project's parameters by full name, where one corresponds."""
@@ -56,6 +74,7 @@ def cases(known: Iterable[str], seeds: Sequence[int], kinds: Sequence[str] = KIN
         found += [Case("none", (), 1000 * seed + k) for k in range(4)]
         found += [Case("deleted", (n,), seed, n) for n in single]
         found += [Case("outside", (h.name,), seed) for h in OUTSIDE]
+        found += [Case("faint", (n,), seed) for n in single if n in SCALABLE]
         found += [Case("pairs", pair, seed) for pair in PAIRS if set(pair) <= known]
     kept = [c for c in found if c.kind in kinds]
     return [c for c in kept if not only or set(c.hidden) & set(only)]

@@ -1,7 +1,8 @@
 """python -m tests.studies diagnosis: does `vpp diagnose` name what is missing, and nothing else, on rigs it knows nothing of?
 
-The rigs are an emulator that shares no code with the project's kernel (rig.py). Each case hides one effect, a pair, none, one
-that is in no list (outside), or one that the library given to the diagnosis lacks (deleted). The truth stays in this study.
+The rigs are an emulator that shares no code with the project's kernel (rig.py). Each case hides one effect (singles; faint: as
+small as can just be seen), a pair, none, one that is in no list (outside), or one that the library given to the diagnosis lacks
+(deleted). The truth stays in this study.
 """
 
 import argparse
@@ -14,12 +15,13 @@ import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.workers import spread
-from tests.studies import scores
-from tests.studies.cases import KINDS, Case, cases
-from tests.studies.missing import HIDDEN, LISTED
-from tests.studies.rig import Rig
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
+
+from . import scores
+from .cases import KINDS, Case, cases
+from .missing import HIDDEN, LISTED
+from .rig import Rig
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

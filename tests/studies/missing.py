@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.studies.physics import ROW
+from .physics import ROW
 
 DEG, RPM, NEWTON = 15.0, 6000.0, 15.0
 
@@ -40,13 +40,20 @@ def _some(name, low, high, draw=size):
     return lambda rng: {name: draw(rng, low, high)}
 
 
-def _either_stage(name, low, high, draw=size):
-    """In the first or the last stage of the pitch actuator."""
-    return lambda rng: {name: draw(rng, low, high), "last_stage": float(rng.random() < 0.5)}
+def _either_lag(which, name, low, high, draw=size):
+    """In the first or the last of a channel's lags."""
+    return lambda rng: {name: draw(rng, low, high), which: float(rng.random() < 0.5)}
 
 
 def _same(setting, parameter, unit=1.0):
     return lambda s: {parameter: unit * s[setting]}
+
+
+def _rate(rng):
+    """Of the first lag, the last lag, or the command."""
+    if rng.random() < 1.0 / 3.0:
+        return {"slew": size(rng, 0.5, 1.2)}
+    return {"rate": size(rng, 0.5, 1.2), "last_stage": float(rng.random() < 0.5)}
 
 
 def _map_term(rng):
@@ -54,10 +61,29 @@ def _map_term(rng):
     return {name: signed(rng, low, high)}
 
 
-def _fade(rng):
+def _sag(rng):
+    """Of the speed that a loop can hold, or of speed itself."""
     if rng.random() < 0.5:
-        return {"fade": -size(rng, 0.03, 0.08)}
-    return {"fade": -size(rng, 0.03, 0.08), "fade_time": size(rng, 15.0, 60.0)}
+        return {"droop": size(rng, 0.05, 0.2)}
+    return {"speed_max_w": rng.uniform(0.98, 1.05), "sag": size(rng, 0.1, 0.2)}
+
+
+def _sag_parameters(s):
+    if "droop" in s:
+        return {"sag": RPM / DEG * s["droop"]}
+    return {"limit": RPM * s["speed_max_w"], "sag": RPM / DEG * s["sag"]}
+
+
+def _voltage(rng):
+    return {"volt_share": rng.uniform(0.2, 1.0), "discharge": size(rng, 0.05, 0.25)}
+
+
+def _fade(rng):
+    """In a line with time, towards an end, or with load."""
+    form, there = rng.integers(3), {"fade": -size(rng, 0.03, 0.08)}
+    if form == 0:
+        return there
+    return there | {"fade_time": size(rng, 15.0, 60.0), "fade_load": float(form == 2)}
 
 
 def _drift(rng):
@@ -66,30 +92,55 @@ def _drift(rng):
 
 LISTED = (
     Hidden("pitch_command_deadband", _some("deadband", 0.03, 0.15), _same("deadband", "half_width", DEG)),
-    Hidden("pitch_error_deadzone", _either_stage("deadzone", 0.015, 0.06), _same("deadzone", "half_width", DEG)),
+    Hidden("pitch_error_deadzone", _either_lag("last_stage", "deadzone", 0.015, 0.06), _same("deadzone", "half_width", DEG)),
     Hidden("pitch_stop_band", _some("stop_band", 0.015, 0.05), _same("stop_band", "half_width", DEG)),
-    Hidden("pitch_stop_restart", lambda g: {"stop": size(g, 0.005, 0.015), "restart": size(g, 0.03, 0.08)}),
-    Hidden("pitch_speed_limits", lambda g: {"speed_min": size(g, 0.1, 0.3), "speed_max": size(g, 0.6, 1.5)}),
+    Hidden(
+        "pitch_stop_restart",
+        lambda g: {"stop": size(g, 0.005, 0.015), "restart": size(g, 0.03, 0.08)},
+        lambda s: {"stop": DEG * s["stop"], "restart": DEG * s["restart"]},
+    ),
+    Hidden(
+        "pitch_speed_limits",
+        lambda g: {"speed_min": size(g, 0.1, 0.3), "speed_max": size(g, 0.6, 1.5)},
+        lambda s: {"slowest": DEG * s["speed_min"], "full": DEG * s["speed_max"]},
+    ),
     Hidden(
         "pitch_stall_latch",
         lambda g: {"stall_speed": size(g, 0.1, 0.3), "stall_time": size(g, 0.05, 0.2), "stall_band": 0.005},
+        lambda s: {"speed": DEG * s["stall_speed"], "time": s["stall_time"]},
     ),
     Hidden("pitch_backlash", _some("backlash", 0.015, 0.06), _same("backlash", "half_gap", DEG)),
-    Hidden("pitch_rate_limit", _either_stage("rate", 0.5, 1.2), _same("rate", "rate", DEG)),
-    Hidden("pitch_asymmetry", _either_stage("pitch_asym", 0.1, 0.4, signed), _same("pitch_asym", "asymmetry")),
-    Hidden("pitch_travel_limit", _some("travel_max", 0.65, 0.88), lambda s: {"maximum": DEG * s["travel_max"] - 5.0}),
+    Hidden("pitch_rate_limit", _rate, lambda s: {"rate": DEG * s.get("rate", s.get("slew"))}),
+    Hidden("pitch_asymmetry", _either_lag("last_stage", "pitch_asym", 0.1, 0.4, signed), _same("pitch_asym", "asymmetry")),
+    Hidden(
+        "pitch_travel_limit",
+        _either_lag("travel_stop", "travel_max", 0.65, 0.88),
+        lambda s: {"maximum": DEG * s["travel_max"] - 5.0},
+    ),
     Hidden("pitch_delay", _some("pitch_delay", 0.01, 0.1), _same("pitch_delay", "delay")),
     Hidden("speed_delay", _some("speed_delay", 0.01, 0.06), _same("speed_delay", "delay")),
-    Hidden("speed_asymmetry", lambda g: {"speed_asym": -size(g, 0.1, 0.5)}, _same("speed_asym", "asymmetry")),
-    Hidden("speed_dependent_lag", _some("damping", 0.3, 1.2)),
+    Hidden(
+        "speed_asymmetry",
+        _either_lag("speed_last", "speed_asym", -0.5, -0.1, lambda g, a, b: -size(g, -b, -a)),
+        _same("speed_asym", "asymmetry"),
+    ),
+    Hidden("speed_dependent_lag", _either_lag("speed_last", "damping", 0.3, 1.2), _same("damping", "sensitivity", 1.0 / RPM)),
     Hidden("speed_saturation", _some("speed_max_w", 0.8, 0.95), _same("speed_max_w", "maximum", RPM)),
-    Hidden("supply_sag", lambda g: {"speed_max_w": g.uniform(0.98, 1.05), "sag": size(g, 0.1, 0.2)}),
-    Hidden("supply_voltage", lambda g: {"volt_gain": g.uniform(0.95, 1.02), "discharge": size(g, 0.1, 0.25)}),
+    Hidden("supply_sag", _sag, _sag_parameters),
+    Hidden("supply_voltage", _voltage, _same("volt_share", "share")),
     Hidden("pitch_speed_coupling", _some("coupling", 0.01, 0.1), _same("coupling", "gain", RPM / DEG)),
     Hidden("thrust_gain_drift", _fade),
-    Hidden("inflow_lag", lambda g: {"inflow": size(g, 0.2, 0.5), "inflow_time": size(g, 0.08, 0.25)}),
-    Hidden("pitch_rate_feedthrough", _some("feedthrough", 0.01, 0.06)),
-    Hidden("recirculation", lambda g: {"wash": size(g, 0.03, 0.1), "wash_time": size(g, 1.5, 4.0)}),
+    Hidden(
+        "inflow_lag",
+        lambda g: {"inflow": size(g, 0.2, 0.5), "inflow_time": size(g, 0.08, 0.25)},
+        lambda s: {"gain": s["inflow"], "time_constant": s["inflow_time"]},
+    ),
+    Hidden("pitch_rate_feedthrough", _some("feedthrough", 0.01, 0.06), _same("feedthrough", "gain", NEWTON / DEG)),
+    Hidden(
+        "recirculation",
+        lambda g: {"wash": size(g, 0.03, 0.1), "wash_time": size(g, 1.5, 4.0)},
+        lambda s: {"share": s["wash"], "time_constant": s["wash_time"]},
+    ),
     Hidden("map_terms", _map_term),
     Hidden("sensor_lag", _some("cell_time", 0.02, 0.08), _same("cell_time", "time_constant")),
     Hidden(
@@ -126,6 +177,7 @@ def _tone(low, high, frequencies):
 
 
 OUTSIDE = (
+    Hidden("voltage_ceiling", lambda g: {"volt_gain": g.uniform(0.95, 1.02), "discharge": size(g, 0.1, 0.25)}),
     Hidden("stick_slip", _some("friction", 0.02, 0.06)),  # Stribeck friction of the linkage, against the actuator's pull
     Hidden("blade_torsion", _some("torsion", 0.08, 0.25)),  # thrust turns the blade back
     Hidden("warming_actuator", _some("warm", 0.4, 1.2)),  # pitch grows slower within 40 s
@@ -157,3 +209,12 @@ PAIRS = (
     ("pitch_backlash", "sensor_lag"),
 )
 """Effects that may well be on one rig."""
+
+_SMALL_PITCH = "deadband deadzone stop_band backlash pitch_asym pitch_delay"
+_SMALL_SPEED = "speed_delay speed_asym damping coupling"
+_SMALL_THRUST = "fade inflow feedthrough wash map_w map_w2b2 map_wb3 cell_time bias drift"
+SIZES = frozenset(" ".join([_SMALL_PITCH, _SMALL_SPEED, _SMALL_THRUST]).split())
+"""Settings in which an effect grows from nothing."""
+
+SCALABLE = tuple(h.name for h in LISTED if SIZES & set(h.draw(np.random.default_rng(0))))
+"""Effects whose size can be made as small as one likes."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.studies.physics import ROW
+from .physics import ROW
 
 SPEED, PITCH = (2200.0, 5900.0), (-4.5, 9.5)
 HOLDS = (0.4, 2.8)

@@ -22,14 +22,14 @@ ROW = 0.004
 
 BASE = ("tau_w1", "tau_w2", "tau_b1", "tau_b2", "c20", "c11", "c21", "c12", "c30")
 
-_PITCH = (
-    "pitch_delay late_up deadband pitch_step travel_max deadzone stop_band stop restart speed_min speed_max rate pitch_asym"
-)
-_PITCH_MORE = "stall_speed stall_time stall_band last_stage friction torsion backlash warm"
-_SPEED = "speed_delay speed_max_w sag volt_gain discharge speed_asym damping ramp hunt_hz hunt_zeta coupling"
-_THRUST = "map_w map_w2b2 map_wb3 stall fade fade_time inflow inflow_time feedthrough wash wash_time"
+_COMMAND = "pitch_delay late_up deadband pitch_step travel_max travel_stop slew"
+_PITCH = "deadzone stop_band stop restart speed_min speed_max rate pitch_asym stall_speed stall_time stall_band last_stage"
+_LINKAGE = "friction torsion backlash warm"
+_SUPPLY = "speed_max_w sag droop volt_gain volt_share discharge"
+_SPEED = "speed_delay speed_last speed_asym damping ramp hunt_hz hunt_zeta coupling"
+_THRUST = "map_w map_w2b2 map_wb3 stall fade fade_time fade_load inflow inflow_time feedthrough wash wash_time"
 _CELL = "ring_hz ring_zeta cell_time creep bias drift"
-OPTIONS = tuple(" ".join([_PITCH, _PITCH_MORE, _SPEED, _THRUST, _CELL]).split())
+OPTIONS = tuple(" ".join([_COMMAND, _PITCH, _LINKAGE, _SUPPLY, _SPEED, _THRUST, _CELL]).split())
 """What can be switched on in rig.c; 0 is off."""
 
 PAPER = {"tau_w1": 0.172, "tau_w2": 0.053, "tau_b1": 0.2, "tau_b2": 0.07}

@@ -22,7 +22,7 @@ static double late(const double *command, long step, long sub, double delay) {
 }
 
 struct state {
-    double held, x, b, play, active, timer, latched, before;
+    double held, led, heat, x, b, play, active, timer, latched, before;
     double y, w, spin, trail, push, inflow, slow, creep[4], cell, cell_rate, load, stalled;
 };
 
@@ -61,7 +61,8 @@ static double pitch(const struct rig *r, struct state *s, const double *command,
         u = s->held;
     }
     if (r->pitch_step > 0.0) u = r->pitch_step * floor(u / r->pitch_step + 0.5);
-    if (r->travel_max > 0.0) u = fmin(u, r->travel_max);
+    if (r->travel_max > 0.0 && r->travel_stop < 0.5) u = fmin(u, r->travel_max);
+    if (r->slew > 0.0) u = s->led += clip(u - s->led, -r->slew * STEP, r->slew * STEP);
     e = u - s->x;
     s->x += STEP * (r->last_stage > 0.5 ? e / tau_1 : actuator(r, s, e, tau_1));
     e = s->x - s->b;
@@ -73,17 +74,24 @@ static double pitch(const struct rig *r, struct state *s, const double *command,
         s->b += STEP * s->before;
     } else
         s->b += STEP * (r->last_stage > 0.5 ? actuator(r, s, e, tau_2) : e / tau_2);
+    if (r->travel_max > 0.0) s->b = fmin(s->b, r->travel_max);
     s->play = fmin(fmax(s->play, s->b - r->backlash), s->b + r->backlash);
     return s->play;
+}
+
+/* Time constant of a rotor's lag on its way from `at` to `to`. */
+static double bent_tau(const struct rig *r, double tau, double to, double at) {
+    tau *= exp(to > at ? r->speed_asym : -r->speed_asym);
+    return tau / fmax(1.0 + r->damping * (at - 2.0 / 3.0), 0.2);
 }
 
 static double rotor(const struct rig *r, struct state *s, const double *command, long step, long sub, double b, double volt) {
     double u = late(command, step, sub, r->speed_delay), tau = r->tau_w1, v, dip;
     if (r->speed_max_w > 0.0) u = fmin(u, r->speed_max_w - r->sag * b);
-    if (r->volt_gain > 0.0) u = fmin(u, r->volt_gain * volt - r->sag * b);
-    if (r->speed_asym != 0.0) tau *= exp(u > s->y ? r->speed_asym : -r->speed_asym);
-    if (r->damping != 0.0) tau /= fmax(1.0 + r->damping * (s->w - 2.0 / 3.0), 0.2);
-    v = (u - s->y) / tau;
+    if (r->volt_gain > 0.0) u = fmin(u, r->volt_gain * volt);
+    u *= 1.0 + r->volt_share * (volt - 1.0);
+    u -= r->droop * fmax(b, 0.0) * s->w * s->w;
+    v = (u - s->y) / (r->speed_last > 0.5 ? tau : bent_tau(r, tau, u, s->y));
     if (r->ramp > 0.0) v = clip(v, -r->ramp, r->ramp);
     s->y += STEP * v;
     if (r->hunt_hz > 0.0) { /* the loop's second pole becomes an underdamped pair */
@@ -91,7 +99,7 @@ static double rotor(const struct rig *r, struct state *s, const double *command,
         s->spin += STEP * (p * p * (s->y - s->w) - 2.0 * r->hunt_zeta * p * s->spin);
         s->w += STEP * s->spin;
     } else
-        s->w += STEP * (s->y - s->w) / r->tau_w2;
+        s->w += STEP * (s->y - s->w) / (r->speed_last > 0.5 ? bent_tau(r, r->tau_w2, s->y, s->w) : r->tau_w2);
     if (r->coupling == 0.0) return s->w;
     dip = (b - s->trail) / r->tau_w1;
     s->trail += STEP * dip;
@@ -109,7 +117,11 @@ static double thrust(const struct rig *r, struct state *s, double w, double b, d
         T *= 1.0 - r->stall * s->stalled;
     }
     steady = T;
-    if (r->fade != 0.0) T *= 1.0 + r->fade * (r->fade_time > 0.0 ? 1.0 - exp(-t / r->fade_time) : t / 100.0);
+    if (r->fade_load > 0.5) {
+        s->heat += STEP * (steady - s->heat) / r->fade_time;
+        T *= 1.0 + r->fade * s->heat;
+    } else if (r->fade != 0.0)
+        T *= 1.0 + r->fade * (r->fade_time > 0.0 ? 1.0 - exp(-t / r->fade_time) : t / 100.0);
     if (r->inflow != 0.0) {
         s->inflow += STEP * (b - s->inflow) / r->inflow_time;
         T += r->inflow * w * w * (b - s->inflow);
@@ -143,7 +155,7 @@ static double cell(const struct rig *r, struct state *s, double T, double t) {
 static struct state settled(const struct rig *r, double w, double b) {
     struct state s = {0};
     s.held = s.x = s.b = s.play = s.trail = s.inflow = r->travel_max > 0.0 ? fmin(b, r->travel_max) : b;
-    s.held = b;
+    s.held = s.led = b;
     s.active = 1.0;
     s.y = s.w = w;
     double T = thrust(r, &s, w, b, 0.0, 0.0);
@@ -164,6 +176,7 @@ void run(const struct rig *r, long n, long sub, const double *w_ref, const doubl
     for (long k = -PREROLL; k < n * sub; k++) {
         double t = k > 0 ? k * STEP : 0.0, warm = 1.0 + r->warm * (1.0 - exp(-t / 40.0));
         long at = k < 0 ? 0 : k;
+        if (k <= 0) s.heat = 0.0; /* warming starts anew with each record */
         double volt = 1.0 - r->discharge * t / 100.0;
         double b = pitch(r, &s, b_ref, at, sub, warm);
         double w = rotor(r, &s, w_ref, at, sub, b, volt);

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from tests.studies import orders
-from tests.studies.physics import PAPER, ROW, Run, run
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.record import Record
+
+from . import orders
+from .physics import PAPER, ROW, Run, run
 
 WHITE, SLOW, MEMORY = 0.12, 0.047, 0.13
 """N, N, s: white noise of a thrust reading, and a slow part whose correlation falls to 1 / e in MEMORY."""
@@ -58,7 +59,7 @@ class Rig:
         thrust = self.force(found, speed, pitch) + shaking + noise(rng, rows)
         columns = {"time": np.round(ROW * np.arange(rows), 9), "omega_ref": speed, "beta_ref": pitch}
         columns |= {"omega": found.shown, "thrust": LSB * np.round(thrust / LSB)}
-        if self.settings.get("volt_gain"):
+        if self.settings.get("discharge"):
             volt = FULL_VOLTAGE * (1.0 - self.settings["discharge"] * columns["time"] / 100.0)
             columns["voltage"] = np.round(volt, 2)
         return Record(columns, name)

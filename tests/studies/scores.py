@@ -6,11 +6,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import beta
 
-from tests.studies.detectable import LIMIT
+from .detectable import LIMIT
 
 VERDICTS = ("attributed", "family", "partly", "unexplained", "none")
 NAMED = ("attributed", "family")
 """Verdicts that claim to know the name."""
+
+KNOWABLE = ("singles", "pairs", "faint")
+"""Kinds in which the library has what is hidden."""
 
 ENOUGH = (LIMIT, 100.0, 1000.0)
 """Evidence from which on cases are counted apart."""
@@ -54,13 +57,13 @@ def _verdicts(part: Sequence[dict]) -> str:
     for name in names:
         own = [c for c in part if (" + ".join(c["hidden"]) or "-") == name]
         count = Counter(c["verdict"] for c in own)
-        right = f"{sum(map(hit, own))}/{len(own)}" if part[0]["kind"] in ("singles", "pairs") else ""
+        right = f"{sum(map(hit, own))}/{len(own)}" if part[0]["kind"] in KNOWABLE else ""
         rows.append(f"  {name[:40]:40}" + "".join(f"{count[v] or '.':>12}" for v in VERDICTS) + f"{right:>8}")
     return "\n".join(rows)
 
 
 def _line(c: dict) -> str:
-    mark = "ok   " if hit(c) and c["kind"] in ("singles", "pairs") else "WRONG" if wrong(c) else "     "
+    mark = "ok   " if hit(c) and c["kind"] in KNOWABLE else "WRONG" if wrong(c) else "     "
     family = {n: o for n, o in c["family"].items() if o}
     share = "" if c["explained"] is None else f" explained {c['explained']:.2f}"
     truth = "" if c["removed"] is None else f" removed {c['removed']:.3f}"
@@ -71,7 +74,7 @@ def _line(c: dict) -> str:
 
 def figures(found: Sequence[dict]) -> list[str]:
     """The study's figures, one a line, with counts and intervals."""
-    of = {k: [c for c in found if c["kind"] == k] for k in ("singles", "none", "outside", "deleted", "pairs")}
+    of = {k: [c for c in found if c["kind"] == k] for k in ("singles", "none", "outside", "deleted", "pairs", "faint")}
     seen = [c for c in of["singles"] if c["evidence"] >= LIMIT]
     lines = [f"detectable: log-likelihood of {LIMIT:g} or more over the best base model, noise-free, two records of 90 s"]
     lines.append(share("detectable single effects named", hit, seen))
@@ -88,6 +91,10 @@ def figures(found: Sequence[dict]) -> list[str]:
     for kind in ("outside", "deleted"):
         shown = [c for c in of[kind] if c["evidence"] >= LIMIT]
         lines.append(share(f"confident wrong name, {kind}", wrong, shown))
+    for low, high in ((20.0, 60.0), (60.0, 200.0)):
+        near = [c for c in of["faint"] if low <= c["evidence"] < high]
+        lines.append(share(f"faint effects of evidence {low:g} to {high:g} named", hit, near))
+    lines.append(share("  confidently wrong", wrong, of["faint"]))
     exact = [c for c in of["pairs"] if c["evidence"] >= LIMIT]
     lines.append(share("pairs exact", hit, exact))
     compared = [p for c in seen if hit(c) for p in c["parameters"].values()]

@@ -16,16 +16,31 @@ def configure(parser):
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="how to search (default: %(default)s)")
     parser.add_argument("--starts", type=int, default=8, metavar="N", help="starts of the search (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random starts (default: %(default)s)")
+    parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="resamples of a block bootstrap (default: none)")
+    parser.add_argument(
+        "--workers", type=int, default=1, metavar="N", help="processes for the bootstrap (default: %(default)s)"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the bootstrap on instead")
     add_output(parser)
 
 
 def run(options):
     folder = OutputFolder(options.output)
-    found = identify(read_campaign(options.campaign), method=options.method, starts=options.starts, seed=options.seed)
+    found = identify(
+        read_campaign(options.campaign),
+        method=options.method,
+        starts=options.starts,
+        seed=options.seed,
+        resamples=options.bootstrap,
+        workers=options.workers,
+        scheduler=options.scheduler,
+    )
     folder.write("parameters.json", to_json(found.parameters))
     folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
     folder.write("identification.json", as_json(found.summary()))
     folder.write("report.html", identification_page(found).html())
+    for left_out in found.left_out:
+        print(f"open_loop.csv: {left_out}")
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder)

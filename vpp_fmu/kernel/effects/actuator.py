@@ -17,11 +17,13 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
 
     Signals: `<u>_inner` and `<u>_outer` are the stages' values before the step, `<u>_error` is what the inner one lacks,
     `<u>_move` and `<u>_travel` what the inner and the outer cover in the step; `tau_<u>_1`, `tau_<u>_2`; `<u>` at the end.
+    Where an effect has set `<u>_lowest` or `<u>_highest`, the outer stage stops there.
     """
     ref, error = f"{u}_ref", f"{u}_error"
     inner, move, inner_ahead = f"{u}_inner", f"{u}_move", f"{u}_inner_ahead"
     outer, travel, outer_ahead = f"{u}_outer", f"{u}_travel", f"{u}_outer_ahead"
     slow, fast = f"tau_{u}_1", f"tau_{u}_2"
+    lowest, highest = f"{u}_lowest", f"{u}_highest"
 
     def drive(ops, s, x, p, dt):
         value = getattr(x, inner)
@@ -40,6 +42,10 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
 
     def reach(ops, s, x, p, dt):
         reached = getattr(s, outer) + getattr(s, travel)
+        if hasattr(s, lowest):
+            reached = ops.maximum(reached, getattr(s, lowest))
+        if hasattr(s, highest):
+            reached = ops.minimum(reached, getattr(s, highest))
         return {u: reached, outer_ahead: reached, inner_ahead: getattr(s, inner) + getattr(s, move)}, {}
 
     def constant(name, default, stage):

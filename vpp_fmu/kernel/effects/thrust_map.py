@@ -2,6 +2,8 @@
 
 w = omega / omega_scale,  b = (beta + beta_offset) / beta_scale
 thrust = thrust_scale (c20 w^2 + c11 w b + c21 w^2 b + c12 w b^2 + c30 w^3)
+
+Effects behind the map find w, b and all its parameters as signals.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter
@@ -17,11 +19,15 @@ def scales() -> tuple[Parameter, ...]:
     )
 
 
+def normalised_thrust(c, w, b):
+    """The map at normalised speed and pitch; `c` has the coefficients, as the map's parameters and, behind it, signals."""
+    return w * (w * (c.c20 + c.c21 * b + c.c30 * w) + b * (c.c11 + c.c12 * b))
+
+
 def _step(ops, s, x, p, dt):
     w = s.omega / p.omega_scale
     b = (s.beta + p.beta_offset) / p.beta_scale
-    t = w * (w * (p.c20 + p.c21 * b + p.c30 * w) + b * (p.c11 + p.c12 * b))
-    return {"thrust": p.thrust_scale * t}, {}
+    return {"thrust": p.thrust_scale * normalised_thrust(p, w, b), "w": w, "b": b, **vars(p)}, {}
 
 
 def _coefficient(name: str, default: float, term: str) -> Parameter:

@@ -1,0 +1,64 @@
+"""What a residual still knows: of its own past, and of the commands."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpp_fmu.record import Record
+
+STEP = 0.02
+"""Residuals are averaged over about this many seconds first: faster than any actuator, slower than the noise of one reading."""
+
+LONGEST = 2.0
+"""Longest lag that is looked at, s."""
+
+NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class ResidualTests:
+    """Correlations at `lags` (m,) s: of the residual with itself (m,), and with the changes of each command (m,).
+
+    `band`: what white residuals stay within in 95 of 100 lags. `outside`: share of the lags beyond it, by what it is with.
+    """
+
+    lags: np.ndarray
+    own: np.ndarray
+    crossed: Mapping[str, np.ndarray]
+    band: float
+
+    @property
+    def outside(self) -> dict[str, float]:
+        """0.05 is what chance gives."""
+        shares = {"itself": self.own} | dict(self.crossed)
+        return {name: float(np.mean(np.abs(values) > self.band)) for name, values in shares.items()}
+
+
+def residual_tests(record: Record, residual: np.ndarray) -> ResidualTests:
+    """Tests of a thrust residual (rows,) N, NaN where nothing was measured. Steps of the record must be about even."""
+    rows = max(1, round(STEP / float(np.median(record.steps))))
+    n = len(record) // rows
+    e = _means(residual, rows, n)
+    count = min(round(LONGEST / (rows * float(np.median(record.steps)))), n // 4)
+    lags = np.arange(1, count + 1) * rows * float(np.median(record.steps))
+    crossed = {}
+    for name in ("omega_ref", "beta_ref"):
+        change = np.diff(_means(record[name], rows, n), prepend=record[name][0])
+        if np.any(change):
+            crossed[name] = np.array([_correlation(e[k:], change[: n - k]) for k in range(1, count + 1)])
+    own = np.array([_correlation(e[k:], e[: n - k]) for k in range(1, count + 1)])
+    return ResidualTests(lags, own, crossed, NORMAL_95 / np.sqrt(np.isfinite(e).sum()))
+
+
+def _means(values: np.ndarray, rows: int, n: int) -> np.ndarray:
+    blocks = values[: n * rows].reshape(n, rows)
+    seen = np.isfinite(blocks)
+    with np.errstate(invalid="ignore"):
+        return np.where(seen, blocks, 0.0).sum(axis=1) / seen.sum(axis=1)
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
+    return float(a @ b / (np.sqrt((a @ a) * (b @ b)) or 1.0))

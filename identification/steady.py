@@ -1,0 +1,124 @@
+"""Steady points from raw samples, and how many samples a mean needs (paper, section 3.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpp_fmu.campaign import StaticMap
+from vpp_fmu.errors import BadInput
+from vpp_fmu.record import Record
+
+SETTLE = 3.0
+"""s that the paper lets transients decay."""
+
+BATCHES = 50
+"""Blocks that the longest mean leaves in the readings: its variance is then known to 16 %, sqrt(4 / (3 BATCHES))."""
+
+_GROWTH = 1.3
+"""More than chance lets m times the variance of a mean grow over the last doubling of m, once readings are independent."""
+
+
+def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
+    """The static map of a record with thrust: a point for each stretch in which neither command moves.
+
+    Of each stretch the first `settle` s are dropped; means, and the spread of single readings, are over what is left, rows
+    without a value left out. A stretch with less than two readings gives no point. `omega` is the command where no speed was
+    measured. A point measured twice is two points. BadInput where there is none.
+    """
+    omega_ref, beta_ref = record["omega_ref"], record["beta_ref"]
+    moved = (np.diff(omega_ref) != 0) | (np.diff(beta_ref) != 0)
+    starts = np.append(0, np.flatnonzero(moved) + 1)
+    speed = record["omega"] if "omega" in record else np.full(len(record), np.nan)
+    points = []
+    for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
+        settled = first + int(np.sum(np.round(record.time[first:end] - record.time[first], 9) < settle))
+        thrust = _seen(record["thrust"][settled:end])
+        if len(thrust) < 2:
+            continue
+        turns = _seen(speed[settled:end])
+        omega = turns.mean() if len(turns) else omega_ref[first]
+        points.append((omega_ref[first], beta_ref[first], omega, thrust.mean(), thrust.std(ddof=1), len(thrust)))
+    if not points:
+        allowed = f"both commands still for longer than {settle:g} s somewhere"
+        raise BadInput(record.source, "steady stretches", "none", allowed)
+    return StaticMap(*np.array(points, float).T, source=record.source)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSize:
+    """How the mean of m readings settles: `std` of the mean [N] and that of white noise, `white`, both over `m` (k,).
+
+    `number` readings make the mean's standard deviation `wanted` [N]. `inflation`: variance of a long mean over that of white
+    noise, so one reading in `inflation` counts; it and `number` are known to `relative_std`, with `settled` False not even
+    that: the readings wander more slowly than their record is long, and more of them would be needed.
+    """
+
+    m: np.ndarray
+    std: np.ndarray
+    white: np.ndarray
+    wanted: float
+    number: int
+    inflation: float
+    relative_std: float
+    settled: bool
+
+    def std_of(self, count: float) -> float:
+        """Standard deviation [N] of the mean of `count` readings: from the curve, beyond it with one over the root."""
+        beyond = np.sqrt(max(1.0, count / self.m[-1]))
+        return float(np.exp(np.interp(np.log(count), np.log(self.m), np.log(self.std))) / beyond)
+
+
+def samples_needed(readings: np.ndarray, wanted_std: float) -> SampleSize:
+    """How many readings in a row [N] a mean needs, so that its standard deviation is `wanted_std` [N].
+
+    `readings` (n,) of one steady point, or the noise of any record; NaN is left out. The variance of a mean of m is that of
+    the overlapping blocks of m about the mean of all, n / ((n - m) (n - m + 1)) sum (block - mean)^2 (Meketon and Schmeiser,
+    1984), unbiased for white readings, whatever m; of coloured ones it stays above var / m, by
+    (1 + rho) / (1 - rho) in the end for a first-order colour rho. m runs up to n / BATCHES. The paper settled on 5000.
+    BadInput for less than 4 BATCHES readings, or for readings that are all the same.
+    """
+    y = _seen(np.asarray(readings, float))
+    n = len(y)
+    if n < 4 * BATCHES or np.ptp(y) == 0.0 or not wanted_std > 0.0:
+        found = f"{n} numbers from {y.min(initial=np.inf):g} to {y.max(initial=-np.inf):g}, for {wanted_std:g} N"
+        raise BadInput("samples_needed", "readings", found, f"{4 * BATCHES} or more that differ, for more than 0 N")
+    longest = n // BATCHES
+    m = np.unique(np.round(np.geomspace(1, longest, 40)).astype(int))
+    sums = np.append(0.0, np.cumsum(y - y.mean()))
+    variance = np.array([_variance(sums, size) for size in m.tolist()])
+    # A tone that a block holds whole times leaves a mean without any variance, and no logarithm.
+    std, inflation = np.sqrt(np.maximum(variance, 1e-24 * variance[0])), longest * variance[-1] / variance[0]
+    halved = longest // 2 * _variance(sums, longest // 2) / variance[0]
+    return SampleSize(
+        m=m,
+        std=std,
+        white=std[0] / np.sqrt(m),
+        wanted=wanted_std,
+        number=_first_below(m, std, wanted_std),
+        inflation=float(inflation),
+        relative_std=float(np.sqrt(4.0 / 3.0 * longest / n)),
+        settled=bool(inflation < _GROWTH * halved),
+    )
+
+
+def _variance(sums: np.ndarray, m: int) -> float:
+    """Variance of a mean of m, from running sums (n + 1,) of readings about their mean."""
+    n = len(sums) - 1
+    blocks = (sums[m:] - sums[:-m]) / m
+    return n / ((n - m) * (n - m + 1)) * float(blocks @ blocks)
+
+
+def _first_below(m: np.ndarray, std: np.ndarray, wanted: float) -> int:
+    """The number from which on the curve stays at or below `wanted`, on straight lines of its logarithms."""
+    above = np.flatnonzero(std > wanted)
+    if not len(above):
+        return 1
+    k = above[-1]
+    if k == len(m) - 1:
+        return int(np.ceil(m[k] * (std[k] / wanted) ** 2))
+    share = np.log(std[k] / wanted) / np.log(std[k] / std[k + 1])
+    return int(np.ceil(m[k] * (m[k + 1] / m[k]) ** share))
+
+
+def _seen(values: np.ndarray) -> np.ndarray:
+    return values[np.isfinite(values)]

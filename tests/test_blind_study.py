@@ -1,0 +1,38 @@
+"""Facts of the blind study that must hold: the right name where there is one, none where there is none."""
+
+import pytest
+from studies import scores
+from studies.cases import Case
+from studies.diagnosis import outcome
+
+from vpp_fmu.kernel.plant import LIBRARY
+
+KNOWN = {e.name for e in LIBRARY if e.off is not None}
+
+
+def studied(case):
+    """The case's outcome; skips where the library lacks what the case hides."""
+    if missing := set(case.hidden) - KNOWN:
+        pytest.skip(f"not in the library: {', '.join(sorted(missing))}")
+    return outcome(case)
+
+
+@pytest.mark.parametrize("name", ["pitch_command_deadband", "pitch_speed_coupling"])
+def test_single_effect_is_named(name):
+    found = studied(Case("singles", (name,), 0))
+    assert scores.hit(found)
+    assert found["removed"] > 0.9
+    assert all(good for *_, good in found["parameters"].values())
+    assert found["parameters"]
+
+
+def test_nothing_is_named_where_nothing_is_hidden():
+    found = studied(Case("none", (), 0))
+    assert found["verdict"] == "none"
+    assert found["effects"] == []
+
+
+def test_effect_out_of_the_library_is_not_replaced_by_another():
+    found = studied(Case("deleted", ("pitch_command_deadband",), 0, deleted="pitch_command_deadband"))
+    assert not scores.wrong(found)
+    assert found["verdict"] != "none"

@@ -1,0 +1,507 @@
+"""Each effect against its own closed form, scipy, or a naive integration that was written without the kernel."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from builders import named, random_steps, reference, simulator, steps_through, two_lags
+from scipy.integrate import solve_ivp
+from scipy.signal import lsim
+
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
+
+STEP = 0.004
+EFFECTS = {e.name: e for e in LIBRARY if e.off is not None}
+FORMS = [
+    pytest.param(e, dict(zip(names, values, strict=True)), id="-".join([e.name, *(f"{v:g}" for v in values)]))
+    for e in EFFECTS.values()
+    for names in [[p.name for p in e.parameters if p.choices]]
+    for values in product(*(p.choices for p in e.parameters if p.choices))
+]
+LAGS = {"beta": (0.374, 0.207), "omega": (0.053, 0.172)}
+"""Inner and outer time constant of each channel."""
+
+
+def run(name, values, inputs, step=STEP, base=None):
+    """Thrust, omega, beta (rows,) with one effect at `values`; base parameters by `base`."""
+    rows = len(next(iter(inputs.values())))
+    return (
+        simulator(plant([name]))
+        .simulate({f"{name}.{k}": v for k, v in values.items()} | (base or {}), inputs, np.full(rows - 1, step))
+        .T
+    )
+
+
+def held(*parts, omega=5000.0, step=STEP):
+    """Constant speed; pitch commands from (pitch, seconds) parts."""
+    beta = np.concatenate([np.full(round(seconds / step), float(pitch)) for pitch, seconds in parts])
+    return {"omega_ref": np.full(len(beta), float(omega)), "beta_ref": beta}
+
+
+def normalised(omega, beta):
+    return omega / 6000.0, (beta + 5.0) / 15.0
+
+
+def paper_map(omega, beta):
+    w, b = normalised(omega, beta)
+    return 15.0 * (0.355 * w**2 + 0.064 * w * b + 0.8 * w**2 * b - 0.16 * w * b**2 - 0.081 * w**3)
+
+
+def fine_base(inputs, split=16):
+    """What the plain plant shows on a grid `split` times finer: (time, thrust, omega, beta)."""
+    rows = len(inputs["omega_ref"])
+    fine = {name: np.repeat(column, split)[: (rows - 1) * split + 1] for name, column in inputs.items()}
+    shown = simulator(BASE).simulate({}, fine, np.full((rows - 1) * split, STEP / split))
+    return np.arange(len(shown)) * STEP / split, *shown.T
+
+
+def filtered(numerator, denominator, signal, time):
+    """Response of a transfer function to a signal that runs straight between samples, settled on its first value."""
+    gain = numerator[-1] / denominator[-1]
+    return gain * signal[0] + lsim((numerator, denominator), signal - signal[0], time)[1]
+
+
+# --- What holds for every form ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("effect", "form"), FORMS)
+@pytest.mark.parametrize("dt", [1e-6, STEP, 0.05])
+def test_every_form_is_off_to_the_bit(effect, form, dt):
+    model = plant([effect.name])
+    inputs, steps = random_steps(200, 10, model=model), np.full(199, dt)
+    values = named(effect, {**effect.probe, **effect.off, **form})
+    for taus in ({}, dict.fromkeys(("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2"), 0.001)):
+        without = simulator(BASE).simulate(taus, inputs, steps)
+        np.testing.assert_array_equal(simulator(model).simulate(values | taus, inputs, steps), without)
+        np.testing.assert_array_equal(reference(model, values | taus, inputs, steps), without)
+
+
+@pytest.mark.parametrize(("effect", "form"), FORMS)
+def test_every_form_is_the_same_in_c_and_python_and_from_any_communication_step(effect, form):
+    model, values = plant([effect.name]), named(effect, {**effect.probe, **form})
+    slow, fast = random_steps(700, 100, 4, model), random_steps(100, 1, 5, model)
+    coarse = {name: np.r_[slow[name], fast[name]] for name in slow}
+    at_8_ms = simulator(model).simulate(values, coarse, np.full(799, 0.008))
+    np.testing.assert_array_equal(at_8_ms, reference(model, values, coarse, np.full(799, 0.008)))
+    for split in (2, 8, 64):
+        fine = {name: np.repeat(column, split)[: 799 * split + 1] for name, column in coarse.items()}
+        shown = simulator(model).simulate(values, fine, np.full(799 * split, 0.008 / split))[::split]
+        np.testing.assert_allclose(shown[:, 0], at_8_ms[:, 0], rtol=0, atol=1e-3)
+
+
+WARMING = {"thrust_gain_drift", "sensor_drift", "rotor_vibration"}
+
+
+@pytest.mark.parametrize(("effect", "form"), [p for p in FORMS if p.values[0].name not in WARMING])
+def test_from_a_settled_start_nothing_moves(effect, form):
+    model, values = plant([effect.name]), named(effect, {**effect.probe, **form})
+    for omega, beta in ((5900.0, 9.5), (2500.0, -4.5), (4000.0, 3.3)):
+        still = {"omega_ref": omega, "beta_ref": beta} | {u.name: 22.0 for u in effect.inputs}
+        inputs = {name: np.full(6, value) for name, value in still.items()}
+        shown = simulator(model).simulate(values, inputs, np.array([1e-6, 0.001, STEP, 0.05, 2.0]))
+        np.testing.assert_allclose(shown, np.tile(shown[0], (6, 1)), rtol=1e-13, atol=1e-12)
+
+
+# --- The channels' two lags, bent: naive Euler steps of the equations as they stand in the literature --------------------
+
+
+def euler(command, inner, outer, h):
+    """x' = inner(command - x, x), y' = outer(x - y, y): (rows,) y at the start of each step of h seconds."""
+    x = y = command[0]
+    shown = np.empty(len(command))
+    for k, u in enumerate(command.tolist()):
+        shown[k] = y
+        x, y = x + h * inner(u - x, x), y + h * outer(x - y, y)
+    return shown
+
+
+def latch(speed, time, accuracy, tau, h):
+    """A motor that turns off when it has been slower than `speed` for `time` while farther off than `accuracy`."""
+    slow, off = 0.0, 0.0
+
+    def rate(e, x):
+        nonlocal slow, off
+        off = off if off * e > 0.0 else 0.0
+        slow = slow + h if not off and abs(e) / tau < speed and abs(e) > accuracy else 0.0
+        off = np.sign(e) if slow > time else off
+        return 0.0 if off else e / tau
+
+    return rate
+
+
+def hysteresis(stop, restart, tau):
+    """A motor that stops within `stop` and starts beyond `restart`."""
+    running = False
+
+    def rate(e, x):
+        nonlocal running
+        running = abs(e) > (stop if running else restart)
+        return e / tau if running else 0.0
+
+    return rate
+
+
+def limits(e, tau, slowest, full, threshold, accuracy):
+    if abs(e) < accuracy:
+        return 0.0
+    return np.sign(e) * (full if abs(e) > threshold else min(max(abs(e) / tau, slowest), full))
+
+
+H = 5e-5
+LAWS = {
+    "pitch_error_deadzone": ({"half_width": 0.6}, lambda tau: lambda e, x: (e - np.clip(e, -0.6, 0.6)) / tau),
+    "pitch_asymmetry": ({"asymmetry": 0.5}, lambda tau: lambda e, x: e / tau * np.exp(-0.5 if e > 0 else 0.5)),
+    "pitch_stop_band": ({"half_width": 0.45}, lambda tau: lambda e, x: e / tau * (abs(e) > 0.45)),
+    "pitch_stop_restart": ({"stop": 0.3, "restart": 1.2}, lambda tau: hysteresis(0.3, 1.2, tau)),
+    "pitch_rate_limit": ({"rate": 12.0}, lambda tau: lambda e, x: np.clip(e / tau, -12.0, 12.0)),
+    "speed_asymmetry": ({"asymmetry": -0.5}, lambda tau: lambda e, x: e / tau * np.exp(0.5 if e > 0 else -0.5)),
+    "speed_dependent_lag": (
+        {"sensitivity": 2e-4},
+        lambda tau: lambda e, x: e / tau * max(1.0 + 2e-4 * (x - 4000.0), 0.2),
+    ),
+}
+
+
+def compared_with_euler(name, values, inner, outer, atol):
+    """Four seconds of random steps, with holds from 10 to 600 ms, against the naive integration."""
+    u = "omega" if name.startswith("speed") else "beta"
+    inputs, split = random_steps(1000, 150, seed=8), round(STEP / H)
+    shown = run(name, values, inputs)[1 if u == "omega" else 2]
+    naive = euler(np.repeat(inputs[f"{u}_ref"], split), inner, outer, H)[::split]
+    np.testing.assert_allclose(shown, naive, rtol=0, atol=atol)
+    plain = simulator(BASE).simulate({}, inputs, np.full(999, STEP))[:, 1 if u == "omega" else 2]
+    assert np.abs(shown - plain).max() > 5.0 * atol
+
+
+@pytest.mark.parametrize("form", [1.0, 2.0])
+@pytest.mark.parametrize("name", LAWS)
+def test_either_lag_is_bent_as_its_law_says(name, form):
+    (values, law), channel = LAWS[name], "omega" if name.startswith("speed") else "beta"
+    laws = [lambda e, x, tau=tau: e / tau for tau in LAGS[channel]]
+    laws[int(form) - 1] = law(LAGS[channel][int(form) - 1])
+    compared_with_euler(name, values | {"form": form}, *laws, atol=5.0 if channel == "omega" else 6e-3)
+
+
+def test_speed_limits_are_the_law():
+    law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.3}
+    compared_with_euler("pitch_speed_limits", law, lambda e, x: limits(e, 0.374, **law), lambda e, x: e / 0.207, 6e-3)
+
+
+def test_stall_latch_is_the_law():
+    law = {"speed": 6.0, "time": 0.1013, "accuracy": 0.1}
+    inner = latch(**law, tau=0.374, h=H)
+    compared_with_euler("pitch_stall_latch", law, inner, lambda e, x: e / 0.207, 6e-3)
+
+
+# --- The same, where there is a closed form -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", [1.0, 2.0])
+@pytest.mark.parametrize(("name", "size"), [("pitch_error_deadzone", 0.6), ("pitch_stop_band", 0.45)])
+def test_the_actuator_rests_its_half_width_short(name, size, form):
+    beta = run(name, {"half_width": size, "form": form}, held((0, 0.1), (8, 15), (-3, 15), (-3.2, 5), (-2.9, 5)))[2]
+    ends = beta[[round(t / STEP) - 1 for t in (15.1, 30.1, 35.1, 40.1)]]
+    np.testing.assert_allclose(ends, [8 - size, -3 + size, -3.2 + size, -3.2 + size], atol=1e-6)
+
+
+def test_the_motor_stops_on_the_edge_between_samples():
+    """e = 8 exp(-t / tau) meets the edge at tau ln(8 / d); behind it the outer lag alone goes on."""
+    d, tau, fast = 0.45, 0.374, {"tau_beta_1": 0.001}
+    beta = run("pitch_stop_band", {"half_width": d}, held((0, 0.04), (8, 3)), base=fast)[2]
+    t = np.arange(len(beta)) * STEP - 0.04
+    stops = tau * np.log(8.0 / d)
+    exact = np.where(t > stops, 8.0 - d, 8.0 * (1.0 - np.exp(-np.maximum(t, 0.0) / tau)))
+    np.testing.assert_allclose(beta[t > stops + 0.02], exact[t > stops + 0.02], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(beta, np.where(t > 0, exact, 0.0), rtol=0, atol=0.03)  # the outer lag's millisecond
+
+
+def test_restart_ignores_less_than_its_band_and_follows_more():
+    law = {"stop": 0.2, "restart": 1.0}
+    beta = run("pitch_stop_restart", law, held((0, 0.1), (0.9, 5), (1.1, 10), (1.7, 5), (2.2, 10)))[2]
+    ends = beta[[round(t / STEP) - 1 for t in (5.1, 15.1, 20.1, 30.1)]]
+    np.testing.assert_allclose(ends, [0.0, 0.9, 0.9, 2.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("skew", [0.3, -0.8])
+@pytest.mark.parametrize("name", ["pitch_asymmetry", "speed_asymmetry"])
+@pytest.mark.parametrize("form", [1.0, 2.0])
+def test_asymmetry_is_two_time_constants(name, skew, form):
+    """63 % of a rise takes tau exp(skew), of a fall tau exp(-skew), where the other lag is out of the way."""
+    u = "omega" if name.startswith("speed") else "beta"
+    fast = {f"tau_{u}_{1 if form == 1.0 else 2}": 0.001}
+    level, other = np.repeat([0.0, 1.0, 0.0], 9000), np.full(27000, 5.0)
+    inputs = {"omega_ref": 3000.0 + 2000.0 * level, "beta_ref": 8.0 * level} | ({"beta_ref": other} if u == "omega" else {})
+    shown = run(name, {"asymmetry": skew, "form": form}, inputs, 0.001, fast)[1 if u == "omega" else 2]
+    share = (shown - shown[0]) / (shown[17999] - shown[0])
+    tau = LAGS[u][int(form) - 1]
+    for begin, sign, covered in ((9000, 1.0, share[9000:18000]), (18000, -1.0, 1.0 - share[18000:])):
+        reached = np.interp(1.0 - np.exp(-1.0), covered, np.arange(9000) * 0.001)
+        assert reached == pytest.approx(tau * np.exp(sign * skew) + 0.001, abs=4e-4), begin
+
+
+def test_rate_limit_is_its_slope_and_ends_at_its_instant():
+    """Straight at the limit until what is left is limit tau, then the lag relaxes; the outer lag is out of the way."""
+    r, tau = 10.0, 0.374
+    beta = run("pitch_rate_limit", {"rate": r}, held((0, 0.04), (9, 3)), base={"tau_beta_1": 0.001})[2]
+    t = np.arange(len(beta)) * STEP - 0.04 - 0.001  # a ramp passes a fast lag late by its time constant
+    ends = (9.0 - r * tau) / r
+    exact = np.where(t < ends, r * t, 9.0 - r * tau * np.exp(-np.maximum(t - ends, 0.0) / tau))
+    np.testing.assert_allclose(beta[13:], exact[13:], rtol=0, atol=3e-5)
+
+
+def test_led_command_is_a_ramp_before_the_lags():
+    """Two lags follow a ramp with its slope, behind by the sum of their time constants; then they settle on the goal."""
+    beta = run("pitch_rate_limit", {"rate": 2.0, "form": 3.0}, held((0, 0.04), (9, 12)))[2]
+    t = np.arange(len(beta)) * STEP - 0.04
+    in_ramp = (t > 3.5) & (t < 4.4)  # what the lags remember of the start has fallen to a few parts in 1e5
+    np.testing.assert_allclose(beta[in_ramp], 2.0 * (t[in_ramp] - 0.374 - 0.207), rtol=0, atol=5e-4)
+    command = np.where(t < 4.5, 2.0 * t, 9.0) * (t > 0)
+    np.testing.assert_allclose(
+        beta, filtered([1.0], np.convolve([0.374, 1.0], [0.207, 1.0]), command, t - t[0]), rtol=0, atol=1e-4
+    )
+
+
+def test_logistic_rotor_under_scipy():
+    k, tau = 3e-4, 0.053
+    inputs = {"omega_ref": np.r_[np.full(5, 2200.0), np.full(200, 5800.0)], "beta_ref": np.full(205, 5.0)}
+    omega = run("speed_dependent_lag", {"sensitivity": k}, inputs, base={"tau_omega_1": 0.172})[1]
+
+    def rates(t, s):
+        x, y = s
+        return [(5800.0 - x) * max(1.0 + k * (x - 4000.0), 0.2) / tau, (x - y) / 0.172]
+
+    t = np.arange(200) * STEP
+    exact = solve_ivp(rates, (0.0, t[-1]), [2200.0, 2200.0], t_eval=t, rtol=1e-10, atol=1e-8).y[1]
+    np.testing.assert_allclose(omega[5:], exact, rtol=0, atol=0.05)
+
+
+def test_stall_latch_stays_short_until_the_opposite_command():
+    v, time, tau = 3.0, 0.1, 0.374
+    parts = (0, 0.1), (6, 8), (9, 8), (1, 8)
+    beta = run("pitch_stall_latch", {"speed": v, "time": time, "accuracy": 0.05}, held(*parts))[2]
+    short = v * tau * np.exp(-time / tau)
+    ends = beta[[round(t / STEP) - 1 for t in (8.1, 16.1, 24.1)]]
+    np.testing.assert_allclose(ends, [6 - short, 6 - short, 1 + short], rtol=0, atol=1e-6)
+
+
+def test_speed_limits_arrive_and_stop_at_their_accuracy():
+    """20 deg/s to 3 deg before the goal, tau until 4 deg/s, straight from there to the accuracy."""
+    law = {"slowest": 4.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.25}
+    beta = run("pitch_speed_limits", law, held((0, 0.04), (9, 3)), base={"tau_beta_1": 0.001})[2]
+    t = np.arange(len(beta)) * STEP - 0.04 - 0.001
+    near, slow = 6.0 / 20.0, 6.0 / 20.0 + 0.374 * np.log(3.0 / (4.0 * 0.374))
+    done = slow + (4.0 * 0.374 - 0.25) / 4.0
+    parts = (20.0 * t, 9.0 - 3.0 * np.exp(-(t - near) / 0.374), 9.0 - 4.0 * 0.374 + 4.0 * (t - slow), np.full_like(t, 8.75))
+    exact = np.select([t < near, t < slow, t < done], parts[:3], parts[3])
+    away = np.min(np.abs(t[:, None] - [0.0, near, slow, done]), axis=1) > 0.01
+    np.testing.assert_allclose(beta[away & (t > 0)], exact[away & (t > 0)], rtol=0, atol=2e-4)
+
+
+# --- Play, limits, offset, delay ---------------------------------------------------------------------------------------------
+
+
+def play(drive, half_gap):
+    """The classic play operator, settled in mid-gap."""
+    driven, shown = drive[0], []
+    for u in drive.tolist():
+        driven = min(max(driven, u - half_gap), u + half_gap)
+        shown.append(driven)
+    return np.array(shown)
+
+
+def triangle(rows=4000, period=6.0):
+    phase = np.arange(rows) * STEP / period % 1.0
+    return {"omega_ref": np.full(rows, 5000.0), "beta_ref": 2.0 + 4.0 * (2.0 * np.abs(2.0 * phase - 1.0) - 1.0)}
+
+
+def test_backlash_behind_the_lags_is_the_play_operator():
+    inputs = triangle()
+    _, _, beta = fine_base(inputs)[1:]
+    np.testing.assert_allclose(run("pitch_backlash", {"half_gap": 0.6}, inputs)[2], play(beta, 0.6)[::16], rtol=0, atol=1e-4)
+
+
+def test_backlash_between_the_lags_drives_the_outer_one():
+    inputs, h = triangle(), STEP / 16
+    command = np.repeat(inputs["beta_ref"], 16)
+    inner = command.copy()
+    for k in range(1, len(inner)):
+        inner[k] = command[k - 1] + (inner[k - 1] - command[k - 1]) * np.exp(-h / 0.374)
+    beta = filtered([1.0], [0.207, 1.0], play(inner, 0.6), np.arange(len(inner)) * h)
+    np.testing.assert_allclose(run("pitch_backlash", {"half_gap": 0.6, "form": 2.0}, inputs)[2], beta[::16], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "u", "low", "high"),
+    [
+        ("pitch_travel_limit", {"minimum": -3.0, "maximum": 7.0}, "beta", -3.0, 7.0),
+        ("speed_saturation", {"maximum": 5400.0}, "omega", 0.0, 5400.0),
+    ],
+)
+def test_limits_cut_the_command_or_what_is_reached(name, values, u, low, high):
+    t = np.arange(3000) * STEP
+    commands = {"beta": ([0.0, 1.0, 9.0], [-1.0, 10.0, -5.0]), "omega": ([0.0, 1.0, 9.0], [3000.0, 6000.0, 2500.0])}
+    rest = {"omega_ref": np.full(3000, 4000.0), "beta_ref": np.full(3000, 2.0)}
+    at, levels = commands[u]
+    index = np.searchsorted(at, t + 1e-9, side="right") - 1
+    column = 1 if u == "omega" else 2
+    inner, outer = LAGS[u]
+    inputs = rest | {f"{u}_ref": np.array(levels)[index]}
+    cut = steps_through(t, at, np.clip(levels, low, high), lambda t: two_lags(t, inner, outer))
+    np.testing.assert_allclose(run(name, values, inputs)[column], cut, rtol=0, atol=1e-8 * max(map(abs, levels)))
+    shown = run(name, values | {"form": 2.0}, inputs)[column]
+    free = steps_through(t, at, levels, lambda t: two_lags(t, inner, outer))
+    np.testing.assert_allclose(shown[t < at[2]], np.clip(free, low, high)[t < at[2]], rtol=0, atol=1e-8 * max(map(abs, levels)))
+    # The outer lag leaves the limit when the inner one, which knows none, comes back below it.
+    _, first, last = levels
+    leaves = at[2] + inner * np.log((first - last) / (high - last))
+    after = t > leaves
+
+    def rate(s, y):
+        return (last + (first - last) * np.exp(-(s - at[2]) / inner) - y) / outer
+
+    fall = solve_ivp(rate, (leaves, t[-1]), [high], t_eval=t[after], rtol=1e-9, atol=1e-9).y[0]
+    np.testing.assert_allclose(shown[after], np.maximum(fall, low), rtol=0, atol=1e-4 * (high - low))
+    assert (shown[(t > 7.0) & ~after] == high).all()
+
+
+def test_offset_shifts_the_pitch():
+    inputs = random_steps(800, 100)
+    shifted = inputs | {"beta_ref": inputs["beta_ref"] - 1.7}
+    expected = simulator(BASE).simulate({}, shifted, np.full(799, STEP)).T
+    np.testing.assert_allclose(run("pitch_offset", {"offset": -1.7}, inputs), expected, rtol=0, atol=1e-11)
+
+
+def test_speed_delay_shifts_the_speed():
+    t, commands = np.arange(500) * STEP, [(0.0, 3000.0), (0.4, 5500.0), (0.408, 2000.0), (1.2, 6000.0)]
+    at, levels = zip(*commands, strict=True)
+    inputs = {"omega_ref": np.array(levels)[np.searchsorted(at, t + 1e-9, side="right") - 1], "beta_ref": np.full(500, 4.0)}
+    exact = steps_through(t, np.add(at, 0.0237), levels, lambda t: two_lags(t, 0.172, 0.053))
+    np.testing.assert_allclose(run("speed_delay", {"delay": 0.0237}, inputs)[1], exact, rtol=0, atol=1e-8)
+
+
+# --- Supply ----------------------------------------------------------------------------------------------------------------
+
+
+def settled(name, values, omega, beta, **inputs):
+    rows = {k: np.full(2, v) for k, v in {"omega_ref": omega, "beta_ref": beta, **inputs}.items()}
+    return run(name, values, rows, 30.0)[:, -1]
+
+
+@pytest.mark.parametrize("beta", [-5.0, 2.0, 10.0])
+@pytest.mark.parametrize("omega", [2500.0, 5800.0])
+def test_sag_is_a_falling_limit_or_a_droop(omega, beta):
+    limited = settled("supply_sag", {"limit": 6000.0, "sag": 60.0}, omega, beta)[1]
+    assert limited == pytest.approx(min(omega, 6000.0 - 60.0 * (beta + 5.0)), rel=1e-12)
+    drooped = settled("supply_sag", {"sag": 60.0, "form": 2.0}, omega, beta)[1]
+    assert drooped + 60.0 * (beta + 5.0) * (drooped / 6000.0) ** 2 == pytest.approx(omega, rel=1e-12)
+
+
+def test_sag_follows_the_pitch_through_the_rotors_lags():
+    """Under the limit speed follows limit - sag lift(t) through two lags; the pitch is its own two lags' step response."""
+    t = np.arange(1500) * STEP
+    inputs = {"omega_ref": np.full(1500, 6000.0), "beta_ref": np.r_[0.0, np.full(1499, 9.0)]}
+    omega = run("supply_sag", {"limit": 6000.0, "sag": 60.0}, inputs)[1]
+    fine = np.arange(15000) * STEP / 10.0
+    limit = 6000.0 - 60.0 * (5.0 + 9.0 * two_lags(fine - STEP, 0.374, 0.207))
+    exact = filtered([1.0], np.convolve([0.053, 1.0], [0.172, 1.0]), limit, fine)[::10]
+    np.testing.assert_allclose(omega, exact[: len(t)], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize(("share", "voltage"), [(1.0, 22.0), (0.5, 26.0), (0.3, 12.0)])
+def test_voltage_scales_the_speed(share, voltage):
+    omega = settled("supply_voltage", {"share": share}, 4000.0, 3.0, voltage=voltage)[1]
+    assert omega == pytest.approx(4000.0 * (1.0 + share * (voltage / 24.0 - 1.0)), rel=1e-12)
+
+
+# --- Map and air -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("beta", [-3.0, 4.0, 9.0])
+def test_map_terms_are_their_polynomials(beta):
+    w, b = normalised(5100.0, beta)
+    c = {"c10": 0.07, "c22": -0.2, "stall": -0.15}
+    more = settled("map_terms", c, 5100.0, beta)[0] - paper_map(5100.0, beta)
+    assert more == pytest.approx(15.0 * (0.07 * w - 0.2 * w**2 * b**2 - 0.15 * w * b**3), rel=1e-9)
+    more = settled("map_terms", c | {"form": 2.0, "knee": 5.5}, 5100.0, beta)[0] - paper_map(5100.0, beta)
+    knee = 10.5 / 15.0
+    assert more == pytest.approx(15.0 * (0.07 * w - 0.2 * w**2 * b**2 - 0.15 * w**2 * max(b - knee, 0.0)), rel=1e-9)
+
+
+@pytest.mark.parametrize("form", [1.0, 2.0, 3.0])
+def test_inflow_is_a_lead_under_scipy(form):
+    k, tau, inputs = 0.4, 0.08, random_steps(700, 120, seed=2)
+    time, thrust, omega, beta = fine_base(inputs)
+    w, b = normalised(omega, beta)
+    lead = filtered([k * tau, 0.0], [tau, 1.0], b if form < 3 else thrust, time)
+    expected = {1.0: thrust + 15.0 * w**2 * lead, 2.0: paper_map(omega, beta + 15.0 * lead), 3.0: thrust + lead}[form]
+    shown = run("inflow_lag", {"gain": k, "time_constant": tau, "form": form}, inputs)[0]
+    np.testing.assert_allclose(shown, expected[::16], rtol=0, atol=3e-4)
+    assert np.abs(expected - thrust).max() > 0.05
+
+
+def test_feedthrough_is_the_derivative_of_the_step_response():
+    t = np.arange(600) * STEP
+    inputs = {"omega_ref": np.full(600, 4800.0), "beta_ref": np.r_[np.full(50, -3.0), np.full(550, 9.0)]}
+    more = (
+        run("pitch_rate_feedthrough", {"gain": 0.05}, inputs)[0]
+        - simulator(BASE).simulate({}, inputs, np.full(599, STEP))[:, 0]
+    )
+    since = np.maximum(t - 50 * STEP, 0.0)
+    rate = 12.0 * (np.exp(-since / 0.374) - np.exp(-since / 0.207)) / (0.374 - 0.207)
+    np.testing.assert_allclose(more, 0.05 * 0.8**2 * rate, rtol=0, atol=1e-10)
+
+
+def test_recirculation_takes_a_slow_share_of_the_thrust():
+    inputs = random_steps(1200, 300, seed=3)
+    time, thrust, *_ = fine_base(inputs)
+    shown = run("recirculation", {"share": 0.2, "time_constant": 1.3}, inputs)[0]
+    np.testing.assert_allclose(shown, (thrust - 0.2 * filtered([1.0], [1.3, 1.0], thrust, time))[::16], rtol=0, atol=1e-5)
+
+
+def test_gain_drift_in_time_and_in_load_is_the_closed_form():
+    inputs = {"omega_ref": np.full(1000, 5400.0), "beta_ref": np.full(1000, 6.0)}
+    thrust, t = paper_map(5400.0, 6.0), np.arange(1000) * 0.1
+    grown = -0.001 * 60.0 * (1.0 - np.exp(-t / 60.0))
+    for form, load in ((1.0, 1.0), (2.0, thrust / 15.0)):
+        shown = run("thrust_gain_drift", {"rate": -0.001, "time_constant": 60.0, "form": form}, inputs, 0.1)[0]
+        np.testing.assert_allclose(shown, thrust * (1.0 + load * grown), rtol=1e-9)
+    line = run("thrust_gain_drift", {"rate": -0.0006}, inputs, 0.1)[0]
+    assert np.polyfit(t[:50], line[:50] / thrust, 1)[0] == pytest.approx(-0.0006, rel=5e-3)
+
+
+# --- Sensor ----------------------------------------------------------------------------------------------------------------
+
+
+def test_sensor_gain_scales_the_reading():
+    inputs = random_steps(300, 60)
+    plain = simulator(BASE).simulate({}, inputs, np.full(299, STEP)).T
+    shown = run("sensor_gain", {"gain": 0.93}, inputs)
+    np.testing.assert_allclose(shown[0], 0.93 * plain[0], rtol=1e-14)
+    np.testing.assert_array_equal(shown[1:], plain[1:])
+
+
+@pytest.mark.parametrize("tau", [0.002, 0.05, 0.3])
+def test_sensor_lag_is_a_low_pass_under_scipy(tau):
+    inputs = random_steps(800, 120, seed=6)
+    time, thrust, *_ = fine_base(inputs)
+    shown = run("sensor_lag", {"time_constant": tau}, inputs)[0]
+    np.testing.assert_allclose(shown, filtered([1.0], [tau, 1.0], thrust, time)[::16], rtol=0, atol=5e-4)
+
+
+def test_vibration_turns_with_the_rotor():
+    """5400 rpm are 90 Hz: the one line in the spectrum of a second, with its amplitude and phase."""
+    inputs = {"omega_ref": np.full(1000, 5400.0), "beta_ref": np.full(1000, 4.0)}
+    shown = run("rotor_vibration", {"amplitude": 0.2, "phase": 30.0}, inputs, 0.001)[0]
+    lines = np.fft.rfft(shown - paper_map(5400.0, 4.0)) / 500.0
+    assert np.argmax(np.abs(lines)) == 90
+    assert np.abs(lines[90]) == pytest.approx(0.2 * 0.9**2, rel=1e-6)
+    assert np.angle(lines[90] * 1j) == pytest.approx(np.radians(30.0), abs=1e-5)
+    assert np.abs(np.delete(lines, 90)).max() < 1e-6
+
+
+def test_vibration_follows_a_run_up():
+    inputs = {"omega_ref": np.r_[2000.0, np.full(1499, 6000.0)], "beta_ref": np.full(1500, 4.0)}
+    time, thrust, omega, _ = fine_base(inputs)
+    turns = np.r_[0.0, np.cumsum(0.5 * (omega[1:] + omega[:-1]) * np.diff(time) / 60.0)]
+    expected = thrust + 0.2 * (omega / 6000.0) ** 2 * np.sin(2.0 * np.pi * turns)
+    np.testing.assert_allclose(run("rotor_vibration", {"amplitude": 0.2}, inputs)[0], expected[::16], rtol=0, atol=5e-4)

@@ -1,0 +1,133 @@
+"""The closed loop as SSP: valid, within what importers share, with the values it was given; and run by those at hand."""
+
+import io
+import zipfile
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from fmpy.ssp.ssd import read_ssd
+from fmpy.validation import validate_fmu
+
+from vpp_fmu.cli import main
+from vpp_fmu.cli.export import exported
+from vpp_fmu.export import python_fmu
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.ssp import SSC, SSD, SSV, loop_ssp
+
+CHANGED = {"tau_beta_2": 0.05, "c21": 0.7}
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """Plant with changed values and controller: their parameters and FMUs."""
+    sets = {"VppPlant": ParameterSet(BASE).replaced(CHANGED), "VppController": ParameterSet(CONTROLLER)}
+    return {name: (part, python_fmu(part.model, part.values)) for name, part in sets.items()}
+
+
+@pytest.fixture(scope="module")
+def loop(parts):
+    """The archive's content by name."""
+    with zipfile.ZipFile(io.BytesIO(loop_ssp(parts, {"thrust_set": 8.0}, 10.0))) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+
+
+def test_it_holds_structure_fmus_and_values(loop, parts, tmp_path):
+    resources = {f"resources/{name}.{kind}" for name in parts for kind in ("fmu", "ssv")}
+    assert set(loop) == {"SystemStructure.ssd", *resources}
+    for name, (_, fmu) in parts.items():
+        assert loop[f"resources/{name}.fmu"] == fmu
+        path = tmp_path / f"{name}.fmu"
+        path.write_bytes(loop[f"resources/{name}.fmu"])
+        assert validate_fmu(str(path)) == []
+
+
+def test_fmpy_finds_it_valid_and_whole(parts, tmp_path):
+    path = tmp_path / "loop.ssp"
+    path.write_bytes(loop_ssp(parts, {}, 10.0))
+    system = read_ssd(str(path)).system  # against the standard's schema
+    assert [c.name for c in system.elements] == list(parts)
+    assert not system.connectors
+    ends = {(c.startElement, c.startConnector, c.endElement, c.endConnector) for c in system.connections}
+    assert ends == {
+        ("VppPlant", "thrust", "VppController", "thrust"),
+        ("VppController", "omega_ref", "VppPlant", "omega_ref"),
+        ("VppController", "beta_ref", "VppPlant", "beta_ref"),
+    }
+
+
+def test_connectors_have_kinds_and_units(loop):
+    root = ElementTree.fromstring(loop["SystemStructure.ssd"])
+    units = {u.get("name") for u in root.iter(f"{{{SSC}}}Unit")}
+    for component in root.iter(f"{{{SSD}}}Component"):
+        model = {"VppPlant": BASE, "VppController": CONTROLLER}[component.get("name")]
+        shown = {(c.get("name"), c.get("kind"), c[0].get("unit")) for c in component.iter(f"{{{SSD}}}Connector")}
+        kinds = (("input", model.inputs), ("output", model.outputs))
+        assert shown == {(s.name, kind, s.unit) for kind, signals in kinds for s in signals}
+        assert {unit for *_, unit in shown} <= units
+    assert root.get("version") == "1.0"
+
+
+def test_values_are_bound_to_their_components_in_sets_of_one_name(loop, parts):
+    names = set()
+    for name, (parameters, _) in parts.items():
+        root = ElementTree.fromstring(loop[f"resources/{name}.ssv"])
+        names.add(root.get("name"))
+        shown = {p.get("name"): float(p[0].get("value")) for p in root.iter(f"{{{SSV}}}Parameter")}
+        assert shown == parameters.values | ({"thrust_set": 8.0} if name == "VppController" else {})
+    assert names == {"VppLoop"}
+
+
+def test_the_bytes_depend_on_the_arguments_alone(parts):
+    first = loop_ssp(parts, {"thrust_set": 8.0}, 10.0)
+    assert loop_ssp(parts, {"thrust_set": 8.0}, 10.0) == first
+    assert loop_ssp(parts, {"thrust_set": 9.0}, 10.0) != first
+
+
+def test_the_command_writes_it_beside_the_fmus(tmp_path, capsys):
+    assert main(["export", "-o", str(tmp_path)]) == 0
+    written = {path.name for path in tmp_path.iterdir()}
+    each = {
+        f"{name}{end}" for name in ("VppPlant", "VppController") for end in (".fmu", ".ssv", "_in.csv", "_ref.csv", "_ref.opt")
+    }
+    assert written == each | {"VppLoop.ssp"}
+    assert "written to" in capsys.readouterr().out
+
+
+def test_libcosim_runs_it_with_its_values(parts, tmp_path):
+    """Its own loop: values are exchanged once while it starts, then both parts step side by side."""
+    pytest.importorskip("libcosimpy", reason="libcosimpy is not installed")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+
+    path = tmp_path / "loop.ssp"
+    path.write_bytes(loop_ssp(parts, {"thrust_set": 8.0}, 10.0))
+    execution = CosimExecution.from_ssp_file(str(path), 4_000_000)
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer)
+    execution.step(500)
+    shown = observer.last_real_values(execution.slave_index_from_instance_name("VppPlant"), [2, 3, 4])
+    plant, controller = Simulation(BASE, CHANGED), Simulation(CONTROLLER)
+    thrust = plant.start({"omega_ref": 0.0, "beta_ref": 0.0})["thrust"]
+    commands = controller.start({"thrust_set": 8.0, "thrust": thrust})
+    thrust = plant.start(commands)["thrust"]
+    commands = controller.start({"thrust_set": 8.0, "thrust": thrust})
+    for _ in range(500):
+        following = controller.advance({"thrust_set": 8.0, "thrust": thrust}, 0.004)
+        outputs = plant.advance(commands, 0.004)
+        thrust, commands = outputs["thrust"], following
+    np.testing.assert_allclose(shown, list(outputs.values()), rtol=1e-9)
+
+
+def test_export_names_both_flavours_and_makes_all_before_it_writes(monkeypatch, tmp_path):
+    parts = [ParameterSet(BASE), ParameterSet(CONTROLLER)]
+    monkeypatch.setattr("vpp_fmu.cli.export.native_fmu", lambda *_, **__: b"compiled")
+    files = exported(parts, ["python", "native"])
+    assert {name for name in files if name.endswith((".fmu", ".ssp"))} == {
+        *("VppPlant.fmu", "VppController.fmu", "VppLoop.ssp"),
+        *("VppPlant.native.fmu", "VppController.native.fmu", "VppLoop.native.ssp"),
+    }
+    assert files["VppPlant.native.fmu"] == b"compiled"

@@ -1,0 +1,206 @@
+"""The static map: its fit, its doubt, and the points it rests on."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.static_map import TERMS, coefficient_grid, design, fit_static_map, thrust_coefficient
+from identification.steady import samples_needed, steady_points
+from vpp_fmu.campaign import StaticMap
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.record import Record
+from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
+
+SCALES = BASE.values()
+KNOWN = np.array([SCALES[name] for name in TERMS])
+
+
+def grid(noise: float | np.ndarray = 0.0, seed: int = 0, pitches=None) -> StaticMap:
+    """The known map on the paper's grid; each mean errs by `noise` [N], told as the spread of 100 readings."""
+    pitches = np.linspace(-10.0, 10.0, 10) if pitches is None else pitches
+    omega, beta = (axis.ravel() for axis in np.meshgrid(np.linspace(2000.0, 6000.0, 10), pitches, indexing="ij"))
+    noise = np.broadcast_to(noise, omega.shape)
+    thrust = design(omega, beta, SCALES) @ KNOWN * SCALES["thrust_scale"]
+    thrust = thrust + noise * np.random.default_rng(seed).standard_normal(len(omega))
+    return StaticMap(omega, beta, omega, thrust, np.maximum(noise, 0.01) * 10.0, np.full(len(omega), 100.0), "made up")
+
+
+def test_noise_free_means_give_their_coefficients_back():
+    fit = fit_static_map(grid(), SCALES)
+    np.testing.assert_allclose(list(fit.coefficients.values()), KNOWN, rtol=1e-10)
+    assert list(fit.coefficients) == list(TERMS)
+    assert fit.rmse < 1e-12
+    assert fit.r2_adjusted == pytest.approx(1.0, abs=1e-12)
+    assert fit.uncertainty(5000.0, 5.0, SCALES) < 1e-12
+
+
+def test_only_points_of_the_operating_region_count():
+    static = grid()
+    stalled = static.beta_ref < -5.0
+    fit = fit_static_map(replace(static, thrust=np.where(stalled, -50.0, static.thrust)), SCALES)
+    np.testing.assert_array_equal(fit.used, ~stalled)
+    np.testing.assert_allclose(list(fit.coefficients.values()), KNOWN, rtol=1e-10)
+    assert fit_static_map(static, SCALES, (-10.0, 0.0)).used.sum() == 50
+
+
+def test_a_mean_that_is_hardly_known_moves_nothing():
+    static = grid(0.02)
+    wrong, spread, samples = static.thrust.copy(), static.thrust_std.copy(), static.samples.copy()
+    wrong[75] += 5.0
+    trusted = fit_static_map(replace(static, thrust=wrong), SCALES).coefficients
+    spread[75] = 1e6
+    vague = fit_static_map(replace(static, thrust=wrong, thrust_std=spread), SCALES).coefficients
+    samples[75] = 1e-10  # as few as that are as vague as a large spread
+    rare = fit_static_map(replace(static, thrust=wrong, samples=samples), SCALES).coefficients
+    kept = np.arange(100) != 75
+    columns = {n: getattr(static, n)[kept] for n in ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")}
+    without = fit_static_map(replace(static, **columns), SCALES).coefficients
+    for fit in (vague, rare):
+        np.testing.assert_allclose(list(fit.values()), list(without.values()), rtol=1e-6)
+    assert np.max(np.abs(np.array(list(trusted.values())) - list(without.values()))) > 0.01
+
+
+def test_covariance_is_what_many_campaigns_scatter_by():
+    noise = np.where(np.arange(100) % 3 == 0, 0.2, 0.03)
+    fits = [fit_static_map(grid(noise, seed), SCALES) for seed in range(1000)]
+    found = np.array([list(f.coefficients.values()) for f in fits])
+    told = np.mean([f.covariance for f in fits], axis=0)
+    np.testing.assert_allclose(found.mean(axis=0), KNOWN, atol=4.0 * np.sqrt(np.diag(told) / 1000).max())
+    np.testing.assert_allclose(found.std(axis=0), np.sqrt(np.diag(told)), rtol=0.08)
+    np.testing.assert_allclose(np.corrcoef(found.T), told / np.sqrt(np.outer(np.diag(told), np.diag(told))), atol=0.1)
+    omega, beta = np.meshgrid([2000.0, 4000.0, 6000.0], [-5.0, 0.0, 10.0])
+    thrust = found @ design(omega.ravel(), beta.ravel(), SCALES).T * SCALES["thrust_scale"]
+    doubt = np.sqrt(np.mean([f.uncertainty(omega, beta, SCALES) ** 2 for f in fits], axis=0))
+    assert doubt.shape == (3, 3)
+    np.testing.assert_allclose(thrust.std(axis=0), doubt.ravel(), rtol=0.08)
+
+
+def test_adjusted_r2_is_that_of_the_textbook():
+    static = grid(0.3, seed=4)
+    fit = fit_static_map(static, SCALES)
+    measured = static.thrust[fit.used]
+    explained = 1.0 - np.sum(fit.residual**2) / np.sum((measured - np.mean(measured)) ** 2)
+    n = len(measured)
+    assert fit.r2_adjusted == pytest.approx(1.0 - (1.0 - explained) * (n - 1) / (n - 5), rel=1e-12)
+    assert 0.9 < fit.r2_adjusted < explained
+
+
+@pytest.mark.parametrize(("pitch", "found"), [((20.0, 30.0), "0 points"), ((9.0, 10.0), "10 points .* tell 3 terms apart")])
+def test_points_that_tell_too_little_are_refused(pitch, found):
+    with pytest.raises(BadInput, match=f"made up: steady points: found {found}"):
+        fit_static_map(grid(), SCALES, pitch)
+
+
+def test_thrust_coefficient():
+    turns = 100.0  # a second
+    assert thrust_coefficient(1.225 * turns**2 * 0.254**4, 60.0 * turns) == pytest.approx(1.0, rel=1e-14)
+    assert thrust_coefficient(12.0, 3000.0, diameter=2.0, density=3.0) == pytest.approx(12.0 / (3.0 * 2500.0 * 16.0))
+    omega, beta = np.array([3000.0, 3000.0, 6000.0, 3000.0]), np.array([0.0, 5.0, 0.0, 0.0])
+    thrust = np.array([1.0, 2.0, 4.0, 3.0])
+    speeds, pitches, ct = coefficient_grid(StaticMap(omega, beta, omega, thrust, thrust, thrust, ""))
+    unit = thrust_coefficient(1.0, 3000.0)
+    np.testing.assert_array_equal(speeds, [3000.0, 6000.0])
+    np.testing.assert_array_equal(pitches, [0.0, 5.0])
+    np.testing.assert_allclose(ct / unit, [[2.0, 2.0], [1.0, np.nan]])
+
+
+def test_steady_points_of_raw_samples():
+    rng = np.random.default_rng(5)
+    held = [(3000.0, 0.0, 8.0), (3000.0, 5.0, 2.0), (4000.0, 5.0, 6.0)]  # the second is over before it has settled
+    rows = [round(seconds / 0.01) for *_, seconds in held]
+    omega_ref, beta_ref = (np.repeat([point[k] for point in held], rows) for k in (0, 1))
+    time = np.arange(len(omega_ref)) * 0.01
+    since = np.concatenate([np.arange(n) * 0.01 for n in rows])
+    thrust = omega_ref / 1000.0 + 0.1 * rng.standard_normal(len(time)) + np.where(since < 3.0, 40.0, 0.0)
+    thrust[[400, 500, 1500]] = np.nan
+    omega = np.where(np.arange(len(time)) % 25 == 0, omega_ref + 7.0, np.nan)
+    columns = {"time": time, "omega_ref": omega_ref, "beta_ref": beta_ref, "thrust": thrust}
+    found = steady_points(Record(columns | {"omega": omega}, "raw"))
+    np.testing.assert_array_equal(found.omega_ref, [3000.0, 4000.0])
+    np.testing.assert_array_equal(found.beta_ref, [0.0, 5.0])
+    np.testing.assert_array_equal(found.omega, [3007.0, 4007.0])
+    np.testing.assert_array_equal(found.samples, [498.0, 299.0])
+    rest = thrust[300:800]
+    assert found.thrust[0] == pytest.approx(np.nanmean(rest), rel=1e-12)
+    assert found.thrust_std[0] == pytest.approx(np.nanstd(rest, ddof=1), rel=1e-12)
+    assert found.source == "raw"
+    np.testing.assert_array_equal(steady_points(Record(columns, "raw")).omega, [3000.0, 4000.0])
+    assert len(steady_points(Record(columns, "raw"), settle=1.0).thrust) == 3
+    with pytest.raises(BadInput, match="raw: steady stretches: found none"):
+        steady_points(Record(columns, "raw"), settle=9.0)
+
+
+def test_means_and_raw_samples_give_the_same_map():
+    static = grid(pitches=np.linspace(-5.0, 10.0, 4))
+    rows = 40
+    columns = {n: np.repeat(getattr(static, n), rows) for n in ("omega_ref", "beta_ref", "omega", "thrust")}
+    record = Record({"time": np.arange(rows * len(static.omega)) * 0.1} | columns, "raw")
+    fit = fit_static_map(steady_points(record), SCALES)
+    np.testing.assert_allclose(list(fit.coefficients.values()), KNOWN, rtol=1e-9)
+
+
+def first_order(rho: float, n: int, seed: int) -> np.ndarray:
+    """Noise of variance 1 whose correlation is rho^lag."""
+    from scipy.signal import lfilter
+
+    drive = np.random.default_rng(seed).standard_normal(n + 1000) * np.sqrt(1.0 - rho**2)
+    return lfilter([1.0], [1.0, -rho], drive)[1000:]
+
+
+@pytest.mark.parametrize("wanted", [0.1, 0.01, 0.002])
+def test_white_readings_need_the_ratio_squared(wanted):
+    found = samples_needed(0.2 * first_order(0.0, 100_000, 1), wanted)
+    assert found.number == pytest.approx((0.2 / wanted) ** 2, rel=0.3)
+    assert found.inflation == pytest.approx(1.0, abs=2.5 * found.relative_std)
+    np.testing.assert_allclose(found.std[:20], found.white[:20], rtol=0.05)
+    np.testing.assert_allclose(found.white, 0.2 / np.sqrt(found.m), rtol=0.01)
+    assert found.std_of(found.number) == pytest.approx(wanted, rel=0.02)
+    assert found.settled
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.9, -0.5])
+def test_coloured_readings_need_the_textbooks_inflation(rho):
+    runs = [samples_needed(first_order(rho, 20_000, seed), 0.01) for seed in range(24)]
+    factor = (1.0 + rho) / (1.0 - rho)
+    assert np.mean([r.inflation for r in runs]) == pytest.approx(factor, rel=0.08)
+    assert np.mean([r.number for r in runs]) == pytest.approx(factor / 0.01**2, rel=0.1)
+    assert np.std([r.inflation for r in runs]) / factor == pytest.approx(runs[0].relative_std, rel=0.5)
+    m = runs[0].m
+    exact = (factor - 2.0 * rho * (1.0 - rho**m) / (m * (1.0 - rho) ** 2)) / m
+    np.testing.assert_allclose(np.mean([r.std**2 for r in runs], axis=0), exact, rtol=0.1)
+
+
+def test_what_is_no_noise_to_average():
+    wander = np.cumsum(np.random.default_rng(2).standard_normal(20_000))
+    assert not samples_needed(wander, 0.1).settled
+    tone = np.tile([1.0, -1.0], 500)
+    assert samples_needed(tone, 0.5).number == 2
+    assert samples_needed(first_order(0.0, 1000, 3), 5.0).number == 1
+    holes = first_order(0.0, 1000, 3)
+    holes[::7] = np.nan
+    assert np.isfinite(samples_needed(holes, 0.1).std).all()
+    for readings, wanted in ((np.ones(1000), 0.1), (wander[:100], 0.1), ([], 0.1), (wander, 0.0)):
+        with pytest.raises(BadInput, match="samples_needed: readings"):
+            samples_needed(readings, wanted)
+
+
+def test_figures_show_what_they_are_given():
+    static = grid(0.02)
+    fit = fit_static_map(static, SCALES)
+    speeds, pitches, ct = coefficient_grid(static)
+    lines = thrust_coefficients(speeds, pitches, ct, "C_T")
+    assert [line.name for line in lines.data][::9] == ["2000 rpm", "6000 rpm"]
+    np.testing.assert_array_equal(lines.data[3].y, ct[3])
+    needed = samples_needed(first_order(0.9, 5000, 0), 0.1)
+    means = mean_convergence(needed.m, needed.std, needed.white, "means")
+    assert means.layout.xaxis.type == means.layout.yaxis.type == "log"
+    omega, beta = np.linspace(2000.0, 6000.0, 9), np.linspace(-5.0, 10.0, 7)
+    std = fit.uncertainty(omega, beta[:, None], SCALES)
+    heat = map_uncertainty(omega, beta, std, "doubt")
+    np.testing.assert_array_equal(heat.data[0].z, std)
+    for fig in (lines, means, heat):
+        for axis in (fig.layout.xaxis, fig.layout.yaxis):
+            assert re.search(r"\[.+\]", axis.title.text)

@@ -1,0 +1,31 @@
+"""A small position error does not move the actuator, a larger one counts only by its excess.
+
+    tau dx/dt = e - clip(e, -half_width, half_width),   e = input - x
+
+Static friction, or an amplifier that needs a smallest voltage before the motor turns: the actuator comes to rest
+half_width short of its command, on the side from which it came. In the inner lag exact for a held command; the outer lag,
+whose input moves within the step, takes the mean of its error.
+"""
+
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, bent, stage
+from vpp_fmu.kernel.types import Effect, Parameter
+
+
+def _step(ops, s, x, p, dt):
+    lag = stage(ops, s, "beta", p.form)
+    lost = ops.gain(lag.tau, dt) * p.half_width
+    return bent(ops, s, "beta", p.form, lag.distance - ops.clip(lag.distance, -lost, lost), dt), {}
+
+
+EFFECT = Effect(
+    "pitch_error_deadzone",
+    "small pitch errors do not move the actuator",
+    _step,
+    parameters=(
+        Parameter("half_width", "deg", 0.0, 0.0, 2.2, "pitch error at which the actuator begins to move"),
+        WHICH_LAG,
+    ),
+    off={"half_width": 0.0},
+    probe={"half_width": 0.6},
+    largest_step=0.002,
+)

@@ -1,0 +1,20 @@
+"""The blades stand at another pitch than the command says: an error of the pitch calibration, or of the linkage's neutral.
+
+u = beta_ref + offset
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter
+
+
+def _step(ops, s, x, p, dt):
+    return {"beta_ref": s.beta_ref + p.offset}, {}
+
+
+EFFECT = Effect(
+    "pitch_offset",
+    "blade pitch is off by a constant",
+    _step,
+    parameters=(Parameter("offset", "deg", 0.0, -4.5, 4.5, "reached pitch less commanded pitch, at rest"),),
+    off={"offset": 0.0},
+    probe={"offset": 1.0},
+)

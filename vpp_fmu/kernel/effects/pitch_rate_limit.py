@@ -1,0 +1,48 @@
+"""Blade pitch can't move faster than the actuator's motor at full voltage.
+
+    form 1, 2: dx/dt = clip((input - x) / tau, -rate, rate)      in the inner or the outer lag
+    form 3:    the command itself is led to its goal at `rate`, before the lags
+
+The instant at which the limit ends lies between samples: until then the lag runs straight, from there it relaxes. Form 3
+takes the response to what the led command lacks off the lags, which are linear in it.
+"""
+
+from vpp_fmu.kernel.effects.stage import INNER, bent, stage
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+UNLIMITED = 1000.0  # deg/s
+
+
+def _step(ops, s, x, p, dt):
+    before_lags = p.form > 2.5
+    form = ops.where(before_lags, INNER, p.form)
+    lag = stage(ops, s, "beta", form)
+    lacks = ops.abs(lag.distance) / ops.gain(lag.tau, dt)
+    relaxes_at = p.rate * lag.tau
+    ahead = ops.clip((lacks - relaxes_at) / p.rate, 0.0, dt)
+    covered = p.rate * ahead + ops.gain(lag.tau, dt - ahead) * relaxes_at
+    limited = ops.where(lacks > relaxes_at, ops.where(lag.distance < 0.0, -covered, covered), lag.distance)
+
+    before = s.beta_ref - x.led
+    after = before - ops.clip(before, -p.rate * dt, p.rate * dt)
+    led = s.beta_move - ops.lag_ramp(0.0, before, after, lag.tau, dt)
+
+    distance = ops.where(p.rate < UNLIMITED, ops.where(before_lags, led, limited), lag.distance)
+    return bent(ops, s, "beta", form, distance, dt), {"led": s.beta_ref - after}
+
+
+EFFECT = Effect(
+    "pitch_rate_limit",
+    "blade pitch moves no faster than a limit",
+    _step,
+    parameters=(
+        Parameter("rate", "deg/s", UNLIMITED, 1.5, UNLIMITED, "greatest rate of pitch; 1000: no limit", 10.0),
+        Parameter(
+            "form", "1", 1.0, 1.0, 3.0, "1 limits the inner lag, 2 the outer lag, 3 the command", choices=(1.0, 2.0, 3.0)
+        ),
+    ),
+    states=(State("led", "deg", "pitch command as the limit lets it through", lambda ops, s, p: s.beta_ref),),
+    off={"rate": UNLIMITED},
+    probe={"rate": 10.0},
+    largest_step=0.002,
+)

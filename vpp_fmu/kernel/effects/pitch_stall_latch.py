@@ -1,0 +1,54 @@
+"""The actuator board takes a slow approach for a stall, and turns its motor off until the opposite command.
+
+    slow for `time`: |dx/dt| < speed while |e| > accuracy   ->   dx/dt = 0 until e changes its sign
+
+A linear actuator control board (Actuonix LAC) protects its motor so: off after the stall time below a least speed. On the
+tail of an exponential approach the speed is always low in the end; the actuator then stays speed tau exp(-time / tau)
+short. Acts in the inner lag; the instant of turning off is exact, and so is, to third order in the step, that of becoming
+slow (the logarithm in it by a difference over a geometric mean).
+"""
+
+from vpp_fmu.kernel.effects.stage import INNER, bent, stage
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+
+def _step(ops, s, x, p, dt):
+    lag = stage(ops, s, "beta", INNER)
+    side = ops.where(lag.before < 0.0, -1.0, 1.0)
+    lacks, free = side * lag.distance / ops.gain(lag.tau, dt), side * lag.distance
+    held = side * x.latched > 0.5
+    slow_at, end = p.speed * lag.tau, lacks - free
+    slow, away = lacks < slow_at, side * lag.before - free > p.accuracy
+    becomes = ops.where(slow, 0.0, ops.where(end < slow_at, 1.0, 0.0)) > 0.5
+    mean = ops.sqrt(ops.where(becomes, lacks * slow_at, 1.0))
+    since = ops.where(becomes, ops.clip(dt - lag.tau * (lacks - slow_at) / mean, 0.0, dt), 0.0)
+    slow_for = ops.where(away, ops.where(slow, x.slow_for + dt, since), 0.0)
+    stalls = slow_for > p.time
+    covered = ops.where(stalls, ops.gain(lag.tau, ops.clip(p.time - x.slow_for, 0.0, dt)) * lacks, free)
+    distance = ops.where(held, 0.0, ops.where(stalls, side * covered, lag.distance))
+    latched = ops.where(held, x.latched, ops.where(stalls, side, 0.0))
+    still = {"latched": latched, "slow_for": ops.where(held, 0.0, ops.where(stalls, 0.0, slow_for))}
+    return bent(ops, s, "beta", INNER, distance, dt), still
+
+
+def _nothing(ops, s, p):
+    return 0.0
+
+
+EFFECT = Effect(
+    "pitch_stall_latch",
+    "the pitch motor turns off when it is slow for too long",
+    _step,
+    parameters=(
+        Parameter("speed", "deg/s", 0.0, 0.0, 15.0, "rate of pitch below which the motor counts as stalled"),
+        Parameter("time", "s", 0.3, 0.05, 2.0, "time for which it must be stalled before it turns off"),
+        Parameter("accuracy", "deg", 0.1, 0.0, 1.5, "pitch error within which it is at its goal and not stalled", 0.1),
+    ),
+    states=(
+        State("slow_for", "s", "time for which the motor has been slow", _nothing),
+        State("latched", "1", "direction in which the motor is turned off: 1 up, -1 down, 0 none", _nothing),
+    ),
+    off={"speed": 0.0},
+    probe={"speed": 3.0, "time": 0.125},
+    largest_step=0.002,
+)

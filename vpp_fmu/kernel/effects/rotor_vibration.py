@@ -1,0 +1,36 @@
+"""An unbalanced rotor shakes the load cell once a revolution.
+
+    reading = thrust + amplitude w^2 sin(2 pi turns + phase),   d turns/dt = omega / 60
+
+The force of an imbalance goes with the square of speed. Speed runs nearly straight over a step; whole turns are dropped.
+`phase` is where the rotor stands at the start of a record.
+"""
+
+from math import pi
+
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+
+def _step(ops, s, x, p, dt):
+    turns = x.turns + (x.omega_before + s.omega) * dt / 120.0
+    turns = ops.where(turns < 1.0, turns, turns - 1.0)
+    shake = p.amplitude * s.w * s.w * ops.sin(2.0 * pi * turns + pi / 180.0 * p.phase)
+    return {"thrust": s.thrust + shake}, {"turns": turns, "omega_before": s.omega}
+
+
+EFFECT = Effect(
+    "rotor_vibration",
+    "the rotor shakes the load cell once a revolution",
+    _step,
+    parameters=(
+        Parameter("amplitude", "N", 0.0, 0.0, 0.3, "amplitude of the vibration in the reading, at full speed (w = 1)", 0.1),
+        Parameter("phase", "deg", 0.0, -180.0, 180.0, "phase of the vibration at the start", 90.0),
+    ),
+    states=(
+        State("turns", "1", "revolutions since the start, without the whole ones", lambda ops, s, p: 0.0),
+        State("omega_before", "rpm", "rotor speed at the start of the step", lambda ops, s, p: s.omega),
+    ),
+    off={"amplitude": 0.0},
+    probe={"amplitude": 0.1},
+    largest_step=0.002,
+)

@@ -1,0 +1,34 @@
+"""The load cell's amplifier answers late: a first-order low-pass, such as capacitors across its terminals make.
+
+    time_constant d reading/dt = thrust - reading;   time_constant = 0: none
+
+Thrust runs nearly straight over a step, and the lag is exact for that.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+
+def _at_thrust(ops, s, p):
+    return s.thrust
+
+
+def _step(ops, s, x, p, dt):
+    slow = p.time_constant > 0.0
+    lagged = ops.lag_ramp(x.reading, x.thrust_before, s.thrust, ops.where(slow, p.time_constant, 1.0), dt)
+    reading = ops.where(slow, lagged, s.thrust)
+    return {"thrust": reading}, {"reading": reading, "thrust_before": s.thrust}
+
+
+EFFECT = Effect(
+    "sensor_lag",
+    "the thrust reading lags behind the thrust",
+    _step,
+    parameters=(Parameter("time_constant", "s", 0.0, 0.0, 0.3, "time constant of the thrust reading; 0: none", 0.05),),
+    states=(
+        State("reading", "N", "thrust reading", _at_thrust),
+        State("thrust_before", "N", "thrust at the start of the step", _at_thrust),
+    ),
+    off={"time_constant": 0.0},
+    probe={"time_constant": 0.05},
+    largest_step=0.002,
+)

@@ -1,0 +1,11 @@
+"""The rotor speeds up faster than it slows down, or the other way round.
+
+    tau d omega/dt = (input - omega) exp(-asymmetry) rising, (input - omega) exp(asymmetry) falling
+
+The controller drives the motor upwards, but downwards it mostly lets drag do the work, unless it brakes. The form is that
+of `pitch_asymmetry`.
+"""
+
+from vpp_fmu.kernel.effects.pitch_asymmetry import asymmetry
+
+EFFECT = asymmetry("omega", "speed_asymmetry", "speed rises and falls with different time constants", -0.35)

@@ -1,0 +1,16 @@
+"""The speed command acts after a dead time: u(t) = omega_ref(t - delay), exact at any communication step.
+
+Frames of the command link, the control period and the speed controller's own filter. The schedule delays the command,
+between steps.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter
+
+EFFECT = Effect(
+    "speed_delay",
+    "dead time between the speed command and the motor",
+    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.3, "time by which the speed command acts late", 0.05),),
+    off={"delay": 0.0},
+    probe={"delay": 0.04},
+    delays={"omega_ref": "delay"},
+)

@@ -1,0 +1,30 @@
+"""The motor can't turn faster than its supply voltage allows.
+
+    form 1: u = min(omega_ref, maximum)        the command is cut, the lags run into the limit slowly
+    form 2: omega = min(omega, maximum)        the rotor runs into it on its way
+
+In form 2 the command and the inner lag go on beyond the limit; the rotor leaves it when the inner lag comes back.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter
+
+UNLIMITED = 30000.0  # rpm
+
+
+def _step(ops, s, x, p, dt):
+    command = ops.where(p.form < 1.5, ops.minimum(s.omega_ref, p.maximum), s.omega_ref)
+    return {"omega_ref": command, "omega_highest": p.maximum}, {}
+
+
+EFFECT = Effect(
+    "speed_saturation",
+    "rotor speed can't exceed a limit",
+    _step,
+    parameters=(
+        Parameter("maximum", "rpm", UNLIMITED, 3600.0, UNLIMITED, "greatest speed of the rotor; 30000: no limit", 6000.0),
+        Parameter("form", "1", 1.0, 1.0, 2.0, "1 limits the command, 2 the rotor on its way", choices=(1.0, 2.0)),
+    ),
+    off={"maximum": UNLIMITED},
+    probe={"maximum": 5400.0},
+    largest_step=0.002,
+)

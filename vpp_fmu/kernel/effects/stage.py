@@ -1,0 +1,62 @@
+"""One of a channel's two lags within a step, as an effect that bends it sees it.
+
+An effect that may act in either lag stands behind both, asks `stage` for the one that its `form` names, and puts another
+distance in the place of what that lag covers: `bent` passes a changed move of the inner lag on to the outer one. Distances
+and time constants already hold what the effects before have done, so that several of them can bend one lag.
+"""
+
+from typing import Any, NamedTuple
+
+from vpp_fmu.kernel.types import Parameter
+
+INNER, OUTER = 1.0, 2.0
+WHICH_LAG = Parameter("form", "1", INNER, INNER, OUTER, "lag in which it acts: 1 inner, 2 outer", choices=(INNER, OUTER))
+
+
+class Stage(NamedTuple):
+    """A lag in one step, in the channel's unit and s."""
+
+    value: Any  # where it stands at the start
+    tau: Any  # time constant with which it relaxes in this step
+    before: Any  # what it lacks of its input at the start
+    after: Any  # what it would lack at the end if it stood still; differs from `before` as far as its input moves
+    distance: Any  # what it covers
+
+
+def _constants(s, u: str) -> tuple[Any, Any]:
+    """(inner, outer) time constants in this step: those of the channel, or what an effect has made of them."""
+    return getattr(s, f"{u}_inner_tau", getattr(s, f"tau_{u}_2")), getattr(s, f"{u}_outer_tau", getattr(s, f"tau_{u}_1"))
+
+
+def stage(ops, s, u: str, form) -> Stage:
+    """The lag of channel `u` ("omega" or "beta") that `form` names."""
+    inner, outer, error, move = (getattr(s, f"{u}_{part}") for part in ("inner", "outer", "error", "move"))
+
+    def pick(first, second):
+        return ops.where(form < 1.5, first, second)
+
+    return Stage(
+        value=pick(inner, outer),
+        tau=pick(*_constants(s, u)),
+        before=pick(error, inner - outer),
+        after=pick(error, inner - outer + move),
+        distance=pick(move, getattr(s, f"{u}_travel")),
+    )
+
+
+def bent(ops, s, u: str, form, distance, dt, tau=None) -> dict[str, Any]:
+    """The channel's signals where the lag that `form` names covers `distance`, and relaxes with `tau` (None: as before)."""
+    (inner, outer), move, travel = _constants(s, u), getattr(s, f"{u}_move"), getattr(s, f"{u}_travel")
+
+    def carried(constant):  # the outer lag's share of what the inner one covers
+        return ops.two_lag_step(getattr(s, f"tau_{u}_1"), constant, dt) / ops.gain(constant, dt)
+
+    more = carried(inner if tau is None else tau) * distance - carried(inner) * move
+    signals = {
+        f"{u}_move": ops.where(form < 1.5, distance, move),
+        f"{u}_travel": ops.where(form < 1.5, travel + more, distance),
+    }
+    if tau is not None:
+        signals[f"{u}_inner_tau"] = ops.where(form < 1.5, tau, inner)
+        signals[f"{u}_outer_tau"] = ops.where(form < 1.5, outer, tau)
+    return signals

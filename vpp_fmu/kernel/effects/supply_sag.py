@@ -1,0 +1,39 @@
+"""The supply gives way under load, and with it the speed that the motor reaches.
+
+    form 1: u = min(omega_ref, limit - sag lift)             a speed loop holds the command until its voltage ends
+    form 2: u = omega_ref - sag lift (u / full_speed)^2      no speed loop: speed droops with the torque
+
+lift = beta + 5 deg is the pitch from which thrust and torque grow (the paper's normalisation; its b is lift / 15 deg), not
+below 0 in form 2; full_speed = 6000 rpm. Torque goes with the square of speed; the rotor's lags then lead to the speed
+where it balances, the positive root of form 2. Pitch counts by its mean over the step.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter, State
+
+FULL_SPEED = 6000.0  # rpm
+UNLOADED = -5.0  # deg
+UNLIMITED = 30000.0  # rpm
+
+
+def _step(ops, s, x, p, dt):
+    lift = 0.5 * (x.beta_before + s.beta) - UNLOADED
+    limit = ops.maximum(p.limit - p.sag * lift, 0.0)
+    bend = p.sag * ops.maximum(lift, 0.0) / (FULL_SPEED * FULL_SPEED)
+    drooped = 2.0 * s.omega_ref / (1.0 + ops.sqrt(1.0 + 4.0 * bend * s.omega_ref))
+    return {"omega_ref": ops.where(p.form < 1.5, ops.minimum(s.omega_ref, limit), drooped)}, {"beta_before": s.beta}
+
+
+EFFECT = Effect(
+    "supply_sag",
+    "speed is lost to pitch as the supply sags",
+    _step,
+    parameters=(
+        Parameter("limit", "rpm", UNLIMITED, 4200.0, UNLIMITED, "form 1: top speed at -5 deg of pitch; 30000: none", 6000.0),
+        Parameter("sag", "rpm/deg", 0.0, 0.0, 160.0, "speed lost per pitch: off the limit, or (form 2) at 6000 rpm", 60.0),
+        Parameter("form", "1", 1.0, 1.0, 2.0, "1 a limit that falls with pitch, 2 a droop with load", choices=(1.0, 2.0)),
+    ),
+    states=(State("beta_before", "deg", "blade pitch at the start of the step", lambda ops, s, p: s.beta),),
+    off={"limit": UNLIMITED, "sag": 0.0},
+    probe={"limit": 6200.0, "sag": 60.0},
+    largest_step=0.002,
+)

@@ -1,0 +1,27 @@
+"""The measured supply voltage moves the speed: without a speed loop a motor turns in proportion to its voltage.
+
+    u = omega_ref (1 + share (voltage / nominal - 1))
+
+A duty cycle commands a share of the supply (paper, eq. 4: u V_in); the command is scaled for the nominal one. A speed loop
+takes the change up, in part or wholly: share 1 is none at all, 0 a perfect one.
+"""
+
+from vpp_fmu.kernel.types import Effect, Parameter, Signal
+
+
+def _step(ops, s, x, p, dt):
+    return {"omega_ref": s.omega_ref * (1.0 + p.share * (s.voltage / p.nominal - 1.0))}, {}
+
+
+EFFECT = Effect(
+    "supply_voltage",
+    "speed follows the supply voltage",
+    _step,
+    parameters=(
+        Parameter("share", "1", 0.0, 0.0, 1.0, "relative change of speed over relative change of voltage"),
+        Parameter("nominal", "V", 24.0, 5.0, 100.0, "voltage at which speed is as commanded", 24.0),
+    ),
+    off={"share": 0.0},
+    probe={"share": 0.5},
+    inputs=(Signal("voltage", "V", "supply voltage", 0.0, 100.0, 24.0, start=24.0),),
+)

@@ -1,0 +1,63 @@
+"""Figures of the static characterisation: thrust coefficient, how means settle, how well the map is known."""
+
+import numpy as np
+from plotly import graph_objects as go
+from plotly.colors import sample_colorscale
+
+from vpp_fmu.report import style
+
+
+def thrust_coefficients(speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray, title: str) -> go.Figure:
+    """C_T over pitch, a line a speed: ct (m, k) over speeds (m,) [rpm] and pitches (k,) [deg]; NaN where not measured.
+
+    Colours go from slow to fast.
+    """
+    fig = style.figure(title, 460)
+    shades = sample_colorscale("Viridis", np.linspace(0.0, 0.92, len(speeds)).tolist())
+    for speed, line, shade in zip(speeds, ct, shades, strict=True):
+        fig.add_scatter(
+            x=pitches,
+            y=line,
+            mode="lines+markers",
+            name=f"{speed:.0f} rpm",
+            line={"color": shade, "width": 1.8},
+            marker={"size": 5},
+            hovertemplate=f"%{{y:.4f}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>",
+        )
+    # Ten speeds are more than a row of a legend holds.
+    side = {"orientation": "v", "x": 1.01, "xref": "paper", "y": 1.0, "yref": "paper", "traceorder": "reversed"}
+    fig.update_layout(legend=side, margin_r=120, margin_t=fig.layout.margin.t - 24)
+    fig.update_xaxes(title_text="blade pitch [deg]")
+    fig.update_yaxes(title_text="C_T [-]")
+    return fig
+
+
+def mean_convergence(m: np.ndarray, std: np.ndarray, white: np.ndarray, title: str) -> go.Figure:
+    """Standard deviation [N] of the mean of m readings, measured and were the readings independent; all (k,), log-log."""
+    fig = style.figure(title, 400)
+    hover = {"hovertemplate": "%{y:.2~g} N for %{x} readings<extra></extra>"}
+    measured = {"color": style.MEASURED, "width": 2}
+    fig.add_scatter(x=m, y=std, mode="lines+markers", name="measured", line=measured, marker={"size": 4}, **hover)
+    line = {"color": style.AFTER, "width": 1.6, "dash": "dash"}
+    fig.add_scatter(x=m, y=white, mode="lines", name="independent readings", line=line, **hover)
+    fig.update_xaxes(title_text="readings in the mean [-]", type="log", dtick="D2")
+    fig.update_yaxes(title_text="standard deviation of the mean [N]", type="log", dtick="D2", tickformat="~g")
+    return fig
+
+
+def map_uncertainty(omega: np.ndarray, beta: np.ndarray, std_grid: np.ndarray, title: str) -> go.Figure:
+    """Standard deviation of the map, std_grid (n, m) [N] over beta (n,) [deg] and omega (m,) [rpm]."""
+    fig = style.figure(title, 460, legend=False)
+    fig.add_heatmap(
+        x=omega,
+        y=beta,
+        z=std_grid,
+        zmin=0.0,
+        zmax=float(np.max(std_grid)),  # plotly heeds the one with the other only
+        colorscale="Viridis",
+        colorbar={"title": {"text": "standard deviation [N]", "side": "right"}},
+        hovertemplate="%{z:.4f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+    )
+    fig.update_xaxes(title_text="speed [rpm]", showgrid=False)
+    fig.update_yaxes(title_text="pitch [deg]", showgrid=False)
+    return fig
