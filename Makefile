@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench clean
+.PHONY: demo test bench study interop clean
 
 demo: .venv/ready
 	$(BIN)/vpp demo -o demo
@@ -15,6 +15,13 @@ test: .venv/ready
 
 bench: .venv/ready
 	$(BIN)/python -m tests.benchmarks
+
+study: .venv/ready
+	$(BIN)/python -m tests.studies identification
+
+interop: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[interop]'
+	$(BIN)/python -m tests.interop
 
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
