@@ -20,7 +20,9 @@ static void start_sensitivities(Slave *s) {
   }
 }
 
-/* Half of a nudge: what an instant under the present inputs makes of the states belongs to the delay alone. */
+static int is_observed(const Instance *m) { return ((const Slave *)m)->carried != NULL; }
+
+/* Half of a nudge, a step that is tried and taken back: what it makes of the states belongs to the delay alone. */
 static void nudge_sensitivities(Slave *s, double dt, const double *dt_tangent) {
   for (int k = 0; k < N_DELAYED; k++) {
     if (dt_tangent[k] == 0.0) continue;
@@ -31,19 +33,14 @@ static void nudge_sensitivities(Slave *s, double dt, const double *dt_tangent) {
   }
 }
 
-static int is_observed(const Instance *m) { return ((const Slave *)m)->carried != NULL; }
-
-/* The tangents move with a step of dt, from the states before it. A sample time is the length of a sampled law's step and
- * moves dt; so does a delay, in the steps that a nudge tries and takes back: what they add to its tangent stays. */
+/* The tangents move with a step of dt, from the states before it. A sampled law's step is its sample time. */
 static void before_step(Instance *m, double dt, const double *dt_tangent) {
   Slave *s = (Slave *)m; /* m is the first of a slave's members */
   if (!s->carried) return;
-  for (int j = 0; j < N_PARAMETERS && !m->nudging; j++)
-    step_along(m->v, dt, SAMPLED && SAMPLE_TIME == FIRST_PARAMETER + j, s->carried[j]);
-  for (int k = 0; k < N_DELAYED && m->nudging; k++) {
-    double gained[N_VALUES] = {0};
-    if (dt_tangent[k] == 0.0) continue;
-    step_along(m->v, dt, dt_tangent[k], gained);
-    for (int i = 0; i < N_VALUES; i++) s->carried[DELAY_PARAMETER[k] - FIRST_PARAMETER][i] += gained[i];
+  if (m->nudging) {
+    nudge_sensitivities(s, dt, dt_tangent);
+    return;
   }
+  for (int j = 0; j < N_PARAMETERS; j++)
+    step_along(m->v, dt, SAMPLED && SAMPLE_TIME == FIRST_PARAMETER + j ? 1.0 : 0.0, s->carried[j]);
 }

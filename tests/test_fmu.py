@@ -90,11 +90,13 @@ def test_initial_unknowns_name_all_that_the_outputs_start_from(fmus, name):
     listed = {u.variable.name: {d.name for d in u.dependencies} for u in description.initialUnknowns}
     outputs = [v.name for v in description.modelVariables if v.causality == "output"]
     assert set(listed) == set(outputs)
-    inputs = {v.name: 0.37 * float(v.nominal) for v in description.modelVariables if v.causality == "input"}
+    inputs = {v.name: 0.97 * float(v.nominal) for v in description.modelVariables if v.causality == "input"}
     values = {v.name: float(v.start) for v in description.modelVariables if v.causality == "parameter"}
+    ranges = {v.name: (float(v.min), float(v.max)) for v in description.modelVariables if v.min is not None}
     rest = Slave(fmus[name], initialised=False).initialise(**inputs).get(*outputs)
     for changed, value in {**inputs, **values}.items():
-        there = Slave(fmus[name], initialised=False).initialise(**{**inputs, changed: value * 0.999 + 1e-6}).get(*outputs)
+        moved = np.clip(value * 0.999 + 1e-6, *ranges[changed])
+        there = Slave(fmus[name], initialised=False).initialise(**{**inputs, changed: moved}).get(*outputs)
         for output, before, after in zip(outputs, rest, there, strict=True):
             assert before == after or changed in listed[output]
 

@@ -97,7 +97,7 @@ BAD = {
         entry("tau_omga_1"),
         'parameters, "tau_omga_1": found a name that VppPlant does not have, allowed is tau_omega_1',
     ),
-    "far name": (entry("zzz"), 'parameters, "zzz": found a name that VppPlant does not have, allowed is one of tau_omega_1, '),
+    "far name": (entry("zzz"), 'parameters, "zzz": found a name that VppPlant does not have, allowed is one of '),
     "line break": (entry("a\nb"), r'parameters, "a\nb": found a name that VppPlant does not have, allowed is '),
     "no entry": (content(parameters={"c20": 0.3}), "parameters, c20: found 0.3, allowed is an object in braces"),
     "unknown key": (entry(sigma=1), 'parameters, c20, "sigma": found a field that is not known, allowed is value, std, unit'),
@@ -194,7 +194,8 @@ def test_json_reads_back_to_the_bit(tmp_path, build):
 def test_json_has_the_contract_s_form():
     text = to_json(ParameterSet(plant(["pitch_delay"])).replaced({"tau_omega_1": 0.1}, {"tau_omega_1": 1 / 3}))
     found = json.loads(text)
-    assert text.startswith('{\n  "format": "vpp-parameters/1",\n  "parameters": {\n    "tau_omega_1": {\n      "value": 0.1,\n')
+    assert text.startswith('{\n  "format": "vpp-parameters/1",\n  "parameters": {\n    "')
+    assert found["parameters"]["tau_omega_1"] == {"value": 0.1, "std": 1 / 3, "unit": "s"}
     assert text.endswith("}\n")
     assert list(found) == ["format", "parameters", "effects", "source"]
     assert list(found["parameters"]) == [p.name for p in plant(["pitch_delay"]).parameters]
@@ -233,7 +234,7 @@ def test_ssv_holds_every_parameter(model):
     "model", [plant(e.name for e in LIBRARY if e.off is not None), CONTROLLER], ids=["plant", "controller"]
 )
 def test_ssv_obeys_the_standard_s_schema(model):
-    from lxml import etree  # noqa: PLC0415
+    from lxml import etree
 
     schema = Path(importlib.util.find_spec("fmpy").origin).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"
     etree.XMLSchema(etree.parse(str(schema))).assertValid(etree.fromstring(to_ssv(ParameterSet(model), "a").encode()))

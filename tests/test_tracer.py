@@ -10,6 +10,7 @@ from builders import ALL_ON, PROBES, reference
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
 from vpp_fmu.native import Simulator
 from vpp_fmu.tracer import c_source, python_source, trace
@@ -221,6 +222,8 @@ def test_generated_python_of_the_whole_plant_runs_without_this_project():
     assert {"start", "prepare", "step", "largest_step"} <= set(code)
     layout = trace(ALL_ON).layout
     values = ALL_ON.values(PROBES)
-    v = [4000.0, 5.0, *[0.0] * (len(layout.inputs) - 2 + len(layout.outputs)), *values.values(), *[0.0] * len(layout.states)]
+    settled = [4000.0, 5.0, *ALL_ON.measured_inputs.values()]
+    v = [*settled, *[0.0] * len(layout.outputs), *values.values(), *[0.0] * len(layout.states)]
     code["start"](v, None)
-    assert v[layout.index["output", "omega"]] == 4000.0
+    exact = Simulation(ALL_ON, PROBES).start({"omega_ref": 4000.0, "beta_ref": 5.0})
+    assert v[layout.index["output", "omega"]] == exact["omega"]

@@ -156,9 +156,9 @@ class FmuInstance:
 
 
 def _end(slave: FMU2Slave) -> None:
-    with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
-        slave.terminate()
-    slave.freeInstance()
+    """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then."""
+    slave.terminate()
+    slave.fmi2FreeInstance(slave.component)
 
 
 def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:

@@ -70,7 +70,7 @@ def exact_step(x, u, p, exp):
 
 def casadi_shooting(u: np.ndarray, y: np.ndarray, p: np.ndarray, gauss_newton: bool) -> Outcome:
     """Single shooting as in CasADi's example `sysid.py`: mapaccum, IPOPT, Gauss-Newton or exact Hessian."""
-    import casadi as ca  # noqa: PLC0415  (an extra)
+    import casadi as ca
 
     began = time.perf_counter()
     x, held, free = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("p", 9)
@@ -97,8 +97,8 @@ def casadi_shooting(u: np.ndarray, y: np.ndarray, p: np.ndarray, gauss_newton: b
 
 def jax_sysid(u: np.ndarray, y: np.ndarray, p: np.ndarray) -> Outcome:
     """The package's own model class, L-BFGS-B alone, no regularisation; its compilation is part of its fit."""
-    import jax.numpy as jnp  # noqa: PLC0415  (an extra)
-    from jax_sysid.models import Model  # noqa: PLC0415
+    import jax.numpy as jnp
+    from jax_sysid.models import Model
 
     began = time.perf_counter()
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, STEP, STEPS, WANTED
+from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, STEP, STEPS
 from vpp_fmu.cli.export import exported
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -33,18 +33,18 @@ def alone() -> list[np.ndarray]:
     return [np.array(rows[-1]), np.array(rows[0])]
 
 
-def loops() -> list[np.ndarray]:
+def loops(wanted: float) -> list[np.ndarray]:
     """What the loop may show: importers differ in how often they exchange values at the start, and in when they look."""
     found = []
     for exchanges in (0, 1, 2):
         plant, controller = Simulation(BASE), Simulation(CONTROLLER)
         shown = plant.start(REST)
-        commands = controller.start({"thrust_set": WANTED, "thrust": shown["thrust"]})
+        commands = controller.start({"thrust_set": wanted, "thrust": shown["thrust"]})
         for _ in range(exchanges):
             shown = plant.start(commands)
-            commands = controller.start({"thrust_set": WANTED, "thrust": shown["thrust"]})
+            commands = controller.start({"thrust_set": wanted, "thrust": shown["thrust"]})
         for k in range(LOOP_STEPS + 2):
-            following = controller.advance({"thrust_set": WANTED, "thrust": shown["thrust"]}, STEP)
+            following = controller.advance({"thrust_set": wanted, "thrust": shown["thrust"]}, STEP)
             shown, commands = plant.advance(commands, STEP), following
             if k > LOOP_STEPS - 4:
                 found.append(np.array(list(shown.values())))
@@ -93,7 +93,7 @@ def row(importer: str, flavour: str, folder: Path, expected: dict) -> tuple[list
 
 def main():
     parts = [ParameterSet(BASE), ParameterSet(CONTROLLER)]
-    expected = {"alone": alone(), "loop": loops()}
+    right = alone()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         flavours = ["python", "native"]
@@ -110,12 +110,15 @@ def main():
             if find_spec(kind.package) is None:
                 print(f"| {importer} | | skipped: {kind.package} is not installed | | | |")
                 continue
-            ends = []
+            ends, expected = [], {"alone": right, "loop": loops(kind.wanted)}
             for flavour in flavours:
                 cells, shown = row(importer, flavour, folder, expected)
                 ends.append(shown)
                 same = "" if len(ends) < 2 or None in ends else "same bits" if ends[0] == ends[1] else "DIFFER"
                 print(f"| {importer} | {flavour} | {' | '.join(cells)} | {same} |", flush=True)
+    print()
+    for importer, kind in IMPORTERS.items():
+        print(f"{importer}: {kind.__doc__}")
 
 
 main()

@@ -87,14 +87,17 @@ int main(int count, char **arguments) {
         if (size && !below(3)) bytes[below((unsigned)size)] ^= (fmi2Byte)(1 << below(8));
         if (bytes) status = fmi2DeSerializeFMUstate(c, bytes, below(9) ? size : below((unsigned)size + 1), slot);
         break;
-      case 25: status = fmi2SetDebugLogging(c, (fmi2Boolean)below(2), below(2), (fmi2String[]){below(2) ? "logStatusError" : "x"}); break;
+      case 25:
+        status = fmi2SetDebugLogging(c, (int)below(2), below(2), (fmi2String[]){below(2) ? "logStatusError" : "x"});
+        break;
       case 26: status = fmi2SetRealInputDerivatives(c, r, below(2), whole, x); break;
       case 27: status = fmi2GetRealOutputDerivatives(c, r, below(2), whole, y); break;
-      case 28: status = below(2) ? fmi2GetStatus(c, fmi2DoStepStatus, &status) : fmi2GetRealStatus(c, fmi2LastSuccessfulTime, y); break;
+      case 28: status = below(2) ? fmi2GetStatus(c, fmi2DoStepStatus, &status) : fmi2GetRealStatus(c, fmi2Terminated, y); break;
       case 29: if (!below(8)) status = fmi2CancelStep(c); break;
       case 30: case 31: /* an orderly start, else most of the time would be spent in the error state */
         if (fmi2Reset(c) != fmi2OK || fmi2EnterInitializationMode(c) != fmi2OK) break;
-        if (below(2)) fmi2GetDirectionalDerivative(c, (fmi2ValueReference[]){N_INPUTS}, 1, (fmi2ValueReference[]){FIRST_PARAMETER}, 1, x, y);
+        r[0] = N_INPUTS, q[0] = FIRST_PARAMETER;
+        if (below(2)) fmi2GetDirectionalDerivative(c, r, 1, q, 1, x, y);
         fmi2ExitInitializationMode(c);
         for (unsigned i = 0; i < 50; i++) {
           fmi2SetReal(c, (fmi2ValueReference[]){below(N_INPUTS)}, 1, (double[]){below(6000) * 1.0});

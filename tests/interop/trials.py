@@ -20,9 +20,9 @@ LOOP_STEPS, WANTED = 500, 8.0
 
 
 class Fmpy:
-    """fmpy: its own simulation alone; in the loop, its SSP simulation, which knows no parameter values."""
+    """In the loop it runs its own SSP simulation, which sets connectors to zero and no values: no thrust is wanted."""
 
-    package = "fmpy"
+    package, wanted = "fmpy", 0.0
 
     def alone(self, folder, suffix):
         import fmpy
@@ -44,9 +44,9 @@ class Fmpy:
 
 
 class Libcosim:
-    """libcosim, under DNV's and SINTEF's Open Simulation Platform."""
+    """It counts time in nanoseconds: steps are off by a rounding."""
 
-    package = "libcosimpy"
+    package, wanted = "libcosimpy", WANTED
 
     def alone(self, folder, suffix):
         from libcosimpy.CosimExecution import CosimExecution
@@ -81,9 +81,9 @@ class Libcosim:
 
 
 class Ecos:
-    """Ecos from Python."""
+    """Under Python."""
 
-    package = "ecospy"
+    package, wanted = "ecospy", WANTED
 
     def alone(self, folder, suffix):
         from ecospy import EcosSimulation, EcosSimulationStructure
@@ -112,9 +112,9 @@ class Ecos:
 
 
 class EcosCommand:
-    """Ecos' own program: a host without Python. It can't change an input on the way: alone it stands still."""
+    """A host without Python: Python FMUs can't be loaded. Alone the plant stands still; results have six decimals."""
 
-    package = "ecospy"
+    package, wanted = "ecospy", WANTED
 
     def alone(self, folder, suffix):
         return self._run(folder / f"VppPlant{suffix}.fmu", "instance")
@@ -138,9 +138,9 @@ class EcosCommand:
 
 
 class Container:
-    """fmucontainer: the loop packed as one FMU, run by fmpy. Its own reading of SSP knows no values."""
+    """The loop packed as one FMU, which fmpy runs; from rules, since its reading of SSP knows no values."""
 
-    package = "fmu_manipulation_toolbox"
+    package, wanted = "fmu_manipulation_toolbox", WANTED
 
     def loop(self, folder, suffix):
         import fmpy

@@ -18,6 +18,7 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
+from vpp_fmu.units import base_unit
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
@@ -67,6 +68,12 @@ def find_model(where: str) -> Model:
         raise BadInput("vpp export", "--model", f"{where} ({error})", "package.module:NAME of a kernel Model") from error
     if not isinstance(found, Model):
         raise BadInput("vpp export", "--model", f"{where}, a {type(found).__name__}", "the name of a kernel Model")
+    for quantity in (*found.inputs, *found.outputs, *found.parameters, *found.states):
+        try:
+            base_unit(quantity.unit)
+        except KeyError as error:
+            what = f"{quantity.name} in {quantity.unit}"
+            raise BadInput("vpp export", "--model", what, "units that vpp_fmu.units knows") from error
     return found
 
 

@@ -20,8 +20,8 @@ TARGETS = {
     "linux64": ("x86_64-linux-gnu.2.17", "so"),
     "aarch64-linux": ("aarch64-linux-gnu.2.17", "so"),
     "win64": ("x86_64-windows-gnu", "dll"),
-    "darwin64": ("x86_64-macos", "dylib"),
-    "aarch64-darwin": ("aarch64-macos", "dylib"),
+    "darwin64": ("x86_64-macos.11.0", "dylib"),
+    "aarch64-darwin": ("aarch64-macos.11.0", "dylib"),
 }
 """FMI 2.0.4's platform folders: Zig's name for each, and its libraries' ending. The oldest C libraries Zig knows."""
 

@@ -41,6 +41,7 @@ _PITCH_DRIVE, _PITCH_FIRST, _PITCH_SECOND, _PITCH_REACH = actuator.PITCH
 _SPEED_DRIVE, _SPEED_FIRST, _SPEED_SECOND, _SPEED_REACH = actuator.SPEED
 
 LIBRARY: tuple[Effect, ...] = (
+    speed_delay.EFFECT,
     pitch_delay.EFFECT,
     pitch_command_deadband.EFFECT,
     pitch_offset.EFFECT,
@@ -57,7 +58,6 @@ LIBRARY: tuple[Effect, ...] = (
     pitch_stall_latch.EFFECT,
     _PITCH_REACH,
     pitch_backlash.EFFECT,
-    speed_delay.EFFECT,
     supply_voltage.EFFECT,
     supply_sag.EFFECT,
     speed_saturation.EFFECT,

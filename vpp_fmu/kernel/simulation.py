@@ -24,8 +24,8 @@ class Simulation:
         self.start({s.name: s.start for s in model.inputs})
 
     def start(self, inputs: Mapping[str, float]) -> dict[str, float]:
-        """Settle on `inputs` (all of them, by name); returns the outputs."""
-        self._inputs = {name: float(inputs[name]) for name in self._names}
+        """Settle on `inputs`, by name; measured ones may be missing. Returns the outputs."""
+        self._inputs = self._complete(inputs)
         self._lines = [
             None if delay is None else DelayLine(u) for delay, u in zip(self._delays, self._inputs.values(), strict=True)
         ]
@@ -35,7 +35,7 @@ class Simulation:
 
     def advance(self, inputs: Mapping[str, float], dt: float) -> dict[str, float]:
         """Hold `inputs` for one communication step of dt seconds; returns the outputs at its end."""
-        self._inputs = {name: float(inputs[name]) for name in self._names}
+        self._inputs = self._complete(inputs)
         values = list(self._inputs.values())
         if self.model.sample_time is None:
             run_held(self._lines, self._delays, values, dt, self._largest, self._step)
@@ -48,6 +48,10 @@ class Simulation:
     def outputs(self) -> dict[str, float]:
         """The outputs by name, as they stand."""
         return {s.name: self.signals[s.name] for s in self.model.outputs}
+
+    def _complete(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        given = self.model.measured_inputs | dict(inputs)
+        return {name: float(given[name]) for name in self._names}
 
     def _step(self, values: list[float], dt: float) -> None:
         inputs = dict(zip(self._names, values, strict=True))

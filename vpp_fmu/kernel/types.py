@@ -129,6 +129,11 @@ class Model:
         return tuple((u, e.full(p)) for e in self.effects for u, p in e.delays.items())
 
     @cached_property
+    def measured_inputs(self) -> dict[str, float]:
+        """Inputs that effects brought along, with the value they have where nobody measures them."""
+        return {u.name: u.start for e in self.effects for u in e.inputs}
+
+    @cached_property
     def optional(self) -> tuple[str, ...]:
         """Names of the effects in this model that it could do without."""
         return tuple(e.name for e in self.effects if e.off is not None)

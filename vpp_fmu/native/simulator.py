@@ -32,7 +32,7 @@ class Simulator:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
 
         `parameters`: changes to the defaults, by name. `inputs`: one array (rows,) for each of the model's inputs, held from
-        its row to the next. `steps` (rows - 1,): seconds from row to row.
+        its row to the next; measured ones that effects brought may be missing. `steps` (rows - 1,): seconds from row to row.
         """
         return self._go(parameters, inputs, steps)[0]
 
@@ -42,6 +42,7 @@ class Simulator:
 
     def _go(self, parameters, inputs, steps):
         values = np.array(list(self.model.values(parameters).values()))
+        inputs = {n: np.full(len(steps) + 1, v) for n, v in self.model.measured_inputs.items()} | dict(inputs)
         rows = {name: len(inputs[name]) for name in self._inputs}
         if set(rows.values()) != {len(steps) + 1}:
             told = ", ".join(f"{name} has {count}" for name, count in rows.items())

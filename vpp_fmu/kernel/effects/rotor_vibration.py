@@ -13,7 +13,7 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 
 def _step(ops, s, x, p, dt):
     turns = x.turns + (x.omega_before + s.omega) * dt / 120.0
-    turns = ops.where(turns < 1.0, turns, turns - 1.0)
+    turns = turns - ops.where(turns < 1.0, 0.0, ops.where(turns < 2.0, 1.0, 2.0))
     shake = p.amplitude * s.w * s.w * ops.sin(2.0 * pi * turns + pi / 180.0 * p.phase)
     return {"thrust": s.thrust + shake}, {"turns": turns, "omega_before": s.omega}
 

@@ -8,7 +8,7 @@ In form 2 the command and the inner lag go on beyond the limit; the rotor leaves
 
 from vpp_fmu.kernel.types import Effect, Parameter
 
-UNLIMITED = 30000.0  # rpm
+UNLIMITED = 60000.0  # rpm
 
 
 def _step(ops, s, x, p, dt):
@@ -21,7 +21,7 @@ EFFECT = Effect(
     "rotor speed can't exceed a limit",
     _step,
     parameters=(
-        Parameter("maximum", "rpm", UNLIMITED, 3600.0, UNLIMITED, "greatest speed of the rotor; 30000: no limit", 6000.0),
+        Parameter("maximum", "rpm", UNLIMITED, 3600.0, UNLIMITED, "greatest speed of the rotor; 60000: no limit", 6000.0),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 limits the command, 2 the rotor on its way", choices=(1.0, 2.0)),
     ),
     off={"maximum": UNLIMITED},

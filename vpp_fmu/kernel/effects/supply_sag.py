@@ -12,7 +12,7 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 
 FULL_SPEED = 6000.0  # rpm
 UNLOADED = -5.0  # deg
-UNLIMITED = 30000.0  # rpm
+UNLIMITED = 60000.0  # rpm
 
 
 def _step(ops, s, x, p, dt):
@@ -28,7 +28,7 @@ EFFECT = Effect(
     "speed is lost to pitch as the supply sags",
     _step,
     parameters=(
-        Parameter("limit", "rpm", UNLIMITED, 4200.0, UNLIMITED, "form 1: top speed at -5 deg of pitch; 30000: none", 6000.0),
+        Parameter("limit", "rpm", UNLIMITED, 4200.0, UNLIMITED, "form 1: top speed at -5 deg of pitch; 60000: none", 6000.0),
         Parameter("sag", "rpm/deg", 0.0, 0.0, 160.0, "speed lost per pitch: off the limit, or (form 2) at 6000 rpm", 60.0),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 a limit that falls with pitch, 2 a droop with load", choices=(1.0, 2.0)),
     ),
