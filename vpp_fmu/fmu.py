@@ -3,7 +3,6 @@
 fmpy's own wrapper converts every argument of every call; here the buffers are made once, and a step is three foreign calls.
 """
 
-import contextlib
 import ctypes
 import itertools
 import platform
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
-from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 

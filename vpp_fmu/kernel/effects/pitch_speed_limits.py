@@ -39,6 +39,6 @@ EFFECT = Effect(
         Parameter("accuracy", "deg", 0.0, 0.0, 1.5, "pitch error within which the motor is off", 0.1, limit_form="never off"),
     ),
     off={"slowest": 0.0, "full": UNLIMITED, "accuracy": 0.0},
-    probe={"slowest": 2.0, "full": 20.0, "threshold": 3.0, "accuracy": 0.15},
+    probe={"slowest": 2.0, "full": 9.0, "threshold": 3.0, "accuracy": 0.15},
     largest_step=0.002,
 )
