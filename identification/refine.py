@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from identification.adjoint import AdjointProblem
 from identification.gradient_descent import descend
@@ -80,6 +81,15 @@ def refine(
     `start`: changes to the model's defaults, by name. Gradient descent uses thrust alone, one start and no prior, as the
     paper does. The random starts repeat with the `seed`.
     """
+    # Threads of a numerical library cost more than they bring on matrices this narrow, and much more on a busy machine.
+    with _BLAS.limit(limits=1):
+        return _refine(model, records, start, names, prior, channels, method, starts, seed)
+
+
+_BLAS = ThreadpoolController()
+
+
+def _refine(model, records, start, names, prior, channels, method, starts, seed) -> Refinement:
     began = time.perf_counter()
     values = model.values(start)
     if method == "gradient-descent":

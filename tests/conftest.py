@@ -8,6 +8,7 @@ from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
 
 
@@ -49,6 +50,7 @@ def no_compiler(monkeypatch):
     caches = compiler.compiler, simulator._say_once
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
+    monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # what was compiled before must not serve
     for cached in caches:
         cached.cache_clear()
     yield

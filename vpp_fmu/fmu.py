@@ -3,6 +3,7 @@
 fmpy's own wrapper converts every argument of every call; here the buffers are made once, and a step is three foreign calls.
 """
 
+import contextlib
 import ctypes
 import itertools
 import platform
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
@@ -155,7 +157,8 @@ class FmuInstance:
 
 def _end(slave: FMU2Slave) -> None:
     """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then."""
-    slave.terminate()
+    with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
+        slave.terminate()
     slave.fmi2FreeInstance(slave.component)
 
 

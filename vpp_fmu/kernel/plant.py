@@ -1,6 +1,7 @@
 """The plant: from commanded speed and pitch to measured thrust, as a chain of effects in their physical order."""
 
 from collections.abc import Iterable
+from functools import cache
 
 from vpp_fmu.kernel.effects import (
     actuator,
@@ -139,7 +140,13 @@ BASE = Model(
 
 def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY) -> Model:
     """The Wiener plant with the named effects on. KeyError names an effect that the library doesn't have."""
-    names, library = tuple(effects), tuple(library)
-    for unknown in set(names) - {e.name for e in library if e.off is not None}:
+    names, library = frozenset(effects), tuple(library)
+    for unknown in names - {e.name for e in library if e.off is not None}:
         raise KeyError(unknown)
-    return compose(BASE, library, names)
+    return _own(names) if library is LIBRARY else compose(BASE, library, names)
+
+
+@cache
+def _own(names: frozenset[str]) -> Model:
+    """One model for one set of names: what was derived from it need not be derived again."""
+    return compose(BASE, LIBRARY, names)

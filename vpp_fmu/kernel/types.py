@@ -129,6 +129,11 @@ class Model:
         return tuple((u, e.full(p)) for e in self.effects for u, p in e.delays.items())
 
     @cached_property
+    def memo(self) -> dict:
+        """What tools made of this model, by tool and options: a model never changes, and tracing one costs more than a run."""
+        return {}
+
+    @cached_property
     def measured_inputs(self) -> dict[str, float]:
         """Inputs that effects brought along, with the value they have where nobody measures them."""
         return {u.name: u.start for e in self.effects for u in e.inputs}

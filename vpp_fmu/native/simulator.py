@@ -22,11 +22,10 @@ class Simulator:
         self.model, self.wrt = model, tuple(wrt)
         self._inputs = [s.name for s in model.inputs]
         self.outputs = tuple(s.name for s in model.outputs)
-        try:
-            self._run = _compiled(trace(model, self.wrt))
-        except CompilerMissing as missing:
-            _say_once(str(missing))
-            self._run = _interpreted(trace(model, self.wrt))
+        memo, made = model.memo, ("simulator", self.wrt)
+        if made not in memo:
+            memo[made] = _runner(model, self.wrt)
+        self._run = memo[made]
 
     def simulate(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> np.ndarray:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
@@ -53,6 +52,14 @@ class Simulator:
         tangents = np.empty((len(columns), len(self.outputs), len(self.wrt)))
         self._run(values, columns, steps, outputs, tangents)
         return outputs, tangents
+
+
+def _runner(model: Model, wrt: tuple[str, ...]):
+    try:
+        return _compiled(trace(model, wrt))
+    except CompilerMissing as missing:
+        _say_once(str(missing))
+        return _interpreted(trace(model, wrt))
 
 
 def _compiled(program: Program):
