@@ -10,6 +10,7 @@ from builders import ALL_ON, PROBES, TWO_DELAYS, random_steps, reference, simula
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator, compiler
 
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
@@ -101,6 +102,7 @@ def test_without_a_compiler_the_numbers_are_the_same_and_it_is_said_once(request
 def own_cache(monkeypatch, tmp_path):
     """A compiler cache that only this test knows."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # a process's own memory must not serve
     compiler.cache_folder.cache_clear()
     yield tmp_path / "cache" / "vpp-fmu"
     compiler.cache_folder.cache_clear()
