@@ -15,6 +15,7 @@ test: .venv/ready
 
 bench: .venv/ready
 	$(BIN)/python -m tests.benchmarks
+	$(BIN)/python -m tests.benchmarks.native
 
 study: .venv/ready
 	$(BIN)/python -m tests.studies identification

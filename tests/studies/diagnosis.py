@@ -8,6 +8,7 @@ small as can just be seen), a pair, none, one that is in no list (outside), or o
 import argparse
 import json
 import time
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.workers import spread
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.types import Effect
 
 from . import scores
 from .cases import KINDS, Case, cases
@@ -64,10 +66,10 @@ def main(arguments: list[str]) -> None:
     run(parser.parse_args(arguments))
 
 
-def outcome(case: Case, log: Path | None = None) -> dict:
+def outcome(case: Case, log: Path | None = None, library: Iterable[Effect] = LIBRARY) -> dict:
     """Build the case, diagnose it, compare with the truth: all that the tables need. `log`: folder of progress.jsonl."""
     measured, rig, sizes = case.build()
-    library = tuple(e for e in LIBRARY if e.name != case.deleted)
+    library = tuple(e for e in library if e.name != case.deleted)
     began = time.perf_counter()
     found = diagnose(measured, library, workers=1, seed=0)
     seconds = time.perf_counter() - began

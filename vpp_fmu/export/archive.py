@@ -17,9 +17,3 @@ def archive(files: Mapping[str, bytes]) -> bytes:
             entry.external_attr = 0o644 << 16
             packed.writestr(entry, files[name])
     return buffer.getvalue()
-
-
-def contents(path) -> dict[str, bytes]:
-    """The files of an archive by name."""
-    with zipfile.ZipFile(path) as packed:
-        return {entry.filename: packed.read(entry) for entry in packed.infolist() if not entry.is_dir()}
