@@ -1,5 +1,6 @@
 """Commands, references and FMU handles that several test files share."""
 
+import atexit
 from collections.abc import Mapping
 
 import fmpy
@@ -125,6 +126,8 @@ class Slave:
         self._callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
         self._callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
         self.fmi.instantiate(callbacks=self._callbacks, loggingOn=True)
+        self.freed = False
+        atexit.register(self._at_end)  # an instance that outlives the interpreter's end takes the process down
         if initialised:
             self.initialise()
 
@@ -152,4 +155,9 @@ class Slave:
 
     def free(self) -> None:
         """Let the instance go."""
+        self.freed = True
         self.fmi.freeInstance()
+
+    def _at_end(self) -> None:
+        if not self.freed:
+            self.fmi.fmi2FreeInstance(self.fmi.component)
