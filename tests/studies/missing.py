@@ -19,11 +19,13 @@ class Hidden:
     """One effect. `draw(rng)`: settings of the physics, or a force from outside `(w_ref, b_ref) -> N` under "extra".
 
     `kernel(settings)`: true values of the project's parameters, by bare name; {}: no one number corresponds.
+    `relatives`: for what is in no list, names in the list of which it is another form; naming one of them is no mistake.
     """
 
     name: str
     draw: Callable[[np.random.Generator], Mapping]
     kernel: Callable[[Mapping], Mapping[str, float]] = lambda s: {}
+    relatives: tuple[str, ...] = ()
 
 
 def size(rng, low, high):
@@ -178,15 +180,22 @@ def _tone(low, high, frequencies):
 
 OUTSIDE = (
     Hidden("voltage_ceiling", lambda g: {"volt_gain": g.uniform(0.95, 1.02), "discharge": size(g, 0.1, 0.25)}),
-    Hidden("stick_slip", _some("friction", 0.02, 0.06)),  # Stribeck friction of the linkage, against the actuator's pull
-    Hidden("blade_torsion", _some("torsion", 0.08, 0.25)),  # thrust turns the blade back
+    # Stribeck friction of the linkage, against the actuator's pull: a dead-zone whose width falls once it moves.
+    Hidden(
+        "stick_slip",
+        _some("friction", 0.02, 0.06),
+        relatives=("pitch_error_deadzone", "pitch_stop_band", "pitch_stop_restart"),
+    ),
+    # Thrust turns the blade back: in rest a bend of the map.
+    Hidden("blade_torsion", _some("torsion", 0.08, 0.25), relatives=("map_terms",)),
     Hidden("warming_actuator", _some("warm", 0.4, 1.2)),  # pitch grows slower within 40 s
     Hidden("servo_steps", _some("pitch_step", 0.05, 0.1)),  # the servo knows whole steps of about 1 deg only
     Hidden("speed_hunting", lambda g: {"hunt_hz": size(g, 1.5, 3.0), "hunt_zeta": size(g, 0.15, 0.4)}),
     Hidden("one_sided_delay", _some("late_up", 0.05, 0.15, signed)),  # only steps up, or only steps down, are late
     Hidden("speed_ramp", _some("ramp", 0.8, 2.0)),  # the speed controller limits acceleration
     Hidden("stall_hysteresis", _some("stall", 0.06, 0.2)),  # thrust falls at high pitch and low speed, and comes back late
-    Hidden("cell_creep", _some("creep", 0.04, 0.12)),  # load cell creeps with the logarithm of time
+    # The load cell creeps with the logarithm of time: several recirculations of the other sign.
+    Hidden("cell_creep", _some("creep", 0.04, 0.12), relatives=("recirculation",)),
     Hidden("gusts", _gusts),
     Hidden("mains_hum", _tone(0.05, 0.15, [50.0, 100.0])),  # locked to the record's start
     Hidden("slow_swell", _tone(0.05, 0.12, [0.3, 0.5, 0.8])),  # ventilation, as above

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.stats import beta
 
 from .detectable import LIMIT
+from .missing import HIDDEN
 
 VERDICTS = ("attributed", "family", "partly", "unexplained", "none")
 NAMED = ("attributed", "family")
@@ -37,8 +38,9 @@ def hit(c: dict) -> bool:
 
 
 def wrong(c: dict) -> bool:
-    """Claims to know, and no true name is in it."""
-    return c["verdict"] in NAMED and not set(c["hidden"]) & named(c)
+    """Claims to know, and no true name is in it, nor a relative of what is in no list."""
+    right = {*c["hidden"], *(r for h in c["hidden"] for r in HIDDEN[h].relatives)}
+    return c["verdict"] in NAMED and not right & named(c)
 
 
 def tables(found: Sequence[dict]) -> str:
@@ -91,6 +93,8 @@ def figures(found: Sequence[dict]) -> list[str]:
     for kind in ("outside", "deleted"):
         shown = [c for c in of[kind] if c["evidence"] >= LIMIT]
         lines.append(share(f"confident wrong name, {kind}", wrong, shown))
+        if kind == "outside":
+            lines.append(share("  any confident name", lambda c: c["verdict"] in NAMED, shown))
     for low, high in ((20.0, 60.0), (60.0, 200.0)):
         near = [c for c in of["faint"] if low <= c["evidence"] < high]
         lines.append(share(f"faint effects of evidence {low:g} to {high:g} named", hit, near))
