@@ -32,22 +32,43 @@ class Candidate:
         """Name, and the form's numbers where there is more than one."""
         return self.name + "".join(f" ({value:g})" for value in self.form.values())
 
-    def grid(self) -> list[dict[str, float]]:
-        """Values of the free parameters to look at first: sizes around the probe, of both signs where both are allowed."""
-        axes = []
-        for p in self.effect.parameters:
-            if p.choices:
-                continue
-            probe = self.effect.probe.get(p.name)
-            if probe is None:
-                axes.append([p.default])
-                continue
-            signs = (1.0, -1.0) if p.minimum < 0.0 < p.maximum and p.name in self.effect.off else (1.0,)
-            multiples = SIZES if p.name in self.effect.off else SHAPES
-            values = [s * m * probe for s in signs for m in multiples]
-            inside = [v for v in values if p.minimum < v < p.maximum]
-            axes.append(inside or [probe])
-        return [dict(zip(self.free, point, strict=True)) for point in product(*axes)]
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Free parameters that switch the effect off, full names."""
+        own = {self.effect.full(n) for n in self.effect.off}
+        return tuple(n for n in self.free if n in own)
+
+    @property
+    def off(self) -> dict[str, float]:
+        """Sizes at which the effect is not there, by full name."""
+        return {self.effect.full(n): v for n, v in self.effect.off.items()}
+
+    @property
+    def probe(self) -> dict[str, float]:
+        """Plausible sizes, by full name."""
+        plausible = {self.effect.full(n): v for n, v in self.effect.probe.items()}
+        return {n: plausible.get(n, self.off[n]) for n in self.sizes}
+
+    def within(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values of free parameters, by full name, held within their bounds."""
+        bounds = {self.effect.full(p.name): (p.minimum, p.maximum) for p in self.effect.parameters}
+        return {n: min(max(v, bounds[n][0]), bounds[n][1]) for n, v in values.items()}
+
+    def shapes(self) -> list[dict[str, float]]:
+        """Points to look at first of what is no size: time constants, frequencies, all of them combined."""
+        axes = [[(n, v) for v in self.axis(n)] for n in self.free if n not in self.sizes]
+        return [dict(point) for point in product(*axes)]
+
+    def axis(self, name: str) -> list[float]:
+        """Values of a free parameter to look at first, around the probe; a size's of both signs where both are allowed."""
+        p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
+        size = p.name in self.effect.off
+        probe = self.effect.probe.get(p.name)
+        if probe is None:
+            return [p.default]
+        signs = (1.0, -1.0) if p.minimum < 0.0 < p.maximum and size else (1.0,)
+        inside = [v for s in signs for m in (SIZES if size else SHAPES) if p.minimum < (v := s * m * probe) < p.maximum]
+        return inside or [probe]
 
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:

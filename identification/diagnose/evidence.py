@@ -107,6 +107,14 @@ class Evidence:
             found["omega"] = np.concatenate(omega)
         return found
 
+    def columns(self, tangents: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        """Each channel's sensitivities (n, k), unscaled, from those of the outputs (rows, 3, k) of each experiment."""
+        found = {"thrust": np.vstack([e.thrust_columns(d[:, 0]) for e, d in zip(self.experiments, tangents, strict=True)])}
+        omega = [e.omega_columns(d[:, 1]) for e, d in zip(self.experiments, tangents, strict=True) if e.tachometers]
+        if omega:
+            found["omega"] = np.vstack(omega)
+        return found
+
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residual, the prior's rows last, and Jacobian in coordinates."""
         if self._simulator is None:
@@ -114,10 +122,7 @@ class Evidence:
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
         runs = [self._simulator.sensitivities(found, e.record.columns, e.record.steps) for e in self.experiments]
         residuals = self.residuals([outputs for outputs, _ in runs])
-        columns = {"thrust": np.vstack([e.thrust_columns(d[:, 0]) for e, (_, d) in zip(self.experiments, runs, strict=True)])}
-        if "omega" in residuals:
-            parts = [e.omega_columns(d[:, 1]) for e, (_, d) in zip(self.experiments, runs, strict=True) if e.tachometers]
-            columns["omega"] = np.vstack(parts)
+        columns = self.columns([tangents for _, tangents in runs])
         residual = np.concatenate([r / self.scale[c] for c, r in residuals.items()])
         jacobian = np.vstack([j @ inner / self.scale[c] for c, j in columns.items()])
         if self.prior is None:

@@ -13,7 +13,7 @@ class Linearised:
     """The solution of a fit; `residual` (rows,) is what its parameters can't follow, in scaled units, data rows only."""
 
     def __init__(self, evidence: Evidence, solution: Solution, values: Mapping[str, float]):
-        self._evidence, self._values = evidence, dict(values)
+        self._evidence, self._solution, self._values = evidence, solution, dict(values)
         size = evidence.size
         self._columns = solution.jacobian[:size]
         # pinv: at a double pole, or at a bound, columns may coincide or vanish.
@@ -24,12 +24,24 @@ class Linearised:
         """What of `rows` the fitted parameters can't follow."""
         return rows - self._columns @ (self._inverse @ (self._columns.T @ rows))
 
+    def followed(self, rows: np.ndarray) -> dict[str, float]:
+        """Values of the fitted parameters once they have followed residual `rows` as far as they can."""
+        coordinates, x = self._evidence.coordinates, self._solution.value
+        x = x - self._inverse @ (self._columns.T @ rows)
+        return coordinates.values(np.clip(x, coordinates.lower, coordinates.upper))
+
     def rows(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
         """Scaled residual (rows,) of a simulator's model with `changes` to the fitted values."""
         values = {**self._values, **changes}
         evidence = self._evidence
         outputs = [simulator.simulate(values, e.record.columns, e.record.steps) for e in evidence.experiments]
         return np.concatenate([r / evidence.scale[c] for c, r in evidence.residuals(outputs).items()])
+
+    def columns(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
+        """Sensitivities (rows, wrt) of the scaled residual in the parameters that a simulator has tangents for."""
+        values, evidence = {**self._values, **changes}, self._evidence
+        tangents = [simulator.sensitivities(values, e.record.columns, e.record.steps)[1] for e in evidence.experiments]
+        return np.vstack([c / evidence.scale[k] for k, c in evidence.columns(tangents).items()])
 
     def cost(self, simulator: Simulator, changes: Mapping[str, float]) -> float:
         """Half sum of squares with `changes`, the fitted parameters following as far as they can."""

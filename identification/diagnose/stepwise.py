@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.judge import ENOUGH_BIC, Judgement, judge, seen
-from identification.diagnose.search import Fit, Look, Searcher
+from identification.diagnose.look import Look
+from identification.diagnose.search import Fit, Searcher
 
 MOST = 3
 """Effects that one diagnosis may name; with more, the data of one campaign cannot tell sets apart."""
@@ -15,8 +16,11 @@ MOST = 3
 REFITTED = 8
 """Candidates of a round that are refitted in full; the look before ranks the right one among the first few."""
 
+REORDERED = 3
+"""Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
+
 CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
-"""The channel between whose lags an effect may stand, by the first word of its name."""
+"""The channel between whose lags an effect may stand, by the words of its name."""
 
 
 @dataclass(frozen=True)
@@ -97,25 +101,34 @@ def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> 
     look = Look(fit, searcher.library)
     looks = list(pool.map(look.at, fresh))
     ranked = sorted(zip(fresh, looks, strict=True), key=lambda pair: -pair[1][0])
-    refits = list(pool.map(lambda pair: _refit(searcher, fit, *pair), ranked[:REFITTED]))
-    tried = [
-        Tried(c, fit.effects, fall, new, fit.bic() - new.bic())
-        for (c, (fall, _)), new in zip(ranked[:REFITTED], refits, strict=True)
-    ]
+    first = ranked[:REFITTED]
+    refits = list(pool.map(lambda pair: _refit(searcher, fit, *pair), first))
+    best = sorted(range(len(first)), key=lambda k: refits[k].bic())[:REORDERED]
+    for k, better in zip(best, pool.map(lambda k: _improved(searcher, fit, first[k][0], refits[k]), best), strict=True):
+        refits[k] = better
+    tried = [Tried(c, fit.effects, fall, new, fit.bic() - new.bic()) for (c, (fall, _)), new in zip(first, refits, strict=True)]
     return tried + [Tried(c, fit.effects, fall) for c, (fall, _) in ranked[REFITTED:]]
 
 
 def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, looked: tuple[float, Mapping[str, float]]) -> Fit:
-    """The candidate beside what is there already, in both orders of its channel's lags; the better one."""
-    _, at = looked
+    """The candidate beside what is there already."""
+    # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
+    return _with(searcher, fit, candidate, {**fit.values, **looked[1]}, fit.slow_first, thorough=not fit.thresholds)
+
+
+def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
+    """The candidate's refit, or a better one with a channel's lags in the other order."""
+    channels = {CHANNEL[word] for word in candidate.name.split("_") if word in CHANNEL}
+    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in sorted(channels)]
+    if candidate.effect.delays:  # they act before both lags
+        orders = []
+    starts = [*orders, refit.slow_first] if refit.thresholds else orders
+    return min([refit, *(_with(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+
+
+def _with(searcher, fit, candidate, start, order, thorough=True) -> Fit:
     effects, forms = [*fit.effects, candidate.name], {**fit.forms, **candidate.form}
-    channel = CHANNEL.get(candidate.name.split("_")[0])
-    orders = [dict(fit.slow_first)]
-    if channel is not None and not candidate.effect.delays:
-        orders.append({**fit.slow_first, channel: not fit.slow_first.get(channel, True)})
-    start = {**fit.values, **at}
-    fits = [searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order) for order in orders]
-    return min(fits, key=Fit.bic)
+    return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough)
 
 
 def _backward(searcher: Searcher, final: Fit, held) -> tuple[Fit, dict[str, Judgement], dict[str, Judgement]]:

@@ -130,7 +130,7 @@ LISTED = (
     Hidden("speed_saturation", _some("speed_max_w", 0.8, 0.95), _same("speed_max_w", "maximum", RPM)),
     Hidden("supply_sag", _sag, _sag_parameters),
     Hidden("supply_voltage", _voltage, _same("volt_share", "share")),
-    Hidden("pitch_speed_coupling", _some("coupling", 0.01, 0.1), _same("coupling", "gain", RPM / DEG)),
+    Hidden("pitch_speed_coupling", _either_lag("coupling_stiff", "coupling", 0.01, 0.1), _same("coupling", "gain", RPM / DEG)),
     Hidden("thrust_gain_drift", _fade),
     Hidden(
         "inflow_lag",

@@ -104,7 +104,7 @@ static double rotor(const struct rig *r, struct state *s, const double *command,
     dip = (b - s->trail) / r->tau_w1;
     s->trail += STEP * dip;
     s->push += STEP * (dip - s->push) / r->tau_w2;
-    return s->w - r->coupling * s->push;
+    return s->w - r->coupling * (r->coupling_stiff > 0.5 ? dip : s->push);
 }
 
 static double thrust(const struct rig *r, struct state *s, double w, double b, double rate, double t) {

@@ -1,9 +1,11 @@
 """Moving the blades disturbs the rotor speed until the speed loop has caught it (paper, eqs. 9-12: K_beta).
 
-    d_omega = -gain s / ((tau_omega_1 s + 1)(tau_omega_2 s + 1)) beta
+    form 1: d_omega = -gain s / ((tau_omega_1 s + 1)(tau_omega_2 s + 1)) beta      the loop's two lags
+    form 2: d_omega = -gain s / (tau_omega_1 s + 1) beta                           one lag
 
 Pitch loads the rotor; the loop's integrator takes a constant load up, so only the rate of pitch shows. With the paper's
-symbols gain = K_beta / K_I. Pitch runs nearly straight over a step, and its two lags here are exact for that.
+symbols gain = K_beta / K_I in form 1, the whole loop's; a loop whose gain is far above its integral leaves one lag. Pitch
+runs nearly straight over a step, and the lags here are exact for that.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State
@@ -14,7 +16,8 @@ def _step(ops, s, x, p, dt):
     rate_before = (x.beta_before - x.trail) / s.tau_omega_1
     rate_after = (s.beta - trail) / s.tau_omega_1
     rate = ops.lag_ramp(x.rate, rate_before, rate_after, s.tau_omega_2, dt)
-    return {"omega": s.omega - p.gain * rate}, {"beta_before": s.beta, "trail": trail, "rate": rate}
+    shown = ops.where(p.form < 1.5, rate, rate_after)
+    return {"omega": s.omega - p.gain * shown}, {"beta_before": s.beta, "trail": trail, "rate": rate}
 
 
 def _at_pitch(ops, s, p):
@@ -25,7 +28,10 @@ EFFECT = Effect(
     "pitch_speed_coupling",
     "rotor speed dips while the pitch rises",
     _step,
-    parameters=(Parameter("gain", "rpm.s/deg", 0.0, -120.0, 120.0, "speed lost per rate of pitch", 20.0),),
+    parameters=(
+        Parameter("gain", "rpm.s/deg", 0.0, -120.0, 120.0, "speed lost per rate of pitch", 20.0),
+        Parameter("form", "1", 1.0, 1.0, 2.0, "1 through both lags of the speed loop, 2 through one", choices=(1.0, 2.0)),
+    ),
     states=(
         State("beta_before", "deg", "blade pitch at the start of the step", _at_pitch),
         State("trail", "deg", "blade pitch after the speed loop's outer lag", _at_pitch),

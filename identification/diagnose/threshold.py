@@ -1,0 +1,67 @@
+"""Parameters in which the response is piecewise constant: the dead band that decides which commands count.
+
+They have no tangent; they are scanned, the smooth parameters linearised within a grid and refitted after it.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identification.diagnose.evidence import Evidence
+from identification.diagnose.linearised import Linearised
+from identification.least_squares import Solution
+from vpp_fmu.native import Simulator
+
+CHI2_95 = 3.841458820694124
+
+WHOLE = (None, None, 1.1, 1.02)
+"""Grids of a scan: None for the whole range, else the ratio to the value so far. The whole range twice, since the first grid
+stands on a base that the missing effect has bent."""
+
+NEAR = (1.3, 1.05)
+
+COARSE, FINE = 9, 48
+"""Points over the whole range: to see whether anything changes, and to find where it is best."""
+
+
+def piecewise_constant(evidence: Evidence, values: Mapping[str, float], name: str) -> bool:
+    """Whether the response changes with a free parameter of `evidence` and yet has no tangent in it, wherever it stands.
+
+    A limit that nothing runs into has no tangent either, but gets one as soon as something does.
+    """
+    column, simulator = evidence.coordinates.names.index(name), Simulator(evidence.model)
+    scores = set()
+    for value in _grid(evidence, name, COARSE).tolist():
+        there = {**values, name: value}
+        if np.any(evidence.evaluate(evidence.coordinates.vector(there))[1][:, column]):
+            return False
+        scores.add(tuple(evidence.score(there, simulator).squares.values()))
+    return len(scores) > 1
+
+
+def _grid(evidence: Evidence, name: str, count: int) -> np.ndarray:
+    low, high = {p.name: (p.minimum, p.maximum) for p in evidence.model.parameters}[name]
+    return np.linspace(low, high, count) if low < 0.0 else np.geomspace(max(low, high / 200), high, count)
+
+
+def scan(
+    evidence: Evidence, solution: Solution, name: str, grids: tuple[float | None, ...] = WHOLE
+) -> tuple[Solution, tuple[float, float]]:
+    """Close in on the threshold `name`: (solution at its best value, which `evidence` then holds; 95 % interval).
+
+    The interval is of the value itself: between the commands that bound it nothing can tell where it lies.
+    """
+    simulator, near = Simulator(evidence.model), ()
+    for spread in grids:
+        about = Linearised(evidence, solution, evidence.values | evidence.coordinates.values(solution.value))
+        whole = _grid(evidence, name, FINE)
+        ends = evidence.values[name] / (spread or 1.0), min(whole[-1], evidence.values[name] * (spread or 1.0))
+        grid = (whole if spread is None else np.geomspace(*ends, 25)).tolist()
+        costs = [about.cost(simulator, {name: value}) for value in grid]
+        lowest = min(costs)
+        # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
+        flat = [v for v, cost in zip(grid, costs, strict=True) if cost <= lowest * (1 + 1e-9)]
+        near = [v for v, cost in zip(grid, costs, strict=True) if cost <= lowest + 0.5 * CHI2_95]
+        evidence.values[name] = 0.5 * (flat[0] + flat[-1])
+        solution = evidence.refit(solution.value)
+    return solution, (near[0], near[-1])
