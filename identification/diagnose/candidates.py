@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 
+import numpy as np
+
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
 
@@ -69,6 +71,11 @@ class Candidate:
         signs = (1.0, -1.0) if p.minimum < 0.0 < p.maximum and size else (1.0,)
         inside = [v for s in signs for m in (SIZES if size else SHAPES) if p.minimum < (v := s * m * probe) < p.maximum]
         return inside or [probe]
+
+    def fine_axis(self, name: str, count: int = 32) -> list[float]:
+        """Values of a size all over its range, for a search that must meet the right one."""
+        p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
+        return np.geomspace(max(p.minimum, p.maximum / 100.0), p.maximum, count).tolist()
 
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:

@@ -16,7 +16,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.stepwise import Selection, select
-from identification.diagnose.verdict import Left, Remainder, rivals, verdict
+from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
 from identification.identify import Identification, Prediction, identify, predict
 from identification.problem import Prior
 from identification.uncertainty import Uncertainty
@@ -43,7 +43,7 @@ class Diagnosis:
     noise: Noise
     selection: Selection
     verdict: str
-    explained: float | None
+    explained: Explained | None
     left: Left
     before_left: Left
     family: Mapping[str, list[str]]
@@ -62,8 +62,8 @@ class Diagnosis:
 
     @property
     def final(self) -> Fit:
-        """The model with the effects that stand."""
-        return self.selection.final
+        """The model with the effects that stand; what removes too little to be worth a name is not in it."""
+        return self.selection.base if self.verdict == "unexplained" else self.selection.final
 
     def parameters(self, fit: Fit) -> ParameterSet:
         """A fit's parameters as a set that exports."""
@@ -97,18 +97,18 @@ def diagnose(
         noise = _noise(campaign, identified)
         experiments = [Experiment(fitted, noise)]
         unseen = [Experiment([record], noise) for record in held]
-        searcher = Searcher(experiments, names, _knowledge(identified, names), library)
+        searcher = Searcher(experiments, names, _knowledge(identified, names), identified.start, library)
         base = searcher.fit((), {}, (), identified.refinement.values)
         options = candidates(library, (*fitted, *held))
         stage("what can be told apart")
         with ThreadPoolExecutor(workers) as pool:
             apart = distinguishability(base, options, library, pool.map)
         remainder = Remainder(campaign, unseen, noise.floor)
-        selection = select(searcher, base, options, unseen, lambda fit: _anything(remainder, fit), workers, stage)
+        selection = select(searcher, base, options, unseen, lambda fit: remainder.left(fit).anything, workers, stage)
         stage("judge")
         family = rivals(searcher, selection, unseen)
         word, explained, left = verdict(selection, remainder, family)
-        final = selection.final
+        final = selection.base if word == "unexplained" else selection.final
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(
             campaign=campaign,
@@ -158,13 +158,6 @@ def _knowledge(identified: Identification, names) -> Prior | None:
     mean = np.array(list(static.coefficients.values()))[kept]
     chosen = tuple(n for n in static.coefficients if n in names)
     return Prior(chosen, mean, static.covariance[np.ix_(kept, kept)]).loosened(LOOSE) if kept else None
-
-
-def _anything(remainder: Remainder, fit: Fit) -> bool:
-    """Something to explain in thrust, or a speed residual well above what the tachometer's own uncertainty makes."""
-    counts, squares = fit.score.counts, fit.score.squares
-    speed = "omega" in counts and squares["omega"] / counts["omega"] > 1.1
-    return remainder.left(fit).anything or speed
 
 
 def _doubt(fit: Fit) -> dict[str, float | None]:

@@ -49,7 +49,7 @@ def distinguishability(
     base: Fit, options: Sequence[Candidate], library: Iterable[Effect], spread: Callable = map
 ) -> Distinguishability:
     """Traces of all candidates at their probe sizes. `spread` maps a function over candidates, as `map` does."""
-    about, library = Linearised(base.evidence, base.solution, base.values), tuple(library)
+    about, library = Linearised.of(base.evidence, base.solution), tuple(library)
 
     def trace(candidate: Candidate) -> np.ndarray:
         effect = candidate.effect

@@ -8,6 +8,7 @@ vibration repeats too. On a record without a repeat the noise's power is taken o
 import numpy as np
 
 from identification.diagnose.noise import Blocks, blocks
+from identification.tachometer import Tachometer
 from vpp_fmu.record import Record
 
 BAND = 0.05
@@ -15,16 +16,38 @@ BAND = 0.05
 
 
 def shared_power(first: Record, second: Record, predicted: np.ndarray) -> tuple[float, float]:
-    """(mean product [N^2] of two records' residuals below 10 Hz, its standard error), `predicted` thrust (rows,) N.
-
-    The standard error is from batches of 2 s, whose products are nearly independent.
-    """
+    """(mean product [N^2] of two records' residuals below 10 Hz, its standard error), `predicted` thrust (rows,) N."""
     at = blocks(first, BAND)
-    product = (predicted_less(at, predicted, first) * predicted_less(at, predicted, second)).astype(float)
-    size = max(1, round(2.0 / BAND))
+    return mean_and_error(predicted_less(at, predicted, first) * predicted_less(at, predicted, second))
+
+
+def mean_and_error(product: np.ndarray) -> tuple[float, float]:
+    """Mean of (blocks,) and its standard error, from batches of 2 s, which are nearly independent; NaN blocks left out."""
     product = product[np.isfinite(product)]
+    size = min(max(1, round(2.0 / BAND)), len(product) // 2)
     batches = product[: len(product) // size * size].reshape(-1, size).mean(axis=1)
     return float(product.mean()), float(batches.std(ddof=1) / np.sqrt(len(batches)))
+
+
+def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> tuple[float, float]:
+    """(mean product of two records' speed residuals below 10 Hz over the power of their noise, its standard error).
+
+    `predicted` speed (rows,) rpm. Residuals are in units of what the tachometer can tell; where both records show the same
+    to the last digit, that is all the noise there is.
+    """
+    edges = np.arange(0.0, first.time[-1] + BAND, BAND)
+    means = []
+    for record in (first, second):
+        seen = Tachometer(record)
+        residual = (seen.shows(predicted) - seen.measured) / seen.std
+        block = np.digitize(record.time[seen.rows], edges) - 1
+        count = np.bincount(block, minlength=len(edges))
+        with np.errstate(invalid="ignore"):
+            means.append(np.bincount(block, residual, len(edges)) / count)
+    one, other = means
+    noise = 0.5 * float(np.nanmean((one - other) ** 2)) * float(count[count > 0].mean())
+    mean, error = mean_and_error(one * other)
+    return mean / (noise or 1.0), error / (noise or 1.0)
 
 
 def predicted_less(at: Blocks, predicted: np.ndarray, record: Record) -> np.ndarray:
@@ -38,6 +61,6 @@ def noise_power(first: Record, second: Record) -> float:
     return 0.5 * float(np.nanmean(difference**2))
 
 
-def error_power(record: Record, predicted: np.ndarray) -> float:
-    """Power [N^2] below 10 Hz of a prediction's error, noise included."""
-    return float(np.nanmean(predicted_less(blocks(record, BAND), predicted, record) ** 2))
+def error_power(record: Record, predicted: np.ndarray) -> tuple[float, float]:
+    """(power [N^2] below 10 Hz of a prediction's error, noise included; its standard error)."""
+    return mean_and_error(predicted_less(blocks(record, BAND), predicted, record) ** 2)

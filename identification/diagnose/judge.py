@@ -18,12 +18,18 @@ from vpp_fmu.native import Simulator
 ENOUGH_BIC = 10.0
 """Difference of BIC that counts as very strong (Kass and Raftery, 1995)."""
 
+ALIKE = 6.0
+"""Effects whose BIC differs by less fit the data equally well (Kass and Raftery: below 'strong')."""
+
 ENOUGH_HELD_OUT = 3.0
 """Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""
 
-
 SPILL = 0.05
 """Share of a gain in thrust that speed may lose: a thrust that fits weighs more, and the shared constants move towards it."""
+
+
+NUISANCE = {"rotor_vibration": 0.05}
+"""Effects that every rig has a little of, and the share of the noise's power from which one is worth a name."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,18 @@ class Judgement:
     delta_bic: float
     held_out_gain: Mapping[str, float]
     refused: tuple[str, ...]
+
+
+def trifling(fit: Fit) -> bool:
+    """Whether the last effect of a fit is one that every rig has, and too small here to be named."""
+    effect = fit.effects[-1]
+    if effect not in NUISANCE:
+        return False
+    evidence = fit.evidence
+    off = {n: v for e in evidence.model.effects if e.name == effect for n, v in ((e.full(n), v) for n, v in e.off.items())}
+    simulator, record = Simulator(evidence.model), evidence.experiments[0].record
+    shown, quiet = (simulator.simulate({**fit.values, **v}, record.columns, record.steps)[:, 0] for v in ({}, off))
+    return rmse(shown - quiet) ** 2 < NUISANCE[effect] * evidence.experiments[0].noise.floor ** 2
 
 
 def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without: Seen) -> Judgement:

@@ -1,4 +1,4 @@
-"""A fitted model whose smooth parameters may move along their sensitivities: the cheap stand-in for a refit."""
+"""A model whose smooth parameters may move along their sensitivities from where they are: the cheap stand-in for a refit."""
 
 from collections.abc import Mapping
 
@@ -10,15 +10,20 @@ from vpp_fmu.native import Simulator
 
 
 class Linearised:
-    """The solution of a fit; `residual` (rows,) is what its parameters can't follow, in scaled units, data rows only."""
+    """`evidence` about coordinates `x`; `residual` (rows,) is what the parameters can't follow, scaled, data rows only."""
 
-    def __init__(self, evidence: Evidence, solution: Solution, values: Mapping[str, float]):
-        self._evidence, self._solution, self._values = evidence, solution, dict(values)
+    def __init__(self, evidence: Evidence, x: np.ndarray, residual: np.ndarray, jacobian: np.ndarray):
+        self._evidence, self._x, self._values = evidence, x, evidence.values | evidence.coordinates.values(x)
         size = evidence.size
-        self._columns = solution.jacobian[:size]
+        self._columns = jacobian[:size]
         # pinv: at a double pole, or at a bound, columns may coincide or vanish.
         self._inverse = np.linalg.pinv(self._columns.T @ self._columns, rcond=1e-12, hermitian=True)
-        self.residual = self.apart(solution.residual[:size])
+        self.residual = self.apart(residual[:size])
+
+    @classmethod
+    def of(cls, evidence: Evidence, solution: Solution) -> "Linearised":
+        """About a fit's solution."""
+        return cls(evidence, solution.value, solution.residual, solution.jacobian)
 
     def apart(self, rows: np.ndarray) -> np.ndarray:
         """What of `rows` the fitted parameters can't follow."""
@@ -26,8 +31,8 @@ class Linearised:
 
     def followed(self, rows: np.ndarray) -> dict[str, float]:
         """Values of the fitted parameters once they have followed residual `rows` as far as they can."""
-        coordinates, x = self._evidence.coordinates, self._solution.value
-        x = x - self._inverse @ (self._columns.T @ rows)
+        coordinates = self._evidence.coordinates
+        x = self._x - self._inverse @ (self._columns.T @ rows)
         return coordinates.values(np.clip(x, coordinates.lower, coordinates.upper))
 
     def rows(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:

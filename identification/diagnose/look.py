@@ -1,15 +1,20 @@
-"""A cheap look from a fitted model at what each candidate could explain, to choose which are worth a full refit.
+"""A cheap look at what each candidate could explain beside a fitted model, to choose which are worth a full refit.
 
 The fitted parameters may move along their sensitivities. Where an effect's trace is proportional to its sizes, one run with
 tangents tells the best ones; elsewhere a grid of sizes is tried, all combinations of two, or one after the other of more.
+
+A large missing effect bends the fit so far that nothing can be seen from there. Then the same look is taken from a second
+place too: the start of the fit, where the static map and the steps had put the parameters, in both orders of the pitch lags.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from identification.diagnose.candidates import Candidate
+from identification.diagnose.evidence import Evidence
 from identification.diagnose.linearised import Linearised
 from identification.diagnose.search import Fit
 from vpp_fmu.kernel.plant import plant
@@ -22,18 +27,50 @@ STRETCH = (0.7, 1.4)
 PROPORTIONAL = 0.03
 """Share of an effect's trace by which it may depart from its tangent and still pass for proportional."""
 
+BENT = 1.5
+"""Mean square of the whitened thrust residual from which a fit counts as bent by what is missing."""
 
-class Look:
-    """The look from one fit."""
 
-    def __init__(self, base: Fit, library: Iterable[Effect]):
-        self._base, self._library = base, tuple(library)
-        self._about = Linearised(base.evidence, base.solution, base.values)
+@dataclass(frozen=True)
+class Seen:
+    """What a candidate promises: fall of the half sum of squares, and where: `values` of all that is free, `slow_first`."""
+
+    fall: float
+    values: Mapping[str, float]
+    slow_first: Mapping[str, bool]
+
+
+class Looks:
+    """The looks beside one fit. `start`: where the parameters stood before any fit."""
+
+    def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect]):
+        library, evidence = tuple(library), fit.evidence
+        about = Linearised.of(evidence, fit.solution)
+        cost = 0.5 * float(about.residual @ about.residual)
+        self._looks = [(_Look(about, cost, fit.effects, library), fit.slow_first)]
+        if fit.score.squares["thrust"] / fit.score.counts["thrust"] > BENT:
+            for order in (True, False):
+                slow_first = {**fit.slow_first, "beta": order}
+                there = Evidence(evidence.model, evidence.experiments, fit.values, evidence.coordinates.names, None, slow_first)
+                there.scale = evidence.scale
+                x = there.coordinates.vector({**fit.values, **start})
+                self._looks.append((_Look(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first))
+
+    def at(self, candidate: Candidate) -> Seen:
+        """The best of the looks at a candidate."""
+        found = [Seen(*look.at(candidate), order) for look, order in self._looks]
+        return max(found, key=lambda seen: seen.fall)
+
+
+class _Look:
+    """The look from one place. `cost`: half sum of squares of the fit that is to be improved on."""
+
+    def __init__(self, about: Linearised, cost: float, effects: Iterable[str], library: tuple[Effect, ...]):
+        self._about, self._cost, self._effects, self._library = about, cost, tuple(effects), library
 
     def at(self, candidate: Candidate) -> tuple[float, dict[str, float]]:
-        """Fall of the half sum of squares at the best point found, and where: the candidate's free parameters, and the fitted
-        ones once they have followed."""
-        model = plant([*self._base.effects, candidate.name], self._library)
+        """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed."""
+        model = plant([*self._effects, candidate.name], self._library)
         trace = _Trace(self._about, Simulator(model), Simulator(model, candidate.sizes), candidate)
         found = [self._proportional(trace, shape) or self._grid(trace, shape) for shape in candidate.shapes()]
         fall, point = max(found, key=lambda pair: pair[0])
@@ -41,39 +78,40 @@ class Look:
 
     def _proportional(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]] | None:
         """The best sizes of a trace that goes with them; None where it does not."""
-        columns, probe = trace.tangents(shape), trace.candidate.probe
-        shown = trace.at(shape | probe)
-        off = trace.candidate.off
-        straight = columns @ np.array([probe[n] - off[n] for n in trace.candidate.sizes])
+        candidate, columns = trace.candidate, trace.tangents(shape | trace.candidate.off)
+        shown, off = trace.at(shape | candidate.probe), candidate.off
+        straight = columns @ np.array([candidate.probe[n] - off[n] for n in candidate.sizes])
         if not np.any(shown) or np.linalg.norm(shown - straight) > PROPORTIONAL * np.linalg.norm(shown):
             return None
         free, *_ = np.linalg.lstsq(columns, -self._about.residual, rcond=1e-9)
-        sizes = trace.candidate.within({n: off[n] + v for n, v in zip(trace.candidate.sizes, free, strict=True)})
-        left = self._about.residual + columns @ np.array([sizes[n] - off[n] for n in trace.candidate.sizes])
-        fall = 0.5 * float(self._about.residual @ self._about.residual - left @ left)
-        return max(fall, 0.0), shape | sizes
+        sizes = candidate.within({n: off[n] + v for n, v in zip(candidate.sizes, free, strict=True)})
+        return self._fall(columns @ np.array([sizes[n] - off[n] for n in candidate.sizes])), shape | sizes
 
     def _grid(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
-        axes = {n: trace.candidate.axis(n) for n in trace.candidate.sizes}
+        candidate = trace.candidate
+        axes = {n: candidate.axis(n) for n in candidate.sizes}
+        if len(axes) == 1 and not np.any(trace.tangents(shape | candidate.probe)):  # a threshold: what counts is where it is
+            axes = {n: candidate.fine_axis(n) for n in axes}
         if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
-            return max((self._fall(trace, shape | point) for point in points), key=lambda pair: pair[0])
-        best = 0.0, shape | trace.candidate.off
+            return max((self._best(trace, shape | point) for point in points), key=lambda pair: pair[0])
+        best = -np.inf, shape | candidate.off
         for _ in range(2):
             for name, values in axes.items():
-                tries = [self._fall(trace, best[1] | {name: v}) for v in values]
-                best = max([best, *tries], key=lambda pair: pair[0])
-        return best if best[0] > 0.0 else (0.0, shape | trace.candidate.probe)
+                best = max([best, *(self._best(trace, best[1] | {name: v}) for v in values)], key=lambda pair: pair[0])
+        return best
 
-    def _fall(self, trace: "_Trace", point) -> tuple[float, dict[str, float]]:
+    def _best(self, trace: "_Trace", point) -> tuple[float, dict[str, float]]:
+        """The fall at a point, its sizes stretched a little where that helps."""
         shown = trace.at(point)
         power = float(shown @ shown)
-        if power == 0.0:
-            return 0.0, point
-        shared = -float(self._about.residual @ shown)
-        stretch = float(np.clip(shared / power, *STRETCH))
+        stretch = float(np.clip(-float(self._about.residual @ shown) / power, *STRETCH)) if power else 1.0
         sizes = trace.candidate.within({n: point[n] * stretch for n, v in trace.candidate.off.items() if v == 0.0})
-        return stretch * shared - 0.5 * stretch**2 * power, point | sizes
+        return self._fall(stretch * shown), point | sizes
+
+    def _fall(self, shown: np.ndarray) -> float:
+        left = self._about.residual + shown
+        return self._cost - 0.5 * float(left @ left)
 
 
 class _Trace:
@@ -91,6 +129,6 @@ class _Trace:
         """Where the fitted parameters go with the candidate at `point`."""
         return self._about.followed(self._about.rows(self._simulator, {**self.candidate.form, **point}))
 
-    def tangents(self, shape) -> np.ndarray:
-        """(rows, sizes) at the point where the effect is off."""
-        return self._about.apart(self._about.columns(self._tangents, {**self.candidate.form, **shape, **self.candidate.off}))
+    def tangents(self, point) -> np.ndarray:
+        """(rows, sizes)"""
+        return self._about.apart(self._about.columns(self._tangents, {**self.candidate.form, **point}))

@@ -46,7 +46,13 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
     figures.append(("thrust error, unseen data", f"{before:.3f} → {after:.3f} N", f"noise {found.noise.floor:.3f} N"))
     if found.explained is not None:
-        figures.append(("of the explainable error", f"{100 * found.explained:.0f} %", "removed on unseen data"))
+        figures.append(
+            (
+                "of the explainable error",
+                f"{100 * found.explained.share:.0f} %",
+                f"removed on unseen data, ± {200 * found.explained.error:.0f} %",
+            )
+        )
     return figures
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnose.evidence import Evidence, Score
+from identification.diagnose.evidence import Evidence, Experiment, Score
 from identification.diagnose.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.least_squares import Solution
 from identification.problem import Prior
@@ -23,7 +23,7 @@ class Fit:
     """A fitted model: effects, forms and values, its solution and its score on the records it was fitted to.
 
     `thresholds`: parameters with a piecewise constant cost, found by scanning, with the interval in which the cost stays
-    within the 95 % level.
+    within the 95 % level. `idle`: some of the effects' parameters said nothing, so that a simpler effect would do the same.
     """
 
     effects: tuple[str, ...]
@@ -35,6 +35,7 @@ class Fit:
     solution: Solution
     score: Score
     thresholds: Mapping[str, tuple[float, float]]
+    idle: bool
 
     @property
     def at_bound(self) -> tuple[str, ...]:
@@ -51,10 +52,19 @@ class Fit:
 
 
 class Searcher:
-    """Fits on given experiments with given knowledge; `names` are the base parameters that the data can tell."""
+    """Fits on given experiments with given knowledge; `names` are the base parameters that the data can tell, `start` where
+    they stood before any fit."""
 
-    def __init__(self, experiments, names: Sequence[str], prior: Prior | None, library: Iterable[Effect]):
+    def __init__(
+        self,
+        experiments: Sequence[Experiment],
+        names: Sequence[str],
+        prior: Prior | None,
+        start: Mapping[str, float],
+        library: Iterable[Effect],
+    ):
         self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
+        self.start = {n: start[n] for n in names}
 
     def fit(
         self,
@@ -79,7 +89,8 @@ class Searcher:
         found = evidence.values | evidence.coordinates.values(solution.value)
         score = evidence.score(found, Simulator(model))
         told = tuple(n for n in free if n in smooth or n in stuck)
-        return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals)
+        idle = len(told) < len(free)
+        return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, idle)
 
     def _kinds(self, model, values, free, slow_first) -> tuple[list[str], list[str]]:
         """Free parameters (with a tangent, in which the response is piecewise constant); any other is idle here, and stays."""

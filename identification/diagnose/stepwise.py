@@ -1,13 +1,13 @@
 """Which effects are missing: add the best, refit all, repeat; then every effect must stand in the presence of the others."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ENOUGH_BIC, Judgement, judge, seen
-from identification.diagnose.look import Look
+from identification.diagnose.judge import ALIKE, ENOUGH_BIC, Judgement, judge, seen, trifling
+from identification.diagnose.look import Looks, Seen
 from identification.diagnose.search import Fit, Searcher
 
 MOST = 3
@@ -81,39 +81,43 @@ def _key(fit: Fit) -> tuple:
 
 
 def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
-    """Fits along the way, the base first."""
+    """Fits along the way, the base first.
+
+    The base is always tried: the gates are stricter than any look at its residual, and see what is below its noise.
+    """
     path = [base]
-    while len(path) <= MOST and left(path[-1]):
+    while len(path) == 1 or (len(path) <= MOST and left(path[-1])):
         key = _key(path[-1])
         if key not in known:
             stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
             known[key] = _round(searcher, path[-1], options, pool)
-        fitted = [t for t in known[key] if t.fit is not None and t.candidate in options]
-        best = max(fitted, key=lambda t: t.delta_bic, default=None)
-        if best is None or best.delta_bic <= ENOUGH_BIC:
+        fitted = [t for t in known[key] if t.fit is not None and t.candidate in options and t.delta_bic > ENOUGH_BIC]
+        fitted = [t for t in fitted if not trifling(t.fit)]
+        if not fitted:
             break
+        top = max(t.delta_bic for t in fitted)
+        best = max((t for t in fitted if t.delta_bic > top - ALIKE), key=lambda t: (not t.fit.idle, t.delta_bic))
         path.append(best.fit)
     return path
 
 
 def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
     fresh = [c for c in options if c.name not in fit.effects]
-    look = Look(fit, searcher.library)
-    looks = list(pool.map(look.at, fresh))
-    ranked = sorted(zip(fresh, looks, strict=True), key=lambda pair: -pair[1][0])
+    looks = Looks(fit, searcher.start, searcher.library)
+    ranked = sorted(zip(fresh, pool.map(looks.at, fresh), strict=True), key=lambda pair: -pair[1].fall)
     first = ranked[:REFITTED]
     refits = list(pool.map(lambda pair: _refit(searcher, fit, *pair), first))
     best = sorted(range(len(first)), key=lambda k: refits[k].bic())[:REORDERED]
     for k, better in zip(best, pool.map(lambda k: _improved(searcher, fit, first[k][0], refits[k]), best), strict=True):
         refits[k] = better
-    tried = [Tried(c, fit.effects, fall, new, fit.bic() - new.bic()) for (c, (fall, _)), new in zip(first, refits, strict=True)]
-    return tried + [Tried(c, fit.effects, fall) for c, (fall, _) in ranked[REFITTED:]]
+    tried = [Tried(c, fit.effects, at.fall, new, fit.bic() - new.bic()) for (c, at), new in zip(first, refits, strict=True)]
+    return tried + [Tried(c, fit.effects, at.fall) for c, at in ranked[REFITTED:]]
 
 
-def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, looked: tuple[float, Mapping[str, float]]) -> Fit:
+def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
     """The candidate beside what is there already."""
     # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
-    return _with(searcher, fit, candidate, {**fit.values, **looked[1]}, fit.slow_first, thorough=not fit.thresholds)
+    return _with(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough=not fit.thresholds)
 
 
 def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:

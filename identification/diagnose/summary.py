@@ -16,13 +16,14 @@ def summary(found: Diagnosis) -> dict:
         "after": _errors(found, found.final),
         "noise_floor_thrust": found.noise.floor,
         "noise_floor_verified": found.noise.verified,
-        "explained_fraction": found.explained,
+        "explained_fraction": found.explained and found.explained.share,
+        "explained_fraction_std": found.explained and found.explained.error,
         "repeatable_error_over_noise_power": {"before": found.before_left.share, "after": found.left.share},
         "base_parameters": _shift(found),
         "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
         "cannot_be_seen": found.apart.invisible(),
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],
-        "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
+        "unexplained": {"share_left": found.explained and 1.0 - found.explained.share, **found.location},
     }
 
 
@@ -34,7 +35,7 @@ def _effect(found: Diagnosis, name: str) -> dict:
     evidence = {
         "delta_bic": judged.delta_bic,
         "held_out_gain": dict(judged.held_out_gain),
-        "explained_fraction": found.explained,
+        "explained_fraction": found.explained and found.explained.share,
     }
     intervals = {n.partition(".")[2]: list(i) for n, i in found.final.thresholds.items() if n.startswith(f"{name}.")}
     return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence}
@@ -63,6 +64,8 @@ def _tried(found: Diagnosis, tried: Tried) -> dict:
     refused = found.selection.refused.get(name)
     if name in found.final.effects:
         return entry | {"why_not": None}
+    if name in found.selection.final.effects:
+        return entry | {"why_not": f"removes only {100 * found.explained.share:.0f} % of the explainable error on unseen data"}
     if refused is not None:
         return entry | {"why_not": "; ".join(refused.refused)}
     return entry | {"why_not": "another candidate explains more"}

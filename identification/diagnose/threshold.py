@@ -53,7 +53,7 @@ def scan(
     """
     simulator, near = Simulator(evidence.model), ()
     for spread in grids:
-        about = Linearised(evidence, solution, evidence.values | evidence.coordinates.values(solution.value))
+        about = Linearised.of(evidence, solution)
         whole = _grid(evidence, name, FINE)
         ends = evidence.values[name] / (spread or 1.0), min(whole[-1], evidence.values[name] * (spread or 1.0))
         grid = (whole if spread is None else np.geomspace(*ends, 25)).tolist()

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.explainable import error_power, noise_power, shared_power
-from identification.diagnose.judge import judge, seen
+from identification.diagnose.explainable import error_power, noise_power, shared_power, shared_speed
+from identification.diagnose.judge import ALIKE, judge, seen
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.stepwise import Selection, without
 from vpp_fmu.campaign import Campaign
@@ -16,27 +16,41 @@ from vpp_fmu.native import Simulator
 NOTHING = 0.02
 """Share of the noise's power below which repeatable error is not worth a name."""
 
+NOTHING_IN_SPEED = 0.1
+"""The same for speed: how a tachometer holds and rounds repeats, and no model of it is exact."""
+
 ATTRIBUTED = 0.9
 """Share of the explainable error that a named set must remove on unseen data; a surrogate removes a fifth to a half."""
 
-NEARLY = 0.8
-"""The same where the fitted records hold nothing more: the noise of unseen data blurs the share of a small error."""
+DOUBT = 0.3
+"""How far below that the share of a small error may lie in the noise of unseen data, within two standard errors, where the
+fitted records hold nothing more."""
 
-ALIKE = 6.0
-"""Effects whose BIC differs by less fit the data equally well (Kass and Raftery: below 'strong')."""
+PARTLY = 0.5
+"""Share from which a set that is not the whole is worth a name and a place in the model."""
 
 
 @dataclass(frozen=True)
 class Left:
-    """Repeatable thrust error of a fit below 10 Hz, as a share of the noise's power, with its standard error."""
+    """Repeatable error of a fit below 10 Hz, as a share of the noise's power, with its standard error; thrust and speed."""
 
     share: float
     error: float
+    speed: float = 0.0
+    speed_error: float = 0.0
 
     @property
     def anything(self) -> bool:
         """Whether there is something to explain."""
-        return self.share > max(NOTHING, 2.0 * self.error)
+        return self.share > max(NOTHING, 2.0 * self.error) or self.speed > max(NOTHING_IN_SPEED, 2.0 * self.speed_error)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Share of the explainable thrust error on unseen data that a set removes, with its standard error."""
+
+    share: float
+    error: float
 
 
 class Remainder:
@@ -47,20 +61,25 @@ class Remainder:
 
     def left(self, fit: Fit) -> Left:
         """Of the fitted records. Without a repeat, what exceeds the noise estimate."""
-        predicted = _thrust(fit, self._record)
-        if self._repeat is not None:
-            power, error = shared_power(self._record, self._repeat, predicted)
-        else:
-            power, error = error_power(self._record, predicted) - self.noise, 0.1 * self.noise
-        return Left(power / self._floor**2, error / self._floor**2)
+        thrust, speed = _predicted(fit, self._record)
+        scale = self._floor**2
+        if self._repeat is None:
+            return Left((error_power(self._record, thrust)[0] - self.noise) / scale, 0.1 * self.noise / scale)
+        power, error = shared_power(self._record, self._repeat, thrust)
+        turning = "omega" in self._record and "omega" in self._repeat
+        return Left(power / scale, error / scale, *(shared_speed(self._record, self._repeat, speed) if turning else ()))
 
-    def explained(self, base: Fit, final: Fit) -> float | None:
-        """Share of the explainable thrust error on unseen data that `final` removes; None where there is none to speak of."""
-        before, after = (sum(error_power(e.record, _thrust(f, e.record)) for e in self._held) for f in (base, final))
-        explainable = before - len(self._held) * self.noise
-        if explainable < 2 * NOTHING * self._floor**2 * len(self._held):
+    def explained(self, base: Fit, final: Fit) -> Explained | None:
+        """What `final` removes of the error of `base`; None where there is none to speak of."""
+        (before, _), (after, error) = (self._unseen(fit) for fit in (base, final))
+        explainable = before - self.noise
+        if explainable < 2 * NOTHING * self._floor**2:
             return None
-        return float((before - after) / explainable)
+        return Explained((before - after) / explainable, error / explainable)
+
+    def _unseen(self, fit: Fit) -> tuple[float, float]:
+        powers = np.array([error_power(e.record, _predicted(fit, e.record)[0]) for e in self._held])
+        return float(powers[:, 0].mean()), float(np.sqrt(np.sum(powers[:, 1] ** 2))) / len(powers)
 
     @property
     def noise(self) -> float:
@@ -70,8 +89,9 @@ class Remainder:
         return 0.2 * self._floor**2
 
 
-def _thrust(fit: Fit, record) -> np.ndarray:
-    return Simulator(fit.evidence.model).simulate(fit.values, record.columns, record.steps)[:, 0]
+def _predicted(fit: Fit, record) -> tuple[np.ndarray, np.ndarray]:
+    """Thrust [N] and speed [rpm], each (rows,)."""
+    return tuple(Simulator(fit.evidence.model).simulate(fit.values, record.columns, record.steps).T[:2])
 
 
 def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str]]:
@@ -92,6 +112,7 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
             )
             if (
                 other.bic() - final.bic() < ALIKE
+                and not other.idle
                 and not judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held)).refused
             ):
                 names.append(tried.candidate.name)
@@ -114,13 +135,17 @@ def _close(selection: Selection, effect: str):
     return []
 
 
-def verdict(selection: Selection, remainder: Remainder, family: Mapping[str, list[str]]) -> tuple[str, float | None, Left]:
+def verdict(selection: Selection, remainder: Remainder, family: Mapping[str, list[str]]) -> tuple[str, Explained | None, Left]:
     """(verdict, share of the explainable error removed on unseen data, what is left on the fitted records)."""
     left = remainder.left(selection.final)
     if not selection.final.effects:
         return ("unexplained" if left.anything else "none"), None, left
     explained = remainder.explained(selection.base, selection.final)
-    whole = not left.anything if explained is None else explained >= (ATTRIBUTED if left.anything else NEARLY)
+    if explained is None:
+        whole = not left.anything
+    else:
+        doubt = 0.0 if left.anything else min(2.0 * explained.error, DOUBT)
+        whole = explained.share >= ATTRIBUTED - doubt
     if not whole:
-        return "partly", explained, left
+        return ("partly" if explained is None or explained.share >= PARTLY else "unexplained"), explained, left
     return ("family" if any(family.values()) else "attributed"), explained, left

@@ -76,7 +76,7 @@ def outcome(case: Case, log: Path | None = None, library: Iterable[Effect] = LIB
     entry = {"kind": case.kind, "hidden": list(case.hidden), "seed": case.seed, "deleted": case.deleted, "sizes": sizes}
     entry |= {"evidence": case.evidence(measured, rig), "seconds": seconds, "verdict": found.verdict}
     entry |= {"effects": list(found.final.effects), "family": {n: list(o) for n, o in found.family.items()}}
-    entry |= {"explained": found.explained, "removed": removed(found, measured, rig)}
+    entry |= {"explained": found.explained and found.explained.share, "removed": removed(found, measured, rig)}
     entry |= {"left": [found.before_left.share, found.left.share, found.left.error]}
     entry |= {"parameters": _parameters(found, case.truth(sizes)), "values": _own(found)}
     entry |= {"refused": {n: list(j.refused) for n, j in found.selection.refused.items()}, "rounds": _rounds(found)}
