@@ -13,7 +13,7 @@ from identification.diagnose.evidence import Experiment
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.judge import Seen, seen
 from identification.diagnose.locate import locate
-from identification.diagnose.noise import Noise, noise_from_residual, noise_of
+from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.stepwise import Selection, select
 from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
@@ -103,7 +103,7 @@ def diagnose(
         stage("what can be told apart")
         with ThreadPoolExecutor(workers) as pool:
             apart = distinguishability(base, options, library, pool.map)
-        remainder = Remainder(campaign, unseen, noise.floor)
+        remainder = Remainder(campaign, unseen, noise)
         selection = select(searcher, base, options, unseen, lambda fit: remainder.left(fit).anything, workers, stage)
         stage("judge")
         family = rivals(searcher, selection, unseen)
@@ -146,6 +146,8 @@ def _split(campaign: Campaign) -> tuple[list[Record], list[Record]]:
 def _noise(campaign: Campaign, identified: Identification) -> Noise:
     if campaign.repeat is not None:
         return noise_of(campaign.open_loop, campaign.repeat)
+    if (noise := noise_at_rest(campaign.open_loop)) is not None:
+        return noise
     error = identified.predictions["open_loop"].thrust - campaign.open_loop["thrust"]
     return noise_from_residual(campaign.open_loop, error)
 

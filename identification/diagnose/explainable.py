@@ -7,18 +7,15 @@ vibration repeats too. On a record without a repeat the noise's power is taken o
 
 import numpy as np
 
-from identification.diagnose.noise import Blocks, blocks
+from identification.diagnose.noise import BAND, Blocks, blocks
 from identification.tachometer import Tachometer
 from vpp_fmu.record import Record
 
-BAND = 0.05
-"""Means over this many seconds: errors below 10 Hz."""
 
-
-def shared_power(first: Record, second: Record, predicted: np.ndarray) -> tuple[float, float]:
-    """(mean product [N^2] of two records' residuals below 10 Hz, its standard error), `predicted` thrust (rows,) N."""
+def shared_power(first: Record, second: Record, predicted: np.ndarray) -> float:
+    """Mean product [N^2] of two records' residuals below 10 Hz, `predicted` thrust (rows,) N."""
     at = blocks(first, BAND)
-    return mean_and_error(predicted_less(at, predicted, first) * predicted_less(at, predicted, second))
+    return float(np.nanmean(predicted_less(at, predicted, first) * predicted_less(at, predicted, second)))
 
 
 def mean_and_error(product: np.ndarray) -> tuple[float, float]:
@@ -29,8 +26,8 @@ def mean_and_error(product: np.ndarray) -> tuple[float, float]:
     return float(product.mean()), float(batches.std(ddof=1) / np.sqrt(len(batches)))
 
 
-def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> tuple[float, float]:
-    """(mean product of two records' speed residuals below 10 Hz over the power of their noise, its standard error).
+def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> float:
+    """Mean product of two records' speed residuals below 10 Hz, over the power of their noise.
 
     `predicted` speed (rows,) rpm. Residuals are in units of what the tachometer can tell; where both records show the same
     to the last digit, that is all the noise there is.
@@ -46,19 +43,12 @@ def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> tuple[
             means.append(np.bincount(block, residual, len(edges)) / count)
     one, other = means
     noise = 0.5 * float(np.nanmean((one - other) ** 2)) * float(count[count > 0].mean())
-    mean, error = mean_and_error(one * other)
-    return mean / (noise or 1.0), error / (noise or 1.0)
+    return float(np.nanmean(one * other)) / (noise or 1.0)
 
 
 def predicted_less(at: Blocks, predicted: np.ndarray, record: Record) -> np.ndarray:
     """Block means (blocks,) N of predicted less measured thrust."""
     return at.mean(predicted - record["thrust"])
-
-
-def noise_power(first: Record, second: Record) -> float:
-    """Power [N^2] of one record's noise below 10 Hz, from two records of the same commands."""
-    difference = blocks(first, BAND).mean(first["thrust"] - second["thrust"])
-    return 0.5 * float(np.nanmean(difference**2))
 
 
 def error_power(record: Record, predicted: np.ndarray) -> tuple[float, float]:

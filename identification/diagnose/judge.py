@@ -24,7 +24,7 @@ ALIKE = 6.0
 ENOUGH_HELD_OUT = 3.0
 """Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""
 
-SPILL = 0.05
+SPILL = 0.5
 """Share of a gain in thrust that speed may lose: a thrust that fits weighs more, and the shared constants move towards it."""
 
 

@@ -27,6 +27,9 @@ STRETCH = (0.7, 1.4)
 PROPORTIONAL = 0.03
 """Share of an effect's trace by which it may depart from its tangent and still pass for proportional."""
 
+SHARP = 0.7
+"""Squared cosine of the traces of two sizes a factor of 2 apart below which a grid of such steps may miss the right one."""
+
 BENT = 1.5
 """Mean square of the whitened thrust residual from which a fit counts as bent by what is missing."""
 
@@ -90,7 +93,7 @@ class _Look:
     def _grid(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
         candidate = trace.candidate
         axes = {n: candidate.axis(n) for n in candidate.sizes}
-        if len(axes) == 1 and not np.any(trace.tangents(shape | candidate.probe)):  # a threshold: what counts is where it is
+        if len(axes) == 1 and trace.sharp(shape, axes):
             axes = {n: candidate.fine_axis(n) for n in axes}
         if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
@@ -124,6 +127,14 @@ class _Trace:
     def at(self, point) -> np.ndarray:
         """(rows,)"""
         return self._about.apart(self._about.rows(self._simulator, {**self.candidate.form, **point}) - self._quiet)
+
+    def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
+        """Whether neighbours on the axis of the only size look different: a resonance, or a threshold, shows where it is."""
+        ((name, values),) = axes.items()
+        traces = [self.at(shape | {name: v}) for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
+        powers = [float(t @ t) for t in traces]
+        alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
+        return not all(alike)
 
     def followed(self, point) -> dict[str, float]:
         """Where the fitted parameters go with the candidate at `point`."""

@@ -15,6 +15,12 @@ ORDER = 6
 BLOCK = 0.016
 """Rows are averaged to blocks of about this length, s."""
 
+BAND = 0.05
+"""Means over this many seconds hold what is below 10 Hz: above that the rotor's own vibration repeats too."""
+
+SETTLED, ENOUGH, FEWEST = 1.0, 5.0, 20
+"""s after a command until the rig rests; s of rest, and readings in each stretch of it, that tell its noise."""
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -52,13 +58,14 @@ def blocks(record: Record, length: float = BLOCK) -> Blocks:
 class Noise:
     """Noise of one reading's thrust: standard deviation `floor` [N] of a row, autoregression of its block means.
 
-    `weights` (order + 1,): the whitening filter, the first is 1; `innovation` [N]: what it leaves. `verified`: from repeated
-    records; else from a model's residual, which may hold model error too.
+    `weights` (order + 1,): the whitening filter, the first is 1; `innovation` [N]: what it leaves. `slow`: its power below
+    10 Hz [N^2]. `verified`: from repeated records; else from rest, or from a model's residual, which may hold model error too.
     """
 
     floor: float
     weights: np.ndarray
     innovation: float
+    slow: float
     verified: bool
 
     def whiten(self, means: np.ndarray) -> np.ndarray:
@@ -73,17 +80,39 @@ def noise_of(record: Record, repeat: Record) -> Noise:
     return _fitted(record, (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0), True)
 
 
+def noise_at_rest(record: Record) -> Noise | None:
+    """From what thrust does while both commands have stood for SETTLED seconds, less a line through each such stretch.
+
+    None where the record has less than ENOUGH seconds of it. What repeats there, such as a rotor's vibration, is in it.
+    """
+    time, thrust = record.time, record["thrust"]
+    moved = np.any([np.append(True, record[n][1:] != record[n][:-1]) for n in ("omega_ref", "beta_ref")], axis=0)
+    starts = np.flatnonzero(moved)
+    e = np.full(len(record), np.nan)
+    for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
+        rows = np.arange(first, end)[time[first:end] - time[first] > SETTLED]
+        rows = rows[np.isfinite(thrust[rows])]
+        if len(rows) > FEWEST and time[rows[-1]] - time[rows[0]] > SETTLED / 2:
+            e[rows] = thrust[rows] - np.polynomial.Polynomial.fit(time[rows], thrust[rows], 1)(time[rows])
+    if np.isfinite(e).sum() * float(np.median(record.steps)) < ENOUGH:
+        return None
+    return _fitted(record, e, False)
+
+
 def noise_from_residual(record: Record, residual: np.ndarray) -> Noise:
     """From a model's residual (rows,) N: an upper bound, since what the model lacks is in it."""
     return _fitted(record, residual, False)
 
 
 def _fitted(record: Record, e: np.ndarray, verified: bool) -> Noise:
+    """From noise (rows,) N, NaN where it is not known."""
     means = blocks(record).mean(e)
-    means = means[np.isfinite(means)] - np.nanmean(means)
-    order = min(ORDER, len(means) // 20)
-    past = np.column_stack([means[order - k : len(means) - k] for k in range(1, order + 1)])
-    weights, *_ = np.linalg.lstsq(past, means[order:], rcond=None)
-    left = means[order:] - past @ weights
+    means = means - np.nanmean(means)
+    order = min(ORDER, int(np.isfinite(means).sum()) // 20)
+    lagged = np.column_stack([means[order - k : len(means) - k] for k in range(order + 1)])
+    lagged = lagged[np.isfinite(lagged).all(axis=1)]
+    weights, *_ = np.linalg.lstsq(lagged[:, 1:], lagged[:, 0], rcond=None)
+    left = lagged[:, 0] - lagged[:, 1:] @ weights
     floor = float(np.sqrt(np.nanmean((e - np.nanmean(e)) ** 2)))
-    return Noise(floor, np.append(1.0, -weights), float(np.sqrt(np.mean(left**2))), verified)
+    slow = float(np.nanmean(blocks(record, BAND).mean(e) ** 2))
+    return Noise(floor, np.append(1.0, -weights), float(np.sqrt(np.mean(left**2))), slow, verified)

@@ -73,7 +73,24 @@ def select(
             if not dropped:
                 break
             found.refused.update(dropped)
+        stage("judge")
+        _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left)
     return found
+
+
+def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], held, left) -> None:
+    """Once more what was refused before the others were there: what hid behind them may stand beside them."""
+    for name in sorted(found.refused, key=lambda n: -found.refused[n].delta_bic):
+        if not 0 < len(found.final.effects) < MOST or not left(found.final):
+            return
+        fitted = [t for t in tried if t.candidate.name == name and t.fit is not None]
+        best = max(fitted, key=lambda t: t.delta_bic)
+        start = {**found.final.values, **{n: best.fit.values[n] for n in best.candidate.free}}
+        fuller = _with(searcher, found.final, best.candidate, start, found.final.slow_first)
+        kept, judgements, dropped = _backward(searcher, fuller, held)
+        if not dropped:
+            found.final, found.judgements = kept, judgements
+            del found.refused[name]
 
 
 def _key(fit: Fit) -> tuple:
@@ -117,7 +134,13 @@ def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> 
 def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
     """The candidate beside what is there already."""
     # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
-    return _with(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough=not fit.thresholds)
+    thorough = not fit.thresholds
+    found = _with(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough)
+    if found.bic() < fit.bic():
+        return found
+    # The fitted parameters can't have followed as far as a straight line would have it: from where they stand, then.
+    own = {n: at.values[n] for n in candidate.free}
+    return min(found, _with(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
 
 
 def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:

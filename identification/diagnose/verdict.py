@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.explainable import error_power, noise_power, shared_power, shared_speed
+from identification.diagnose.explainable import error_power, shared_power, shared_speed
 from identification.diagnose.judge import ALIKE, judge, seen
+from identification.diagnose.noise import BAND, Noise
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.stepwise import Selection, without
 from vpp_fmu.campaign import Campaign
@@ -22,6 +23,9 @@ NOTHING_IN_SPEED = 0.1
 ATTRIBUTED = 0.9
 """Share of the explainable error that a named set must remove on unseen data; a surrogate removes a fifth to a half."""
 
+DRIFT = 0.1
+"""Share by which the noise may differ from rest to motion, where no repeat tells."""
+
 DOUBT = 0.3
 """How far below that the share of a small error may lie in the noise of unseen data, within two standard errors, where the
 fitted records hold nothing more."""
@@ -32,17 +36,19 @@ PARTLY = 0.5
 
 @dataclass(frozen=True)
 class Left:
-    """Repeatable error of a fit below 10 Hz, as a share of the noise's power, with its standard error; thrust and speed."""
+    """Repeatable error of a fit below 10 Hz, as a share of the noise's power; of thrust, and of speed.
+
+    `error`: standard error of the thrust's where nothing is left: neighbouring means share noise, three tell as much as one.
+    """
 
     share: float
     error: float
     speed: float = 0.0
-    speed_error: float = 0.0
 
     @property
     def anything(self) -> bool:
         """Whether there is something to explain."""
-        return self.share > max(NOTHING, 2.0 * self.error) or self.speed > max(NOTHING_IN_SPEED, 2.0 * self.speed_error)
+        return self.share > max(NOTHING, 2.0 * self.error) or self.speed > NOTHING_IN_SPEED
 
 
 @dataclass(frozen=True)
@@ -56,37 +62,31 @@ class Explained:
 class Remainder:
     """What a fit leaves unexplained, on the fitted records and on unseen ones."""
 
-    def __init__(self, campaign: Campaign, held: list[Experiment], floor: float):
-        self._record, self._repeat, self._held, self._floor = campaign.open_loop, campaign.repeat, held, floor
+    def __init__(self, campaign: Campaign, held: list[Experiment], noise: Noise):
+        self._record, self._repeat, self._held, self._noise = campaign.open_loop, campaign.repeat, held, noise
 
     def left(self, fit: Fit) -> Left:
         """Of the fitted records. Without a repeat, what exceeds the noise estimate."""
         thrust, speed = _predicted(fit, self._record)
-        scale = self._floor**2
+        scale, error = self._noise.floor**2, self._noise.slow * np.sqrt(3.0 * BAND / self._record.time[-1])
         if self._repeat is None:
-            return Left((error_power(self._record, thrust)[0] - self.noise) / scale, 0.1 * self.noise / scale)
-        power, error = shared_power(self._record, self._repeat, thrust)
+            power = error_power(self._record, thrust)[0] - self._noise.slow
+            return Left(power / scale, max(error, DRIFT * self._noise.slow) / scale)
+        power = shared_power(self._record, self._repeat, thrust)
         turning = "omega" in self._record and "omega" in self._repeat
-        return Left(power / scale, error / scale, *(shared_speed(self._record, self._repeat, speed) if turning else ()))
+        return Left(power / scale, error / scale, shared_speed(self._record, self._repeat, speed) if turning else 0.0)
 
     def explained(self, base: Fit, final: Fit) -> Explained | None:
         """What `final` removes of the error of `base`; None where there is none to speak of."""
         (before, _), (after, error) = (self._unseen(fit) for fit in (base, final))
-        explainable = before - self.noise
-        if explainable < 2 * NOTHING * self._floor**2:
+        explainable = before - self._noise.slow
+        if explainable < 2 * NOTHING * self._noise.floor**2:
             return None
         return Explained((before - after) / explainable, error / explainable)
 
     def _unseen(self, fit: Fit) -> tuple[float, float]:
         powers = np.array([error_power(e.record, _predicted(fit, e.record)[0]) for e in self._held])
         return float(powers[:, 0].mean()), float(np.sqrt(np.sum(powers[:, 1] ** 2))) / len(powers)
-
-    @property
-    def noise(self) -> float:
-        """Noise power below 10 Hz, N^2."""
-        if self._repeat is not None:
-            return noise_power(self._record, self._repeat)
-        return 0.2 * self._floor**2
 
 
 def _predicted(fit: Fit, record) -> tuple[np.ndarray, np.ndarray]:

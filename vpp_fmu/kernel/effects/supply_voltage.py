@@ -18,7 +18,7 @@ EFFECT = Effect(
     "speed follows the supply voltage",
     _step,
     parameters=(
-        Parameter("share", "1", 0.0, 0.0, 1.0, "relative change of speed over relative change of voltage"),
+        Parameter("share", "1", 0.0, 0.0, 2.0, "relative change of speed over relative change of voltage"),
         Parameter("nominal", "V", 24.0, 5.0, 100.0, "voltage at which speed is as commanded", 24.0),
     ),
     off={"share": 0.0},
