@@ -203,7 +203,7 @@ def largest_step(model: Model, ops, parameters: Mapping):
     for e in model.effects:
         if e.largest_step is None:
             continue
-        bound = float("inf")
+        bound = e.largest_step if e.off is None else float("inf")
         for name, value in (e.off or {}).items():
             p = parameters[e.full(name)]
             bound = ops.where(p < value, e.largest_step, ops.where(p > value, e.largest_step, bound))

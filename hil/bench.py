@@ -1,0 +1,98 @@
+"""The devices of one rig, emulated or real: whoever drives them can't tell."""
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from hil.calibration import Calibration
+from hil.clock import Clock, MonotonicClock
+from hil.devices.ads1115 import Ads1115
+from hil.devices.pwm import PwmChannel, find_chip
+from hil.devices.tachometer import Tachometer
+from vpp_fmu.errors import BadInput
+
+ESC, LAC = 0, 1
+"""Outputs of the PWM chip (GPIO 12 and 13, hil/README.md)."""
+
+
+@dataclass
+class Bench:
+    """Devices that are ready to use. `emulated` in whatever way; `ends`: what has to end with them, in reverse order."""
+
+    clock: Clock
+    calibration: Calibration
+    adc: Ads1115
+    tachometer: Tachometer
+    esc: PwmChannel
+    lac: PwmChannel
+    emulated: str = ""
+    ends: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+
+    def open(self) -> "Bench":
+        """Set the devices up: outputs first, so that the idle pulse stands. DeviceFault NOT_READY says what isn't."""
+        calibration = self.calibration
+        try:
+            self.esc.open(calibration.esc_period, calibration.esc_idle)
+            self.ends.callback(self.esc.close)
+            self.lac.open(calibration.lac_period, calibration.lac_idle)
+            self.ends.callback(self.lac.close)
+            self.adc.start()
+            self.ends.callback(self.adc.close)
+            self.tachometer.hello()
+            self.ends.callback(self.tachometer.close)
+        except BaseException:
+            self.ends.close()
+            raise
+        return self
+
+    @property
+    def outputs(self) -> list[tuple[str, float]]:
+        """(duty file, idle pulse [s]) of each output, for the supervisor."""
+        pulses = (self.esc, self.calibration.esc_idle), (self.lac, self.calibration.lac_idle)
+        return [(str(channel.duty_file), pulse) for channel, pulse in pulses]
+
+    @property
+    def counters(self) -> dict[str, Mapping[str, int]]:
+        """What each device counted."""
+        return {device.name: dict(device.counters) for device in (self.adc, self.tachometer, self.esc, self.lac)}
+
+    def close(self) -> None:
+        """The idle pulse, and let go of everything."""
+        self.ends.close()
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Where the real rig's devices are on the Pi."""
+
+    bus: int = 1
+    address: int = 0x48
+    port: str = "/dev/ttyACM0"
+    pwm: str = "fe20c000.pwm"
+
+
+def real_bench(calibration: Calibration, wiring: Wiring) -> Bench:
+    """The rig on this machine. DeviceFault NOT_READY where a device is missing."""
+    clock, chip = MonotonicClock(), find_chip(wiring.pwm)
+    return Bench(
+        clock,
+        calibration,
+        adc(calibration, wiring.bus, clock, wiring.address),
+        Tachometer(wiring.port, clock),
+        PwmChannel(chip, ESC, "esc", clock),
+        PwmChannel(chip, LAC, "lac", clock),
+    ).open()
+
+
+def adc(calibration: Calibration, bus: int | str, clock: Clock, address: int = 0x48) -> Ads1115:
+    """The load cell's ADC as the calibration wants it."""
+    c = calibration
+    return Ads1115(bus, address, c.channel, c.full_scale, c.rate, clock=clock)
+
+
+def check_limits(path: str, calibration: Calibration, beta_min: float, beta_max: float) -> None:
+    """BadInput where a limit lets a pitch pass that the calibration has no pulse for."""
+    for name, value in (("beta_min", beta_min), ("beta_max", beta_max)):
+        if not calibration.pitch_min <= value <= calibration.pitch_max:
+            allowed = f"{calibration.pitch_min:g} to {calibration.pitch_max:g} deg, as the calibration has it"
+            raise BadInput(path, name, f"{value:g} deg", allowed)

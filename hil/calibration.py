@@ -1,0 +1,185 @@
+"""What turns the rig's raw numbers into newtons and degrees and back: read from a file, checked, hashed into every record."""
+
+import hashlib
+import json
+import os
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
+from hil.entries import Entries, Number, read_json, shown
+from vpp_fmu.errors import BadInput
+
+FORMAT = "vpp-calibration/1"
+
+RATES = (475, 860)
+"""Conversions a second that a loop of 250 Hz never reads twice, also with the ADC's clock 10 % slow."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The rig's calibration. `zero`: counts without load when it was calibrated; the tare before each run comes near it.
+
+    `pulses` [s], increasing, and `pitches` [deg], falling or rising, are the table of blade pitch against the LAC's pulse;
+    between its points it is straight. `rest_pitch` is where the blades idle. `source`: who, when, how.
+    """
+
+    newton_per_count: float
+    zero: float
+    channel: str
+    full_scale: float
+    rate: int
+    esc_period: float
+    esc_idle: float
+    esc_max: float
+    lac_period: float
+    pulses: tuple[float, ...]
+    pitches: tuple[float, ...]
+    pitch_min: float
+    pitch_max: float
+    rest_pitch: float
+    source: Mapping = field(default_factory=dict, compare=False)
+
+    @property
+    def lac_idle(self) -> float:
+        """The LAC's pulse [s] at rest."""
+        return self.lac_pulse(self.rest_pitch)
+
+    @property
+    def sha256(self) -> str:
+        """Of the numbers, however the file writes them; `source` is not part of it."""
+        canonical = json.dumps(_content(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    def thrust(self, counts: float, zero: float) -> float:
+        """Thrust [N] at a reading of `counts`, with the tare's `zero` [counts]."""
+        return self.newton_per_count * (counts - zero)
+
+    def esc_pulse(self, throttle: float) -> float:
+        """The ESC's pulse [s] at a throttle of 0 (idle) to 1. ValueError outside."""
+        if not 0.0 <= throttle <= 1.0:
+            raise ValueError(f"throttle {throttle} is not within 0 to 1")
+        return self.esc_idle + throttle * (self.esc_max - self.esc_idle)
+
+    def throttle(self, pulse: float) -> float:
+        """The throttle at an ESC's pulse [s], as `esc_pulse`; an ESC takes less than idle as 0, more than its maximum as 1."""
+        return min(max((pulse - self.esc_idle) / (self.esc_max - self.esc_idle), 0.0), 1.0)
+
+    def lac_pulse(self, beta: float) -> float:
+        """The LAC's pulse [s] for a blade pitch [deg]. ValueError outside `pitch_min` to `pitch_max`."""
+        if not self.pitch_min <= beta <= self.pitch_max:
+            raise ValueError(f"pitch {beta} deg is not within {self.pitch_min:g} to {self.pitch_max:g} deg")
+        return _between(self.pitches, self.pulses, beta)
+
+    def pitch(self, pulse: float) -> float:
+        """The blade pitch [deg] at a LAC's pulse [s], as `lac_pulse`; beyond the table's ends the rod stands at its stops."""
+        return _between(self.pulses, self.pitches, min(max(pulse, self.pulses[0]), self.pulses[-1]))
+
+
+def _between(x: Sequence[float], y: Sequence[float], at: float) -> float:
+    """y at `at` on the straight lines between the points (x, y); x rises or falls, and spans `at`."""
+    if x[0] > x[-1]:
+        x, y = x[::-1], y[::-1]
+    k = min(max(bisect_right(x, at), 1), len(x) - 1)
+    share = (at - x[k - 1]) / (x[k] - x[k - 1])
+    return (1.0 - share) * y[k - 1] + share * y[k]  # exact at both points
+
+
+_PERIOD, _PULSE, _PITCH = Number("s", 1e-4, 0.025), Number("s", 0.0, 0.025), Number("deg", -45.0, 45.0)
+_NUMBERS = {
+    "load_cell": {
+        "force_per_count": ("newton_per_count", Number("N", -1.0, 1.0)),
+        "zero": ("zero", Number("counts", SMALLEST + 1, LARGEST - 1)),
+    },
+    "esc": {
+        "period": ("esc_period", _PERIOD),
+        "idle_pulse": ("esc_idle", _PULSE),
+        "max_pulse": ("esc_max", _PULSE),
+    },
+    "pitch": {
+        "period": ("lac_period", _PERIOD),
+        "minimum": ("pitch_min", _PITCH),
+        "maximum": ("pitch_max", _PITCH),
+        "rest": ("rest_pitch", _PITCH),
+    },
+}
+"""Section and name in the file: the attribute and what it may be."""
+_CHOICES = {"channel": tuple(INPUTS), "full_scale": tuple(FULL_SCALES), "rate": RATES}
+_TABLE = {"pulse": ("pulses", _PULSE), "pitch": ("pitches", _PITCH)}
+
+
+def read_calibration(path: str | os.PathLike) -> Calibration:
+    """Read a calibration file; `hil/emulator/calibration.json` is one. BadInput names file, field, found and allowed."""
+    file = Entries(path, read_json(path), ("format", *_NUMBERS), optional=("source",))
+    file.choice("format", (FORMAT,))
+    extra = {"load_cell": tuple(_CHOICES), "pitch": ("table",)}
+    sections = {name: file.entries(name, (*numbers, *extra.get(name, ()))) for name, numbers in _NUMBERS.items()}
+    values = {name: sections["load_cell"].choice(name, allowed) for name, allowed in _CHOICES.items()}
+    for section, numbers in _NUMBERS.items():
+        for name, (attribute, number) in numbers.items():
+            values[attribute] = sections[section].number(name, number)
+    table = sections["pitch"].entries("table", _TABLE)
+    for name, (attribute, number) in _TABLE.items():
+        values[attribute] = table.numbers(name, number)
+    calibration = Calibration(**values, source=file.free("source"))
+    _check_table(path, calibration.pulses, calibration.pitches)
+    _check(path, calibration)
+    return calibration
+
+
+def to_json(calibration: Calibration) -> str:
+    """The calibration as a file's text, exact to the bit when read back."""
+    content = {"format": FORMAT, **_content(calibration), "source": dict(calibration.source)}
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _content(c: Calibration) -> dict:
+    content: dict[str, dict] = {}
+    for section, numbers in _NUMBERS.items():
+        content[section] = {k: {"value": float(getattr(c, name)), "unit": n.unit} for k, (name, n) in numbers.items()}
+    content["load_cell"].update((name, getattr(c, name)) for name in _CHOICES)
+    table = {key: {"values": list(getattr(c, name)), "unit": n.unit} for key, (name, n) in _TABLE.items()}
+    content["pitch"]["table"] = table
+    return content
+
+
+def _check_table(path: str | os.PathLike, pulses: Sequence[float], pitches: Sequence[float]) -> None:
+    where = "pitch, table, "
+    if len(pulses) < 2:
+        raise BadInput(path, f"{where}pulse", f"{len(pulses)} values", "2 or more")
+    if len(pitches) != len(pulses):
+        raise BadInput(path, f"{where}pitch", f"{len(pitches)} values", f"{len(pulses)}, as many as pulse has")
+    if not _rises(pulses):
+        raise BadInput(path, f"{where}pulse", shown(list(pulses)), "values that rise")
+    if not _rises(pitches) and not _rises(pitches[::-1]):
+        raise BadInput(path, f"{where}pitch", shown(list(pitches)), "values that only rise or only fall")
+
+
+def _rises(values: Sequence[float]) -> bool:
+    return all(a < b for a, b in pairwise(values))
+
+
+def _check(path: str | os.PathLike, c: Calibration) -> None:
+    """What holds between fields."""
+    low, high, longest = min(c.pitches), max(c.pitches), c.pulses[-1]
+    rules = (
+        (abs(c.newton_per_count) >= 1e-6, "load_cell, force_per_count", c.newton_per_count, "1e-06 N or more, of either sign"),
+        (
+            c.esc_idle > 0.0,
+            "esc, idle_pulse",
+            c.esc_idle,
+            "more than 0 s: an ESC without pulses is not at idle but without a signal",
+        ),
+        (c.esc_idle < c.esc_max, "esc, max_pulse", c.esc_max, f"more than idle_pulse, {c.esc_idle:g} s"),
+        (c.esc_max < c.esc_period, "esc, period", c.esc_period, f"more than max_pulse, {c.esc_max:g} s"),
+        (longest <= c.lac_period, "pitch, period", c.lac_period, f"the table's longest pulse, {longest:g} s, or more"),
+        (low <= c.pitch_min, "pitch, minimum", c.pitch_min, f"the table's lowest pitch, {low:g} deg, or more"),
+        (c.pitch_max <= high, "pitch, maximum", c.pitch_max, f"the table's highest pitch, {high:g} deg, or less"),
+        (c.pitch_min < c.pitch_max, "pitch, maximum", c.pitch_max, f"more than minimum, {c.pitch_min:g} deg"),
+        (c.pitch_min <= c.rest_pitch <= c.pitch_max, "pitch, rest", c.rest_pitch, "a pitch from minimum to maximum"),
+    )
+    for kept, name, found, allowed in rules:
+        if not kept:
+            raise BadInput(path, name, found, allowed)

@@ -1,0 +1,135 @@
+"""A measuring campaign on the rig: the paper's static map and steps, and records for fine-tuning and validation.
+
+Each part is a run of its own: tare, arm, run, ramp down. A row holds what was sampled at its time, then the command that acts
+from it on; `omega` is the tachometer's held value.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil import commands
+from hil.commands import Step
+from hil.limits import Limits
+from hil.rig import Rig
+from vpp_fmu.record import Record
+
+PARTS = ("static", "steps", "open_loop", "repeat", "validation")
+
+STEEP = {"omega_slew": 100_000.0, "beta_slew": 1000.0}
+"""A campaign's steps are steps: what slews the rotor is its own speed loop, not the limit in front of it."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is measured. Defaults are the paper's: 10 x 10 points, 3 s to settle, 5000 samples each; steps of 5 s + 5 s.
+
+    `points` a side of the grid; `settle` s; `samples` a point; `levels` of the other command for the steps; `before`, `after`
+    [s] of a step that are recorded; `section` s of the three of the open loop; `validation` s. `seed`: of the sequences.
+    """
+
+    points: int = 10
+    settle: float = 3.0
+    samples: int = 5000
+    levels: int = 5
+    before: float = 1.0
+    after: float = 5.0
+    section: float = 30.0
+    validation: float = 60.0
+    seed: int = 1
+
+
+def steep(limits: Limits) -> Limits:
+    """The limits of a campaign: as they are, but for the slew."""
+    return replace(limits, **STEEP)
+
+
+def seconds(plan: Plan, parts: Iterable[str]) -> float:
+    """How long the parts take on the rig [s], without tare and spin-up."""
+    takes = {
+        "static": plan.points**2 * (plan.settle + 0.004 * plan.samples),
+        "steps": len(commands.steps(plan.levels)) * (plan.settle + plan.before + plan.after),
+        "open_loop": 3.0 * plan.section,
+        "repeat": 3.0 * plan.section,
+        "validation": plan.validation,
+    }
+    return sum(takes[part] for part in parts)
+
+
+def measure(rig: Rig, part: str, plan: Plan, progress: Callable[[float], None]) -> Record:
+    """One part as its file holds it; `progress` is told the share done. RunEnded where the rig ended it."""
+    if part == "static":
+        return static_map(rig, commands.grid(plan.points), plan.settle, plan.samples, progress)
+    if part == "steps":
+        return step_responses(rig, commands.steps(plan.levels), plan, progress)
+    if part == "validation":
+        return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt), progress)
+    return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt), progress)
+
+
+def static_map(rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress) -> Record:
+    """Means over `samples` readings at each point of the grid, after `settle` s."""
+    rows = []
+    rig.start(*grid[0])
+    for k, point in enumerate(grid):
+        for _ in range(round(settle / rig.dt)):
+            sample = rig.step(*point)
+        thrust, omega = np.empty(samples), 0.0
+        for n in range(samples):
+            sample = rig.step(*point)
+            thrust[n] = sample.thrust
+            omega += sample.omega
+        rows.append((*point, omega / samples, thrust.mean(), thrust.std(ddof=1) if samples > 1 else 0.0, samples))
+        progress((k + 1) / len(grid))
+    rig.stop()
+    names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
+    return Record(dict(zip(names, np.array(rows, float).T, strict=True)), "static")
+
+
+def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress) -> Record:
+    """One step a run, told apart by `run`; each starts settled, its time from 0."""
+    parts = []
+    rig.start(*steps[0].before)
+    for k, one in enumerate(steps):
+        for _ in range(round(plan.settle / rig.dt)):
+            rig.step(*one.before)
+        counts = round(plan.before / rig.dt), round(plan.after / rig.dt)
+        told = np.repeat([one.before, one.after], counts, axis=0)
+        record = recorded(rig, told)
+        parts.append(record.with_columns(run=np.full(len(record), float(k))))
+        progress((k + 1) / len(steps))
+    rig.stop()
+    names = ("run", "time", "omega_ref", "beta_ref", "omega", "thrust")
+    return Record({name: np.concatenate([part[name] for part in parts]) for name in names}, "steps")
+
+
+def follow(rig: Rig, orders: Record, progress) -> Record:
+    """A record of commands at the loop's own times, settled on the first."""
+    told = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
+    rig.start(*told[0].tolist())
+    record = recorded(rig, told, progress)
+    rig.stop()
+    return record
+
+
+def recorded(rig: Rig, told: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
+    """What the rig shows under commands (rows, 2), from time 0. Of slots that were missed nothing is known but the command."""
+    count, first = len(told), rig.ticks.slot
+    rows, k = np.full((count, 4), np.nan), 0
+    while k < count:
+        shown, (omega_ref, beta_ref) = rig.last, told[k].tolist()
+        rig.step(omega_ref, beta_ref)
+        after = min(rig.ticks.slot - first, count)
+        rows[k:after, :2] = rig.acting
+        rows[k, 2:] = shown.omega, shown.thrust
+        if k // 1000 != after // 1000:
+            progress(after / count)
+        k = after
+    columns = dict(zip(("omega_ref", "beta_ref", "omega", "thrust"), rows.T, strict=True))
+    return Record({"time": np.arange(count) * rig.dt, **columns}, "rig")
+
+
+def same_commands(first: Record, second: Record) -> bool:
+    """Whether two records had the same commands throughout: a slot that was missed where a command changed tells them apart."""
+    return all(np.array_equal(first[name], second[name]) for name in ("time", "omega_ref", "beta_ref"))

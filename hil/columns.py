@@ -1,0 +1,47 @@
+"""What a tick leaves in the log, and what the live view shows of it."""
+
+from hil.log import Column
+from hil.states import SafetyState
+
+STATES = tuple(state.value for state in SafetyState)
+
+COLUMNS = (
+    Column("time"),
+    Column("state", words=STATES),
+    Column("thrust_set", exact=True),
+    Column("omega_wanted", exact=True),
+    Column("beta_wanted", exact=True),
+    Column("omega_ref", exact=True),
+    Column("beta_ref", exact=True),
+    Column("thrust", exact=True),
+    Column("omega", exact=True),
+    Column("thrust_age"),
+    Column("omega_age"),
+    Column("counts"),
+    Column("pulses"),
+    Column("throttle"),
+    Column("cut"),
+    Column("residual"),
+    Column("alarm"),
+    Column("late"),
+    Column("busy"),
+    Column("missed"),
+)
+"""A tick's row, in s, N, rpm, deg: what was sampled at its time; the commands that the controller wants and those that act from
+then on; throttle [1]; bits of `hil.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its work
+took, how many slots were missed before it."""
+
+RUN = ("thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "omega_wanted", "beta_wanted")
+"""Columns of `run.csv`, beside `time`."""
+
+SHOWN = (
+    ("state", "s", ""),
+    ("thrust", "6.2f", "N"),
+    ("set-point", "6.2f", "N"),
+    ("speed", "5.0f", "rpm"),
+    ("pitch command", "5.1f", "deg"),
+    ("throttle", "4.2f", ""),
+    ("off its twin", "+6.2f", "N"),
+    ("missed", "3.0f", ""),
+)
+"""What the live view shows of it: name, format, unit."""

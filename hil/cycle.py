@@ -1,0 +1,173 @@
+"""One tick of the rig: drive the outputs, log, wait for the deadline, read the sensors, judge what they say."""
+
+import contextlib
+import math
+from collections.abc import Callable
+
+from hil.bench import Bench
+from hil.columns import STATES
+from hil.faults import DeviceFault, Fault, FaultKind
+from hil.limits import Cut, Limits
+from hil.live import View
+from hil.log import Log
+from hil.plausibility import Plausibility, Reading
+from hil.senses import Senses
+from hil.states import SafetyState, StateMachine
+from hil.stop import StopSignals
+from hil.supervisor import Supervisor
+from hil.ticks import Tick, Ticks
+
+PERIOD = 0.004
+"""s, of the loop (paper: 250 Hz)."""
+
+NOBODY = (math.nan, math.nan)
+"""What a controller wants while there is none."""
+
+
+class Cycle:
+    """The ticks with all that they touch, and the states that they may change.
+
+    `wanted`: what the controller follows [N]. `throttle` [1] and `commands` [rpm, deg] stand on the outputs. `residual` [N] and
+    `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        limits: Limits,
+        log: Log,
+        signals: StopSignals | None,
+        view: View,
+        plausibility: Callable[[], Plausibility],
+    ):
+        self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
+        self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
+        self.transitions: list[tuple[float, str, str]] = [(0.0, STATES[0], "start")]
+        self.wanted, self.zero = math.nan, bench.calibration.zero
+        self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
+        self._known: set[tuple[str, FaultKind]] = set()
+        self.supervisor: Supervisor | None = None
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what must not be carried from one run into the next."""
+        self.plausibility, self.senses = self._judgement(), Senses(self.bench, self.zero)
+        self.throttle, self.commands = 0.0, (0.0, self.bench.calibration.rest_pitch)
+        self.residual, self.alarm, self.asked = math.nan, False, ""
+        self._woke, self._driven_since = self.bench.clock.now(), None
+
+    def wake(self) -> None:
+        """Before the first tick after a break."""
+        self.senses.wake(self.bench.clock, self.dt)
+        self.ticks.resume()
+        self._sense()
+
+    @property
+    def passed(self) -> float:
+        """Time from the tick before to this one [s]."""
+        return self.dt * (1 + self._tick.missed)
+
+    def tick(self, omega_ref: float, beta_ref: float, throttle: float, wanted=NOBODY, cut: Cut = Cut.NONE) -> None:
+        """Put these on the outputs, if the state allows any, until the next tick; read and judge there.
+
+        The commands [rpm, deg] and the throttle act; `wanted` is what the controller asked for, `cut` what the limits took.
+        """
+        self.throttle, self.commands = throttle, (omega_ref, beta_ref)
+        self._drive()
+        self._record(wanted, cut)
+        self._tick = self.ticks.wait()
+        self._woke = self.bench.clock.now()
+        self._sense()
+        self._judge()
+
+    def idle(self) -> None:
+        """The idle pulse on both outputs; one that fails must not keep the other from it."""
+        self.throttle, calibration = 0.0, self.bench.calibration
+        for channel, pulse in ((self.bench.esc, calibration.esc_idle), (self.bench.lac, calibration.lac_idle)):
+            with contextlib.suppress(DeviceFault):
+                channel.set(pulse)
+
+    def fault(self, fault: Fault) -> None:
+        """Note a fault, the first time that it shows, and let the states decide."""
+        if (fault.device, fault.kind) in self._known:
+            return
+        self._known.add((fault.device, fault.kind))
+        if fault.kind is not FaultKind.INTERRUPTED:
+            self.states.fault(fault)
+        else:
+            self.asked = str(fault)
+            if self.states.state is SafetyState.RUN:
+                self.states.ramp_down(self.asked)
+        self.note(str(fault))
+
+    def note(self, why: str) -> None:
+        """Keep when the state became what it is."""
+        self.transitions.append((self.ticks.time, self.states.state.value, why))
+
+    def _drive(self) -> None:
+        fault = self.supervisor.beat() if self.supervisor else None
+        if fault:
+            self.fault(fault)
+        if not self.states.driving:
+            self.idle()
+            return
+        calibration, bench = self.bench.calibration, self.bench
+        try:
+            bench.esc.set(calibration.esc_pulse(self.throttle))
+            bench.lac.set(calibration.lac_pulse(self.commands[1]))
+        except DeviceFault as failed:
+            self.fault(failed.fault)
+            self.idle()
+
+    def _record(self, wanted: tuple[float, float], cut: Cut) -> None:
+        senses, tick, state = self.senses, self._tick, STATES.index(self.states.state.value)
+        pulses = senses.revolution.pulses if senses.revolution else 0
+        busy = self.bench.clock.now() - self._woke
+        self._log.put(
+            *(self.ticks.time, state, self.wanted, *wanted, *self.commands, senses.thrust, senses.omega),
+            *(senses.thrust_age, senses.mark_age, senses.counts, pulses, self.throttle, cut),
+            *(self.residual, self.alarm, tick.late, busy, tick.missed),
+        )
+        self._view.show(
+            *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
+            *(self.throttle, self.residual, self.ticks.missed),
+        )
+
+    def _sense(self) -> None:
+        for fault in self.senses.read(self.passed):
+            self.fault(fault)
+
+    def _judge(self) -> None:
+        """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
+        senses = self.senses
+        if senses.revolution is not None:
+            speed_age = self.bench.clock.now() - senses.revolution.received
+            reading = Reading(
+                *(self.ticks.time, senses.counts, senses.saturated, senses.thrust, senses.thrust_age, senses.omega),
+                *(senses.revolution.pulses, senses.mark_age, speed_age, self.throttle, self.commands[1]),
+            )
+            fault = self.plausibility.check(reading)
+            if fault:
+                self.fault(fault)
+        overdue = self._overdue()
+        if overdue:
+            self.fault(overdue)
+        asked = self._signals.asked if self._signals else None
+        if asked:
+            self.fault(asked)
+
+    def _overdue(self) -> Fault | None:
+        """A tick that came too late, too many that never came, a run that takes too long."""
+        limits, late, share = self.limits, self._tick.late, self.ticks.missed_share
+        if late > limits.late:
+            return Fault("loop", FaultKind.OVERRUN, f"{1e3 * late:.1f} ms late, allowed are {1e3 * limits.late:g} ms")
+        if share > limits.missed_share:
+            found = f"{share:.0%} of a second's ticks missed, allowed are {limits.missed_share:.0%}"
+            return Fault("loop", FaultKind.OVERRUN, found)
+        if self.states.state is not SafetyState.RUN:
+            self._driven_since = None
+        elif self._driven_since is None:
+            self._driven_since = self.ticks.time
+        elif self.ticks.time - self._driven_since > limits.run_time:
+            return Fault("loop", FaultKind.RUN_TIME, f"{limits.run_time:g} s")
+        return None

@@ -1,0 +1,144 @@
+"""Pulse outputs (ESC, LAC) through the kernel's PWM files, /sys/class/pwm (Documentation/driver-api/pwm.rst).
+
+A pulse outlives the process that set it, and a disabled output has no defined level: so an output is never disabled, it
+idles. What the kernel asks for: a period before a pulse, no pulse above the period, the polarity only while disabled.
+"""
+
+import errno
+import os
+from os import pwrite
+from pathlib import Path
+
+from hil.clock import Clock
+from hil.faults import DeviceFault, FaultKind
+
+ROOT = Path("/sys/class/pwm")
+_PERMISSION = 1.0
+"""How long udev may take to hand over the files of a channel that was exported [s]."""
+
+
+def find_chip(device: str, root: str | os.PathLike = ROOT) -> Path:
+    """The folder of the chip whose device is `device` ("fe20c000.pwm" on the Pi 4): chips' numbers change with the kernel.
+
+    DeviceFault NOT_READY names the devices that are there.
+    """
+    found = {}
+    for chip in sorted(Path(root).glob("pwmchip*")):
+        found[(chip / "device").resolve().name] = chip
+    if device not in found:
+        there = ", ".join(sorted(found)) or "none: is the overlay in config.txt?"
+        raise DeviceFault("pwm", FaultKind.NOT_READY, f"no PWM chip {device} in {root}; there is {there}")
+    return found[device]
+
+
+class PwmChannel:
+    """Output `index` of the chip in the folder `chip`; `name` is the device behind it, for messages.
+
+    DeviceFault: NOT_READY from `open`, OUTPUT_LOST from `set`.
+    """
+
+    def __init__(self, chip: str | os.PathLike, index: int, name: str, clock: Clock):
+        self.folder, self.name = Path(chip) / f"pwm{index}", name
+        self._chip, self._index, self._clock = Path(chip), index, clock
+        self._duty: int | None = None
+        self._period = self.idle_ns = 0
+        self.counters = {"pulses": 0}
+
+    @property
+    def duty_file(self) -> Path:
+        """Where the pulse [ns] is written, by this class and by whoever must stop the rotor if it can't."""
+        return self.folder / "duty_cycle"
+
+    def open(self, period: float, pulse: float) -> None:
+        """Export, set the period [s] and the idle pulse [s], enable. The output may be running already: it idles on."""
+        self._period, self.idle_ns = _nanoseconds(period), _nanoseconds(pulse)
+        try:
+            self._export()
+            running = self._read("enable") == "1"
+            # Never a pulse above the period on the way from the old pair to the new one.
+            order = [("duty_cycle", self.idle_ns), ("period", self._period)]
+            if not running or int(self._read("period")) < self._period:
+                order.reverse()
+            for file, value in order:
+                self._write(file, value)
+            if self._read("polarity") != "normal":
+                self._write("polarity", "normal")
+            self._duty = os.open(self.duty_file, os.O_WRONLY)
+            if not running:
+                self._write("enable", 1)
+        except (OSError, ValueError) as error:
+            self._let_go()
+            detail = f"{self.folder}: {getattr(error, 'strerror', None) or error}"
+            raise DeviceFault(self.name, FaultKind.NOT_READY, detail) from error
+
+    def set(self, pulse: float) -> None:
+        """Set the pulse [s]."""
+        try:
+            pwrite(self._duty, b"%d\n" % _nanoseconds(pulse), 0)
+        except (OSError, ValueError, OverflowError, TypeError) as error:  # refused by the kernel; NaN; infinite; not open
+            found = getattr(error, "strerror", None) or error
+            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, f"pulse of {pulse} s: {found}") from error
+        self.counters["pulses"] += 1
+
+    def verify(self) -> None:
+        """Whether the output is on, with the period that was set; DeviceFault OUTPUT_LOST if not."""
+        try:
+            enabled, period = self._read("enable"), self._read("period")
+        except OSError as error:
+            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, f"{self.folder}: {error.strerror}") from error
+        if (enabled, period) != ("1", str(self._period)):
+            detail = f"enable {enabled}, period {period} ns; set were 1 and {self._period} ns"
+            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, detail)
+
+    def close(self) -> None:
+        """Leave the output enabled at its idle pulse, and let go of it. Harmless if it never opened or twice."""
+        if self._duty is not None:
+            try:
+                self.set(1e-9 * self.idle_ns)
+            finally:
+                self._let_go()
+
+    def _let_go(self) -> None:
+        if self._duty is not None:
+            os.close(self._duty)
+            self._duty = None
+
+    def _export(self) -> None:
+        if not self.folder.exists():
+            try:
+                self._store(self._chip / "export", f"{self._index}")
+            except OSError as error:
+                if error.errno != errno.EBUSY:  # exported meanwhile, by someone else
+                    raise
+        deadline = self._clock.now() + _PERMISSION
+        files = [self.folder / name for name in ("period", "duty_cycle", "polarity", "enable")]
+        while not all(_permitted(file) for file in files):
+            if self._clock.now() >= deadline:
+                raise PermissionError(errno.EACCES, "no permission to write (udev rule, group gpio?)")
+            self._clock.wait_until(self._clock.now() + 0.01)
+
+    def _read(self, file: str) -> str:
+        return (self.folder / file).read_text().strip()
+
+    def _write(self, file: str, value: object) -> None:
+        self._store(self.folder / file, str(value))
+
+    @staticmethod
+    def _store(path: Path, text: str) -> None:
+        file = os.open(path, os.O_WRONLY)
+        try:
+            pwrite(file, text.encode() + b"\n", 0)
+        finally:
+            os.close(file)
+
+
+def _permitted(file: Path) -> bool:
+    try:
+        os.close(os.open(file, os.O_RDWR))
+    except (PermissionError, FileNotFoundError):
+        return False
+    return True
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * 1e9)

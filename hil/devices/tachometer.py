@@ -1,0 +1,180 @@
+"""The tachometer: an Arduino Uno that times one reflective mark, asked over a serial line.
+
+Pipelined by one tick: the request goes out at a tick, its answer is read at the next, and nothing ever waits. At most one
+request is outstanding.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Protocol
+
+import serial
+
+from hil.clock import Clock
+from hil.devices import frames
+from hil.devices.frames import Frame, FrameReader, Hello, encoded
+from hil.faults import DeviceFault, FaultKind
+
+BAUD = 500_000
+"""The Uno divides its 16 MHz to it without a remainder."""
+HELLO_WITHIN = 3.0
+"""Opening the port resets the board; its bootloader takes a second or two [s]."""
+ASK_AFTER, ASK_EVERY = 2.0, 0.25
+"""A board that wasn't reset is asked; not before, as bytes keep a bootloader from ending [s]."""
+ANSWER_WITHIN = 0.011
+"""After this a request counts as lost: at the third tick of 4 ms the next one goes out [s]."""
+_MOST_AT_ONCE = 512
+_ANSWER_BYTES = frames.FROM_BOARD[frames.ANSWER] + frames.OVERHEAD
+
+
+class Revolution(NamedTuple):
+    """The rotor's last pass of the mark: passes since the board's reset; `period` of the last whole revolution [s], inf where
+    none was measured yet; time since the pass [s], at the call that returned this; no pass for 200 ms; the request's number;
+    edges that the board rejected since its reset (modulo 256); when the answer was read [s]."""
+
+    pulses: int
+    period: float
+    age: float
+    stalled: bool
+    sequence: int
+    rejected: int
+    received: float
+
+    @property
+    def omega(self) -> float:
+        """Mean speed over the last whole revolution [rpm]; 0 where there is none."""
+        return 60.0 / self.period
+
+
+class Port(Protocol):
+    """What is used of a `serial.Serial`; reads and writes return at once."""
+
+    in_waiting: int
+
+    def read(self, size: int) -> bytes: ...
+    def write(self, data: bytes) -> int | None: ...
+    def reset_input_buffer(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class Tachometer:
+    """The board at `port`: a device's path, or a function that opens some other Port. `timeout` [s]: how long without an
+    answer is borne.
+
+    DeviceFault: NOT_READY from `hello`; from `poll` SILENT (no bytes), GARBLED (bytes, but none that pass), UNPLUGGED,
+    RESTARTED. `counters`: requests lost, answers that came too late, frames with a wrong CRC, bytes dropped.
+    """
+
+    name = "tachometer"
+
+    def __init__(self, port: str | Callable[[], Port], clock: Clock, timeout: float = 0.05):
+        self._open, self._clock, self._timeout = port, clock, timeout
+        self._port: Port | None = None
+        self._reader = FrameReader(frames.FROM_BOARD)
+        self._sequence, self._asked = 0, None
+        self._answered = 0.0
+        self._received_then = self._heard_then = 0
+        self._lost = self._late = 0
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What went wrong and was borne."""
+        reader = self._reader
+        return {"lost": self._lost, "late": self._late, "damaged": reader.damaged, "dropped bytes": reader.dropped}
+
+    def hello(self) -> Hello:
+        """Open the port and wait for the board to say what it is."""
+        clock = self._clock
+        try:
+            self._port = self._opened()
+            self._port.reset_input_buffer()
+            self._reader.forget()
+            begun = asked = clock.now()
+            while clock.now() - begun < HELLO_WITHIN:
+                clock.wait_until(clock.now() + 0.005)
+                found = [frames.read_hello(frame) for frame in self._frames() if frame.type == frames.HELLO]
+                if found:
+                    return self._agreed(found[-1])
+                if clock.now() - begun >= ASK_AFTER and clock.now() - asked >= ASK_EVERY:
+                    asked = clock.now()
+                    self._port.write(encoded(Frame(frames.ASK_HELLO, 0)))
+        except OSError as error:
+            self.close()
+            raise DeviceFault(self.name, FaultKind.NOT_READY, f"port {self._open}: {_reason(error)}") from error
+        self.close()
+        heard = f"{self._reader.received} bytes, none of them a greeting" if self._reader.received else "nothing"
+        raise DeviceFault(self.name, FaultKind.NOT_READY, f"port {self._open}: heard {heard} in {HELLO_WITHIN:g} s")
+
+    def request(self) -> None:
+        """Ask for the rotor's state, unless an answer is still due. A damaged one has come and is not waited for."""
+        now, heard = self._clock.now(), self._reader.received
+        if self._asked is not None:
+            if now - self._asked < ANSWER_WITHIN and heard - self._heard_then < _ANSWER_BYTES:
+                return
+            self._lost += 1
+        self._sequence, self._asked, self._heard_then = (self._sequence + 1) % 256, now, heard
+        try:
+            self._port.write(encoded(Frame(frames.ASK_ANSWER, self._sequence)))
+        except OSError as error:
+            raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
+
+    def poll(self) -> Revolution | None:
+        """The answer to the last request, if it has come and wasn't returned yet."""
+        now, answer = self._clock.now(), None
+        try:
+            heard = self._frames()
+        except OSError as error:
+            raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
+        for frame in heard:
+            if frame.type == frames.HELLO:
+                raise DeviceFault(self.name, FaultKind.RESTARTED, "the board has greeted anew")
+            if frame.type == frames.ANSWER and self._asked is not None and frame.sequence == self._sequence:
+                answer = self._revolution(frame, now)
+                self._asked, self._answered, self._received_then = None, now, self._reader.received
+            else:
+                self._late += 1
+        if now - self._answered > self._timeout:
+            self._refuse(now)
+        return answer
+
+    def close(self) -> None:
+        """Let go of the port."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _opened(self) -> Port:
+        if isinstance(self._open, str):
+            return serial.Serial(self._open, BAUD, timeout=0, write_timeout=0, exclusive=True)
+        return self._open()
+
+    def _frames(self) -> list[Frame]:
+        # Bounded: a line full of garbage must not cost the loop its tick.
+        waiting = min(self._port.in_waiting, _MOST_AT_ONCE)
+        return self._reader.feed(self._port.read(waiting)) if waiting else []
+
+    def _agreed(self, hello: Hello) -> Hello:
+        if (hello.version, hello.tick) != (frames.VERSION, round(frames.TICK * 1e6)):
+            self.close()
+            needed = f"{frames.VERSION} and {1e6 * frames.TICK:g} us"
+            detail = f"firmware version {hello.version}, timer of {hello.tick} us; needed are {needed}"
+            raise DeviceFault(self.name, FaultKind.NOT_READY, detail)
+        self._asked, self._answered, self._received_then = None, self._clock.now(), self._reader.received
+        return hello
+
+    def _revolution(self, frame: Frame, now: float) -> Revolution:
+        answer = frames.read_answer(frame)
+        # The board's age is of the moment it answered, at most a line's delay after the request.
+        age = frames.TICK * answer.age + now - self._asked
+        period = frames.TICK * answer.period if answer.flags & frames.MEASURED else math.inf
+        return Revolution(answer.pulses, period, age, bool(answer.flags & frames.STALLED), frame.sequence, answer.rejected, now)
+
+    def _refuse(self, now: float) -> None:
+        received = self._reader.received - self._received_then
+        kind = FaultKind.GARBLED if received else FaultKind.SILENT
+        detail = f"no valid answer for {1e3 * (now - self._answered):.0f} ms, {received} bytes heard meanwhile"
+        raise DeviceFault(self.name, kind, detail)
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error)

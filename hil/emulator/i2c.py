@@ -1,0 +1,207 @@
+"""An I2C bus with an ADS1115 on it, emulated beneath smbus2: its own ioctl calls, with its own structures, reach registers.
+
+The bus is a small file that smbus2 opens as it opens /dev/i2c-1. In front, `attached` takes the driver's ioctl and reads
+its structures as Linux lays them down (uapi/linux/i2c.h, i2c-dev.h). Behind, `Ads1115Chip` converts volts at its own pace.
+"""
+
+import contextlib
+import ctypes
+import errno
+import math
+import os
+from collections.abc import Callable, Iterator
+
+from hil.clock import Clock
+from hil.devices import ads1115 as driver
+from hil.emulator.shared import SharedNumbers
+
+REGISTERS = ("conversion", "config", "low", "high")
+STATE = ("pointer", "converting", "since")
+FAULTS = ("not_acknowledged", "timeout", "frozen", "overload")
+"""What can be set, from any process: transfers to come that are not acknowledged, that time out (math.inf: all); 1: the
+conversions stand still; volts added to the input."""
+
+POWER_UP = {"conversion": 0x0000, "config": 0x0583, "low": 0x8000, "high": 0x7FFF}
+"""Registers after a reset; the config's top bit shows whether a conversion runs and is kept apart: it reads 0x8583."""
+TIMEOUT = 1.0
+"""What the kernel waits for a transfer to end, unless it was told otherwise [s]."""
+
+_READY, _SINGLE = 0x8000, 0x0100
+_SCALES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256)
+_RATES = (8, 16, 32, 64, 128, 250, 475, 860)
+_INPUTS = ((0, 1), (0, 3), (1, 3), (2, 3), (0, None), (1, None), (2, None), (3, None))
+_WAKE = 25e-6
+
+
+def open_bus(path: str | os.PathLike, create: bool = False) -> SharedNumbers:
+    """The bus's registers and faults, to look at and to set. `create`: a new bus, its chip just powered up."""
+    bus = SharedNumbers(path, REGISTERS + STATE + FAULTS, create)
+    if create:
+        brown_out(bus)
+    return bus
+
+
+def brown_out(bus: SharedNumbers) -> None:
+    """The chip's supply dips: its registers are as after power-up, and it converts no more."""
+    for name, value in POWER_UP.items():
+        bus[name] = value
+    bus["pointer"] = bus["converting"] = 0
+
+
+class Ads1115Chip:
+    """The converting half. `volts(t)`: voltage at input `channel` at time t [s]; the others lie at 0 V.
+
+    `clock_error`: by which share its clock is fast; the data sheet allows 0.1 either way. The conversion is what stands at
+    the input at its end.
+    """
+
+    def __init__(self, bus: SharedNumbers, volts: Callable[[float], float], channel: int = 0, clock_error: float = 0.0):
+        self._bus, self._volts, self._channel, self._clock_error = bus, volts, channel, clock_error
+        self._since, self._done = math.nan, 0
+
+    def serve(self, t: float) -> None:
+        """Do the conversions that end up to time t [s]."""
+        bus = self._bus
+        config = int(bus["config"])
+        period = 1.0 / (_RATES[config >> 5 & 7] * (1.0 + self._clock_error))
+        if bus["since"] != self._since:  # a write to the settings begins a conversion anew
+            self._since, self._done = bus["since"], 0
+        if not bus["converting"]:
+            return
+        begun = self._since + _WAKE
+        done = math.floor((t - begun) / period)
+        if done <= self._done:
+            return
+        if config & _SINGLE:
+            done, bus["converting"] = 1, 0
+        self._done = done
+        if not bus["frozen"]:
+            bus["conversion"] = self._counts(config, begun + done * period) & 0xFFFF
+
+    def _counts(self, config: int, t: float) -> int:
+        plus, minus = _INPUTS[config >> 12 & 7]
+        volts = self._volts(t) + self._bus["overload"] if self._channel in (plus, minus) else 0.0
+        counts = round((volts if plus == self._channel else -volts) / _SCALES[config >> 9 & 7] * 0x8000)
+        return min(max(counts, driver.SMALLEST), driver.LARGEST)
+
+
+@contextlib.contextmanager
+def attached(path: str | os.PathLike, clock: Clock, address: int = 0x48) -> Iterator[SharedNumbers]:
+    """Within this context smbus2 reaches the bus `path`, and other buses as before. A timeout takes its time on `clock`."""
+    module = driver.smbus2.smbus2
+    bus, beneath = open_bus(path), module.ioctl
+    kernel = _Kernel(bus, address, clock)
+    here = os.stat(path)
+
+    def ioctl(file, request, argument):
+        there = os.fstat(file)
+        if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
+            return beneath(file, request, argument)
+        return kernel.ioctl(request, argument)
+
+    module.ioctl = ioctl
+    try:
+        yield bus
+    finally:
+        module.ioctl = beneath
+        bus.close()
+
+
+class _SmbusRequest(ctypes.Structure):  # struct i2c_smbus_ioctl_data
+    _fields_ = (
+        ("read_write", ctypes.c_uint8),
+        ("command", ctypes.c_uint8),
+        ("size", ctypes.c_uint32),
+        ("data", ctypes.c_void_p),
+    )
+
+
+class _Message(ctypes.Structure):  # struct i2c_msg
+    _fields_ = (("addr", ctypes.c_uint16), ("flags", ctypes.c_uint16), ("len", ctypes.c_uint16), ("buf", ctypes.c_void_p))
+
+
+class _Transfer(ctypes.Structure):  # struct i2c_rdwr_ioctl_data
+    _fields_ = (("msgs", ctypes.c_void_p), ("nmsgs", ctypes.c_uint32))
+
+
+class _Kernel:
+    """i2c-dev and the Pi's controller: turns a request's bytes in memory into transfers to the chip."""
+
+    WAIT, SLAVE, SLAVE_FORCE, FUNCS, RDWR, SMBUS = 0x0702, 0x0703, 0x0706, 0x0705, 0x0707, 0x0720
+    FUNCTIONS = 0x0EFF0001
+    """Plain I2C and the SMBus transfers that Linux makes of it."""
+
+    def __init__(self, bus: SharedNumbers, address: int, clock: Clock):
+        self._bus, self._chip, self._clock, self._address = bus, address, clock, None
+        self._timeout = TIMEOUT
+
+    def ioctl(self, request: int, argument) -> int:
+        if request in (self.SLAVE, self.SLAVE_FORCE):
+            self._address = argument
+        elif request == self.WAIT:
+            self._timeout = 0.01 * argument
+        elif request == self.FUNCS:
+            ctypes.c_ulong.from_address(ctypes.addressof(argument)).value = self.FUNCTIONS
+        elif request == self.SMBUS:
+            self._smbus(_SmbusRequest.from_address(ctypes.addressof(argument)))
+        elif request == self.RDWR:
+            self._messages(_Transfer.from_address(ctypes.addressof(argument)))
+        else:
+            raise _refusal(errno.ENOTTY)
+        return 0
+
+    def _smbus(self, request: _SmbusRequest) -> None:
+        reading, command = request.read_write == 1, bytes([request.command])
+        data = (ctypes.c_uint8 * 34).from_address(request.data) if request.data else None
+        if request.size == 1:  # a byte without a command
+            if reading:
+                data[0] = self._transfer(self._address, b"", 1)[0]
+            else:
+                self._transfer(self._address, command)
+            return
+        # Where a transfer's bytes lie in the union: a byte or a word (low byte first) at its start, a block behind its length.
+        place = {2: (0, 1), 3: (0, 2), 8: (1, data[0] if data is not None else 0)}.get(request.size)
+        if place is None or not 0 < place[1] <= 32:
+            raise _refusal(errno.EOPNOTSUPP if place is None else errno.EINVAL)
+        start, count = place
+        if reading:
+            data[start : start + count] = list(self._transfer(self._address, command, count))
+        else:
+            self._transfer(self._address, command + bytes(data[start : start + count]))
+
+    def _messages(self, transfer: _Transfer) -> None:
+        for message in (_Message * transfer.nmsgs).from_address(transfer.msgs):
+            if message.flags & 1:
+                ctypes.memmove(message.buf, self._transfer(message.addr, b"", message.len), message.len)
+            else:
+                self._transfer(message.addr, ctypes.string_at(message.buf, message.len))
+
+    def _transfer(self, address: int, written: bytes, count: int = 0) -> bytes:
+        """One transfer as on the wires: the bytes written, the first of them the register, then `count` bytes read."""
+        bus = self._bus
+        if address != self._chip or bus.take("not_acknowledged"):
+            raise _refusal(errno.EREMOTEIO)
+        if bus.take("timeout"):
+            self._clock.wait_until(self._clock.now() + self._timeout)
+            raise _refusal(errno.ETIMEDOUT)
+        if written:
+            bus["pointer"] = written[0] & 3
+        name = REGISTERS[int(bus["pointer"])]
+        if len(written) >= 3:
+            self._store(name, written[1] << 8 | written[2])
+        word = int(bus[name])
+        if name == "config" and not bus["converting"]:
+            word |= _READY
+        return (word.to_bytes(2, "big") + b"\xff" * count)[:count]
+
+    def _store(self, name: str, word: int) -> None:
+        if name == "conversion":
+            return
+        self._bus[name] = word & ~_READY if name == "config" else word
+        if name == "config":
+            self._bus["converting"] = float(not word & _SINGLE or word & _READY != 0)
+            self._bus["since"] = self._clock.now()
+
+
+def _refusal(code: int) -> OSError:
+    return OSError(code, os.strerror(code))

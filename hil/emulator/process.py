@@ -1,0 +1,101 @@
+"""The emulated rig in real time: physics and far ends of the buses in a process of their own, a step a millisecond.
+
+Run as a module. The one argument is JSON: folder, calibration as a file's text, and what is emulated. Says "ready" on standard
+output, and ends when standard input does: with whoever started it.
+"""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from hil.bench import ESC, LAC, Bench, adc
+from hil.calibration import Calibration, read_calibration, to_json
+from hil.clock import MonotonicClock
+from hil.devices.pwm import PwmChannel
+from hil.devices.tachometer import Tachometer
+from hil.emulator import i2c, pwm_tree
+from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder
+from hil.emulator.serial_line import PtyLine
+from hil.faults import DeviceFault, FaultKind
+from hil.realtime import real_time
+from hil.ticks import Ticks
+
+PERIOD = 0.001
+"""s between two looks at the buses."""
+PRIORITY = 70
+"""Below the loop's: the rig's own computer must not wait for it, as a real rig doesn't make it wait."""
+CALIBRATION = "calibration.json"
+
+
+def real_time_bench(rig: Rig, calibration: Calibration) -> Bench:
+    """An emulated rig in a process of its own. DeviceFault NOT_READY where it does not start."""
+    ends, clock = contextlib.ExitStack(), MonotonicClock()
+    with contextlib.ExitStack() as undo:
+        undo.callback(ends.close)
+        at = ends.enter_context(folder())
+        (at / CALIBRATION).write_text(to_json(calibration))
+        _start(rig, at, ends)
+        ends.enter_context(i2c.attached(at / BUS, clock))
+        chip = at / PULSES / "pwmchip0"
+        with pwm_tree.attached(at / PULSES):
+            bench = Bench(
+                clock,
+                calibration,
+                adc(calibration, str(at / BUS), clock),
+                Tachometer(str(at / PORT), clock),
+                PwmChannel(chip, ESC, "esc", clock),
+                PwmChannel(chip, LAC, "lac", clock),
+                f"in real time, in {at}",
+                ends,
+            ).open()
+        undo.pop_all()
+    return bench
+
+
+def _start(rig: Rig, at: Path, ends: contextlib.ExitStack) -> None:
+    task = json.dumps({"folder": str(at), "rig": asdict(rig)})
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hil.emulator.process", task],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,  # Ctrl-C is for the loop
+    )
+
+    def stop() -> None:
+        process.stdin.close()
+        process.wait()
+        process.stdout.close()
+
+    ends.callback(stop)
+    if process.stdout.readline() != b"ready\n":
+        raise DeviceFault("emulated rig", FaultKind.NOT_READY, "its process has ended at its start")
+
+
+def main(task: dict) -> None:
+    """Serve until standard input ends."""
+    clock, at = MonotonicClock(), Path(task["folder"])
+    rig = Rig(task["rig"]["parameters"], tuple(task["rig"]["hidden"]), task["rig"]["seed"])
+    emulation = Emulation(rig, read_calibration(at / CALIBRATION), at, clock.now())
+    emulation.line = PtyLine(emulation.board, at / LINE, at / PORT, rig.seed)
+    os.set_blocking(0, False)
+    with contextlib.closing(emulation), real_time(PRIORITY):
+        ticks = Ticks(clock, PERIOD)
+        print("ready", flush=True)
+        while not _ended():
+            ticks.wait()
+            emulation.serve(clock.now())
+
+
+def _ended() -> bool:
+    try:
+        return not os.read(0, 1)
+    except BlockingIOError:
+        return False
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))

@@ -1,0 +1,127 @@
+"""The emulated rig: the physics and the devices behind the buses, in one folder of small files."""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hil.bench import ESC, LAC, Bench, adc
+from hil.calibration import Calibration
+from hil.clock import VirtualClock
+from hil.devices.pwm import PwmChannel
+from hil.devices.tachometer import Tachometer
+from hil.emulator import i2c, pwm_tree
+from hil.emulator.i2c import Ads1115Chip
+from hil.emulator.pwm_tree import PwmTree
+from hil.emulator.serial_line import MemoryLine, SerialLine
+from hil.emulator.uno import Uno
+from hil.emulator.world import LoadCell, World
+from hil.physics.rig_model import powertrain
+
+ZERO_SHIFT = 120.0
+"""Counts by which the load cell's zero has moved since the calibration: only a tare finds it."""
+
+BUS, LINE, PORT, PULSES = "i2c", "line", "tty", "pwm"
+"""Names in the folder."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What is emulated: changes to the physics' defaults, hidden effects by name, and the seed of everything random."""
+
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    hidden: tuple[str, ...] = ()
+    seed: int = 0
+
+
+class Emulation:
+    """The far side of every bus. `serve(t)` does what is due up to time t [s]; `line` carries the tachometer's bytes."""
+
+    def __init__(self, rig: Rig, calibration: Calibration, folder: Path, start: float):
+        per_count = calibration.full_scale / 0x8000
+        zero = per_count * (calibration.zero + ZERO_SHIFT)
+        cell = LoadCell(zero, per_count / calibration.newton_per_count)
+        tree, self._calibration = PwmTree(folder / PULSES), calibration
+        self._esc, self._lac = _Output(tree, ESC), _Output(tree, LAC)
+        self.world = World(powertrain(rig.hidden), rig.parameters, self._driven, cell, rig.seed, start)
+        self._bus = i2c.open_bus(folder / BUS, create=True)
+        self._chip = Ads1115Chip(self._bus, self.world.volts, int(calibration.channel[3]))
+        self.board = Uno(self.world.pulses)
+        self.line: SerialLine | None = None
+
+    def serve(self, t: float) -> None:
+        """Go on to time t [s]."""
+        self.world.advance(t)
+        self._chip.serve(t)
+        self.line.serve(t)
+
+    def close(self) -> None:
+        """Let go of the files."""
+        self.line.close()
+        self._bus.close()
+        self._esc.close()
+        self._lac.close()
+
+    def _driven(self) -> tuple[float, float]:
+        """What the pulses ask for: (throttle [1], pitch [deg]). Without a signal the ESC stops and the rod rests."""
+        esc, lac, calibration = self._esc.pulse(), self._lac.pulse(), self._calibration
+        throttle = 0.0 if esc is None else calibration.throttle(esc)
+        return throttle, calibration.rest_pitch if lac is None else calibration.pitch(lac)
+
+
+class _Output:
+    """An output as ESC and LAC see it: the pulse [s] at every look, whether it is on at all at every 64th."""
+
+    def __init__(self, tree: PwmTree, channel: int):
+        self._tree, self._channel, self._looks, self._on = tree, channel, 0, None
+        self._path, self._file = tree.chip / f"pwm{channel}" / "duty_cycle", None
+
+    def pulse(self) -> float | None:
+        self._looks += 1
+        if self._on is None or self._looks % 64 == 0:
+            self._on = self._tree.duty(self._channel)
+            return self._on
+        if self._file is None:
+            self._file = os.open(self._path, os.O_RDONLY)
+        text = os.pread(self._file, 32, 0).split(b"\n", 1)[0]
+        if text.isdigit():  # else: it is being written at this moment
+            self._on = 1e-9 * int(text)
+        return self._on
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._file is not None:
+            os.close(self._file)
+
+
+@contextlib.contextmanager
+def folder() -> Iterable[Path]:
+    """A folder for the emulated rig's files, in memory where the system has such a place."""
+    place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with tempfile.TemporaryDirectory(prefix="vpp-hil-", dir=place) as name:
+        yield Path(name)
+
+
+def virtual_bench(rig: Rig, calibration: Calibration) -> Bench:
+    """An emulated rig in this process on a clock of its own: the same every time, and as fast as it can be computed."""
+    ends, clock = contextlib.ExitStack(), VirtualClock()
+    at = ends.enter_context(folder())
+    emulation = Emulation(rig, calibration, at, clock.now())
+    line = emulation.line = MemoryLine(emulation.board, at / LINE, clock, rig.seed)
+    ends.callback(emulation.close)
+    ends.enter_context(i2c.attached(at / BUS, clock))
+    clock.listeners.append(emulation.serve)
+    chip = at / PULSES / "pwmchip0"
+    with pwm_tree.attached(at / PULSES):
+        return Bench(
+            clock,
+            calibration,
+            adc(calibration, str(at / BUS), clock),
+            Tachometer(line.open_port, clock),
+            PwmChannel(chip, ESC, "esc", clock),
+            PwmChannel(chip, LAC, "lac", clock),
+            "in virtual time",
+            ends,
+        ).open()

@@ -1,0 +1,116 @@
+"""The entries of a JSON file, each checked where it is taken: a wrong one is a BadInput that names it."""
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text
+
+
+class Number(NamedTuple):
+    """What a number may be: its unit and its range, ends included. In the file it stands as {"value": x, "unit": u}."""
+
+    unit: str
+    lowest: float
+    highest: float
+
+    @property
+    def allowed(self) -> str:
+        return f"a number from {self.lowest:g} to {self.highest:g} {self.unit}"
+
+
+class Entries:
+    """An object of the file `path` with the keys `wanted`, and `optional` ones; `name` is its place in the file."""
+
+    def __init__(self, path: str | os.PathLike, content: object, wanted: Iterable[str], optional=(), name: str = ""):
+        self._path, self._name = path, name
+        wanted, known = list(wanted), [*wanted, *optional]
+        if not isinstance(content, dict):
+            raise BadInput(path, name or "file", shown(content), "an object in braces { }")
+        for key in wanted:
+            if key not in content:
+                raise self.wrong(key, "nothing", f"all of {', '.join(wanted)}")
+        for key in content:
+            if key not in known:
+                raise self.wrong(shown(key), "a field that is not known", ", ".join(known))
+        self._content = content
+
+    def wrong(self, key: str, found: object, allowed: str) -> BadInput:
+        """The error that names an entry."""
+        return BadInput(self._path, self._place(key), found, allowed)
+
+    def choice(self, key: str, allowed: Sequence):
+        """An entry that is one of a few; 860.0 is 860."""
+        found = self._content[key]
+        if isinstance(found, bool) or found not in allowed:
+            raise self.wrong(key, shown(found), " or ".join(json.dumps(one) for one in allowed))
+        return allowed[allowed.index(found)]
+
+    def number(self, key: str, number: Number) -> float:
+        """A number with its unit."""
+        entry = self._measured(key, "value", number)
+        return _checked(entry, "value", entry._content["value"], number)
+
+    def numbers(self, key: str, number: Number) -> tuple[float, ...]:
+        """Numbers with their unit: {"values": [...], "unit": u}."""
+        entry = self._measured(key, "values", number)
+        values = entry._content["values"]
+        if not isinstance(values, list):
+            raise entry.wrong("values", shown(values), "a list of numbers")
+        return tuple(_checked(entry, f"values, {k}", value, number) for k, value in enumerate(values, 1))
+
+    def entries(self, key: str, wanted: Iterable[str]) -> "Entries":
+        """An object within this one."""
+        return Entries(self._path, self._content[key], wanted, name=self._place(key))
+
+    def free(self, key: str) -> dict:
+        """An object that may hold anything, or be missing."""
+        found = self._content.get(key, {})
+        if not isinstance(found, dict):
+            raise self.wrong(key, shown(found), "an object in braces { }")
+        return found
+
+    def _measured(self, key: str, values: str, number: Number) -> "Entries":
+        entry = self.entries(key, (values, "unit"))
+        entry.choice("unit", (number.unit,))
+        return entry
+
+    def _place(self, key: str) -> str:
+        return f"{self._name}, {key}" if self._name else key
+
+
+def read_json(path: str | os.PathLike) -> object:
+    """What the file holds; each name once, no NaN, no infinity. Or BadInput."""
+
+    def once(pairs: list[tuple[str, object]]) -> dict:
+        names = [name for name, _ in pairs]
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise BadInput(path, shown(name), "this name more than once", "each name once")
+        return dict(pairs)
+
+    def refused(constant: str) -> float:
+        raise BadInput(path, "file", constant, "finite numbers")
+
+    try:
+        return json.loads(read_text(path), object_pairs_hook=once, parse_constant=refused)
+    except json.JSONDecodeError as error:
+        found = f"no JSON from column {error.colno} on ({error.msg})"
+        raise BadInput(path, f"line {error.lineno}", found, "JSON") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(path, "file", "a number too long, or lists too deep, to read", "JSON") from error
+
+
+def shown(found: object) -> str:
+    """A value as a message shows it: on one line, not too long."""
+    text = json.dumps(found)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _checked(entry: Entries, key: str, value: object, number: Number) -> float:
+    right = isinstance(value, int | float) and not isinstance(value, bool)
+    if not right or not number.lowest <= value <= number.highest:
+        raise entry.wrong(key, shown(value), number.allowed)
+    return float(value)

@@ -1,0 +1,75 @@
+"""Everything that can go wrong on the rig, by name, and what the loop does about each."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from vpp_fmu.errors import VppError
+
+
+class Reaction(Enum):
+    """How the loop leaves RUN."""
+
+    RAMP_DOWN = "ramp down"
+    """The loop lives and what it drives by can be trusted far enough: the commands run down along the slew limit to idle."""
+    IDLE = "idle now"
+    """Every further moment of thrust does harm, or nothing is left to ramp by: the idle pulse at once."""
+
+
+class FaultKind(Enum):
+    """A kind of fault: its name in logs and in `hil.json`, the reaction, and what it is."""
+
+    # What a device says of itself, once its retries are used up.
+    SILENT = "silent", Reaction.RAMP_DOWN, "no valid answer within the time allowed"
+    GARBLED = "garbled", Reaction.RAMP_DOWN, "answers arrive, but none passes its checks"
+    UNPLUGGED = "unplugged", Reaction.RAMP_DOWN, "the device has gone from the system"
+    RESTARTED = "restarted", Reaction.RAMP_DOWN, "the device came up anew while it was in use"
+    REFUSED = "refused", Reaction.RAMP_DOWN, "the bus or the kernel refused the transfer"
+    TIMEOUT = "timeout", Reaction.RAMP_DOWN, "the bus did not finish the transfer in time"
+    RECONFIGURED = "reconfigured", Reaction.RAMP_DOWN, "the device has lost its settings, as after a brown-out"
+    OUTPUT_LOST = "output lost", Reaction.IDLE, "a pulse could not be written or is not what was written"
+    NOT_READY = "not ready", Reaction.IDLE, "the device could not be set up before arming"
+
+    # What a reading says when held against physics.
+    FROZEN = "frozen", Reaction.RAMP_DOWN, "the reading stands still where noise must move it"
+    SATURATED = "saturated", Reaction.RAMP_DOWN, "the reading stands at the end of its range"
+    NO_ROTATION = "no rotation", Reaction.IDLE, "no revolutions although the throttle is open"
+    SPEED_JUMP = "speed jump", Reaction.RAMP_DOWN, "the speed changed faster than torque and inertia allow"
+    OVER_SPEED = "over-speed", Reaction.IDLE, "the rotor is faster than allowed"
+    OVER_THRUST = "over-thrust", Reaction.IDLE, "the thrust is larger than allowed"
+    STUCK_ACTUATOR = "stuck actuator", Reaction.RAMP_DOWN, "the thrust does not follow the commanded pitch"
+    STALE = "stale", Reaction.RAMP_DOWN, "the newest reading is too old"
+
+    # What the loop finds on itself.
+    NOT_A_NUMBER = "not a number", Reaction.RAMP_DOWN, "a command or a reading is not a finite number"
+    TIME_BACKWARDS = "time backwards", Reaction.RAMP_DOWN, "the clock did not move forward"
+    OVERRUN = "overrun", Reaction.RAMP_DOWN, "too many deadlines missed"
+    RUN_TIME = "run time", Reaction.RAMP_DOWN, "the run has lasted as long as allowed"
+    SUPERVISOR_LOST = "supervisor lost", Reaction.RAMP_DOWN, "nobody would stop the rotor if the loop died"
+    SUPERVISOR_TRIPPED = "supervisor tripped", Reaction.IDLE, "the supervisor has taken the outputs to idle"
+    TERMINATED = "terminated", Reaction.IDLE, "the process was told to end"
+    INTERRUPTED = "interrupted", Reaction.RAMP_DOWN, "stopped by the operator"
+    INTERRUPTED_TWICE = "interrupted twice", Reaction.IDLE, "stopped by the operator, at once"
+
+    def __init__(self, label: str, reaction: Reaction, meaning: str):
+        self.label, self.reaction, self.meaning = label, reaction, meaning
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault: where (`device`, such as "adc", "tachometer", "esc", "loop"), what kind, and the numbers that show it."""
+
+    device: str
+    kind: FaultKind
+    detail: str
+
+    def __str__(self) -> str:
+        return f"{self.device}: {self.kind.label}: {self.detail}"
+
+
+class DeviceFault(VppError):
+    """A device failed and its retry budget is used up. `fault` is the same as a value."""
+
+    def __init__(self, device: str, kind: FaultKind, detail: str):
+        self.fault = Fault(device, kind, detail)
+        self.device, self.kind, self.detail = device, kind, detail
+        super().__init__(str(self.fault))

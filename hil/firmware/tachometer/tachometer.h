@@ -1,0 +1,155 @@
+/* The tachometer's protocol and what it makes of the mark's passes: plain C, nothing of the board in it, so that the
+ * host compiles it too, for tests. hil/devices/frames.py describes the frames; both must say the same.
+ *
+ * Times are ticks of 4 us on a counter of 32 bits that wraps after 4 h 46 min; differences are right across the wrap.
+ */
+#ifndef TACHOMETER_H
+#define TACHOMETER_H
+
+#include <stdint.h>
+#include <string.h>
+
+#define BAUD 500000UL
+#define TICK_US 4u
+#define REJECT_TICKS 1250u /* edges closer than 5 ms are no marks: 12 000 rpm */
+#define STALL_TICKS 50000u /* 200 ms without a mark: below 300 rpm it stands */
+
+#define VERSION 1u
+#define SYNC 0x7Eu
+#define OVERHEAD 6u /* sync, length, type, sequence, CRC */
+#define ASK_HELLO 0x96u
+#define ASK_ANSWER 0x69u
+#define HELLO 0x3Cu
+#define ANSWER 0xC3u
+#define HELLO_LENGTH 6u
+#define ANSWER_LENGTH 14u
+#define LONGEST (ANSWER_LENGTH + OVERHEAD)
+
+#define STALLED 0x01u
+#define MEASURED 0x02u
+
+/* CRC-16/IBM-3740: polynomial 0x1021, start 0xFFFF, not reflected, not inverted. */
+static inline uint16_t crc16_next(uint16_t crc, uint8_t byte) {
+    uint8_t x = (uint8_t)((crc >> 8) ^ byte);
+    x ^= (uint8_t)(x >> 4);
+    return (uint16_t)((crc << 8) ^ ((uint16_t)x << 12) ^ ((uint16_t)x << 5) ^ x);
+}
+
+static inline uint16_t crc16(const uint8_t *data, uint8_t count) {
+    uint16_t crc = 0xFFFFu;
+    while (count--) crc = crc16_next(crc, *data++);
+    return crc;
+}
+
+/* The mark's passes, as the interrupt sees them. All zero: none yet. */
+typedef struct {
+    uint32_t pulses; /* accepted since reset */
+    uint32_t last;   /* time of the last one */
+    uint16_t period; /* of the last whole revolution; 0: none since the last stall */
+    uint8_t turning; /* 0 after a stall: `last` says nothing then */
+    uint8_t rejected;
+} Rotor;
+
+/* A 16-bit timer's count and its overflows as one time. `pending`: it has overflowed, but that was not counted yet, so a
+ * small count is one of the new round; a large one was read just before the overflow. */
+static inline uint32_t ticks(uint16_t overflows, uint16_t count, uint8_t pending) {
+    if (pending && count < 0x8000u) overflows++;
+    return (uint32_t)overflows << 16 | count;
+}
+
+/* The sensor's output has fallen at time `now`. */
+static inline void rotor_edge(Rotor *rotor, uint32_t now) {
+    uint32_t since = now - rotor->last;
+    if (rotor->turning && since < REJECT_TICKS) {
+        rotor->rejected++;
+        return;
+    }
+    rotor->period = rotor->turning && since <= STALL_TICKS ? (uint16_t)since : 0u;
+    rotor->turning = 1;
+    rotor->last = now;
+    rotor->pulses++;
+}
+
+/* Notes a stall; to be called often, at least once in 4 h. `now` must not be older than the last edge. */
+static inline void rotor_watch(Rotor *rotor, uint32_t now) {
+    if (rotor->turning && now - rotor->last > STALL_TICKS) {
+        rotor->turning = 0;
+        rotor->period = 0;
+    }
+}
+
+static inline uint8_t *put16(uint8_t *at, uint16_t value) {
+    *at++ = (uint8_t)value;
+    *at++ = (uint8_t)(value >> 8);
+    return at;
+}
+
+static inline uint8_t *put32(uint8_t *at, uint32_t value) {
+    return put16(put16(at, (uint16_t)value), (uint16_t)(value >> 16));
+}
+
+/* Closes a frame whose payload ends at `end`; returns its bytes. */
+static inline uint8_t frame_close(uint8_t *frame, uint8_t *end, uint8_t type, uint8_t sequence) {
+    frame[0] = SYNC;
+    frame[1] = (uint8_t)(end - frame - 4);
+    frame[2] = type;
+    frame[3] = sequence;
+    end = put16(end, crc16(frame + 1, (uint8_t)(end - frame - 1)));
+    return (uint8_t)(end - frame);
+}
+
+/* Both write at most LONGEST bytes to `frame` and return how many. */
+static inline uint8_t write_hello(uint8_t *frame, uint8_t sequence) {
+    uint8_t *at = frame + 4;
+    *at++ = VERSION;
+    *at++ = TICK_US;
+    at = put16(at, REJECT_TICKS);
+    at = put16(at, STALL_TICKS);
+    return frame_close(frame, at, HELLO, sequence);
+}
+
+static inline uint8_t write_answer(uint8_t *frame, uint8_t sequence, const Rotor *rotor, uint32_t now) {
+    uint8_t *at = put32(put32(frame + 4, rotor->pulses), rotor->last);
+    at = put16(at, rotor->period);
+    at = put16(at, rotor->turning ? (uint16_t)(now - rotor->last) : 0xFFFFu); /* turning: no more than STALL_TICKS */
+    *at++ = (uint8_t)((rotor->turning ? 0u : STALLED) | (rotor->period ? MEASURED : 0u));
+    *at++ = rotor->rejected;
+    return frame_close(frame, at, ANSWER, sequence);
+}
+
+/* Looks for requests in what the host says: they have no payload, so all are OVERHEAD bytes long. */
+typedef struct {
+    uint8_t buffer[OVERHEAD];
+    uint8_t filled;
+} Reader;
+
+typedef struct {
+    uint8_t type; /* 0: none */
+    uint8_t sequence;
+} Request;
+
+static inline uint8_t reader_fits(const Reader *reader) {
+    const uint8_t *b = reader->buffer;
+    if (b[0] != SYNC) return 0;
+    if (reader->filled > 1 && b[1] != 0) return 0;
+    if (reader->filled > 2 && b[2] != ASK_HELLO && b[2] != ASK_ANSWER) return 0;
+    return reader->filled < OVERHEAD || (uint16_t)(b[4] | (uint16_t)b[5] << 8) == crc16(b + 1, 3);
+}
+
+/* One byte more; the request that it completes. Where nothing fits one byte is dropped, and what is behind it looked at. */
+static inline Request reader_take(Reader *reader, uint8_t byte) {
+    Request request = {0, 0};
+    reader->buffer[reader->filled++] = byte;
+    while (reader->filled && !reader_fits(reader)) {
+        reader->filled--;
+        memmove(reader->buffer, reader->buffer + 1, reader->filled);
+    }
+    if (reader->filled == OVERHEAD) {
+        request.type = reader->buffer[2];
+        request.sequence = reader->buffer[3];
+        reader->filled = 0;
+    }
+    return request;
+}
+
+#endif

@@ -1,0 +1,98 @@
+/* Tachometer of the propeller rig, for an Arduino Uno (ATmega328P at 16 MHz).
+ *
+ * Wiring: HW201 sensor, output to D2 (falls when the tape passes), 5 V, GND. USB to the Pi, 500 000 baud.
+ * Answers requests and says nothing else, but for one greeting after a reset. Built by the Arduino IDE as it stands, or by
+ * avr-gcc alone:  avr-g++ -mmcu=atmega328p -DF_CPU=16000000UL -Os -x c++ tachometer.ino -o tachometer.elf
+ *
+ * Registers, not the core's functions: Serial would block in write, micros() shares its timer, and attachInterrupt adds a
+ * microsecond or two of call to every pass.
+ */
+#include <avr/interrupt.h>
+#include <avr/io.h>
+
+#include "tachometer.h"
+
+#define HEARD 64u /* a power of two; bytes that wait to be looked at */
+
+static Rotor rotor;
+static volatile uint16_t overflows;
+static volatile uint8_t heard[HEARD], heard_in;
+static uint8_t heard_out;
+static Reader reader;
+static uint8_t said[LONGEST], said_end, said_at;
+
+/* With interrupts off only, so that the overflow can't slip in between. */
+static inline uint32_t now_locked(void) {
+    uint16_t count = TCNT1;
+    return ticks(overflows, count, TIFR1 & _BV(TOV1));
+}
+
+ISR(TIMER1_OVF_vect) { overflows++; }
+
+ISR(INT0_vect) { rotor_edge(&rotor, now_locked()); }
+
+ISR(USART_RX_vect) {
+    uint8_t next = (heard_in + 1u) % HEARD;
+    uint8_t byte = UDR0;
+    if (next != heard_out) {
+        heard[heard_in] = byte;
+        heard_in = next;
+    }
+}
+
+void setup() {
+    cli();
+    TIMSK0 = 0; /* the Arduino core's millis(), not used here: its interrupt would delay the mark's */
+
+    TCCR1A = 0;
+    TCCR1B = _BV(CS11) | _BV(CS10); /* 16 MHz / 64: 4 us */
+    TIMSK1 = _BV(TOIE1);
+    TIFR1 = _BV(TOV1);
+
+    DDRD &= ~_BV(DDD2);
+    PORTD |= _BV(PORTD2); /* pull-up: a loose wire is a mark that never comes */
+    EICRA = _BV(ISC01);   /* falling edge */
+    EIFR = _BV(INTF0);
+    EIMSK = _BV(INT0);
+
+    UCSR0A = _BV(U2X0);
+    UBRR0 = F_CPU / 8 / BAUD - 1; /* 3, without a remainder */
+    UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
+    UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
+    sei();
+
+    said_end = write_hello(said, 0);
+}
+
+/* The answer's bytes, of one moment: no pass comes between its numbers. */
+static uint8_t answer(uint8_t sequence) {
+    cli();
+    uint32_t now = now_locked();
+    Rotor seen = rotor;
+    sei();
+    rotor_watch(&seen, now);
+    return write_answer(said, sequence, &seen, now);
+}
+
+void loop() {
+    cli();
+    rotor_watch(&rotor, now_locked());
+    sei();
+
+    if (said_at < said_end) {
+        if (UCSR0A & _BV(UDRE0)) UDR0 = said[said_at++];
+    } else if (heard_out != heard_in) {
+        Request request = reader_take(&reader, heard[heard_out]);
+        heard_out = (heard_out + 1u) % HEARD;
+        said_at = said_end = 0;
+        if (request.type == ASK_ANSWER) said_end = answer(request.sequence);
+        if (request.type == ASK_HELLO) said_end = write_hello(said, request.sequence);
+    }
+}
+
+#ifndef ARDUINO
+int main() {
+    setup();
+    for (;;) loop();
+}
+#endif

@@ -1,0 +1,180 @@
+"""Every reading held against what physics allows, once a tick. What a bus or a device says of itself comes as DeviceFault."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from hil.faults import Fault, FaultKind
+from hil.limits import Limits
+from hil.pitch_effect import PitchEffect
+from hil.rotor_bounds import RotorBounds, RotorPhysics
+
+HELD_REVOLUTIONS = 3
+"""A mark that is missed once makes one late pass and one halved speed; the revolution behind it is right again."""
+
+SAME = 1e-4
+"""s; conversions closer in time are one and the same."""
+
+
+class Reading(NamedTuple):
+    """One tick: what was read, and what stood on the outputs while it came about.
+
+    `t` [s]; `counts` of the ADC, whether `saturated`; `thrust` [N] with `thrust_age` [s]; `omega` [rpm] over the last
+    revolution; `pulses`, passes of the mark so far; `mark_age` [s] since the last of them; `speed_age` [s] since the
+    tachometer's last valid answer; `throttle` [0..1], `beta_ref` [deg].
+    """
+
+    t: float
+    counts: int
+    saturated: bool
+    thrust: float
+    thrust_age: float
+    omega: float
+    pulses: int
+    mark_age: float
+    speed_age: float
+    throttle: float
+    beta_ref: float
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """From what on a reading is a fault.
+
+    `hold` [s]: how long a speed that can't be may last while the speed loop is frozen, three revolutions at least. `stale`
+    [s]: oldest reading. `frozen`: equal ADC readings in a row; with an amplifier's noise of 2 counts two neighbours are equal
+    in 1 of 7, twelve in a row once in 100 days at 250 Hz, and the rig's noise is ten times that. `saturated`, `over_thrust`:
+    readings in a row, since one can be a spark. `starts` [s] with a throttle of `open` and no revolution is longer than an
+    ESC takes to start a motor; beyond a throttle of `wide` (2600 rpm without a load) it turns or never will, and a speed loop
+    that does not see it would open further. `effect` [1], `moved` [N^2 s]: the blades stand if less than this share of their
+    expected effect is seen, once so much was commanded (2 N for a quarter of a second).
+    """
+
+    hold: float = 0.05
+    stale: float = 0.05
+    frozen: int = 12
+    saturated: int = 3
+    over_thrust: int = 3
+    open: float = 0.05
+    starts: float = 2.0
+    wide: float = 0.2
+    effect: float = 0.4
+    moved: float = 1.0
+    rotor: RotorPhysics = field(default_factory=RotorPhysics)
+
+
+class Plausibility:
+    """The checks with their memory. `speed_trusted`: whether the speed loop may use the last reading; frozen if not.
+
+    `parameters` of the plant by the kernel's names tell what pitch does to the thrust (default: the paper's).
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        dt: float,
+        parameters: Mapping[str, float] | None = None,
+        thresholds: Thresholds | None = None,
+    ):
+        self._limits, self._thresholds = limits, thresholds or Thresholds()
+        self._rotor, self._pitch = RotorBounds(self._thresholds.rotor), PitchEffect(dt, parameters)
+        self._last: Reading | None = None
+        self._equal = self._saturated = self._heavy = 0
+        self._doubted: Reading | None = None
+        self._open_since: float | None = None
+
+    @property
+    def speed_trusted(self) -> bool:
+        return self._doubted is None
+
+    def check(self, now: Reading) -> Fault | None:
+        """The first thing that is wrong with a tick, None if nothing is."""
+        before, self._last = self._last, now
+        if before is None:
+            before = now._replace(t=-math.inf, counts=None)
+            self._rotor.believe(now.omega, 0.0, 0.0)
+        found = self._numbers(now, before) or self._ages(now) or self._adc(now, before) or self._speed(now, before)
+        if found is None and self.speed_trusted and self._rotor.turning:
+            found = self._blades(now)
+        return found
+
+    def _numbers(self, now: Reading, before: Reading) -> Fault | None:
+        if not math.isfinite(sum(now)):
+            wrong = ", ".join(f"{name} {value}" for name, value in now._asdict().items() if not math.isfinite(value))
+            return Fault("loop", FaultKind.NOT_A_NUMBER, wrong or "sum of the readings is infinite")
+        if now.t <= before.t:
+            return Fault("loop", FaultKind.TIME_BACKWARDS, f"{now.t:.6f} s after {before.t:.6f} s")
+        return None
+
+    def _ages(self, now: Reading) -> Fault | None:
+        for device, age in (("adc", now.thrust_age), ("tachometer", now.speed_age)):
+            if age > self._thresholds.stale:
+                return Fault(device, FaultKind.STALE, f"reading {1e3 * age:.0f} ms old")
+        return None
+
+    def _adc(self, now: Reading, before: Reading) -> Fault | None:
+        own, trip = self._thresholds, self._limits.thrust_trip
+        # A reading that a device held while its bus failed says nothing; its age does.
+        if now.t - now.thrust_age > before.t - before.thrust_age + SAME:
+            self._equal = self._equal + 1 if now.counts == before.counts else 1
+        self._saturated = self._saturated + 1 if now.saturated else 0
+        self._heavy = self._heavy + 1 if abs(now.thrust) > trip else 0
+        if self._saturated >= own.saturated:
+            return Fault("adc", FaultKind.SATURATED, f"{now.counts} counts, {self._saturated} times in a row")
+        if self._equal >= own.frozen:
+            return Fault("adc", FaultKind.FROZEN, f"{now.counts} counts, {self._equal} times in a row")
+        if self._heavy >= own.over_thrust:
+            return Fault("rig", FaultKind.OVER_THRUST, f"{now.thrust:.1f} N, allowed is {trip:g} N")
+        return None
+
+    def _speed(self, now: Reading, before: Reading) -> Fault | None:
+        rotor, dt = self._rotor, min(now.t - before.t, 1.0)
+        rotor.advance(now.throttle, dt)
+        possible, missed = True, False
+        if now.pulses != before.pulses or now.omega != before.omega:
+            possible = rotor.allows(now.omega)
+            if possible:
+                rotor.believe(now.omega, now.throttle, now.mark_age + 60.0 / now.omega if now.omega > 0.0 else 0.0)
+        elif now.omega > 0.0:
+            missed = rotor.misses(now.mark_age - now.speed_age)  # as it was when the tachometer last answered
+        still_doubted = self._doubted is not None and now.pulses == before.pulses
+        if possible and not missed and not still_doubted:
+            self._doubted = None
+        elif self._doubted is None:
+            self._doubted = now
+        return self._doubtful(now) or self._over_speed(now) or self._at_standstill(now)
+
+    def _doubtful(self, now: Reading) -> Fault | None:
+        low, high, first = self._rotor.low, self._rotor.high, self._doubted
+        if first is None or now.t - first.t < max(self._thresholds.hold, HELD_REVOLUTIONS * 60.0 / max(low, 600.0)):
+            return None
+        if now.pulses == first.pulses or now.omega == 0.0:
+            detail = f"no revolution for {1e3 * now.mark_age:.0f} ms, the rotor turns at {low:.0f} rpm at least"
+            return Fault("tachometer", FaultKind.NO_ROTATION, detail)
+        detail = f"{now.omega:.0f} rpm, possible are {low:.0f} to {high:.0f} rpm"
+        return Fault("tachometer", FaultKind.SPEED_JUMP, detail)
+
+    def _over_speed(self, now: Reading) -> Fault | None:
+        if self._doubted is None and now.omega > self._limits.omega_trip:
+            detail = f"{now.omega:.0f} rpm, allowed are {self._limits.omega_trip:g} rpm"
+            return Fault("rig", FaultKind.OVER_SPEED, detail)
+        return None
+
+    def _at_standstill(self, now: Reading) -> Fault | None:
+        if self._rotor.turning or now.throttle < self._thresholds.open:
+            self._open_since = None
+            return None
+        self._open_since = now.t if self._open_since is None else self._open_since
+        if now.t - self._open_since < self._thresholds.starts and now.throttle < self._thresholds.wide:
+            return None
+        detail = f"throttle {now.throttle:.2f} for {now.t - self._open_since:.1f} s"
+        return Fault("tachometer", FaultKind.NO_ROTATION, detail)
+
+    def _blades(self, now: Reading) -> Fault | None:
+        own, pitch = self._thresholds, self._pitch
+        pitch.update(now.thrust, now.omega, now.beta_ref)
+        if pitch.moved < own.moved or pitch.bound > own.effect:
+            return None
+        detail = f"{100.0 * pitch.effect:.0f} % of the thrust that the commanded pitch should have changed"
+        return Fault("pitch actuator", FaultKind.STUCK_ACTUATOR, detail)

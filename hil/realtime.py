@@ -1,0 +1,81 @@
+"""What keeps a loop on time: a scheduler that does not wait its turn, memory that stays, a collector that keeps still.
+
+Measured on two cores at 250 Hz with an absolute deadline: 1.1 ms late at the 99th percentile without, 0.08 ms with these, also
+under load. Each needs a permission; where one is missing the loop runs on, and says so.
+"""
+
+import contextlib
+import ctypes
+import gc
+import os
+import resource
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+PRIORITY = 80
+"""Above the kernel's interrupt threads (50), which the loop doesn't wait for; below its migration and watchdog threads (99)."""
+
+_CURRENT, _FUTURE = 1, 2  # flags of mlockall
+
+
+@dataclass(frozen=True)
+class Granted:
+    """What the system granted, and in words what it didn't."""
+
+    fifo: bool
+    locked: bool
+    frozen: int
+    refusals: tuple[str, ...]
+
+    def __str__(self) -> str:
+        granted = ["SCHED_FIFO"] * self.fifo + ["locked memory"] * self.locked + [f"{self.frozen} objects frozen"]
+        return "; ".join([", ".join(granted), *self.refusals])
+
+
+@contextlib.contextmanager
+def real_time(priority: int = PRIORITY) -> Iterator[Granted]:
+    """The calling thread in real time for as long as the context lasts. Threads and processes it starts are ordinary ones."""
+    refusals: list[str] = []
+    # What lives now is spared by every later collection, and none comes by itself: one took 17 ms with numpy loaded.
+    was_on = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        with _fifo(priority, refusals) as fifo, _locked(refusals) as locked:
+            yield Granted(fifo, locked, gc.get_freeze_count(), tuple(refusals))
+    finally:
+        gc.unfreeze()
+        if was_on:
+            gc.enable()
+
+
+@contextlib.contextmanager
+def _fifo(priority: int, refusals: list[str]) -> Iterator[bool]:
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except PermissionError:
+        refusals.append("no SCHED_FIFO: other programs may delay the loop (rtprio in limits.conf, see hil/README.md)")
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, *before)
+
+
+@contextlib.contextmanager
+def _locked(refusals: list[str]) -> Iterator[bool]:
+    libc = ctypes.CDLL(None, use_errno=True)
+    # Under a limit, memory that is to be locked as it comes may be refused: the loop would die of it.
+    unlimited = os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    if libc.mlockall(_CURRENT | _FUTURE if unlimited else _CURRENT):
+        reason = os.strerror(ctypes.get_errno()).lower()
+        refusals.append(f"memory not locked ({reason}): a page may come from disk (memlock in limits.conf, see hil/README.md)")
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        libc.munlockall()

@@ -1,0 +1,39 @@
+"""A recorded run once more through a controller: what it saw, and whether it says the same."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpp_fmu.plants import COMMANDS, Controller
+from vpp_fmu.record import Record
+
+WANTED = {"omega_ref": "omega_wanted", "beta_ref": "beta_wanted"}
+"""Columns of a rig's run that hold what the controller asked for; `omega_ref` and `beta_ref` hold what the limits let pass."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """`record`: the run with the replayed commands as `omega_ref`, `beta_ref` (rows,); `recorded`: those of the run."""
+
+    record: Record
+    recorded: dict[str, np.ndarray]
+
+    @property
+    def first_difference(self) -> int | None:
+        """The first row in which a bit differs."""
+        differs = np.any([self.record[name] != was for name, was in self.recorded.items()], axis=0)
+        return int(np.argmax(differs)) if differs.any() else None
+
+    @property
+    def largest(self) -> dict[str, float]:
+        """The largest difference of each command [rpm, deg]."""
+        return {name: float(np.max(np.abs(self.record[name] - was))) for name, was in self.recorded.items()}
+
+
+def replay(run: Record, controller: Controller) -> Replay:
+    """Feed the set-point and the thrust of each row of `run` to `controller`, and keep what it commands."""
+    wanted, thrust = run["thrust_set"].tolist(), run["thrust"].tolist()
+    controller.start(wanted[0], thrust[0])
+    commands = np.array([controller.step(*row) for row in zip(wanted, thrust, strict=True)])
+    recorded = {name: run[WANTED[name] if WANTED[name] in run else name] for name in COMMANDS}
+    return Replay(run.with_columns(**dict(zip(COMMANDS, commands.T, strict=True))), recorded)

@@ -1,0 +1,116 @@
+"""The page of a run on the rig: the loop, what it differs from, the twin, the timing, and what happened."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from plotly import graph_objects as go
+
+from hil.timing import EDGES, Timing
+from vpp_fmu.comparison import compare
+from vpp_fmu.record import Record
+from vpp_fmu.report import Page, closed_loop, style, thinning, two_records
+from vpp_fmu.report.panels import add_band, add_line, panels
+from vpp_fmu.report.thinning import places
+from vpp_fmu.response import Step, steps
+
+STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", "overshoot [%]")
+BAND, SPAN = 0.05, 0.1
+"""A step has settled once its thrust, as a mean over SPAN s, stays within this share of it: noise makes 2 % too narrow."""
+
+
+def add_loops(page: Page, loops: Mapping[str, Record], notes: str) -> None:
+    """The closed loops over one profile, by name, and their steps."""
+    judged = {name: judged_steps(loop) for name, loop in loops.items()}
+    first, found = next(iter(judged.items()))
+    title = said(found[0], first) if found else "Thrust under a constant set-point"
+    shown = {name: {column: loop[column] for column in loop.columns} for name, loop in loops.items()}
+    rows = max(len(loop) for loop in loops.values())
+    caption = f"Thrust with its set-point, speed and pitch with their commands. {notes} {thinning(rows)}"
+    page.figure(closed_loop(shown, title), caption)
+    table = [_row(name, step) for name, found in judged.items() for step in found]
+    page.table(STEP_COLUMNS, table, f"Every change of the set-point, judged on the thrust's mean over {SPAN:g} s.")
+
+
+def add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Record]) -> float:
+    """Thrust of two loops and their difference; returns its root mean square [N]."""
+    (name_a, a), (name_b, b) = first, second
+    both = compare(a, b)
+    difference = both.second["thrust"] - both.first["thrust"]
+    rms, mean = float(np.sqrt(np.mean(difference**2))), float(difference.mean())
+    slow = smoothed(Record({"time": both.time, "thrust": difference}, "difference"))["thrust"]
+    title = f"{name_b} and {name_a} differ by {rms:.2f} N rms, {mean:+.2f} N on average"
+    fig = two_records(a.time, a["thrust"], b.time, b["thrust"], name_a, name_b, title, "thrust", "N")
+    largest = float(np.max(np.abs(slow)))
+    page.figure(fig, f"Smoothed over 0.1 s the difference is {largest:.2f} N at most. {thinning(len(a))}")
+    return rms
+
+
+def add_timing(page: Page, found: Timing, limits_text: str) -> None:
+    """The histogram of lateness."""
+    p999 = 1e6 * found.late[2]
+    title = f"99.9 % of {found.ticks} ticks began within {p999:.0f} us of their time, {found.missed} slots were missed"
+    page.figure(lateness(found, title), f"How late each tick began, on logarithmic axes. {limits_text}")
+
+
+def lateness(found: Timing, title: str) -> go.Figure:
+    """Ticks by how late they began."""
+    fig = style.figure(title, 340, legend=False)
+    labels = [_edge(low) for low in EDGES[:-1]]
+    last = max(k for k, count in enumerate(found.counts) if count) + 2
+    fig.add_bar(x=labels[:last], y=[count or None for count in found.counts[:last]], marker_color=style.AFTER)
+    fig.update_xaxes(title_text="late by at least [s]", type="category")
+    fig.update_yaxes(title_text="ticks [-]", type="log", dtick=1)
+    return fig
+
+
+def add_twin(page: Page, time: np.ndarray, residual: np.ndarray, alarm: np.ndarray, band: float, text: str) -> None:
+    """What the rig shows less what its twin says, all (rows,)."""
+    alarmed = np.flatnonzero(alarm > 0.5)
+    begin = (
+        f"from {time[alarmed[0]]:.2f} s on the rig was not its twin"
+        if len(alarmed)
+        else "the rig stayed within its twin's band"
+    )
+    fig = panels(f"Twin: {begin}", ["residual [N]"], [240])
+    add_band(fig, 0, 2 * band, f"± 2 noise ({2 * band:.2g} N)")
+    kept = places([residual])
+    add_line(fig, 0, time[kept], residual[kept], "rig − twin", {"color": style.MEASURED, "width": 1})
+    if len(alarmed):
+        fig.add_vline(x=float(time[alarmed[0]]), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
+    page.figure(fig, f"{text} {thinning(len(time))}")
+
+
+def add_counts(page: Page, counters: Mapping[str, Mapping[str, int]], transitions: Sequence[Sequence]) -> None:
+    """What the devices healed, and the states that the rig went through."""
+    page.table(("at [s]", "state", "why"), transitions, "States of the rig.")
+    rows = [(device, name, count) for device, counts in counters.items() for name, count in counts.items()]
+    page.table(("device", "what", "times"), rows, "What the devices counted.")
+
+
+def judged_steps(run: Record) -> list[Step]:
+    """Every change of the set-point, with what noise there is smoothed away."""
+    return steps(smoothed(run), BAND)
+
+
+def smoothed(run: Record, span: float = SPAN) -> Record:
+    """The run with its thrust as a centred mean over `span` s."""
+    rows = max(1, round(span / float(np.median(run.steps)))) // 2 * 2 + 1
+    total = np.concatenate([[0.0], np.cumsum(run["thrust"])])
+    low = np.clip(np.arange(len(run)) - rows // 2, 0, len(run))
+    high = np.clip(np.arange(len(run)) + rows // 2 + 1, 0, len(run))
+    return run.with_columns(thrust=(total[high] - total[low]) / (high - low))
+
+
+def said(step: Step, name: str) -> str:
+    """A step in words."""
+    when = "does not settle" if step.settling is None else f"settles within {step.settling:.2f} s"
+    return f"{name}: the step from {step.before:.4g} to {step.after:.4g} N at {step.time:.4g} s {when}"
+
+
+def _row(name: str, step: Step) -> tuple:
+    settled = "not before the next" if step.settling is None else step.settling
+    return name, step.time, step.before, step.after, settled, step.overshoot
+
+
+def _edge(seconds: float) -> str:
+    return f"{1e6 * seconds:.0f} us" if seconds < 1e-3 else f"{1e3 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.0f} s"

@@ -1,0 +1,216 @@
+"""The rig as a plant: tare, arm, run; one tick a step; and the way down, whatever happens."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hil.bench import Bench
+from hil.cycle import NOBODY, PERIOD, Cycle
+from hil.limits import Cut, Limiter, Limits
+from hil.live import NoView, View
+from hil.log import Log
+from hil.physics.speed_pi import SpeedPi
+from hil.plausibility import Plausibility
+from hil.states import SafetyState
+from hil.stop import StopSignals
+from hil.supervisor import Supervisor
+from hil.tare import Tare, TareRefused, tare
+from hil.twin import Twin
+from vpp_fmu.errors import VppError
+
+TARE_SAMPLES = 1000
+TARE_TRIES = 3
+"""Slow noise of the amplifier looks like a drift now and then."""
+REST = 1.0
+"""s without a revolution after which the rotor counts as standing."""
+RUN_OUT = 20.0
+"""s that a rotor may take to stand."""
+SETTLE = 3.0
+"""s on the first commands before a run begins (paper: what transients need)."""
+RAMP = 1.5
+"""s that a ramp-down takes from full throttle to none."""
+
+
+class RunEnded(VppError):
+    """The run ended before its time: the message says why. What was measured until then is in the log."""
+
+
+class RigSample(NamedTuple):
+    """Thrust [N], speed [rpm] held since the last pass of the mark, pitch (NaN: the rig measures none), ages [s]."""
+
+    thrust: float
+    omega: float
+    beta: float
+    thrust_age: float
+    omega_age: float
+
+
+class Rig:
+    """A plant made of devices: `start` tares, arms, runs and settles; `stop` ramps down; `close` leaves the idle pulse.
+
+    Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
+    `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
+    a run's readings. `tares`: the zeros that were found.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        limits: Limits,
+        log: Log,
+        supervise: Callable[[], Supervisor] | None = None,
+        signals: StopSignals | None = None,
+        twin: Twin | None = None,
+        view: View | None = None,
+        plausibility: Callable[[], Plausibility] | None = None,
+    ):
+        self.dt, self.bench, self.limits = PERIOD, bench, limits
+        plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
+        self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility)
+        self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
+        self._supervise, self._twin = supervise, twin
+        self._pi, self._limiter = SpeedPi(), Limiter(limits)
+        self.tares: list[Tare] = []
+        self.counters = bench.counters
+
+    def start(self, omega_ref: float, beta_ref: float) -> RigSample:
+        """Wait for the rotor to stand, tare, arm, spin up along the slow slopes to the commands [rpm, deg], settle there."""
+        self._begin()
+        self.states.tared(self._tare())
+        self._cycle.note("tared")
+        self.states.arm()
+        self._cycle.note("armed")
+        self._idle_tick()
+        self.states.run()
+        self._cycle.note("run")
+        low, high = self.limits.omega_min, self.limits.omega_max
+        target = min(max(omega_ref, low), high), min(max(beta_ref, self.limits.beta_min), self.limits.beta_max)
+        at = (0.0, 0.0)
+        while at != target:
+            at = self._limiter.ramp(*target, self.dt)[:2]
+            self._driven_tick(*at)
+        for _ in range(round(SETTLE / self.dt)):
+            self._driven_tick(*at)
+        if self._twin:
+            self._twin.start(self.ticks.time, *at)
+        return self.last
+
+    def step(self, omega_ref: float, beta_ref: float) -> RigSample:
+        """Hold the commands, as far as the limits let them pass, for one tick; what is read at the next."""
+        limited = self._limiter.apply(omega_ref, beta_ref, self.dt)
+        if limited.fault:
+            self._cycle.fault(limited.fault)
+        if self._twin:
+            said = self._twin.update(self.ticks.time, limited.omega_ref, limited.beta_ref, self.last.thrust)
+            self._cycle.residual, self._cycle.alarm = said.residual, said.alarmed
+        self._driven_tick(limited.omega_ref, limited.beta_ref, (omega_ref, beta_ref), limited.cut)
+        return self.last
+
+    def idle(self, count: int) -> None:
+        """`count` ticks with everything at work but the rotor: the idle pulse stands."""
+        self._begin()
+        for _ in range(count):
+            self._idle_tick()
+        self._dismiss()
+
+    def stop(self) -> None:
+        """End the run in order: ramp down, idle pulse, supervisor dismissed. Then `start` may come again."""
+        if self.states.state is SafetyState.RUN:
+            self.states.ramp_down("end of the run")
+            self._cycle.note("end of the run")
+            self._come_down()
+        self._dismiss()
+
+    def close(self) -> None:
+        """The idle pulse, whatever happened; then let go of everything."""
+        self._cycle.idle()
+        self._dismiss()
+        self.counters = self.bench.counters
+        self.bench.close()
+
+    @property
+    def last(self) -> RigSample:
+        """What was read last."""
+        senses = self._cycle.senses
+        return RigSample(senses.thrust, senses.omega, math.nan, senses.thrust_age, senses.mark_age)
+
+    @property
+    def acting(self) -> tuple[float, float]:
+        """The commands [rpm, deg] that the limits let pass last."""
+        return self._cycle.commands
+
+    def follow(self, thrust_set: float) -> None:
+        """What the controller is after [N], for the log."""
+        self._cycle.wanted = thrust_set
+
+    def _begin(self) -> None:
+        self._cycle.begin()
+        self._pi, self._limiter = SpeedPi(), Limiter(self.limits, *self._cycle.commands)
+        if self._supervise:
+            self._cycle.supervisor = self._supervise()
+        self._cycle.wake()
+
+    def _tare(self) -> Tare:
+        """The load cell's zero, once the rotor stands."""
+        rest, senses = 0.0, self._cycle.senses
+        for _ in range(round(RUN_OUT / self.dt)):
+            self._idle_tick()
+            rest = rest + self.dt if senses.omega == 0.0 else 0.0
+            if rest >= REST:
+                break
+        else:
+            raise RunEnded(f"tare: the rotor still turns at {senses.omega:.0f} rpm after {RUN_OUT:g} s")
+        for left in reversed(range(TARE_TRIES)):
+            try:
+                return self._zeroed()
+            except TareRefused as refused:
+                if not left:
+                    raise
+                self._cycle.note(str(refused))
+        raise AssertionError("unreachable")
+
+    def _zeroed(self) -> Tare:
+        counts, senses, calibration = [], self._cycle.senses, self.bench.calibration
+        for _ in range(TARE_SAMPLES):
+            self._idle_tick()
+            counts.append(senses.counts)
+        found = tare(counts, calibration.newton_per_count, calibration.zero)
+        self._cycle.zero = senses.zero = found.zero
+        self.tares.append(found)
+        return found
+
+    def _idle_tick(self) -> None:
+        """A tick with the idle pulse, before the run."""
+        self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
+        if self.states.state not in (SafetyState.SAFE, SafetyState.ARMED) or self._cycle.asked:
+            self._end()
+
+    def _driven_tick(self, omega_ref, beta_ref, wanted=NOBODY, cut=Cut.NONE) -> None:
+        """A tick of the run."""
+        cycle, senses = self._cycle, self._cycle.senses
+        if self.states.state is SafetyState.RUN:
+            frozen = not (senses.fresh and cycle.plausibility.speed_trusted)
+            cycle.tick(omega_ref, beta_ref, self._pi.update(omega_ref, senses.omega, cycle.passed, frozen), wanted, cut)
+        if self.states.state is not SafetyState.RUN:
+            self._come_down()
+            self._end()
+
+    def _come_down(self) -> None:
+        """Close the throttle along its slope; no sensor is needed for it. A fault that can't wait cuts it short."""
+        cycle = self._cycle
+        cycle.residual = cycle.wanted = math.nan
+        while self.states.state is SafetyState.RAMPDOWN and cycle.throttle > 0.0:
+            commands = self._limiter.ramp(0.0, self.bench.calibration.rest_pitch, cycle.passed)[:2]
+            cycle.tick(*commands, max(0.0, cycle.throttle - cycle.passed / RAMP))
+        cycle.idle()
+        self.states.stopped()
+        cycle.note("idle pulse")
+
+    def _end(self) -> None:
+        raise RunEnded(str(self.states.cause or self._cycle.asked or self.states.reason))
+
+    def _dismiss(self) -> None:
+        if self._cycle.supervisor:
+            self._cycle.idle()
+            self._cycle.supervisor.close()
+            self._cycle.supervisor = None

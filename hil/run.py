@@ -1,0 +1,105 @@
+"""A closed loop on the rig: the same loop, controllers and profiles as with FMUs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.columns import RUN
+from hil.limits import Limiter, Limits
+from hil.log import Column, MemoryLog
+from hil.rig import Rig, RunEnded
+from hil.session import Session, Setup, read_log, session
+from hil.twin import Twin
+from vpp_fmu.loop import run as run_loop
+from vpp_fmu.plants import Controller, Plant
+from vpp_fmu.record import Record
+
+START = (2000.0, 0.0)
+"""rpm, deg: what a run begins from, the lowest speed of the operating region."""
+
+LOG = "log.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """`record`: the loop's part, from time 0; `log`: every tick from tare to idle pulse; `ended`: why it ended early."""
+
+    record: Record
+    log: Record
+    session: Session
+    ended: str
+
+
+class Told:
+    """A controller that tells the rig's log what it follows."""
+
+    def __init__(self, controller: Controller, rig: Rig):
+        self._controller, self._rig = controller, rig
+
+    def start(self, thrust_set, thrust):
+        self._controller.start(thrust_set, thrust)
+
+    def step(self, thrust_set, thrust):
+        self._rig.follow(thrust_set)
+        return self._controller.step(thrust_set, thrust)
+
+    def close(self):
+        self._controller.close()
+
+
+class LimitedPlant:
+    """A plant with the rig's limits in front of it: what is then still different is the plant."""
+
+    def __init__(self, plant: Plant, limits: Limits):
+        self.dt, self._plant, self._limits = plant.dt, plant, limits
+
+    def start(self, omega_ref, beta_ref):
+        self._limiter = Limiter(self._limits, omega_ref, beta_ref)
+        return self._plant.start(omega_ref, beta_ref)
+
+    def step(self, omega_ref, beta_ref):
+        limited = self._limiter.apply(omega_ref, beta_ref, self.dt)
+        return self._plant.step(limited.omega_ref, limited.beta_ref)
+
+    def close(self):
+        self._plant.close()
+
+
+def run_on_rig(
+    setup: Setup,
+    controller: Controller,
+    profile: Record,
+    folder: Path,
+    start: tuple[float, float] = START,
+    twin: Twin | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Run:
+    """Close the loop over the profile. Writes the full-rate log to `folder` and keeps what was measured, however it ended."""
+    ended = ""
+    with session(setup, folder, LOG, twin) as one:
+        try:
+            run_loop(one.rig, Told(controller, one.rig), profile, start, progress)
+            one.rig.stop()
+        except RunEnded as reason:
+            ended = str(reason)
+    log = read_log(folder / LOG)
+    return Run(loop_part(log), log, one, ended)
+
+
+def loop_part(log: Record) -> Record:
+    """The rows of a log in which a controller was at work, from time 0; columns as `hil.columns.RUN` has them."""
+    rows = np.flatnonzero(np.isfinite(log["omega_wanted"]))
+    if not len(rows):
+        return Record({name: np.empty(0) for name in ("time", *RUN)}, log.source)
+    columns = {name: log[name][rows] for name in RUN}
+    return Record({"time": np.round(log.time[rows] - log.time[rows[0]], 9), **columns}, log.source)
+
+
+def write_run(path: Path, record: Record) -> None:
+    """Write a run, its values exact to the bit: a replay needs them so."""
+    log = MemoryLog(path, [Column(name, exact=name != "time") for name in record.columns])
+    for row in zip(*(column.tolist() for column in record.columns.values()), strict=True):
+        log.put(*row)
+    log.close()

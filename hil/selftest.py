@@ -1,0 +1,121 @@
+"""The rig's own test, without turning the rotor: does the loop keep its time, do the buses answer, is the calibration sane?"""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration import Calibration
+from hil.rig import RunEnded
+from hil.session import Session, Setup, read_log, session
+from vpp_fmu.record import Record
+
+LOG = "log.csv"
+HALF_SCALE = 16384
+"""Counts: a load cell's zero beyond them leaves less than half of the range for the thrust."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing looked at: what, whether it is good, and what was found."""
+
+    what: str
+    good: bool
+    found: str
+
+
+@dataclass(frozen=True, eq=False)
+class SelfTest:
+    """`checks`, the log of every tick, the session behind it, and why it ended early, if it did."""
+
+    checks: tuple[Check, ...]
+    log: Record
+    session: Session
+    ended: str
+
+
+def selftest(
+    setup: Setup, seconds: float, folder: Path, load: int = 0, progress: Callable[[float], None] = lambda s: None
+) -> SelfTest:
+    """Tick for `seconds` with the idle pulse on the outputs, `load` other processes being busy meanwhile."""
+    ended = ""
+    with session(setup, folder, LOG) as one, busy(load):
+        rig, count = one.rig, round(seconds / one.rig.dt)
+        try:
+            rig.idle(count)
+        except RunEnded as reason:
+            ended = str(reason)
+        outputs = [(path, round(1e9 * pulse), Path(path).read_text().split()[0]) for path, pulse in rig.bench.outputs]
+    log = read_log(folder / LOG)
+    checks = (*_timing(one, log), *_buses(one, log, ended), *_calibration(setup.calibration, log), *_outputs(outputs))
+    return SelfTest(checks, log, one, ended)
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """`count` processes that do nothing but compute, at ordinary priority."""
+    context = multiprocessing.get_context("spawn")
+    workers = [context.Process(target=_compute, daemon=True) for _ in range(count)]
+    for worker in workers:
+        worker.start()
+    if count:
+        time.sleep(1.0)  # until they are through their imports
+    try:
+        yield
+    finally:
+        for worker in workers:
+            worker.terminate()
+            worker.join()
+
+
+def _compute() -> None:
+    numbers = np.random.default_rng(0).standard_normal((200, 200))
+    while True:
+        np.linalg.svd(numbers)
+
+
+def _timing(one: Session, log: Record) -> list[Check]:
+    logged, ticks, dt = one.logged, one.rig.ticks, one.rig.dt
+    rows = logged.rows == ticks.ticks and logged.lost == 0 and len(log) == logged.rows
+    checks = [
+        Check("log", rows, f"{len(log)} rows in the file, {ticks.ticks} ticks, {logged.lost} lost {logged.failure}".strip())
+    ]
+    if one.timing:
+        p999, missed, share = one.timing.late[2], one.timing.missed, one.timing.missed / max(1, ticks.slot)
+        text = f"p99.9 {1e6 * p999:.0f} us late, {missed} slots missed of {ticks.slot}"
+        checks.append(Check("timing", p999 < 0.5 * dt and share < 1e-3, text))
+    return checks
+
+
+def _buses(one: Session, log: Record, ended: str) -> list[Check]:
+    checks = []
+    for device, counts in one.rig.counters.items():
+        troubles = {name: n for name, n in counts.items() if name != "pulses" and n}
+        share = sum(troubles.values()) / max(1, len(log))
+        text = ", ".join(f"{name} {n}" for name, n in troubles.items()) or "nothing went wrong"
+        checks.append(Check(device, share < 0.01 and device not in ended, text))
+    repeats = float(np.mean(np.diff(log["counts"]) == 0.0)) if len(log) > 1 else 1.0
+    text = f"{repeats:.1%} of the readings equal the one before"
+    return [*checks, Check("adc, conversions", repeats < 0.3, text), Check("run", not ended, ended or "to its end")]
+
+
+def _calibration(calibration: Calibration, log: Record) -> list[Check]:
+    counts, scale = log["counts"], abs(calibration.newton_per_count)
+    noise, zero = float(counts.std()) * scale, float(counts.mean())
+    off = abs(zero - calibration.zero) * scale
+    text = f"{zero:.1f} counts, {off:.2f} N off the calibration's, noise {noise:.3f} N"
+    return [
+        Check("load cell at rest", off < 5.0 and 0.0 < noise < 0.3 and abs(zero) < HALF_SCALE, text),
+        Check("calibration", True, f"sha256 {calibration.sha256}"),
+    ]
+
+
+def _outputs(outputs: list[tuple[str, int, str]]) -> list[Check]:
+    return [
+        Check(f"output {Path(path).parent.name}", found == str(idle), f"{found} ns, the idle pulse is {idle} ns")
+        for path, idle, found in outputs
+    ]

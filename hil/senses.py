@@ -1,0 +1,52 @@
+"""What the rig's sensors say at a tick. What a device can't mend by itself is a fault; its last reading stands then."""
+
+import contextlib
+import math
+
+from hil.bench import Bench
+from hil.clock import Clock
+from hil.devices.tachometer import Revolution
+from hil.faults import DeviceFault, Fault
+
+
+class Senses:
+    """The last readings: `counts` of the ADC and whether `saturated`; `thrust` [N] over the tare's `zero` [counts] and its age
+    [s]; speed `omega` [rpm] of the last whole revolution, 0 at standstill, and the age [s] of the mark's last pass; `fresh`:
+    whether the tachometer has answered at this tick; its last answer."""
+
+    def __init__(self, bench: Bench, zero: float):
+        self._bench, self.zero = bench, zero
+        self.counts, self.saturated, self.thrust, self.thrust_age = 0, False, 0.0, math.inf
+        self.omega, self.mark_age, self.fresh = 0.0, math.inf, False
+        self.revolution: Revolution | None = None
+
+    def wake(self, clock: Clock, pause: float) -> None:
+        """Ask the tachometer again after a break, with `pause` s for its answer: from here on silence is a fault."""
+        for _ in range(3):
+            with contextlib.suppress(DeviceFault):
+                self._bench.tachometer.request()
+                clock.wait_until(clock.now() + pause)
+                self._bench.tachometer.poll()
+
+    def read(self, passed: float) -> list[Fault]:
+        """Read all, `passed` s after the last time."""
+        bench, faults = self._bench, []
+        self.thrust_age += passed
+        try:
+            conversion = bench.adc.read()
+            self.counts, self.saturated, self.thrust_age = conversion.counts, conversion.saturated, conversion.age
+            self.thrust = bench.calibration.thrust(conversion.counts, self.zero)
+        except DeviceFault as failed:
+            faults.append(failed.fault)
+        answer = None
+        self.mark_age += passed
+        try:
+            answer = bench.tachometer.poll()
+            bench.tachometer.request()
+        except DeviceFault as failed:
+            faults.append(failed.fault)
+        self.fresh = answer is not None
+        if answer is not None:
+            self.revolution, self.mark_age = answer, answer.age
+            self.omega = 0.0 if answer.stalled else answer.omega
+        return faults

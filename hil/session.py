@@ -1,0 +1,154 @@
+"""Everything around a rig while it is used: real time, log, supervisor, signals, live view; and what is left of it."""
+
+import contextlib
+import math
+import platform
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from hil.bench import Bench, Wiring, real_bench
+from hil.calibration import Calibration
+from hil.clock import VirtualClock
+from hil.columns import COLUMNS, SHOWN, STATES
+from hil.cycle import PERIOD
+from hil.emulator.process import real_time_bench
+from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import virtual_bench
+from hil.limits import Limits
+from hil.live import NoView, view
+from hil.log import Logged, MemoryLog, ProcessLog
+from hil.plausibility import Plausibility, Thresholds
+from hil.realtime import real_time
+from hil.rig import Rig
+from hil.stop import StopSignals
+from hil.supervisor import Supervisor
+from hil.timing import Timing, timing
+from hil.twin import Twin
+from vpp_fmu.files import read_table
+from vpp_fmu.record import Record
+
+REPORT = "supervisor.log"
+_PACKAGES = ("vpp-fmu", "numpy", "fmpy", "pyserial", "smbus2")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Which rig: `emulated`, in virtual time or not, or the real one by its `wiring`; how it is calibrated, what it may do.
+
+    `plant`: what is known of it, parameters by the kernel's names (default: the paper's).
+    """
+
+    calibration: Calibration
+    limits: Limits
+    emulated: Emulated | None = None
+    virtual: bool = False
+    wiring: Wiring | None = None
+    plant: Mapping[str, float] | None = None
+    map_is_known: bool = True
+
+    def plausibility(self) -> Plausibility:
+        """The checks of a run's readings. Where the map is not known yet, thrust can't tell whether the blades follow."""
+        thresholds = Thresholds() if self.map_is_known else Thresholds(effect=-math.inf)
+        return Plausibility(self.limits, PERIOD, self.plant, thresholds)
+
+    def bench(self) -> Bench:
+        """Its devices, ready to use. DeviceFault NOT_READY."""
+        if self.emulated is None:
+            return real_bench(self.calibration, self.wiring or Wiring())
+        return (virtual_bench if self.virtual else real_time_bench)(self.emulated, self.calibration)
+
+    def told(self) -> dict:
+        """For `hil.json`."""
+        kind = "real" if self.emulated is None else "emulated"
+        hidden = list(self.emulated.hidden) if self.emulated else []
+        told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
+        if self.emulated:
+            told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
+        return told
+
+
+class Session:
+    """A rig in use, and, once it is over, what became of it."""
+
+    def __init__(self, rig: Rig, setup: Setup, granted: str, folder: Path):
+        self.rig, self._setup, self._granted, self._folder = rig, setup, granted, folder
+        self.logged: Logged | None = None
+        self.timing: Timing | None = None
+
+    def told(self) -> dict:
+        """The content of `hil.json` that every use of a rig shares."""
+        rig, limits = self.rig, self._setup.limits
+        scale = abs(self._setup.calibration.newton_per_count)
+        report = self._folder / REPORT
+        return {
+            "format": "vpp-hil/1",
+            **self._setup.told(),
+            "calibration": {"sha256": self._setup.calibration.sha256, "source": dict(self._setup.calibration.source)},
+            "limits": {name: getattr(limits, name) for name in limits.__dataclass_fields__},
+            "real_time": self._granted,
+            "versions": versions(),
+            "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],
+            "transitions": [{"time": t, "state": state, "why": why} for t, state, why in rig.transitions],
+            "counters": rig.counters,
+            "supervisor": report.read_text().splitlines() if report.exists() else [],
+            "log": {
+                "ticks": rig.ticks.ticks,
+                "rows": self.logged.rows,
+                "lost": self.logged.lost,
+                "failure": self.logged.failure,
+            },
+            "timing": self.timing.summary() if self.timing else None,
+        }
+
+
+@contextlib.contextmanager
+def session(setup: Setup, folder: Path, log_name: str, twin: Twin | None = None, watch: bool = True) -> Iterator[Session]:
+    """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
+
+    `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal.
+    """
+    with contextlib.ExitStack() as ends:
+        bench = setup.bench()
+        ends.callback(bench.close)
+        in_virtual_time = isinstance(bench.clock, VirtualClock)
+        log = (MemoryLog if in_virtual_time else ProcessLog)(folder / log_name, COLUMNS)
+        shown = NoView() if in_virtual_time or not watch else view(SHOWN, {"state": STATES})
+        ends.callback(shown.close)
+        report = folder / REPORT
+        report.unlink(missing_ok=True)
+        supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report)
+        with StopSignals() as signals, contextlib.nullcontext("virtual time") if in_virtual_time else real_time() as granted:
+            rig = Rig(bench, setup.limits, log, supervise, signals, twin, shown, setup.plausibility)
+            one = Session(rig, setup, str(granted), folder)
+            try:
+                yield one
+            finally:
+                rig.close()
+                one.logged = log.close()
+        if not in_virtual_time:
+            ticks = read_log(folder / log_name)
+            one.timing = timing(ticks["late"], ticks["busy"], ticks["missed"])
+
+
+def read_log(path: Path) -> Record:
+    """A full-rate log, whole; empty cells are NaN."""
+    table = read_table(path)
+    columns = {name: table.numbers(name, ("",)) for name in table.columns if name != "state"}
+    return Record({**columns, "state": np.asarray(table.columns["state"], str)}, str(path))
+
+
+def versions() -> Mapping[str, str]:
+    """Of what took part."""
+    found = {"python": sys.version.split()[0], "system": f"{platform.system()} {platform.release()} {platform.machine()}"}
+    for name in _PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
+Progress = Callable[[float], None]

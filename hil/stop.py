@@ -1,0 +1,40 @@
+"""The operator's signals: Ctrl-C once ramps down, twice stops at once; SIGTERM and a lost terminal stop at once."""
+
+import signal
+
+from hil.faults import Fault, FaultKind
+
+
+class StopSignals:
+    """While entered, signals only leave a mark that the loop reads between ticks: nothing is torn out of a bus transfer.
+
+    Enter it in the main thread. The handlers that stood before come back at the end.
+    """
+
+    HANDLED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def __init__(self):
+        self._interrupts, self._ended, self._before = 0, None, {}
+
+    def __enter__(self):
+        self._before = {number: signal.signal(number, self._note) for number in self.HANDLED}
+        return self
+
+    def __exit__(self, *_):
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number, _frame):
+        if number == signal.SIGINT:
+            self._interrupts += 1
+        else:
+            self._ended = signal.Signals(number).name
+
+    @property
+    def asked(self) -> Fault | None:
+        """What was asked for so far, the hardest of it. INTERRUPTED is no fault of the rig: it ends the run in order."""
+        if self._ended:
+            return Fault("operator", FaultKind.TERMINATED, self._ended)
+        if self._interrupts > 1:
+            return Fault("operator", FaultKind.INTERRUPTED_TWICE, f"Ctrl-C {self._interrupts} times")
+        return Fault("operator", FaultKind.INTERRUPTED, "Ctrl-C") if self._interrupts else None

@@ -1,0 +1,93 @@
+"""The loop's side of the supervisor: start its process, show it life, hear whether it has stopped the rotor.
+
+PWM outlives the process that set it: after a crash the last pulse stays on the pin. So a second process holds the duty files
+open and writes the idle pulse when the loop is gone or silent; see `hil/watchdog.py`.
+"""
+
+import mmap
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+from hil import watchdog
+from hil.faults import DeviceFault, Fault, FaultKind
+
+SILENCE = 0.05
+"""s without a heartbeat after which the rotor is stopped: twelve ticks."""
+
+LOST = 0.1
+"""s without a sign of the watchdog after which the loop gives up: five times its pace, so that a busy machine is no fault."""
+
+STARTED = 5.0
+"""s; a process that hasn't started by then won't."""
+
+
+class Supervisor:
+    """A process of its own that watches this one.
+
+    Outputs are (duty file, idle pulse [s]); the PWM must be set up already, since the idle pulse is written at the start to
+    show that it can be. `report` is a file that the process adds a line to if it has to act. From the first `beat` on,
+    `silence` s without one trips it. `fifo`: whether it runs in real time. DeviceFault NOT_READY: it could not start, or an
+    output refused the idle pulse.
+    """
+
+    def __init__(self, outputs: Sequence[tuple[str | os.PathLike, float]], report: str | os.PathLike, silence: float = SILENCE):
+        size = 8 * len(watchdog.SLOTS)
+        shared = os.memfd_create("hil-supervisor")
+        os.ftruncate(shared, size)
+        self._memory = mmap.mmap(shared, size)
+        self._page = memoryview(self._memory).cast("d")
+        files = [word for path, idle in outputs for word in (os.fspath(path), str(round(idle * 1e9)))]
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", watchdog.__file__, str(shared), os.fspath(report), str(silence), *files],
+            pass_fds=(shared,),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # what the terminal sends to its foreground is not for it
+        )
+        os.close(shared)
+        self._wait_until_ready()
+        self.fifo = bool(self._page[watchdog.FIFO])
+
+    def _wait_until_ready(self) -> None:
+        end = time.monotonic() + STARTED
+        while not self._page[watchdog.READY]:
+            if self._process.poll() is not None or time.monotonic() > end:
+                self._process.kill()
+                _, told = self._process.communicate()
+                detail = " ".join(told.decode(errors="replace").split()) or "it did not start"
+                raise DeviceFault("supervisor", FaultKind.NOT_READY, detail)
+            time.sleep(0.002)
+
+    @property
+    def pid(self) -> int:
+        """The process."""
+        return self._process.pid
+
+    def beat(self) -> Fault | None:
+        """Once a tick, right before its pulses: the loop lives. Only without a fault may they be other than idle.
+
+        SUPERVISOR_TRIPPED: the outputs were taken to idle, for good. SUPERVISOR_LOST: nobody listens.
+        """
+        now = time.monotonic()
+        self._page[watchdog.BEAT] = now
+        if self._page[watchdog.TRIPPED]:
+            self._page[watchdog.CONFIRMED] = now
+            return Fault("supervisor", FaultKind.SUPERVISOR_TRIPPED, "the loop was silent; the outputs are at idle")
+        silent = now - self._page[watchdog.ALIVE]
+        if silent > LOST:
+            return Fault("supervisor", FaultKind.SUPERVISOR_LOST, f"no sign of process {self.pid} for {1e3 * silent:.0f} ms")
+        return None
+
+    def close(self) -> None:
+        """Goodbye: the loop has written the idle pulse on every output. The supervisor writes it once more, and ends."""
+        try:
+            self._process.communicate(b"q", timeout=1.0)
+        except subprocess.TimeoutExpired:  # stopped: it can't harm, but it mustn't stay
+            self._process.kill()
+            self._process.communicate()
+        self._page.release()
+        self._memory.close()

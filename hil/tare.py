@@ -1,0 +1,78 @@
+"""The load cell's zero, measured before every run, and refused where it would be wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpp_fmu.errors import VppError
+
+BLOCKS = 10
+"""The standard error is taken from the means of this many blocks: an amplifier's noise is coloured."""
+
+
+class TareRefused(VppError):
+    """The readings are no zero: the message says why, with the numbers in N."""
+
+
+@dataclass(frozen=True)
+class TareGate:
+    """What readings must keep to be taken as a zero.
+
+    `noise_max` [N]: largest standard deviation. A turning rotor, a hand or wind give more than the amplifier does.
+    `drift_max` [N]: how far first and second half may differ beyond three standard errors. More: the rotor runs out, or the
+    cell warms up. `offset_max` [N]: how far the zero may be from the calibration's. More: something hangs on the cell, or it
+    is not connected. `samples_min`: fewest readings.
+    """
+
+    noise_max: float = 0.3
+    drift_max: float = 0.05
+    offset_max: float = 5.0
+    samples_min: int = 200
+
+
+@dataclass(frozen=True)
+class Tare:
+    """The zero: mean of `samples` readings, their standard deviation `noise` and the mean's standard error, all in counts."""
+
+    zero: float
+    noise: float
+    error: float
+    samples: int
+
+
+def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: float, gate: TareGate | None = None) -> Tare:
+    """The zero of `counts` (n,), readings of the unloaded cell with the rotor at rest.
+
+    `newton_per_count` and `calibrated_zero` [counts] come from the calibration. TareRefused says which gate was shut.
+    """
+    gate, counts = gate or TareGate(), np.asarray(counts, float)
+    if len(counts) < gate.samples_min:
+        raise TareRefused(f"tare: {len(counts)} readings, at least {gate.samples_min} are needed")
+    if not np.isfinite(counts).all():
+        raise TareRefused("tare: a reading is not a finite number")
+    scale = abs(newton_per_count)
+    noise, zero = float(counts.std(ddof=1)), float(counts.mean())
+    if noise == 0.0:
+        raise TareRefused(f"tare: all {len(counts)} readings are {counts[0]:g} counts: the ADC is frozen")
+    if noise * scale > gate.noise_max:
+        raise TareRefused(
+            f"tare: the readings scatter by {noise * scale:.3g} N, allowed is {gate.noise_max:g} N: is the rotor at rest, "
+            "does wind or a hand touch the stand?"
+        )
+    means = counts[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
+    error = float(means.std(ddof=1)) / BLOCKS**0.5
+    drift = abs(float(means[BLOCKS // 2 :].mean() - means[: BLOCKS // 2].mean()))
+    still = noise * (4.0 / len(counts)) ** 0.5
+    if drift * scale > gate.drift_max + 3.0 * still * scale:
+        raise TareRefused(
+            f"tare: the reading moved by {drift * scale:.3g} N from first to second half, allowed is {gate.drift_max:g} N: "
+            "wait until the rotor stands and the amplifier is warm"
+        )
+    offset = abs(zero - calibrated_zero) * scale
+    if offset > gate.offset_max:
+        raise TareRefused(
+            f"tare: the zero is {offset:.3g} N from the calibration's, allowed is {gate.offset_max:g} N: "
+            "what hangs on the load cell?"
+        )
+    return Tare(zero, noise, error, len(counts))

@@ -1,0 +1,52 @@
+"""The loop's grid in time: absolute deadlines, and what happens to those that were missed."""
+
+from collections import deque
+from typing import NamedTuple
+
+from hil.clock import Clock
+
+
+class Tick(NamedTuple):
+    """One tick: the grid's `slot` it stands for, how `late` [s] it was for the next one, and how many slots it `missed`."""
+
+    slot: int
+    late: float
+    missed: int
+
+
+class Ticks:
+    """Deadlines `dt` [s] apart from now on. A tick that comes too late for its slot takes the one that runs: what was missed is
+    left out, not made up for, and the phase stays. `missed` and `ticks` count from the start."""
+
+    def __init__(self, clock: Clock, dt: float):
+        self._clock, self.dt, self._zero = clock, dt, clock.now()
+        self.slot = self.missed = self.ticks = 0
+        self._window: deque[tuple[int, int]] = deque()  # (slot, missed) of the last second
+
+    def wait(self) -> Tick:
+        """Sleep until the next deadline."""
+        wanted = self.slot + 1
+        late = self._clock.wait_until(self._zero + wanted * self.dt)
+        missed = int(late / self.dt)
+        self.slot, self.ticks, self.missed = wanted + missed, self.ticks + 1, self.missed + missed
+        if missed:
+            self._window.append((self.slot, missed))
+        return Tick(self.slot, late, missed)
+
+    def resume(self) -> None:
+        """Go on after a break that was meant: its slots don't count as missed."""
+        self.slot = max(self.slot, int((self._clock.now() - self._zero) / self.dt))
+        self._window.clear()
+
+    @property
+    def missed_share(self) -> float:
+        """Share of the last second's slots that were missed."""
+        second = 1.0 / self.dt
+        while self._window and self._window[0][0] <= self.slot - second:
+            self._window.popleft()
+        return sum(missed for _, missed in self._window) / second
+
+    @property
+    def time(self) -> float:
+        """Time of the slot that runs, from the start [s]."""
+        return self.slot * self.dt

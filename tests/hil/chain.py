@@ -1,0 +1,88 @@
+"""The whole chain on the emulated rig: `python -m tests.hil.chain [EFFECT[=SIZE]] [-o DIR] [--seed N]`.
+
+A campaign is measured on a rig with a hidden effect; `vpp identify`, `vpp diagnose` and `vpp export` make two plant FMUs of it,
+without and with what was found; both then predict records of the same rig that nobody has seen, and run beside it in
+the loop. Every step is a command that a user would type; the table says how far each FMU is from the rig.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hil.commands import validation
+from hil.cycle import PERIOD
+from vpp_fmu.cli import main as vpp
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.fmu import simulate_in_fmpy
+from vpp_fmu.record import Record, read_record, write_record
+
+STEPS = {"time": np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0]), "thrust_set": np.array([1.5, 12.0, 1.5, 6.0, 8.0, 8.0])}
+LESS = ["--samples", "1000", "--levels", "3"]
+"""A fifth of the paper's readings a point and three levels: the static map takes 12 minutes then, on a clock of its own 20 s."""
+
+
+def command(*words: object) -> float:
+    """Run one; returns the seconds it took. The chain ends where one fails."""
+    print("\n$ vpp", *words, flush=True)
+    began = time.perf_counter()
+    code = vpp([str(word) for word in words])
+    if code:
+        sys.exit(f"vpp {words[0]} ended with {code}")
+    return time.perf_counter() - began
+
+
+def rmse(fmu: Path, record: Record) -> float:
+    """Thrust error of a plant FMU under the record's commands, by fmpy's own simulation [N]."""
+    seen = np.isfinite(record["thrust"])
+    return float(np.sqrt(np.mean((simulate_in_fmpy(fmu, record) - record["thrust"])[seen] ** 2)))
+
+
+def chain(effect: str, out: Path, seed: int, more: list[str]) -> dict:
+    """Measure, identify, diagnose, export, measure and run again; what came of it."""
+    rig = ["--virtual", "--hide", effect]
+    took = {"campaign": command("hil", "campaign", *rig, "--seed", seed, *more, "-o", out / "campaign")}
+    took["identify"] = command("identify", out / "campaign", "-o", out / "identified")
+    took["diagnose"] = command("diagnose", out / "campaign", "-o", out / "diagnosed")
+    folder = OutputFolder(out)
+    write_record(folder, "new_commands.csv", validation(seed + 1000, 60.0, PERIOD))
+    write_record(folder, "steps.csv", Record(STEPS, ""))
+    command("hil", "campaign", *rig, "--seed", seed + 1, "--commands", out / "new_commands.csv", "-o", out / "new")
+    new = read_record(out / "new" / "record.csv", holes=("thrust",))
+    verdict = json.loads((out / "diagnosed" / "diagnosis.json").read_text())
+    found = {"effect": effect, "verdict": verdict["verdict"], "effects": [e["name"] for e in verdict["effects"]]}
+    found |= {"family": verdict.get("family"), "noise": verdict["noise_floor_thrust"], "seconds": took}
+    for name, parameters in (("before", out / "identified"), ("after", out / "diagnosed")):
+        command("export", "--parameters", parameters / "parameters.json", "-o", out / f"fmus_{name}")
+        fmu = out / f"fmus_{name}" / "VppPlant.fmu"
+        loop = ["--profile", out / "steps.csv", "--beside", fmu, "-o", out / f"run_{name}"]
+        command("hil", "run", *rig, "--seed", seed + 2, "--parameters", parameters / "parameters.json", *loop)
+        beside = json.loads((out / f"run_{name}" / "hil.json").read_text())["beside"]["rms_thrust"]
+        found[name] = {"new record": rmse(fmu, new), "beside the rig in the loop": beside}
+    return found
+
+
+def main() -> None:
+    """Run the chain and print its table."""
+    parser = argparse.ArgumentParser(prog="python -m tests.hil.chain", description=__doc__)
+    parser.add_argument("effect", nargs="?", default="linkage_play=0.6", help="as --hide has it (default: linkage_play=0.6)")
+    parser.add_argument("-o", "--output", default="chain", help="folder (default: chain)")
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--paper", action="store_true", help="as many readings as the paper takes")
+    options = parser.parse_args()
+    out = Path(options.output)
+    found = chain(options.effect, out, options.seed, [] if options.paper else LESS)
+    OutputFolder(out).write("chain.json", json.dumps(found, indent=2) + "\n")
+    print(f"\nhidden: {found['effect']}; verdict: {found['verdict']}, {', '.join(found['effects']) or 'nothing'}")
+    for what in found["before"]:
+        before, after = found["before"][what], found["after"][what]
+        print(f"{what}: {before:.3f} N before, {after:.3f} N after")
+    took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in found["seconds"].items())
+    print(f"noise of one reading: {found['noise']:.3f} N; {took}")
+
+
+if __name__ == "__main__":
+    main()

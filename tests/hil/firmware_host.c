@@ -1,0 +1,33 @@
+/* The firmware's header behind functions that Python can call. */
+#include "tachometer.h"
+
+static Rotor rotor;
+static Reader reader;
+
+void restart(void) {
+    memset(&rotor, 0, sizeof rotor);
+    memset(&reader, 0, sizeof reader);
+}
+
+void edge(uint32_t now) { rotor_edge(&rotor, now); }
+
+void watch(uint32_t now) { rotor_watch(&rotor, now); }
+
+unsigned hello(unsigned sequence, uint8_t *frame) { return write_hello(frame, (uint8_t)sequence); }
+
+unsigned answer(unsigned sequence, uint32_t now, uint8_t *frame) {
+    rotor_watch(&rotor, now);
+    return write_answer(frame, (uint8_t)sequence, &rotor, now);
+}
+
+/* Type and sequence of the request that the byte completes; 0: none. */
+unsigned take(unsigned byte) {
+    Request request = reader_take(&reader, (uint8_t)byte);
+    return (unsigned)request.type << 8 | request.sequence;
+}
+
+unsigned crc(const uint8_t *data, unsigned count) { return crc16(data, (uint8_t)count); }
+
+unsigned extended(unsigned overflows, unsigned count, unsigned pending) {
+    return ticks((uint16_t)overflows, (uint16_t)count, (uint8_t)pending);
+}

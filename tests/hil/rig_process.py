@@ -1,0 +1,120 @@
+"""A closed loop on the emulated rig in real time, in a process of its own, to have faults injected into: `rig_process.py TASK`.
+
+TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
+`physics` (`hidden`, `parameters`), `refuse` (name of a PWM file whose writes are refused), `sabotage`: what SIGUSR1 makes the
+controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON, a line each: where the rig's files are; that
+it runs; how it ended.
+"""
+
+import json
+import math
+import signal
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from hil import rig
+from hil.calibration import read_calibration
+from hil.emulator import pwm_tree
+from hil.emulator.rig import Rig as Emulated
+from hil.limits import Limits
+from hil.run import run_on_rig
+from hil.session import Setup
+from vpp_fmu.errors import VppError
+from vpp_fmu.plants import KernelController
+from vpp_fmu.record import Record
+
+# The waits before a run, shortened: forty faults are to be tried.
+rig.REST, rig.TARE_SAMPLES, rig.SETTLE = 0.3, 250, 0.5
+
+CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
+SETTLED = 250
+"""Steps of the controller after which the thrust stands."""
+
+
+def say(**told):
+    print(json.dumps(told), flush=True)
+
+
+class SpokenSetup(Setup):
+    """Says where the rig's files are."""
+
+    def bench(self):
+        bench = super().bench()
+        say(esc=str(bench.esc.duty_file), at=str(bench.esc.duty_file.parents[3]), idle=bench.esc.idle_ns)
+        return bench
+
+
+class Saboteur:
+    """The paper's controller, until SIGUSR1 comes."""
+
+    def __init__(self, sabotage):
+        self._controller, self._sabotage, self._asked, self._steps = KernelController(), sabotage, False, 0
+        signal.signal(signal.SIGUSR1, self._ask)
+
+    def _ask(self, *_):
+        self._asked = True
+
+    def start(self, thrust_set, thrust):
+        self._controller.start(thrust_set, thrust)
+
+    def step(self, thrust_set, thrust):
+        self._steps += 1
+        if self._steps == SETTLED:
+            say(running=True)
+        commands = self._controller.step(thrust_set, thrust)
+        if self._asked:
+            self._asked = self._sabotage in ("nan", "flat out")
+            if self._sabotage == "nan":
+                return math.nan, math.nan
+            if self._sabotage == "flat out":
+                return 6000.0, 0.0
+            if self._sabotage == "clock back":
+                before = time.time
+                time.time = lambda: before() - 3600.0
+            else:
+                time.sleep(self._sabotage)
+        return commands
+
+    def close(self):
+        self._controller.close()
+
+
+def profile(seconds, swing):
+    times = np.arange(0.0, seconds + 1.0, 1.0)
+    wanted = np.where((times > 1.0) & (times % 2.0 > 0.5), 10.0, 5.0) if swing else np.full(len(times), 6.0)
+    return Record({"time": times, "thrust_set": wanted}, "faults")
+
+
+def main(task):
+    if refuse := task.get("refuse"):
+        pwm_tree.attached = partial(pwm_tree.attached, refuse=lambda file: file == refuse)
+    physics = task.get("physics", {})
+    emulated = Emulated(physics.get("parameters", {}), tuple(physics.get("hidden", ())), seed=1)
+    setup = SpokenSetup(read_calibration(CALIBRATION), Limits(**task.get("limits", {})), emulated)
+    controller = Saboteur(task.get("sabotage"))
+    try:
+        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), Path(task["folder"]))
+    except VppError as error:
+        say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)
+        return
+    one, omega = done.session, done.record["omega"][SETTLED:]
+    jump = float(np.abs(np.diff(omega)).max()) if len(omega) > 1 else 0.0
+    transitions = [list(each) for each in one.rig.transitions]
+    say(
+        ended=done.ended,
+        state=one.rig.states.state.value,
+        transitions=transitions,
+        counters=one.told()["counters"],
+        lost=one.logged.lost,
+        failure=one.logged.failure,
+        jump=jump,
+        missed=one.rig.ticks.missed,
+    )
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))

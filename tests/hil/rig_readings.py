@@ -1,0 +1,75 @@
+"""Readings as the rig's loop gets them, from the physical model under the speed loop: what plausibility is tried on."""
+
+import math
+import random
+
+from hil.emulator.stepper import Stepper
+from hil.limits import Limiter, Limits
+from hil.physics.rig_model import library, powertrain
+from hil.physics.speed_pi import SpeedPi
+from hil.plausibility import Plausibility, Reading
+
+DT = 0.004
+SPIN_UP = 3.0
+NEWTON_PER_COUNT = 0.004
+NOISE = 25.0  # counts
+
+
+class Tachometer:
+    """One mark a revolution, times to 4 us, the speed of the last whole revolution."""
+
+    def __init__(self):
+        self.pulses, self.last, self.period, self.angle = 0, 0.0, math.inf, 0.0
+
+    def see(self, t, dt, angle):
+        """The shaft goes on to `angle` [turns] from t to t + dt [s]."""
+        if math.floor(angle) > math.floor(self.angle):
+            passed = t + dt * (math.floor(angle) - self.angle) / (angle - self.angle)
+            passed = round(passed / 4e-6) * 4e-6
+            self.period = passed - self.last if self.pulses else math.inf
+            self.last, self.pulses = passed, self.pulses + 1
+        self.angle = angle
+
+    def speed(self, now):
+        return 0.0 if now - self.last > 0.2 else 60.0 / self.period
+
+
+def probes(hidden):
+    """The parameters at which the hidden effects show, by full name."""
+    return {e.full(name): value for e in library(False) if e.name in hidden for name, value in e.probe.items()}
+
+
+def run(profile, seconds, spoil=lambda t, reading: reading, stuck_at=math.inf, hidden=(), seed=0):
+    """(first fault or None, its time [s]) of a run that starts at rest and follows `profile(t) -> (rpm, deg)`.
+
+    `spoil` may change what is read; the speed loop is fed with that, and frozen when plausibility says so. From `stuck_at`
+    on the blades stand. Time 0 is the end of the spin-up.
+    """
+    rig = Stepper(powertrain(hidden), probes(hidden), {"throttle": 0.0, "beta_ref": 0.0, "supply": 24.0})
+    thrust, angle = rig.outputs.index("thrust"), rig.outputs.index("angle")
+    loop, limiter, checks, mark = SpeedPi(), Limiter(Limits()), Plausibility(Limits(), DT), Tachometer()
+    noise, throttle, beta, blades = random.Random(seed), 0.0, 0.0, 0.0
+    for k in range(round((SPIN_UP + seconds) / DT)):
+        start, now = k * DT - SPIN_UP, (k + 1) * DT - SPIN_UP
+        blades = beta if now < stuck_at else blades
+        rows = rig.advance([throttle, blades, 24.0], 0.001, 4)
+        for j, row in enumerate(rows):
+            mark.see(start + 0.001 * j, 0.001, row[angle])
+        counts = round(rows[-1][thrust] / NEWTON_PER_COUNT + noise.gauss(0.0, NOISE))
+        age = min(now - mark.last, 10.0)
+        newton = counts * NEWTON_PER_COUNT
+        reading = Reading(now, counts, False, newton, 0.002, mark.speed(now), mark.pulses, age, 0.004, throttle, beta)
+        reading = spoil(now, reading)
+        if fault := checks.check(reading):
+            return fault, now
+        move = limiter.ramp if now < 0.0 else limiter.apply
+        omega_ref, beta, *_ = move(*profile(now), DT)
+        throttle = loop.update(omega_ref, reading.omega, DT, frozen=not checks.speed_trusted)
+    return None, now
+
+
+def steps(seed, hold=2.0):
+    """Speed and pitch anywhere in their range, anew every `hold` seconds."""
+    dice = random.Random(seed)
+    levels = [(dice.uniform(2000.0, 6000.0), dice.uniform(-8.0, 10.0)) for _ in range(200)]
+    return lambda t: levels[int(max(t, 0.0) / hold)]

@@ -1,0 +1,67 @@
+"""Emulated rigs, rows of logs and profiles that several test files share."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from hil.calibration import read_calibration
+from hil.emulator.rig import LINE, virtual_bench
+from hil.emulator.rig import Rig as Emulated
+from hil.emulator.serial_line import FAULTS
+from hil.emulator.shared import SharedNumbers
+from hil.limits import Limits
+from hil.rig import Rig
+from hil.session import Setup
+from vpp_fmu.record import Record
+
+CALIBRATION = read_calibration(Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json")
+LIMITS = Limits()
+
+
+def setup(emulated=None, **more) -> Setup:
+    """An emulated rig in virtual time."""
+    return Setup(CALIBRATION, LIMITS, emulated or Emulated(seed=1), virtual=True, **more)
+
+
+class Rows:
+    """A log that keeps its rows by column."""
+
+    def __init__(self, columns):
+        self._names, self.rows = [c.name for c in columns], []
+
+    def put(self, *row):
+        self.rows.append(row)
+
+    def __getitem__(self, name):
+        return np.array([row[self._names.index(name)] for row in self.rows], float)
+
+
+def virtual_rig(columns, emulated=None, limits=LIMITS, **more):
+    """(rig, its log) in virtual time."""
+    log = Rows(columns)
+    return Rig(virtual_bench(emulated or Emulated(seed=1), CALIBRATION), limits, log, **more), log
+
+
+def serial_faults(rig) -> SharedNumbers:
+    """The faults of the emulated rig's serial line, to be set."""
+    return SharedNumbers(rig.bench.esc.duty_file.parents[3] / LINE, FAULTS)
+
+
+def duties(rig) -> tuple[int, int]:
+    """What stands on the ESC's and the LAC's output [ns]."""
+    files = (rig.bench.esc.duty_file, rig.bench.lac.duty_file)
+    return tuple(int(file.read_text().split()[0]) for file in files)
+
+
+IDLE = (round(1e9 * CALIBRATION.esc_idle), round(1e9 * CALIBRATION.lac_idle))
+
+
+def step_profile(first=1.5, second=12.0, hold=2.0) -> Record:
+    """The paper's step, up and down."""
+    return Record({"time": hold * np.arange(4.0), "thrust_set": np.array([first, second, first, first])}, "step")
+
+
+def asked(fault):
+    """Signals that ask for `fault`, or for nothing."""
+    return SimpleNamespace(asked=fault)

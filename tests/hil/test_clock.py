@@ -1,0 +1,59 @@
+import signal
+import time
+
+import pytest
+
+from hil.clock import MonotonicClock, VirtualClock
+
+
+def test_the_virtual_clock_moves_only_when_somebody_waits():
+    clock, told = VirtualClock(5.0), []
+    clock.listeners.append(told.append)
+    assert clock.now() == 5.0
+    assert clock.wait_until(5.004) == 0.0
+    assert clock.now() == 5.004
+    assert told == [5.004]
+
+
+def test_the_virtual_clock_never_goes_back():
+    clock, told = VirtualClock(5.0), []
+    clock.listeners.append(told.append)
+    assert clock.wait_until(4.75) == 0.25
+    assert clock.now() == 5.0
+    assert told == []
+
+
+def test_the_monotonic_clock_is_the_systems():
+    clock = MonotonicClock()
+    before = time.monotonic()
+    assert before <= clock.now() <= time.monotonic()
+
+
+def test_a_wait_ends_at_its_time_and_says_how_late():
+    clock = MonotonicClock()
+    when = clock.now() + 0.02
+    late = clock.wait_until(when)
+    assert clock.now() >= when
+    assert 0.0 <= late <= clock.now() - when
+
+
+def test_the_past_returns_at_once_with_its_lateness():
+    clock = MonotonicClock()
+    began = clock.now()
+    assert clock.wait_until(began - 3.0) == pytest.approx(3.0, abs=0.5)
+    assert clock.now() - began < 0.5
+
+
+def test_a_signal_does_not_shorten_a_wait():
+    clock, handled = MonotonicClock(), []
+    before = signal.signal(signal.SIGALRM, lambda *_: handled.append(clock.now()))
+    try:
+        when = clock.now() + 0.06
+        signal.setitimer(signal.ITIMER_REAL, 0.01, 0.01)
+        clock.wait_until(when)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        assert clock.now() >= when
+        assert handled[0] < when  # the handler ran in the middle of the wait, not behind it
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

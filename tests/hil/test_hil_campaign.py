@@ -1,0 +1,183 @@
+import json
+import os
+
+import numpy as np
+import pytest
+from rigs import LIMITS, virtual_rig
+
+from hil.campaign import PARTS, Plan, measure, recorded, same_commands, seconds, steep, step_responses
+from hil.columns import COLUMNS
+from hil.commands import Step, grid, open_loop, resampled, steps, validation
+from hil.emulator.rig import Rig as Emulated
+from hil.physics.rig_model import FULL_RIG
+from hil.rig import PERIOD
+from vpp_fmu.campaign import read_campaign
+from vpp_fmu.cli import main
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.record import Record, read_record, write_record
+
+
+def quiet(share):
+    pass
+
+
+@pytest.fixture
+def rig():
+    one, _ = virtual_rig(COLUMNS, limits=steep(LIMITS))
+    yield one
+    one.close()
+
+
+def test_the_grid_and_the_steps_are_the_papers():
+    points = grid(10)
+    assert len(points) == 100
+    assert points[0] == (2000.0, -10.0)
+    assert points[-1] == (6000.0, 10.0)
+    assert [w for w, _ in points[::10]] == pytest.approx(np.linspace(2000.0, 6000.0, 10), abs=1e-3)
+    found = steps(5)
+    speed = [s for s in found if s.before[1] == s.after[1]]
+    pitch = [s for s in found if s.before[0] == s.after[0]]
+    assert len(speed) == len(pitch) == 50
+    assert {(s.before[0], np.sign(s.after[0] - s.before[0])) for s in speed} == {(2000.0, 1.0), (6000.0, -1.0)}
+    assert {s.after[0] for s in speed if s.before[0] == 2000.0} == set(np.linspace(2500.0, 6000.0, 5))
+    assert {s.after[1] for s in pitch if s.before[1] == -10.0} == set(np.linspace(-6.0, 10.0, 5))
+    assert {s.after[1] for s in pitch if s.before[1] == 10.0} == set(np.linspace(6.0, -10.0, 5))
+    assert seconds(Plan(), ["static"]) == 100 * 23.0  # 3 s and 5000 samples at 250 Hz
+
+
+def test_the_open_loop_moves_speed_then_pitch_then_both():
+    told = open_loop(1, 30.0, PERIOD)
+    speed, pitch = told["omega_ref"].reshape(3, -1), told["beta_ref"].reshape(3, -1)
+    assert [np.ptp(s) > 0 for s in speed] == [True, False, True]
+    assert [np.ptp(b) > 0 for b in pitch] == [False, True, True]
+    other = validation(1, 90.0, PERIOD)
+    assert not np.array_equal(other["omega_ref"], told["omega_ref"])
+    assert same_commands(told, open_loop(1, 30.0, PERIOD))
+    assert not same_commands(told, open_loop(2, 30.0, PERIOD))
+
+
+def test_a_static_point_is_the_mean_that_physics_say(rig):
+    found = measure(rig, "static", Plan(points=2, settle=2.0, samples=500), quiet)
+    physics = Simulation(FULL_RIG)
+    for k, point in enumerate(zip(found["omega_ref"], found["beta_ref"], strict=True)):
+        settled = physics.start(dict(zip(("omega_ref", "beta_ref"), point, strict=True)))
+        assert found["thrust"][k] == pytest.approx(settled["thrust"], abs=0.1)
+        assert found["omega"][k] == pytest.approx(settled["omega"], rel=5e-3)
+    assert found["thrust_std"] == pytest.approx(np.full(4, np.hypot(0.12, 0.047)), rel=0.25)
+    assert (found["samples"] == 500).all()
+
+
+def test_a_step_starts_settled_and_answers_only_behind_its_command(rig):
+    plan = Plan(settle=2.0, before=1.0, after=2.0)
+    found = step_responses(rig, [Step((3000.0, 5.0), (5000.0, 5.0))], plan, quiet)
+    time, thrust = found["time"], found["thrust"]
+    assert (time[0], len(time)) == (0.0, 750)
+    moved = int(np.argmax(found["omega_ref"] > 3000.0))
+    assert time[moved] == pytest.approx(1.0)
+    before = thrust[:moved]
+    assert abs(before[:100].mean() - before[-100:].mean()) < 0.3
+    assert abs(thrust[moved] - before.mean()) < 5.0 * before.std()  # that row was sampled before its command acted
+    assert thrust[-100:].mean() > before.mean() + 3.0
+    assert found["omega_ref"][moved + 10] == 5000.0  # a step, in 10 ticks at most
+
+
+def test_steps_read_back_as_a_campaigns(rig, tmp_path):
+    plan = Plan(settle=0.5, before=0.2, after=0.3)
+    found = step_responses(rig, steps(1)[:3], plan, quiet)
+    write_record(OutputFolder(tmp_path), "steps.csv", found)
+    read = read_campaign(tmp_path).steps
+    assert [len(run) for run in read] == [125, 125, 125]
+    assert [run.time[0] for run in read] == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(np.concatenate([run["thrust"] for run in read]), found["thrust"], rtol=1e-8)
+
+
+def test_a_row_of_a_record_holds_the_sample_before_its_command(rig):
+    told = np.array([[3000.0, 5.0]] * 3 + [[3010.0, 5.5]] * 3)
+    rig.start(3000.0, 5.0)
+    shown = []
+    step = rig.step
+
+    def spy(*commands):
+        shown.append((rig.last.omega, rig.last.thrust, *commands))
+        return step(*commands)
+
+    rig.step = spy
+    found = recorded(rig, told)
+    assert [tuple(row) for row in zip(found["omega"], found["thrust"], *told.T, strict=True)] == shown
+    np.testing.assert_array_equal(np.column_stack([found["omega_ref"], found["beta_ref"]]), told)
+
+
+def test_a_missed_slot_leaves_its_row_empty(rig):
+    rig.start(3000.0, 5.0)
+    step = rig.step
+
+    def late(*commands):
+        if rig.ticks.slot == first + 4:
+            rig.bench.clock.wait_until(rig.bench.clock.now() + 0.013)
+        return step(*commands)
+
+    first = rig.ticks.slot
+    rig.step = late
+    found = recorded(rig, np.full((20, 2), [3000.0, 5.0]))
+    np.testing.assert_allclose(found.time, 0.004 * np.arange(20), atol=1e-12)
+    assert np.flatnonzero(np.isnan(found["thrust"])).tolist() == [5, 6]
+    assert (found["omega_ref"] == 3000.0).all()
+
+
+def test_any_commands_are_brought_to_the_loops_own_times():
+    told = Record({"time": np.array([0.0, 0.1, 0.2]), "omega_ref": np.array([3.0, 4.0, 5.0]), "beta_ref": np.zeros(3)}, "r")
+    found = resampled(told, PERIOD)
+    assert len(found) == 51
+    assert [found["omega_ref"][k] for k in (0, 24, 25, 49, 50)] == [3.0, 3.0, 4.0, 4.0, 5.0]
+
+
+SMALL = ["--points", "2", "--samples", "50", "--settle", "1", "--levels", "1", "--section", "5", "--validation-seconds", "5"]
+
+
+def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
+    out = tmp_path / "campaign"
+    parts = [part for part in PARTS if part != "steps"]
+    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", *parts, "-o", str(out)]) == 0
+    found = read_campaign(out)
+    assert found.missing == ("steps.csv",)
+    assert len(found.static.thrust) == 4
+    assert same_commands(found.open_loop, found.repeat)
+    assert not np.array_equal(found.open_loop["thrust"], found.repeat["thrust"])  # the same commands, other noise
+    noise = (found.open_loop["thrust"] - found.repeat["thrust"]).std() / np.sqrt(2.0)
+    assert noise == pytest.approx(np.hypot(0.12, 0.047), rel=0.15)
+    told = json.loads((out / "hil.json").read_text())
+    assert list(told["parts"]) == parts
+    for part in told["parts"].values():
+        assert part["log"]["rows"] == part["log"]["ticks"]
+        assert part["log"]["lost"] == 0
+    assert capsys.readouterr().err == ""  # quiet in a pipe
+
+
+def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
+    out = tmp_path / "one"
+    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "validation", "-o", str(out)]) == 0
+    assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz", "validation.csv"]
+    told = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
+    write_record(OutputFolder(tmp_path), "orders.csv", Record(told, ""))
+    out = tmp_path / "own"
+    assert main(["hil", "campaign", "--virtual", "--commands", str(tmp_path / "orders.csv"), "-o", str(out)]) == 0
+    record = read_record(out / "record.csv")
+    assert len(record) == 501
+    assert record["thrust"][-50:].mean() > record["thrust"][:50].mean() + 1.0
+
+
+def test_a_hidden_effect_is_in_the_campaign(rig):
+    gained, _ = virtual_rig(COLUMNS, Emulated({"load_cell_gain.gain": 1.2}, ("load_cell_gain",), seed=1), steep(LIMITS))
+    plan = Plan(points=2, settle=1.5, samples=300)
+    plain, more = (measure(one, "static", plan, quiet)["thrust"][-1] for one in (rig, gained))
+    gained.close()
+    assert more == pytest.approx(1.2 * plain, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "words", [["--points", "1"], ["--samples", "0"], ["--settle", "0"], ["--section", "1"], ["--levels", "99"]]
+)
+def test_sizes_that_make_no_sense_are_refused(capsys, words, tmp_path):
+    assert main(["hil", "campaign", "--virtual", *words, "-o", str(tmp_path)]) == 2
+    assert words[0] in capsys.readouterr().err

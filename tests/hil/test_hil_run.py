@@ -1,0 +1,204 @@
+import json
+import os
+
+import numpy as np
+import pytest
+from rigs import CALIBRATION, LIMITS, setup, step_profile
+
+from hil.band import Band
+from hil.columns import COLUMNS
+from hil.emulator.rig import Rig as Emulated
+from hil.report import judged_steps, smoothed
+from hil.rig import RunEnded
+from hil.run import START, LimitedPlant, loop_part, run_on_rig, write_run
+from hil.session import Setup, read_log
+from hil.twin import Twin
+from vpp_fmu.cli import main
+from vpp_fmu.comparison import compare
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.loop import run as run_loop
+from vpp_fmu.plants import KernelController, KernelPlant
+from vpp_fmu.record import Record, write_record
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    return run_on_rig(setup(), KernelController(), step_profile(), tmp_path_factory.mktemp("run"))
+
+
+def beside():
+    return run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(), START)
+
+
+def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
+    up, down = judged_steps(done.record)
+    assert (up.before, up.after) == (1.5, 12.0)
+    assert up.settling < 1.0  # the paper: set-point reached in about 0.5 s
+    assert down.settling < 1.0
+    assert max(up.overshoot, down.overshoot) < 5.0  # the paper: without any overshoots
+    last = done.record["thrust"][int(3.0 / 0.004) : int(4.0 / 0.004)]
+    assert last.mean() == pytest.approx(12.0, abs=0.1)
+
+
+def test_rig_and_model_answer_the_same_step_alike(done):
+    both = compare(smoothed(beside()), smoothed(done.record))
+    difference = both.second["thrust"] - both.first["thrust"]
+    assert np.sqrt(np.mean(difference[both.time > 0.5] ** 2)) < 0.6  # N, of a step of 10.5 N
+    still = (both.time > 3.5) & (both.time < 4.0)
+    assert abs(difference[still].mean()) < 0.15
+
+
+def test_nothing_is_lost_from_the_log(done):
+    assert done.session.logged.lost == 0
+    assert len(done.log) == done.session.logged.rows == done.session.rig.ticks.ticks
+    assert tuple(done.log.columns) == ("time", *(c.name for c in COLUMNS if c.name not in ("time", "state")), "state")
+
+
+def test_the_record_is_the_loops_part_of_the_log(done):
+    record, log = done.record, done.log
+    assert record.time[0] == 0.0
+    assert len(record) == round(6.0 / 0.004)
+    first = int(np.flatnonzero(np.isfinite(log["omega_wanted"]))[0])
+    assert record["thrust"][0] == log["thrust"][first]
+    assert set(log["state"][first : first + len(record)]) == {"run"}
+    wanted = step_profile()["thrust_set"]
+    assert (record["thrust_set"] == np.repeat(wanted[:3], 500)).all()
+
+
+def test_a_run_reads_back_to_the_bit(done, tmp_path):
+    write_run(tmp_path / "run.csv", done.record)
+    again = read_log_without_state(tmp_path / "run.csv")
+    for name, column in done.record.columns.items():
+        np.testing.assert_array_equal(again[name], column)
+
+
+def read_log_without_state(path):
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return {name: table[name] for name in table.dtype.names}
+
+
+def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
+    class Broken(KernelController):
+        def step(self, thrust_set, thrust):
+            self.steps = getattr(self, "steps", 0) + 1
+            return (np.nan, 0.0) if self.steps == 700 else super().step(thrust_set, thrust)
+
+    found = run_on_rig(setup(), Broken(), step_profile(), tmp_path)
+    assert "not a number" in found.ended
+    assert len(found.record) == 699
+    assert found.log["state"][-1] in ("ramp down", "fault")
+    assert found.log["throttle"][-1] < 0.01
+    told = found.session.told()
+    assert [t["state"] for t in told["transitions"]][-2:] == ["ramp down", "fault"]
+
+
+def test_a_run_that_never_began_has_no_record(tmp_path):
+    with pytest.raises(Exception, match="not ready"):
+        run_on_rig(Setup(CALIBRATION, LIMITS), KernelController(), step_profile(), tmp_path)  # no such hardware here
+    assert loop_part(Record({c.name: np.empty(0) for c in COLUMNS}, "empty")).time.size == 0
+
+
+def twinned(tmp_path, emulated):
+    values = BASE.values()
+    band = Band(0.12, 0.047, 0.13, 0.8)
+    twin = Twin(KernelPlant(BASE, values), band)
+    profile = step_profile(4.0, 8.0, hold=5.0)
+    return twin, run_on_rig(setup(emulated), KernelController(), profile, tmp_path, twin=twin)
+
+
+def test_a_twin_is_at_peace_with_the_rig_it_was_made_for_and_sees_a_new_effect(tmp_path):
+    calm, run = twinned(tmp_path, Emulated(seed=1))
+    assert not calm.alarmed
+    residual = run.log["residual"][np.isfinite(run.log["residual"])]
+    assert len(residual) == len(run.record) == round(15.0 / 0.004)
+    gain = Emulated({"load_cell_gain.gain": 1.4}, ("load_cell_gain",), seed=1)
+    alarmed, run = twinned(tmp_path, gain)
+    assert alarmed.alarmed
+    assert run.log["alarm"][-200:].any() or run.log["alarm"].any()
+
+
+@pytest.fixture
+def profile(tmp_path):
+    return write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
+
+
+def test_the_command_writes_run_facts_and_report(tmp_path, profile, capsys, fmu_files):
+    out = tmp_path / "out"
+    words = ["hil", "run", "--virtual", "--profile", str(profile), "--hide", "linkage_play=0.4", "-o", str(out)]
+    assert main([*words, "--beside", str(fmu_files["plain"])]) == 0
+    assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv"]
+    told = json.loads((out / "hil.json").read_text())
+    assert told["rig"] == "emulated"
+    assert told["hidden"] == ["linkage_play"]
+    assert told["physics"]["linkage_play.half_gap"] == 0.4
+    assert told["calibration"]["sha256"] == CALIBRATION.sha256
+    assert told["log"]["rows"] == told["log"]["ticks"] == len(read_log(out / "log.csv"))
+    assert [t["state"] for t in told["transitions"]] == ["safe", "safe", "armed", "run", "ramp down", "safe"]
+    assert 0.0 < told["beside"]["rms_thrust"] < 2.0
+    page = (out / "report.html").read_text()
+    assert "Hardware in the loop" in page
+    assert "linkage_play" in page
+    assert "the step from 1.5 to 12 N" in capsys.readouterr().out
+
+
+def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu_files):
+    out = tmp_path / "out"
+    assert main(["hil", "run", "--rig", "fmu", str(fmu_files["plain"]), "--profile", str(profile), "-o", str(out)]) == 0
+    run = read_log_without_state(out / "run.csv")
+    expected = run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(hold=1.0), START)
+    np.testing.assert_array_equal(run["thrust"], expected["thrust"])
+    assert json.loads((out / "hil.json").read_text())["rig"] == "fmu"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--hide", "nonsense"], "--hide: found nonsense"),
+        (["--hide", "linkage_play=99"], "found 99, allowed is a number from 0"),
+        (["--hide", "linkage_play.size=1"], "linkage_play.half_gap"),
+        (["--rig", "kettle"], "allowed is emulated or real"),
+        (["--rig", "real"], "the real rig's own calibration"),
+        (["--rig", "fmu"], "allowed is fmu PLANT.fmu"),
+        (["--start", "-5", "0"], "--start"),
+        (["--twin"], "no --parameters"),
+        (["--controller", "c.fmu", "--gains", "g.json"], "one of the two"),
+    ],
+)
+def test_wrong_options_are_told_in_one_line(profile, capsys, words, said, tmp_path):
+    assert main(["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out"), *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path):
+    calibration = tmp_path / "calibration.json"
+    calibration.write_text((__import__("pathlib").Path("hil/emulator/calibration.json")).read_text())
+    words = ["hil", "run", "--rig", "real", "--calibration", str(calibration), "--profile", str(profile)]
+
+    class Typed:
+        def __init__(self, text):
+            self.text = text
+
+        def readline(self):
+            return self.text
+
+    monkeypatch.setattr("sys.stdin", Typed("yes\n"))
+    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    assert "typed word" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin", Typed("spin\n"))
+    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    assert "pwm: not ready" in capsys.readouterr().err  # this machine has no rig
+
+
+def test_a_run_that_ends_early_says_so_and_keeps_its_files(tmp_path, profile, capsys, monkeypatch):
+    def step(self, thrust_set, thrust):
+        return np.nan, np.nan
+
+    monkeypatch.setattr(KernelController, "step", step)
+    out = tmp_path / "out"
+    assert main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(out)]) == 2
+    assert "controller: not a number" in capsys.readouterr().err
+    assert json.loads((out / "hil.json").read_text())["ended"]
+    assert issubclass(RunEnded, Exception)

@@ -1,0 +1,113 @@
+import csv
+import gzip
+import json
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from hil.log import Column, Logged, MemoryLog, ProcessLog
+
+COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
+ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
+
+
+def read(path):
+    with gzip.open(path, "rt") if path.suffix == ".gz" else open(path) as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("log", [MemoryLog, ProcessLog])
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz"])
+def test_every_row_is_in_the_file(tmp_path, log, name):
+    made = log(tmp_path / name, COLUMNS)
+    for row in ROWS:
+        made.put(*row)
+    assert made.close() == Logged(len(ROWS), 0)
+    cells = read(tmp_path / name)
+    assert len(cells) == len(ROWS)
+    assert [float(c["time"]) for c in cells] == [round(0.004 * k, 9) for k in range(5000)]
+    assert [float(c["exact"]) for c in cells] == [row[1] for row in ROWS]  # to the bit
+    assert [c["short"] for c in cells[:3]] == ["", "2.71828183", "5.43656366"]
+    assert [c["state"] for c in cells[:2]] == ["safe", "run"]
+    assert os.listdir(tmp_path) == [name]
+
+
+def test_a_row_that_finds_no_room_is_counted_and_the_loop_does_not_wait(tmp_path):
+    log = ProcessLog(tmp_path / "run.csv", COLUMNS)
+    os.kill(log._writer.pid, signal.SIGSTOP)
+    began = time.monotonic()
+    for k in range(80_000):
+        log.put(float(k), 0.0, 0.0, 0.0)
+    assert time.monotonic() - began < 5.0
+    os.kill(log._writer.pid, signal.SIGCONT)
+    done = log.close()
+    assert done.lost >= 80_000 - log._slots
+    assert done.rows + done.lost == 80_000
+    times = np.array([float(c["time"]) for c in read(tmp_path / "run.csv")])
+    assert len(times) == done.rows
+    assert (np.diff(times) == 1.0).all()  # the newest went, no older one was spoilt
+
+
+def test_a_killed_loop_leaves_a_complete_log(tmp_path):
+    text = f"""
+import os, signal
+from hil.log import Column, ProcessLog
+log = ProcessLog({str(tmp_path / "run.csv")!r}, [Column("time"), Column("value")])
+for k in range(1000):
+    log.put(0.004 * k, k)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", text], check=False).returncode == -signal.SIGKILL
+    deadline = time.monotonic() + 20.0
+    while not (tmp_path / "run.csv").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(1000))
+
+
+def test_a_full_disk_costs_rows_and_is_said_but_stops_nobody(tmp_path):
+    text = f"""
+import json, resource, signal
+from hil.log import Column, MemoryLog
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+log = MemoryLog({str(tmp_path / "run.csv")!r}, [Column("time"), Column("value")])
+for k in range(5000):
+    log.put(0.004 * k, k)
+done = log.close()
+print(json.dumps([done.rows, done.lost, done.failure]))
+"""
+    told = subprocess.run([sys.executable, "-c", text], check=True, capture_output=True, text=True).stdout
+    rows, lost, failure = json.loads(told)
+    assert rows + lost == 5000
+    assert lost > 0
+    assert "too large" in failure  # the system's own word for a file at its limit
+    assert [float(c["value"]) for c in read(tmp_path / "run.csv")] == list(range(rows))  # whole lines only
+
+
+def test_a_row_costs_the_loop_little(tmp_path):
+    log = ProcessLog(tmp_path / "run.csv", COLUMNS)
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    for row in ROWS:
+        log.put(*row)
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    log.close()
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert spent / len(ROWS) < 100e-6  # of a tick of 4 ms; it takes 2
+
+
+def test_a_writer_that_died_is_told(tmp_path):
+    log = ProcessLog(tmp_path / "run.csv", COLUMNS)
+    log._writer.kill()
+    log._writer.wait()
+    for row in ROWS:
+        log.put(*row)
+    done = log.close()
+    assert done.rows == 0
+    assert done.lost == len(ROWS)
+    assert "died" in done.failure

@@ -1,0 +1,291 @@
+"""The rig's physics against closed forms, the paper's numbers, and its equations 1 to 6 under scipy's integrator."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from builders import reference, simulator, slopes
+from physics_numbers import paper_thrust, static_map
+from rig_commands import commands
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from hil.physics import propeller
+from hil.physics.linear import Pair, integrals, moved
+from hil.physics.rig_model import FULL_RIG, POWERTRAIN
+from vpp_fmu.kernel.ops import NUMBERS
+
+RPM, DEG = np.pi / 30.0, np.pi / 180.0
+P = POWERTRAIN.values()
+OUT = {s.name: k for k, s in enumerate(POWERTRAIN.outputs)}
+K = 30.0 / (np.pi * 550.0)
+
+
+class Named:
+    """Parameters as attributes."""
+
+    def __init__(self, **changes):
+        self.__dict__.update(P | changes)
+
+
+def held(throttle, beta, seconds, dt=0.001, volts=24.0, **parameters):
+    """Outputs of the powertrain under steps: `throttle` and `beta` are values or [(from second, value), ...]."""
+    time = np.arange(round(seconds / dt) + 1) * dt
+
+    def column(levels):
+        levels = levels if isinstance(levels, list) else [(0.0, levels)]
+        at = np.searchsorted([t for t, _ in levels], time + 1e-9, side="right") - 1
+        return np.array([float(v) for _, v in levels])[at]
+
+    inputs = {"throttle": column(throttle), "beta_ref": column(beta), "supply": np.full(len(time), volts)}
+    return time, simulator(POWERTRAIN).simulate(parameters, inputs, np.full(len(time) - 1, dt)), inputs
+
+
+@pytest.mark.parametrize("kind", ["real", "stiff", "complex", "double"])
+def test_two_states_move_as_the_matrix_exponential_says(kind):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        a = rng.normal(size=(2, 2))
+        a = {
+            "real": np.diag([-1.0, -30.0]) @ np.eye(2) + 0.3 * np.triu(a),
+            "stiff": np.array([[-3e3, -700.0], [40.0, -1.0 - abs(a[0, 0])]]),
+            "complex": np.array([[-2.0, 9.0 + a[0, 1] ** 2], [-9.0, -1.0]]),
+            "double": np.array([[-4.0, 0.0 if a[0, 0] > 0 else 1.0], [0.0, -4.0]]),
+        }[kind]
+        b, x, dt = rng.normal(size=2), rng.normal(size=2), rng.choice([1e-4, 1e-3, 0.05, 1.0])
+        pair = Pair(a[0, 0], a[0, 1], b[0], a[1, 0], a[1, 1], b[1])
+        whole = expm(np.block([[a, b[:, None], np.zeros((2, 2))], [np.zeros((1, 5))], [np.eye(2), np.zeros((2, 3))]]) * dt)
+        exact = whole @ np.r_[x, 1.0, 0.0, 0.0]
+        after = moved(NUMBERS, pair, *x, dt)
+        np.testing.assert_allclose(after, exact[:2], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(integrals(pair, tuple(x), after, dt), exact[3:], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("throttle", "beta", "volts"), [(0.5, 10.0, 24.0), (0.3, -5.0, 24.0), (0.45, 2.5, 20.0), (0.9, -10.0, 12.0)]
+)
+def test_torques_and_voltages_balance_when_settled(throttle, beta, volts):
+    _, y, _ = held([(0.0, 0.1), (0.1, throttle)], [(0.0, 0.0), (0.1, beta)], 12.0, volts=volts)
+    current, omega, torque = (y[-1, OUT[n]] for n in ("current", "omega", "torque"))
+    speed = omega * RPM
+    assert throttle * volts == pytest.approx((0.045 + 0.025) * current + K * speed, rel=1e-9)
+    assert K * current == pytest.approx(1.8e-5 * speed + 0.0104 + torque, rel=1e-9)
+    assert y[-1, OUT["beta"]] == pytest.approx(beta, abs=1e-9)
+    assert np.abs(np.diff(y[-100:, :3], axis=0)).max() < 1e-8
+
+
+def test_it_starts_settled():
+    for throttle, beta in ((0.5, 10.0), (0.3, -5.0), (0.0, 0.0), (0.02, 10.0)):
+        _, y, _ = held(throttle, beta, 1.0)
+        moved_by = np.abs(y - y[0])
+        moved_by[:, OUT["angle"]] = 0.0
+        assert moved_by.max() < 1e-9
+    _, y, _ = held(0.0, 0.0, 1.0)
+    assert not y[:, OUT["omega"]].any()
+    assert not y[:, OUT["thrust"]].any()
+
+
+def test_without_a_load_it_turns_kv_times_the_voltage():
+    free = {"density": 0.0, "dry_friction": 0.0, "drag": 0.0}
+    _, y, _ = held([(0.0, 0.0), (0.1, 0.4)], 0.0, 4.0, **free)
+    assert y[-1, OUT["omega"]] == pytest.approx(550.0 * 0.4 * 24.0, rel=1e-9)
+    assert y[-1, OUT["current"]] == pytest.approx(0.0, abs=1e-6)
+    _, y, _ = held([(0.0, 0.0), (0.1, 10.0 / 24.0)], 0.0, 4.0, density=0.0)
+    assert y[-1, OUT["current"]] == pytest.approx(1.2, abs=0.01)
+    _, y, _ = held([(0.0, 0.0), (0.1, 0.001)], 0.0, 1.0)
+    assert not y[:, OUT["omega"]].any()  # 0.34 A can't overcome the dry friction
+    assert y[-1, OUT["current"]] == pytest.approx(0.001 * 24.0 / 0.07)
+
+
+def test_the_static_map_is_the_papers_within_a_quarter_of_a_newton():
+    w, b, thrust = static_map()
+    error = thrust - paper_thrust(w, b)
+    assert np.abs(error).max() < 0.26
+    assert np.sqrt(np.mean(error**2)) < 0.085
+    assert 14.0 < thrust[-1] < 15.0
+
+
+def test_momentum_theory_and_blade_elements_agree_on_the_inflow():
+    for blades in (Named(), Named(lift=0.3, bend=0.2, incidence=9.0), Named(bend=3.0)):
+        for beta in np.linspace(-30.0, 30.0, 61):
+            inflow = propeller.settled_inflow(NUMBERS, blades, beta)
+
+            def apart(x, blades=blades, beta=beta):
+                return 4.0 * x * abs(x) - propeller.thrust_coefficient(NUMBERS, blades, beta, x)
+
+            assert apart(inflow) == pytest.approx(0.0, abs=1e-12)
+            assert inflow == pytest.approx(brentq(apart, -0.5, 0.5, xtol=1e-14), abs=1e-7)
+
+
+def test_the_figure_of_merit_is_that_of_a_small_rotor():
+    for beta, least, most in ((0.0, 0.55, 0.61), (10.0, 0.62, 0.68)):
+        _, y, _ = held(0.5, beta, 0.01)
+        thrust, speed, torque = y[-1, OUT["thrust"]], y[-1, OUT["omega"]] * RPM, y[-1, OUT["torque"]]
+        ideal = thrust**1.5 / np.sqrt(2.0 * 1.225 * np.pi * 0.127**2)
+        assert least < ideal / (torque * speed) < most
+
+
+def equations(throttle, goal, p):
+    """The paper's equations 1 to 6 as they are printed, with the maps written out, for standing throttle and pitch command:
+    (rates of the state, thrust of the state); the state is omega, I, beta, rate, I_a, inflow in SI units."""
+    disk = 0.5 * p["density"] * np.pi * p["radius"] ** 4
+
+    def lift_of(alpha):
+        return p["lift"] * alpha * (1.0 - p["bend"] * abs(alpha))
+
+    def attack(beta, inflow):
+        return p["incidence"] * DEG + beta - 1.5 * inflow
+
+    def rates(t, y):
+        omega, i, beta, rate, i_a, inflow = y
+        ct = lift_of(attack(beta, inflow))
+        cq = p["induced"] * abs(inflow * ct) + p["profile"] + p["profile_rise"] * attack(beta, inflow) ** 2
+        torque = disk * p["radius"] * omega**2 * cq
+        settled = brentq(lambda x: 4.0 * x * abs(x) - lift_of(attack(beta, x)), -0.3, 0.3, xtol=1e-13)
+        travel = (p["beta_high"] - p["beta_low"]) * DEG
+        wanted = (p["kp_lac"] * (goal * DEG - beta) - p["kd_lac"] * p["lac_period"] * rate) / travel
+        drive = np.clip(wanted, -1.0, 1.0)
+        return [
+            (K * i - p["drag"] * omega - p["dry_friction"] - torque) / p["inertia"],
+            (throttle * 24.0 - (p["resistance"] + p["lead_resistance"]) * i - K * omega) / p["inductance"],
+            rate,
+            (p["k_a"] * i_a - p["d_a"] * rate) / p["j_a"],
+            (drive * p["v_a"] - p["r_a"] * i_a - p["k_ia"] * rate) / p["l_a"],
+            (settled - inflow) * 4.0 * max(abs(settled), p["least"]) * omega / p["apparent_mass"],
+        ]
+
+    return rates, lambda y: disk * y[0] ** 2 * lift_of(attack(y[2], y[5]))
+
+
+@pytest.mark.parametrize(
+    "parameters", [{}, {"inductance": 4e-4, "resistance": 0.01, "lead_resistance": 0.0}], ids=["rig", "ringing"]
+)
+def test_steps_of_a_millisecond_are_the_papers_equations_under_scipy(parameters):
+    """Throttle up and down, pitch by a small and a large step; also with a circuit and shaft that ring."""
+    throttles, goals = [(0.0, 0.25), (0.05, 0.5), (0.7, 0.3)], [(0.0, 2.0), (0.2, 3.0), (0.5, -5.0)]
+    time, y, _ = held(throttles, goals, 1.2, **parameters)
+    p, rows = P | parameters, []
+    first = y[0]
+    inflow = propeller.settled_inflow(NUMBERS, Named(**parameters), 2.0)
+    state = [first[OUT["omega"]] * RPM, first[OUT["current"]], 2.0 * DEG, 0.0, 0.0, inflow]
+    edges = sorted({0.0, 1.2, *(t for t, _ in throttles + goals)})
+    for begin, end in pairwise(edges):
+        rates, thrust = equations(standing(throttles, begin), standing(goals, begin), p)
+        at = time[(time > begin + 1e-9) & (time < end + 1e-9)]
+        solved = solve_ivp(rates, (begin, end + 1e-9), state, "LSODA", at, rtol=1e-8, atol=1e-10, max_step=0.01)
+        state = solved.y[:, -1]
+        rows += [(thrust(x), x[0] / RPM, x[2] / DEG, x[1]) for x in solved.y.T]
+    exact = np.array(rows)
+    shown = y[1:, [OUT["thrust"], OUT["omega"], OUT["beta"], OUT["current"]]]
+    assert np.ptp(exact[:, 1]) > 2000.0
+    assert (np.abs(shown - exact).max(axis=0) < [5e-4, 0.02, 1e-4, 2e-3]).all()  # N, rpm, deg, A
+
+
+def standing(levels, t):
+    """What stands from second t on."""
+    return [v for begin, v in levels if begin <= t + 1e-12][-1]
+
+
+def test_what_goes_in_comes_out_as_heat_and_motion():
+    time, y, inputs = held([(0.0, 0.1), (0.2, 0.5), (2.0, 0.2)], [(0.0, 0.0), (1.0, 10.0)], 3.0)
+    current, omega, torque = y[:, OUT["current"]], y[:, OUT["omega"]] * RPM, y[:, OUT["torque"]]
+    acting = np.r_[inputs["throttle"][:-1], inputs["throttle"][-2]]
+
+    def total(power):
+        return np.trapezoid(power, time)
+
+    electric = np.sum(0.5 * (current[1:] + current[:-1]) * acting[:-1] * 24.0) * 0.001
+    heat = total(0.07 * current**2)
+    stored = [0.5 * 2.5e-5 * i**2 + 0.5 * 4e-4 * w**2 for i, w in ((current[0], omega[0]), (current[-1], omega[-1]))]
+    mechanical = total(1.8e-5 * omega**2 + 0.0104 * omega + torque * omega)
+    assert electric == pytest.approx(heat + mechanical + stored[1] - stored[0], rel=2e-3)
+
+
+def test_the_shaft_turns_by_the_integral_of_its_speed():
+    _, y, _ = held([(0.0, 0.0), (0.1, 0.4), (1.0, 0.1)], 5.0, 2.0)
+    turns = np.r_[0.0, np.cumsum(0.5 * (y[1:, OUT["omega"]] + y[:-1, OUT["omega"]]) / 60.0 * 0.001)]
+    np.testing.assert_allclose(y[:, OUT["angle"]], turns, atol=1e-6)
+    assert (np.diff(y[:, OUT["angle"]]) >= 0.0).all()
+    assert y[-1, OUT["omega"]] > 0.0
+
+
+def test_the_actuator_runs_at_full_speed_and_stops_at_its_ends():
+    _, y, _ = held(0.2, [(0.0, -10.0), (0.1, 10.0)], 2.0)
+    beta = y[:, OUT["beta"]]
+    full = P["k_a"] * 15.0 / (P["d_a"] * P["r_a"] + P["k_a"] * P["k_ia"]) / DEG
+    assert full == pytest.approx(20.0, rel=0.01)
+    assert np.diff(beta).max() / 0.001 == pytest.approx(full, rel=1e-3)
+    _, y, _ = held(0.2, [(0.0, 0.0), (0.1, 40.0)], 3.0)
+    assert y[-1, OUT["beta"]] == pytest.approx(15.0, abs=1e-6)
+    assert y[:, OUT["beta"]].max() <= 15.0
+
+
+@pytest.mark.parametrize("model", [POWERTRAIN, FULL_RIG], ids=lambda m: m.name)
+def test_c_is_python_to_the_bit_and_the_communication_step_does_not_matter(model):
+    inputs = commands(model, 300)
+    steps = np.full(299, 0.008)
+    shown = simulator(model).simulate({}, inputs, steps)
+    np.testing.assert_array_equal(reference(model, {}, inputs, steps), shown)
+    assert np.isfinite(shown).all()
+    for split, close in ((2, 1e-9), (8, 1e-9), (32, 5e-4)):
+        fine = {n: np.repeat(c, split)[: 299 * split + 1] for n, c in inputs.items()}
+        finer = simulator(model).simulate({}, fine, np.full(299 * split, 0.008 / split))[::split]
+        np.testing.assert_allclose(finer[:, 0], shown[:, 0], rtol=0, atol=close)
+        np.testing.assert_allclose(finer[:, 1], shown[:, 1], rtol=0, atol=100.0 * close)
+
+
+SOURCES = ("paper", "data sheet", "chosen", "fitted", "standard", "Pitt and Peters")
+
+
+@pytest.mark.parametrize("model", [POWERTRAIN, FULL_RIG], ids=lambda m: m.name)
+def test_every_parameter_says_where_it_comes_from_and_stands_its_bounds(model):
+    inputs, steps = commands(model, 12), np.full(11, 0.01)
+    for p in model.parameters:
+        assert any(source in p.description for source in SOURCES), p.name
+        assert p.minimum <= p.default <= p.maximum, p.name
+        for value in (p.minimum, p.maximum):
+            shown = reference(model, {p.name: value}, inputs, steps)
+            assert np.isfinite(shown).all(), (p.name, value)
+            np.testing.assert_array_equal(simulator(model).simulate({p.name: value}, inputs, steps), shown)
+
+
+def test_tangents_are_central_differences():
+    """The physical parameters could be fitted as the Wiener model's are."""
+    names = (
+        "inertia",
+        "kv",
+        "resistance",
+        "drag",
+        "kp_rpm",
+        "ki_rpm",
+        "k_ia",
+        "j_a",
+        "kp_lac",
+        "lift",
+        "profile",
+        "apparent_mass",
+    )
+    inputs, steps = commands(FULL_RIG, 250, seed=7), np.full(249, 0.004)
+    tangents = simulator(FULL_RIG, names).sensitivities({}, inputs, steps)[1]
+    for j, name in enumerate(names):
+        numeric, smooth, size = slopes(FULL_RIG, FULL_RIG.values(), name, inputs, steps)
+        assert smooth.mean() > 0.9, name
+        assert (np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0) / size).max() < 3e-3, name
+
+
+def test_a_narrow_range_of_the_esc_is_a_range_of_throttle():
+    """Full throttle at 60 % of duty: the same speed at throttle / 0.6."""
+    whole, narrow = held(0.3, 5.0, 0.1)[1], held(0.5, 5.0, 0.1, full_duty=0.6)[1]
+    np.testing.assert_allclose(narrow, whole, rtol=1e-12)
+    inputs = {"omega_ref": np.full(100, 4000.0), "beta_ref": np.full(100, 5.0)}
+    assert np.ptp(simulator(FULL_RIG).simulate({"full_duty": 0.6}, inputs, np.full(99, 0.004)), axis=0).max() < 1e-7
+
+
+def test_it_runs_up_from_standstill_and_down_to_it():
+    omega = np.r_[0.0, np.full(500, 3000.0), np.full(1500, 0.0)]
+    y = simulator(FULL_RIG).simulate({}, {"omega_ref": omega, "beta_ref": np.zeros(2001)}, np.full(2000, 0.004))
+    np.testing.assert_array_equal(y[0], 0.0)
+    assert y[500, 1] == pytest.approx(3000.0, rel=1e-3)
+    assert (y[:, 1] >= 0.0).all()
+    np.testing.assert_array_equal(y[-10:, :2], 0.0)

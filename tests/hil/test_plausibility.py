@@ -1,0 +1,230 @@
+"""Plausibility on the physical model of the rig: silent while nothing is wrong, and what it says when something is."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from rig_readings import DT, NEWTON_PER_COUNT, Tachometer, run, steps
+
+from hil.faults import FaultKind, Reaction
+from hil.limits import Limits
+from hil.physics.rig_model import library
+from hil.pitch_effect import PitchEffect
+from hil.plausibility import Plausibility, Reading, Thresholds
+from hil.rotor_bounds import RotorBounds, RotorPhysics
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.simulation import Simulation
+
+AT = 1.0
+HIDDEN = [e.name for e in library(False) if e.off is not None and e.name != "rod_stuck"]
+
+
+def constant(omega, beta=5.0):
+    return lambda t: (omega, beta)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_alarm_while_speed_and_pitch_step_over_their_whole_range(seed):
+    assert run(steps(seed), 60.0, seed=seed)[0] is None
+
+
+@pytest.mark.parametrize("effect", HIDDEN)
+def test_an_effect_the_model_lacks_is_no_fault(effect):
+    assert run(steps(1), 20.0, hidden=(effect,))[0] is None
+
+
+def test_a_ramp_down_to_standstill_is_no_fault():
+    assert run(lambda t: (4000.0 if t < 1.0 else 0.0, 5.0), 6.0)[0] is None
+
+
+@pytest.mark.parametrize("omega", [2000.0, 4000.0, 6000.0])
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_doubled_or_halved_speed_freezes_the_loop_and_is_a_fault_after_50_ms_or_three_revolutions(omega, factor):
+    def spoil(t, reading):
+        return reading if t < AT else reading._replace(omega=factor * reading.omega)
+
+    fault, t = run(constant(omega), 3.0, spoil)
+    assert (fault.device, fault.kind) == ("tachometer", FaultKind.SPEED_JUMP)
+    lower = omega * (1.0 - RotorPhysics().tolerance)
+    assert t - AT <= max(0.05, 3 * 60.0 / lower) + 60.0 / omega + 2 * DT
+
+
+@pytest.mark.parametrize("omega", [2000.0, 6000.0])
+def test_every_second_mark_missed_is_a_wrong_speed_and_no_standstill(omega):
+    """As the board sees it: passes half as often, the age of the last one up to twice as large."""
+    seen = {}
+
+    def spoil(t, reading):
+        if t < AT:
+            seen["first"] = seen["last"] = reading
+            return reading
+        if (reading.pulses - seen["first"].pulses) % 2:
+            last = seen["last"]
+            return reading._replace(omega=last.omega, pulses=last.pulses, mark_age=last.mark_age + t - last.t)
+        seen["last"] = reading._replace(omega=reading.omega / 2.0) if reading.pulses > seen["first"].pulses else reading
+        return seen["last"]
+
+    fault, t = run(constant(omega), 3.0, spoil)
+    assert fault.kind is FaultKind.SPEED_JUMP
+    assert t - AT < 0.25
+
+
+@pytest.mark.parametrize("omega", [2000.0, 6000.0])
+def test_a_single_missed_mark_is_lived_through(omega):
+    """The pass at AT is not seen: one late pass, one halved speed, then all is as before."""
+    seen = {}
+
+    def spoil(t, reading):
+        if t < AT:
+            seen["pulses"], seen["reading"] = reading.pulses, reading
+            return reading
+        if reading.pulses == seen["pulses"] + 1:
+            late = seen["reading"]
+            return reading._replace(omega=late.omega, pulses=late.pulses, mark_age=reading.mark_age + 60.0 / late.omega)
+        if reading.pulses == seen["pulses"] + 2:
+            return reading._replace(omega=reading.omega / 2.0)
+        return reading
+
+    assert run(constant(omega), 3.0, spoil)[0] is None
+
+
+@pytest.mark.parametrize("omega", [2000.0, 4000.0, 6000.0])
+def test_no_revolutions_with_an_open_throttle(omega):
+    held = {}
+
+    def spoil(t, reading):
+        if t < AT:
+            held["reading"], held["t"] = reading, t
+            return reading
+        last, age = held["reading"], held["reading"].mark_age + t - held["t"]
+        return reading._replace(pulses=last.pulses, mark_age=age, omega=last.omega if age < 0.2 else 0.0)
+
+    fault, t = run(constant(omega), 3.0, spoil)
+    assert (fault.kind, fault.kind.reaction) == (FaultKind.NO_ROTATION, Reaction.IDLE)
+    assert t - AT <= 0.2
+
+
+def test_a_rotor_that_does_not_start():
+    def spoil(t, reading):
+        return reading._replace(pulses=0, omega=0.0, mark_age=10.0)
+
+    fault, t = run(constant(3000.0), 3.0, spoil)
+    assert fault.kind is FaultKind.NO_ROTATION
+    assert t < 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stuck_actuator_shows_in_the_thrust(seed):
+    assert run(steps(seed), 30.0, stuck_at=AT, seed=seed)[0].kind is FaultKind.STUCK_ACTUATOR
+
+
+def test_the_effect_of_pitch_is_one_share_of_its_thrust():
+    """Commands through the kernel's plant give 1; with blades that do a share of the commanded move, that share."""
+    for share in (1.0, 0.5, 0.0):
+        effect, simulation = PitchEffect(DT), Simulation(plant())
+        simulation.start({"omega_ref": 4000.0, "beta_ref": 5.0 - 4.0 * share})
+        for k in range(5000):
+            move = 4.0 * (1.0 if k // 500 % 2 else -1.0)
+            shown = simulation.advance({"omega_ref": 4000.0, "beta_ref": 5.0 + share * move}, DT)
+            effect.update(shown["thrust"], shown["omega"], 5.0 + move)
+        # The map is bent a little, so a share of the move is not that share of the thrust.
+        assert effect.effect == pytest.approx(share, abs=0.03 if share == 0.5 else 0.005)
+        assert effect.moved > 1.0
+
+
+def quiet(k):
+    """A good reading at rest, tick k."""
+    counts = 10 + (k % 3)
+    return Reading(k * DT, counts, False, counts * NEWTON_PER_COUNT, 0.002, 0.0, 0, 10.0, 0.004, 0.0, 0.0)
+
+
+def first_fault(change, ticks=100, at=20):
+    """(fault, ticks since the change) of quiet readings that `change(reading, ticks since)` spoils from tick `at` on."""
+    checks = Plausibility(Limits(), DT)
+    for k in range(ticks):
+        reading = quiet(k) if k < at else change(quiet(k), k - at)
+        if fault := checks.check(reading):
+            return fault, k - at
+    return None, None
+
+
+@pytest.mark.parametrize(
+    ("change", "device", "kind", "ticks"),
+    [
+        (lambda r, k: r._replace(counts=77), "adc", FaultKind.FROZEN, 11),
+        (lambda r, k: r._replace(counts=32767 - k % 2, saturated=True), "adc", FaultKind.SATURATED, 2),
+        (lambda r, k: r._replace(thrust=25.1), "rig", FaultKind.OVER_THRUST, 2),
+        (lambda r, k: r._replace(thrust=-25.1), "rig", FaultKind.OVER_THRUST, 2),
+        (lambda r, k: r._replace(thrust=math.nan), "loop", FaultKind.NOT_A_NUMBER, 0),
+        (lambda r, k: r._replace(beta_ref=math.inf), "loop", FaultKind.NOT_A_NUMBER, 0),
+        (lambda r, k: r._replace(t=r.t - 2 * DT), "loop", FaultKind.TIME_BACKWARDS, 0),
+        (lambda r, k: r._replace(thrust_age=DT * k), "adc", FaultKind.STALE, 13),
+        (lambda r, k: r._replace(speed_age=DT * k), "tachometer", FaultKind.STALE, 13),
+    ],
+)
+def test_each_reading_has_its_fault_and_its_number_of_ticks(change, device, kind, ticks):
+    fault, after = first_fault(change)
+    assert (fault.device, fault.kind, after) == (device, kind, ticks)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r, k: r._replace(counts=77) if k < 11 else r,
+        lambda r, k: r._replace(counts=77, thrust_age=0.002 + DT * (k % 12)),  # held by its driver, not read
+        lambda r, k: r._replace(saturated=k < 2),
+        lambda r, k: r._replace(thrust=25.1 if k < 2 else 0.0),
+        lambda r, k: r._replace(thrust_age=0.05),
+    ],
+)
+def test_one_less_is_none(change):
+    assert first_fault(change) == (None, None)
+
+
+def test_over_speed_is_idle_at_once():
+    """A motor that follows a throttle which opens and opens: no reading is odd, the speed is too high."""
+    limits = Limits(omega_max=3000.0, omega_trip=3300.0)
+    checks, mark, omega, angle = Plausibility(limits, DT), Tachometer(), 0.0, 0.0
+    for k in itertools.count():
+        throttle = 0.04 * (k * DT)
+        omega += (13200.0 * throttle - omega) * DT / 0.1
+        angle += omega / 60.0 * DT
+        mark.see(k * DT, DT, angle)
+        now, seen = (k + 1) * DT, mark.speed((k + 1) * DT)
+        age = now - mark.last
+        r = quiet(k)._replace(t=now, omega=seen, pulses=mark.pulses, mark_age=age, throttle=throttle)
+        if fault := checks.check(r):
+            break
+    assert (fault.kind, fault.kind.reaction) == (FaultKind.OVER_SPEED, Reaction.IDLE)
+    assert 3300.0 < seen <= omega <= 3300.0 + 0.04 * 13200.0 * (1.5 * 60.0 / 3300.0 + 2 * DT)
+
+
+def test_the_bounds_hold_any_motor_within_the_stated_physics():
+    """Random throttles on motors of any allowed time constant and gain: the speed never leaves the bounds."""
+    physics = RotorPhysics()
+    for seed in range(30):
+        dice = np.random.default_rng(seed)
+        tau = dice.uniform(physics.tau_fast, physics.tau_slow)
+        gain = physics.free * dice.uniform(1.0 - physics.tolerance, 1.0 + physics.tolerance)
+        bounds, throttle = RotorBounds(physics), 0.2
+        omega = gain * throttle
+        bounds.believe(omega, throttle, 0.0)
+        for k in range(500):
+            if k % 25 == 0:
+                throttle = dice.uniform(0.0, 0.5)
+            omega += (gain * throttle - omega) * (1.0 - math.exp(-DT / tau))
+            bounds.advance(throttle, DT)
+            assert bounds.low - 1e-6 <= omega <= bounds.high + 1e-6
+            if k % 10 == 9:
+                assert bounds.allows(omega)
+                bounds.believe(omega, throttle, 0.0)
+
+
+def test_twelve_equal_readings_are_once_in_a_hundred_days_at_two_counts_of_noise():
+    """Two neighbours of Gaussian noise s are equal with 1/(2 sqrt(pi) s); simulated here for s = 2."""
+    counts = np.round(np.random.default_rng(0).normal(0.3, 2.0, 400000))
+    equal = float(np.mean(counts[1:] == counts[:-1]))
+    assert equal == pytest.approx(1.0 / (2.0 * math.sqrt(math.pi) * 2.0), rel=0.02)
+    runs = Thresholds().frozen - 1
+    assert 1.0 / (equal**runs / DT) / 86400.0 == pytest.approx(100.0, rel=0.3)

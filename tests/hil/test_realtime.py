@@ -1,0 +1,49 @@
+import gc
+import os
+
+from hil import realtime
+from hil.realtime import real_time
+
+
+def test_the_collector_keeps_still_within_and_runs_behind():
+    assert gc.isenabled()
+    with real_time() as granted:
+        assert not gc.isenabled()
+        assert granted.frozen > 1000  # an interpreter with a test runner holds many more
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_the_scheduler_is_what_was_granted_and_goes_back():
+    before = os.sched_getscheduler(0)
+    with real_time() as granted:
+        assert (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO) == granted.fifo
+        if granted.fifo:
+            assert os.sched_getparam(0).sched_priority == realtime.PRIORITY
+            child = os.fork()
+            if child == 0:
+                os._exit(os.sched_getscheduler(0))  # what it starts must not compete with the loop
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == os.SCHED_OTHER
+    assert os.sched_getscheduler(0) == before
+
+
+def test_locked_memory_shows_in_the_process_status():
+    def locked():
+        with open("/proc/self/status") as status:
+            return next(int(line.split()[1]) for line in status if line.startswith("VmLck"))
+
+    assert locked() == 0
+    with real_time() as granted:
+        assert (locked() > 0) == granted.locked
+    assert locked() == 0
+
+
+def test_what_is_not_granted_is_said(monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(realtime.os, "sched_setscheduler", refuse)
+    with real_time() as granted:
+        assert not granted.fifo
+        assert any("SCHED_FIFO" in text for text in granted.refusals)
+        assert "no SCHED_FIFO" in str(granted)

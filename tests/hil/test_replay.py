@@ -1,0 +1,66 @@
+import json
+
+import numpy as np
+import pytest
+from rigs import setup, step_profile
+
+from hil.replay import replay
+from hil.run import run_on_rig, write_run
+from vpp_fmu.cli import main
+from vpp_fmu.kernel.controller import DUAL
+from vpp_fmu.plants import FmuController, KernelController
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return run_on_rig(setup(), KernelController(), step_profile(hold=1.0), tmp_path_factory.mktemp("replay")).record
+
+
+def test_the_fmu_says_what_the_loop_said_to_the_bit(run, fmu_files):
+    controller = FmuController(fmu_files["controller"])
+    found = replay(run, controller)
+    controller.close()
+    assert found.first_difference is None
+    np.testing.assert_array_equal(found.record["omega_ref"], run["omega_wanted"])
+    np.testing.assert_array_equal(found.record["beta_ref"], run["beta_wanted"])
+    assert np.ptp(found.record["omega_ref"]) > 1000.0  # it had something to say
+
+
+def test_another_controller_is_told_by_its_first_row(run):
+    found = replay(run, KernelController({**DUAL, "kp_omega": np.nextafter(DUAL["kp_omega"], 10.0)}))
+    assert found.first_difference is not None
+    assert 0.0 < found.largest["omega_ref"] < 1.0
+
+
+def test_one_bit_is_enough(run):
+    thrust = run["thrust"].copy()
+    assert 2000.0 < run["omega_wanted"][100] < 6000.0  # at a limit it would say the same
+    thrust[100] = np.nextafter(thrust[100], 100.0)
+    found = replay(run.with_columns(thrust=thrust), KernelController())
+    assert found.first_difference == 100
+
+
+def test_the_command_compares_a_file(run, tmp_path, capsys, fmu_files):
+    write_run(tmp_path / "run.csv", run)
+    words = ["hil", "replay", str(tmp_path / "run.csv"), str(fmu_files["controller"]), "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert f"on the {len(run)} rows" in (said := capsys.readouterr()).out
+    assert "the same commands to the bit" in said.out
+    assert said.err == ""
+    assert json.loads((tmp_path / "out" / "replay.json").read_text())["same_to_the_bit"] is True
+
+
+def test_the_command_tells_where_another_controller_differs(run, tmp_path, capsys, fmu_files):
+    thrust = run["thrust"].copy()
+    thrust[100] += 0.5
+    write_run(tmp_path / "run.csv", run.with_columns(thrust=thrust))
+    words = ["hil", "replay", str(tmp_path / "run.csv"), str(fmu_files["controller"]), "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert "other commands from 0.400 s on" in capsys.readouterr().out
+
+
+def test_a_file_that_is_no_run_is_refused(tmp_path, capsys, fmu_files):
+    (tmp_path / "run.csv").write_text("time,thrust\n0,1\n1,2\n")
+    words = ["hil", "replay", str(tmp_path / "run.csv"), str(fmu_files["controller"]), "-o", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "column thrust_set" in capsys.readouterr().err

@@ -1,0 +1,86 @@
+import json
+
+import numpy as np
+import pytest
+from rigs import setup
+
+from hil import selftest as module
+from hil.emulator import i2c
+from hil.emulator.rig import BUS
+from hil.selftest import selftest
+from hil.session import Setup
+from hil.timing import EDGES, timing
+from vpp_fmu.cli import main
+
+
+def bad(found):
+    return {check.what for check in found.checks if not check.good}
+
+
+def test_a_good_rig_passes(tmp_path):
+    found = selftest(setup(), 4.0, tmp_path)
+    assert bad(found) == set()
+    assert len(found.log) == 1000
+
+
+class Spoilt(Setup):
+    """A rig whose ADC bus has a fault from the start."""
+
+    def bench(self):
+        bench = super().bench()
+        shared = i2c.open_bus(bench.esc.duty_file.parents[3] / BUS)
+        for name, value in FAULT.items():
+            shared[name] = value
+        shared.close()
+        return bench
+
+
+FAULT = {}
+
+
+@pytest.mark.parametrize(
+    ("fault", "found_bad"),
+    [
+        ({"frozen": 1.0}, {"run", "adc", "adc, conversions", "load cell at rest"}),
+        ({"overload": 1.2}, {"load cell at rest"}),
+        ({"not_acknowledged": 1e9}, {"run", "adc"}),
+    ],
+)
+def test_a_bad_adc_is_found(tmp_path, monkeypatch, fault, found_bad):
+    monkeypatch.setattr("test_selftest.FAULT", fault)
+    whole = setup()
+    found = selftest(Spoilt(whole.calibration, whole.limits, whole.emulated, virtual=True), 4.0, tmp_path)
+    assert found_bad <= bad(found)
+
+
+def test_an_output_that_is_not_idle_is_found(tmp_path, monkeypatch):
+    outputs = module._outputs([("/sys/pwmchip0/pwm0/duty_cycle", 1_000_000, "1500000")])
+    assert not outputs[0].good
+    assert "1500000 ns" in outputs[0].found
+
+
+def test_the_histogram_counts_every_tick():
+    late = np.array([0.0, 3e-6, 40e-6, 41e-6, 0.3e-3, 12e-3])
+    found = timing(late, np.full(6, 1e-4), np.array([0, 0, 0, 0, 0, 2]))
+    assert sum(found.counts) == 6
+    assert found.missed == 2
+    counted = {EDGES[k]: n for k, n in enumerate(found.counts) if n}
+    assert counted == {0.0: 1, 2e-6: 1, 20e-6: 2, 0.2e-3: 1, 10e-3: 1}
+    assert found.late == pytest.approx((40.5e-6, *np.percentile(late, (99.0, 99.9)), 12e-3))
+    assert found.summary()["late_us"]["max"] == 12000.0
+    assert "p99.9" in found.text()
+
+
+def test_the_command_in_real_time(tmp_path, capsys):
+    out = tmp_path / "out"
+    code = main(["hil", "selftest", "--seconds", "1.5", "-o", str(out)])
+    told = json.loads((out / "hil.json").read_text())
+    checks = {check["what"]: check for check in told["checks"]}
+    # How well it keeps its time is the machine's affair; that nothing is lost is not.
+    assert checks["log"]["good"]
+    assert told["log"]["rows"] == told["log"]["ticks"] == told["timing"]["ticks"]
+    assert checks["output pwm0"]["good"]
+    assert sum(part["ticks"] for part in told["timing"]["histogram_us"]) == told["timing"]["ticks"]
+    assert code in (0, 2)
+    assert "p99.9" in capsys.readouterr().out
+    assert "99.9 % of" in (out / "report.html").read_text()

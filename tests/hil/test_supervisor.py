@@ -1,0 +1,186 @@
+"""The supervisor against real processes that are killed, stopped, hung, and against its own death."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hil import watchdog
+from hil.faults import DeviceFault, FaultKind
+from hil.supervisor import LOST, SILENCE, Supervisor
+
+IDLE, OPEN = b"1000000\n", b"1500000\n"
+HERE = Path(__file__).parent
+
+
+@contextlib.contextmanager
+def running_loop(folder, mode="run"):
+    """(process, duty file's descriptor, allowed time to idle [s]) of a loop that holds the throttle open."""
+    duty, report = folder / "duty_cycle", folder / "supervisor.log"
+    duty.write_bytes(IDLE)
+    arguments = [sys.executable, str(HERE / "throttle_loop.py"), str(duty), str(report), mode]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    loop = subprocess.Popen(arguments, cwd=HERE.parents[1], env={**os.environ, "PYTHONPATH": "."}, text=True, **pipes)
+    _, fifo = loop.stdout.readline().split()
+    descriptor = os.open(duty, os.O_RDONLY)
+    try:
+        # Without a real-time scheduler nobody promises 100 ms on a machine that others use too.
+        yield loop, descriptor, 0.1 if int(fifo) else 1.0
+    finally:
+        loop.kill()
+        loop.communicate()
+        os.close(descriptor)
+
+
+def open_times(descriptor, seconds):
+    """Watch a duty file: seconds from now at which it was seen with an open throttle."""
+    start, seen = time.monotonic(), []
+    while (now := time.monotonic() - start) < seconds:
+        if os.pread(descriptor, 20, 0) != IDLE:
+            seen.append(now)
+    return seen
+
+
+@contextlib.contextmanager
+def busy_machine():
+    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+
+
+@pytest.mark.parametrize("load", [contextlib.nullcontext, busy_machine], ids=["idle", "load"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP, signal.SIGTSTP])
+def test_idle_stands_within_100_ms(tmp_path, number, load):
+    with running_loop(tmp_path) as (loop, duty, allowed), load():
+        assert os.pread(duty, 20, 0) == OPEN
+        loop.send_signal(number)
+        seen = open_times(duty, 0.3)
+        assert (seen or [0.0])[-1] <= allowed
+        assert os.pread(duty, 20, 0) == IDLE
+        told = (tmp_path / "supervisor.log").read_text()
+        gone = number in (signal.SIGKILL, signal.SIGSEGV)
+        assert ("the loop is gone" if gone else "the loop is silent for 5") in told or load is busy_machine
+        assert told.endswith("idle pulse written\n")
+
+
+def test_a_loop_stopped_before_its_write_opens_the_throttle_for_a_moment_at_most(tmp_path):
+    """It has beaten, is stopped, is given up, goes on, and writes the pulse it was about to write."""
+    with running_loop(tmp_path, "stop") as (loop, duty, allowed):
+        time.sleep(0.35)
+        assert os.pread(duty, 20, 0) == IDLE
+        loop.send_signal(signal.SIGCONT)
+        seen = open_times(duty, 0.3)
+        assert (seen or [0.0])[-1] - (seen or [0.0])[0] <= allowed / 5.0  # 1 ms, and its own scheduling
+        assert loop.stdout.readline() == "faulted\n"
+        assert os.pread(duty, 20, 0) == IDLE
+
+
+def test_a_loop_that_hung_finds_itself_faulted(tmp_path):
+    with running_loop(tmp_path, "hang") as (loop, duty, allowed):
+        assert loop.stdout.readline() == "faulted\n"
+        assert (open_times(duty, 0.1) or [0.0])[-1] <= allowed / 5.0
+        assert os.pread(duty, 20, 0) == IDLE
+        loop.communicate("\n")
+        assert loop.returncode == 0
+
+
+def test_a_child_that_holds_the_loops_files_changes_nothing(tmp_path):
+    with running_loop(tmp_path, "fork") as (loop, duty, allowed):
+        loop.kill()
+        assert (open_times(duty, 0.3) or [0.0])[-1] <= allowed
+
+
+@pytest.fixture
+def duty(tmp_path):
+    path = tmp_path / "duty_cycle"
+    path.write_bytes(OPEN)
+    return path
+
+
+@pytest.fixture
+def supervisor(tmp_path, duty):
+    supervisor = Supervisor([(duty, 1e-3)], tmp_path / "supervisor.log")
+    yield supervisor
+    supervisor.close()
+
+
+def test_it_starts_with_the_idle_pulse_and_waits_for_the_first_beat(supervisor, duty):
+    assert duty.read_bytes() == IDLE
+    time.sleep(2.0 * SILENCE)
+    assert supervisor.beat() is None
+
+
+def test_signals_of_the_terminal_and_the_shell_leave_it_alone(supervisor):
+    assert os.getsid(supervisor.pid) != os.getsid(0)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+        os.kill(supervisor.pid, number)
+    end = time.monotonic() + 2.0 * LOST
+    while time.monotonic() < end:
+        assert supervisor.beat() is None
+        time.sleep(0.004)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_loop_notices_that_nobody_watches(supervisor, number):
+    assert supervisor.beat() is None
+    os.kill(supervisor.pid, number)
+    end = time.monotonic() + 10.0 * LOST
+    while (fault := supervisor.beat()) is None and time.monotonic() < end:
+        time.sleep(0.004)
+    assert fault.kind is FaultKind.SUPERVISOR_LOST
+    os.kill(supervisor.pid, signal.SIGCONT)
+
+
+def test_silence_is_latched(supervisor, duty):
+    supervisor.beat()
+    time.sleep(3.0 * SILENCE)
+    for _ in range(3):
+        duty.write_bytes(OPEN)
+        time.sleep(10.0 * watchdog.CALM)
+        assert duty.read_bytes() == IDLE
+        assert supervisor.beat().kind is FaultKind.SUPERVISOR_TRIPPED
+
+
+def test_goodbye_leaves_the_idle_pulse_and_no_report(tmp_path, duty):
+    supervisor = Supervisor([(duty, 1e-3)], tmp_path / "supervisor.log")
+    supervisor.beat()
+    duty.write_bytes(OPEN)
+    supervisor.close()
+    assert duty.read_bytes() == IDLE
+    assert (tmp_path / "supervisor.log").read_bytes() == b""
+    with pytest.raises(ProcessLookupError):
+        os.kill(supervisor.pid, 0)
+
+
+@pytest.mark.parametrize("broken", ["missing", "/dev/full"])
+def test_an_output_that_refuses_is_found_before_arming(tmp_path, broken):
+    with pytest.raises(DeviceFault, match=r"No such file|No space left") as raised:
+        Supervisor([(tmp_path / broken, 1e-3)], tmp_path / "supervisor.log")
+    assert raised.value.kind is FaultKind.NOT_READY
+
+
+def test_one_output_that_refuses_keeps_no_other_waiting(duty):
+    refusing, good = os.open(duty, os.O_RDONLY), os.open(duty, os.O_WRONLY)
+    failed = watchdog.write_idle([(refusing, b"1000000\n"), (good, b"1000000\n")])
+    assert failed == ["idle pulse 1000000 ns refused: Bad file descriptor"]
+    assert duty.read_bytes() == IDLE
+    os.close(refusing)
+    os.close(good)
+
+
+def test_a_full_disk_under_the_report_is_no_reason_to_go_on(duty):
+    supervisor = Supervisor([(duty, 1e-3)], "/dev/full")
+    supervisor.beat()
+    duty.write_bytes(OPEN)
+    time.sleep(3.0 * SILENCE)
+    assert duty.read_bytes() == IDLE
+    supervisor.close()

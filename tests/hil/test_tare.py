@@ -1,0 +1,69 @@
+"""The tare: its statistics by closed form, and each of its gates."""
+
+import numpy as np
+import pytest
+
+from hil.tare import TareGate, TareRefused, tare
+
+SCALE = 0.004  # N per count
+GATE = TareGate(noise_max=0.3, drift_max=0.05, offset_max=5.0, samples_min=200)
+
+
+def readings(noise=20.0, n=500, zero=1200.0, seed=1):
+    """White readings [counts]."""
+    return zero + noise * np.random.default_rng(seed).standard_normal(n)
+
+
+def test_mean_noise_and_standard_error():
+    found = [tare(readings(seed=seed), SCALE, 1200.0, GATE) for seed in range(200)]
+    zeros, errors = np.array([(t.zero, t.error) for t in found]).T
+    assert found[0].samples == 500
+    assert np.mean([t.noise for t in found]) == pytest.approx(20.0, rel=0.01)
+    assert zeros.mean() == pytest.approx(1200.0, abs=4 * 20 / 500**0.5 / 200**0.5)
+    assert zeros.std() == pytest.approx(20.0 / 500**0.5, rel=0.2)
+    assert np.sqrt((errors**2).mean()) == pytest.approx(20.0 / 500**0.5, rel=0.1)
+
+
+def test_the_standard_error_knows_coloured_noise():
+    """First-order noise of correlation a: the mean's variance is (1 + a)/(1 - a) times that of white noise."""
+    a, spread, errors = 0.8, [], []
+    for seed in range(300):
+        white = np.random.default_rng(seed).standard_normal(2000)
+        coloured = np.empty(2000)
+        coloured[0] = white[0]
+        for k in range(1, 2000):
+            coloured[k] = a * coloured[k - 1] + (1 - a * a) ** 0.5 * white[k]
+        found = tare(1200.0 + 5.0 * coloured, SCALE, 1200.0, GATE)
+        spread.append(found.zero)
+        errors.append(found.error)
+    expected = 5.0 * ((1 + a) / (1 - a) / 2000) ** 0.5
+    assert np.std(spread) == pytest.approx(expected, rel=0.1)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.1)
+
+
+RAMP = np.linspace(-0.5, 0.5, 500)
+
+
+@pytest.mark.parametrize(
+    ("counts", "said"),
+    [
+        (readings(n=199), "199 readings, at least 200"),
+        (readings(noise=100.0), r"scatter by 0\.3\d* N, allowed is 0.3 N"),
+        (readings() + 100.0 * RAMP, r"moved by 0\.2\d* N .* allowed is 0.05 N"),
+        (readings(zero=1200.0 + 5.1 / SCALE), r"5\.1\d* N from the calibration's, allowed is 5 N"),
+        (np.full(500, 1200.0), "frozen"),
+        (np.append(readings(), np.nan), "not a finite number"),
+    ],
+    ids=["few", "noisy", "drifting", "far off", "frozen", "nan"],
+)
+def test_what_is_no_zero_is_refused(counts, said):
+    with pytest.raises(TareRefused, match=said):
+        tare(counts, SCALE, 1200.0, GATE)
+    with pytest.raises(TareRefused, match=said):
+        tare(2400.0 - counts, -SCALE, 1200.0, GATE)  # a cell wired the other way round
+
+
+def test_a_still_cell_is_hardly_ever_refused():
+    """The drift gate lets three standard errors of the difference pass on top of its own width."""
+    for seed in range(300):
+        tare(readings(noise=60.0, seed=seed), SCALE, 1200.0, GATE)

@@ -1,0 +1,68 @@
+import pytest
+
+from hil.clock import VirtualClock
+from hil.ticks import Ticks
+
+
+def test_ticks_come_at_whole_multiples_of_the_period():
+    clock = VirtualClock(7.0)
+    ticks = Ticks(clock, 0.004)
+    for k in range(1, 1001):
+        tick = ticks.wait()
+        assert (tick.slot, tick.late, tick.missed) == (k, 0.0, 0)
+        assert clock.now() == 7.0 + k * 0.004  # no sum of errors
+    assert (ticks.ticks, ticks.missed, ticks.time) == (1000, 0, 4.0)
+
+
+def test_work_within_the_period_costs_nothing():
+    clock = VirtualClock()
+    ticks = Ticks(clock, 0.004)
+    clock.wait_until(0.0039)
+    assert ticks.wait() == (1, 0.0, 0)
+    assert clock.now() == 0.004
+
+
+def test_missed_slots_are_skipped_and_the_phase_stays():
+    clock = VirtualClock()
+    ticks = Ticks(clock, 0.004)
+    ticks.wait()
+    clock.wait_until(0.0185)  # slots 2, 3 have passed, 4 runs
+    late = ticks.wait()
+    assert (late.slot, late.missed) == (4, 2)
+    assert late.late == pytest.approx(0.0105)
+    ticks.wait()
+    assert clock.now() == 0.02  # not 0.0185 + 0.004
+    assert (ticks.ticks, ticks.missed, ticks.slot) == (3, 2, 5)
+
+
+def test_a_tick_that_is_a_little_late_keeps_its_slot():
+    clock = VirtualClock()
+    ticks = Ticks(clock, 0.004)
+    clock.wait_until(0.0079)
+    tick = ticks.wait()
+    assert (tick.slot, tick.missed) == (1, 0)
+    assert tick.late == pytest.approx(0.0039)
+
+
+def test_the_share_of_missed_slots_is_that_of_the_last_second():
+    clock = VirtualClock()
+    ticks = Ticks(clock, 0.004)
+    clock.wait_until(0.1001)
+    ticks.wait()
+    assert ticks.missed_share == pytest.approx(24 / 250)
+    while clock.now() < 1.095:
+        ticks.wait()
+    assert ticks.missed_share == pytest.approx(24 / 250)
+    ticks.wait()
+    assert ticks.missed_share == 0.0
+
+
+def test_a_break_that_was_meant_is_no_miss():
+    clock = VirtualClock()
+    ticks = Ticks(clock, 0.004)
+    ticks.wait()
+    clock.wait_until(5.0)
+    ticks.resume()
+    assert ticks.wait().missed == 0
+    assert ticks.missed == 0
+    assert ticks.missed_share == 0.0

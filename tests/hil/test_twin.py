@@ -1,0 +1,208 @@
+"""The twin: run lengths against published ones, alarms as rare as stated, found as soon as computed."""
+
+import itertools
+import json
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from hil.band import Band, Whitener, band_of, read_band
+from hil.cusum import Cusum, run_length, threshold_for
+from hil.twin import BLOCK, Twin
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.plants import FmuPlant, KernelPlant, Sample
+
+WHITE = Band(white=0.12, slow=0.0, slow_time=0.1, model_error=0.0)
+COLOURED = Band(white=0.12, slow=0.05, slow_time=0.15, model_error=0.2)
+
+
+@pytest.mark.parametrize(
+    ("threshold", "shift", "expected"),
+    [(4.0, 0.0, 168.0), (4.0, 1.0, 8.38), (5.0, 0.0, 465.0), (5.0, 1.0, 10.4)],
+)
+def test_run_lengths_are_those_of_the_tables(threshold, shift, expected):
+    """Lucas and Crosier (Technometrics 24, 1982): two-sided sums with reference 0.5."""
+    rate = 1.0 / run_length(threshold, 0.5, shift) + 1.0 / run_length(threshold, 0.5, -shift)
+    assert 1.0 / rate == pytest.approx(expected, rel=0.003)
+
+
+@pytest.mark.parametrize("run", [50.0, 720000.0])
+@pytest.mark.parametrize("mean", [0.0, 2.0])
+def test_the_threshold_gives_the_run_length_it_was_asked_for(run, mean):
+    found = threshold_for(run, mean + 1.5, mean)
+    rate = 1.0 / run_length(found, mean + 1.5, mean) + 1.0 / run_length(found, mean + 1.5, -mean)
+    assert 1.0 / rate == pytest.approx(run, rel=1e-4)
+
+
+def test_the_sums_run_as_long_as_page_says():
+    """Simulated: mean of 4000 runs, whose standard error is that of an exponential time."""
+    threshold, cusum, dice = threshold_for(40.0, 1.5, 0.0), Cusum(1.0, 1.5), np.random.default_rng(3)
+    cusum.threshold, runs, count = threshold, [], 0
+    for z in dice.standard_normal(170000).tolist():
+        count += 1
+        if cusum.update(z):
+            runs.append(count)
+            count = 0
+            cusum.reset()
+    assert np.mean(runs) == pytest.approx(40.0, rel=4.0 / len(runs) ** 0.5)
+
+
+def noise(band, n, dt, seed):
+    """(n,) N: white noise and stationary first-order noise as the band has them."""
+    dice, a = np.random.default_rng(seed), np.exp(-dt / band.slow_time)
+    drive = band.slow * dice.standard_normal(n) * np.sqrt(1.0 - a * a)
+    slow = lfilter([1.0], [1.0, -a], drive, zi=[a * band.slow * dice.standard_normal()])[0]
+    return band.white * dice.standard_normal(n) + slow
+
+
+@pytest.mark.parametrize(("slow", "slow_time"), [(0.0, 0.1), (0.05, 0.15), (0.05, 2.0), (0.3, 0.5)])
+def test_whitened_blocks_are_white_and_of_variance_one(slow, slow_time):
+    band, n = Band(0.12, slow, slow_time, 0.0), 40000
+    blocks = noise(band, 25 * n, 0.02, 5).reshape(n, 25).mean(axis=1)
+    whitener = Whitener(band, 25, 0.02)
+    z = np.array([whitener.update(mean) for mean in blocks.tolist()])[10:]
+    assert z.std() == pytest.approx(1.0, abs=4 / (2 * n) ** 0.5)
+    for lag in (1, 2, 3, 5):
+        assert abs(np.mean(z[lag:] * z[:-lag])) < 4 / n**0.5
+
+
+def test_a_constant_residual_comes_through_with_the_gain():
+    whitener = Whitener(COLOURED, 125, 0.004)
+    for _ in range(200):
+        z = whitener.update(0.3)
+    assert z * whitener.scale == pytest.approx(0.3 * whitener.gain, rel=1e-9)
+
+
+class Still:
+    """A plant without thrust: what is measured is the residual."""
+
+    dt = 0.02
+
+    def start(self, omega_ref, beta_ref):
+        return Sample(0.0, 0.0, 0.0)
+
+    step = start
+
+    def close(self):
+        pass
+
+
+def alarms(twin, residual):
+    """How often the twin alarms over a residual [N], started anew after each alarm."""
+    found, began = 0, 0
+    for k, value in enumerate(residual.tolist()):
+        if twin.update((k - began) * Still.dt, 0.0, 0.0, value).alarmed:
+            found, began = found + 1, k
+            twin.start(0.0, 0.0, 0.0)
+    return found
+
+
+def test_alarms_are_as_frequent_as_stated_and_no_more_while_the_model_errs_within_its_band():
+    """One in 20 s, so that there are enough to count: white noise, slow noise, a model at its band's edge, one within it."""
+    n = 200000
+    stated = 180.0 * n * Still.dt / 3600.0
+    for band, error in ((WHITE, 0.0), (replace(COLOURED, model_error=0.0), 0.0), (replace(WHITE, model_error=0.2), 0.2)):
+        twin = Twin(Still(), band, false_alarms=180.0)
+        assert alarms(twin, error + noise(band, n, Still.dt, 2)) == pytest.approx(stated, rel=4.0 / stated**0.5)
+    wandering = 0.2 * np.sign(np.sin(np.arange(n) * Still.dt * 2.0))
+    twin = Twin(Still(), COLOURED, false_alarms=180.0)
+    assert alarms(twin, wandering + noise(COLOURED, n, Still.dt, 3)) < stated / 2.0
+
+
+def test_a_step_is_found_after_the_stated_delay():
+    """Mean of 500 steps of the smallest size, and of twice that; white noise, where the theory is exact."""
+    twin = Twin(Still(), WHITE, false_alarms=0.01)
+    for size, expected in ((twin.smallest, twin.delay), (2.0 * twin.smallest, None)):
+        hiss, delays = iter((size + noise(WHITE, 150000, Still.dt, 7)).tolist()), []
+        for _ in range(500):
+            twin.start(0.0, 0.0, 0.0)
+            ticks = next(k for k in itertools.count(1) if twin.update(k * Still.dt, 0.0, 0.0, next(hiss)).alarmed)
+            delays.append(ticks * Still.dt)
+            assert twin.since == pytest.approx(ticks * Still.dt - twin._cusum.age * BLOCK)
+        if expected:
+            assert np.mean(delays) == pytest.approx(expected, abs=4.0 * np.std(delays) / 500**0.5)
+        else:
+            assert np.mean(delays) < 0.7 * twin.delay
+
+
+STEPS = [(2500.0, 0.0), (4500.0, 6.0), (3500.0, -3.0), (5500.0, 2.0), (3000.0, 8.0)]
+
+
+def beside(names, parameters, seconds=40.0):
+    """A twin of the plain plant beside a rig with hidden effects; noise on the thrust."""
+    rig, twin = KernelPlant(plant(names), parameters), Twin(KernelPlant(), Band(0.12, 0.05, 0.15, 0.05))
+    hiss = noise(COLOURED, round(seconds / 0.004), 0.004, 11).tolist()
+    thrust = rig.start(*STEPS[0]).thrust
+    twin.start(0.0, *STEPS[0])
+    for k, extra in enumerate(hiss):
+        commands = STEPS[int(k * 0.004 / 2.0) % len(STEPS)]
+        shown = twin.update(k * 0.004, *commands, thrust + extra)
+        thrust = rig.step(*commands).thrust
+    return twin, shown
+
+
+def test_a_rig_like_its_model_raises_no_alarm_and_a_new_effect_does():
+    twin, shown = beside((), {})
+    assert not shown.alarmed
+    assert twin.since is None
+    twin, shown = beside(("pitch_offset",), {"pitch_offset.offset": 1.0})
+    assert shown.alarmed
+    assert -0.01 <= twin.since < 4.0
+
+
+def test_missed_ticks_are_made_up_for():
+    """The commands before a gap acted throughout it."""
+    twin, whole = Twin(KernelPlant(), WHITE), KernelPlant()
+    twin.start(0.0, 3000.0, 0.0)
+    whole.start(3000.0, 0.0)
+    twin.update(0.0, 5000.0, 4.0, 0.0)
+    for _ in range(7):
+        expected = whole.step(5000.0, 4.0).thrust
+    assert twin.update(7 * 0.004, 3000.0, 0.0, 1.0).thrust == expected
+    assert twin.update(8 * 0.004, 3000.0, 0.0, 1.0).residual == 1.0 - whole.step(3000.0, 0.0).thrust
+
+
+def test_an_update_is_short_beside_a_tick(fmu_files):
+    """50 us are meant, on a machine of its own; the best of many batches is looked at."""
+    twin = Twin(FmuPlant(fmu_files["plain"]), COLOURED)
+    best = 1.0
+    for batch in range(20):
+        began = time.perf_counter()
+        for k in range(100):
+            twin.update((100 * batch + k) * 0.004, 4000.0, 5.0, 8.0)
+        best = min(best, (time.perf_counter() - began) / 100)
+    assert best < 500e-6
+
+
+def test_the_band_of_what_identify_wrote(tmp_path):
+    path = tmp_path / "identification.json"
+    records = {"open_loop": {"rmse_thrust": 0.13}, "validation": {"rmse_thrust": 0.2}}
+    path.write_text(json.dumps({"noise_floor_thrust": 0.12, "records": records}))
+    band = read_band(path)
+    assert band.white**2 + band.slow**2 == pytest.approx(0.12**2)
+    assert band.model_error == pytest.approx(3.0 * 0.16)
+    for content in (
+        "",
+        "[]",
+        "{}",
+        '{"noise_floor_thrust": 0.1, "records": {}}',
+        '{"noise_floor_thrust": null, "records": {}}',
+    ):
+        path.write_text(content)
+        with pytest.raises(BadInput, match=r"identification\.json"):
+            read_band(path)
+
+
+def test_the_band_of_two_runs_with_the_same_commands():
+    truth, n = Band(0.12, 0.05, 0.15, 0.0), 100000
+    error = 0.25 * np.sin(np.arange(n) * 0.004 * 0.5)
+    runs = [error + noise(truth, n, 0.004, seed) for seed in (1, 2)]
+    band = band_of(runs, (runs[0] - runs[1]) / 2**0.5, 0.004)
+    assert band.white == pytest.approx(truth.white, rel=0.02)
+    assert band.slow == pytest.approx(truth.slow, rel=0.1)
+    assert band.slow_time == pytest.approx(truth.slow_time, rel=0.3)
+    assert band.model_error == pytest.approx(0.25, abs=4 * 0.05)

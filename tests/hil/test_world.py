@@ -1,0 +1,140 @@
+import numpy as np
+import pytest
+
+from hil.emulator.stepper import Stepper
+from hil.emulator.world import STEP, LoadCell, World
+from hil.physics.rig_model import POWERTRAIN, powertrain
+from vpp_fmu.kernel.simulation import Simulation
+
+QUIET = LoadCell(0.5, 0.1, white=0.0, slow=0.0)
+
+
+def world(throttle=0.35, beta=4.0, cell=QUIET, **more):
+    return World(POWERTRAIN, {}, lambda: (throttle, beta), cell, **more)
+
+
+def settled(**more):
+    """A world whose throttle opened at time 0, at 3 s."""
+    driven = [0.0, 4.0]
+    one = World(POWERTRAIN, {}, lambda: tuple(driven), **{"cell": QUIET, **more})
+    driven[0] = 0.35
+    one.advance(3.0)
+    return one
+
+
+def test_it_steps_the_physics_and_nothing_else():
+    driven, reference = [0.0, 2.0], Simulation(POWERTRAIN)
+    one = World(POWERTRAIN, {}, lambda: tuple(driven), QUIET)
+    reference.start({"throttle": 0.0, "beta_ref": 2.0})
+    for k in range(1, 51):
+        driven[:] = [0.3 + 0.002 * k, 2.0 + 0.05 * k]
+        one.advance(0.004 * k)
+        for _ in range(4):
+            expected = reference.advance({"throttle": driven[0], "beta_ref": driven[1]}, STEP)
+        assert (one.thrust, one.omega, one.beta) == (expected["thrust"], expected["omega"], expected["beta"])
+
+
+def test_without_a_compiler_it_is_the_same_world(no_compiler):
+    slow = settled(jitter=0.0)
+    assert not slow._stepper.is_compiled
+    reference = Simulation(POWERTRAIN)
+    reference.start({"throttle": 0.0, "beta_ref": 4.0})
+    for _ in range(3000):
+        expected = reference.advance({"throttle": 0.35, "beta_ref": 4.0}, STEP)
+    assert slow.thrust == expected["thrust"]
+
+
+def test_hidden_effects_change_it():
+    hidden = World(powertrain(["load_cell_gain"]), {"load_cell_gain.gain": 1.1}, lambda: (0.35, 4.0), QUIET)
+    plain = world()
+    hidden.advance(1.0)
+    plain.advance(1.0)
+    assert hidden.thrust == pytest.approx(1.1 * plain.thrust)
+
+
+def test_the_amplifier_shows_thrust_in_volts():
+    one = settled()
+    assert one.volts(3.0) == pytest.approx(0.5 + 0.1 * one.thrust)
+
+
+def test_a_conversion_that_ended_in_the_past_shows_the_past():
+    driven = [0.2, 0.0]
+    one = World(POWERTRAIN, {}, lambda: tuple(driven), QUIET)
+    one.advance(1.0)
+    seen = {}
+    driven[0] = 0.8
+    for k in range(1, 21):
+        one.advance(1.0 + STEP * k)
+        seen[k] = one.thrust
+    assert one.volts(1.015) == pytest.approx(0.5 + 0.1 * seen[15])
+    assert one.volts(1.0155) == pytest.approx(0.5 + 0.05 * (seen[15] + seen[16]))
+
+
+def test_the_noise_is_as_large_and_as_slow_as_stated():
+    one = world(0.0, cell=LoadCell(0.0, 1.0))
+    times = 0.004 * np.arange(1, 40_001)
+    seen = []
+    for t in times:
+        one.advance(t)
+        seen.append(one.volts(t))
+    seen = np.array(seen) - np.mean(seen)
+    assert seen.std() == pytest.approx(np.hypot(0.12, 0.047), rel=0.03)
+    lag = round(0.13 / 0.004)
+    assert np.mean(seen[lag:] * seen[:-lag]) == pytest.approx(0.047**2 / np.e, rel=0.5)
+
+
+def test_the_mark_passes_once_a_revolution():
+    one = settled(jitter=0.0)
+    count, last, period = one.pulses(3.0)
+    assert 60.0 / period == pytest.approx(one.omega, rel=1e-4)
+    assert 3.0 - period - STEP <= last <= 3.0
+    one.advance(4.0)
+    assert one.pulses(4.0)[0] - count == pytest.approx(one.omega / 60.0, abs=1.0)
+
+
+def test_passes_are_seen_early_or_late_by_their_jitter():
+    periods = {}
+    for jitter in (0.0, 25e-6):
+        one, found = settled(jitter=jitter), []
+        for k in range(1, 500):
+            one.advance(3.0 + 0.004 * k)
+            found.append(one.pulses(3.0 + 0.004 * k)[2])
+        periods[jitter] = np.std(sorted(set(found)))
+    assert periods[0.0] < 1e-6
+    assert periods[25e-6] == pytest.approx(25e-6 * np.sqrt(2.0), rel=0.2)
+
+
+def test_what_has_passed_by_then_is_told_of_a_time_in_the_past():
+    one = settled(jitter=0.0)
+    count, last, period = one.pulses(3.0)
+    assert one.pulses(last - 1e-9)[0] == count - 1
+    assert one.pulses(last - 1e-9)[1] == pytest.approx(last - period)
+
+
+def test_the_same_seed_gives_the_same_world_and_another_another():
+    def seen(seed):
+        one = World(POWERTRAIN, {}, lambda: (0.4, 3.0), LoadCell(0.5, 0.1), seed)
+        rows = []
+        for k in range(1, 200):
+            one.advance(0.004 * k)
+            rows.append((one.volts(0.004 * k - 0.0004), *one.pulses(0.004 * k)))
+        return rows
+
+    assert seen(1) == seen(1)
+    assert seen(1) != seen(2)
+
+
+def test_how_often_it_is_looked_at_changes_nothing():
+    fine, coarse = world(0.0), world(0.0)
+    for k in range(1, 101):
+        fine.advance(0.001 * k)
+    coarse.advance(0.1)
+    assert (fine.thrust, fine.omega) == (coarse.thrust, coarse.omega)
+
+
+def test_the_stepper_goes_on_where_it_stood():
+    inputs = {s.name: s.start for s in POWERTRAIN.inputs} | {"throttle": 0.3}
+    once, twice = Stepper(POWERTRAIN, {}, inputs), Stepper(POWERTRAIN, {}, inputs)
+    held = list({**inputs, "throttle": 0.5}.values())
+    rows = once.advance(held, STEP, 100)
+    assert rows == twice.advance(held, STEP, 40) + twice.advance(held, STEP, 60)
