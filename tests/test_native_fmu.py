@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
+import arm
 import fmpy
 import numpy as np
 import pytest
@@ -560,32 +561,10 @@ def test_all_platforms_fit_into_150_kb_and_are_reproducible(tmp_path):
         assert test_fmu.in_a_new_process(code, tmp_path, **places) == sha256(built).hexdigest()
 
 
-AARCH64 = Path("/usr/aarch64-linux-gnu")
-
-
-@zig
-@pytest.mark.skipif(not (shutil.which("qemu-aarch64") and AARCH64.exists()), reason="no qemu-aarch64 with its C library")
-def test_64_bit_arm_gives_the_same_bits(tmp_path):
+@pytest.mark.skipif(bool(arm.missing()), reason=arm.missing() or "all there")
+def test_64_bit_arm_gives_the_same_bits():
     inputs, steps = random_steps(300, 20, model=ALL_ON), np.full(299, 0.004)
-    rows = np.column_stack(list(inputs.values()))
-    table = ",".join(float(x).hex() for x in rows.ravel())
-    driver = (
-        f"static const double U[][N_INPUTS] = {{{table}}};\n"
-        'int main(void) {\n  fmi2Component c = fmi2Instantiate("a", fmi2CoSimulation, MODEL_GUID, NULL, NULL, 0, 0);\n'
-        "  fmi2ValueReference r[N_INPUTS + N_OUTPUTS];\n  double y[N_OUTPUTS];\n"
-        "  for (int i = 0; i < N_INPUTS + N_OUTPUTS; i++) r[i] = i;\n  fmi2EnterInitializationMode(c);\n"
-        "  fmi2SetReal(c, r, N_INPUTS, U[0]);\n  fmi2ExitInitializationMode(c);\n"
-        "  for (int k = 0; k < 299; k++) {\n    fmi2SetReal(c, r, N_INPUTS, U[k]);\n    fmi2DoStep(c, 0, 0.004, 1);\n"
-        '    fmi2GetReal(c, r + N_INPUTS, N_OUTPUTS, y);\n    printf("%a %a %a\\n", y[0], y[1], y[2]);\n  }\n}\n'
-    )
-    (tmp_path / "arm.c").write_text(c_text(ALL_ON, ALL_ON.values(PROBES), "{}") + driver)
-    target = toolchain.TARGETS["aarch64-linux"][0]
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *toolchain.FLAGS, "arm.c", "-o", "arm", "-lm"]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
-    done = subprocess.run(
-        ["qemu-aarch64", "-L", str(AARCH64), "./arm"], cwd=tmp_path, check=True, capture_output=True, text=True
-    )
-    shown = [[float.fromhex(x) for x in line.split()] for line in done.stdout.splitlines()]
+    shown = arm.outputs_on_arm(ALL_ON, PROBES, np.column_stack(list(inputs.values())), 0.004)
     np.testing.assert_array_equal(shown, reference(ALL_ON, PROBES, inputs, steps)[1:])
 
 

@@ -5,9 +5,15 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, identification, measured
+from . import diagnosis, fmus, identification, measured, tuning
 
-STUDIES = {"diagnosis": diagnosis.main, "identification": identification.main, "measured": measured.main}
+STUDIES = {
+    "diagnosis": diagnosis.main,
+    "fmus": fmus.main,
+    "identification": identification.main,
+    "measured": measured.main,
+    "tuning": tuning.main,
+}
 
 
 def main():

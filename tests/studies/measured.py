@@ -10,7 +10,7 @@ from pathlib import Path
 
 from identification.diagnose.diagnose import diagnose
 from identification.identify import identify
-from identification.quality import fit_percent, noise_floor, rmse
+from identification.quality import noise_floor, rmse
 from identification.rcbenchmark import read_log
 from identification.speed_map import fit_speed_map
 from vpp_fmu.campaign import Campaign, read_campaign
@@ -36,7 +36,9 @@ def of_campaign(campaign, look):
     found = identify(campaign)
     error = in_fmpy(found.parameters, campaign)
     print(
-        f"{campaign.folder.name}: rmse on validation.csv {error:.4f} N through the FMU in fmpy, noise floor {floor:.4f} N",
+        f"{campaign.folder.name}: rmse on validation.csv {error:.4f} N through the FMU in fmpy, noise floor {floor:.4f} N; "
+        f"fit {found.predictions['validation'].fit_thrust:.1f} %, "
+        f"{100 * found.coverage['validation']:.1f} % of the readings in the 95 % band",
         flush=True,
     )
     if look:
@@ -66,8 +68,9 @@ def of_days(fitted, other, look):
     found = identify(campaign)
     day, own = found.predictions["validation"], found.predictions["open_loop"]
     print(
-        f"{fitted.stem} fitted: {own.rmse_thrust:.3f} N; {other.stem} as it stands: {day.rmse_thrust:.3f} N, "
-        f"fit {fit_percent(day.record['thrust'], day.thrust):.1f} %, held: {', '.join(found.refinement.held)}",
+        f"{fitted.stem} fitted: {own.rmse_thrust:.3f} N, fit {own.fit_thrust:.1f} %; "
+        f"{other.stem} as it stands: {day.rmse_thrust:.3f} N, fit {day.fit_thrust:.1f} %, "
+        f"held: {', '.join(found.refinement.held)}",
         flush=True,
     )
     if look:

@@ -1,0 +1,114 @@
+"""python -m tests.studies fmus [--steps N]: the exported FMUs over long runs, to the bit and in memory.
+
+Every effect of the library is on. The functions as they stand are the reference; the Python FMU, the native FMU and, where
+qemu-aarch64 and ziglang are installed, the native FMU built for 64-bit ARM are held against them.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from fmpy.validation import validate_fmu
+
+from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE
+
+sys.path.append(str(Path(__file__).parents[1]))
+from arm import missing, outputs_on_arm
+from builders import ALL_ON, PROBES, random_steps, reference
+
+STEP, MEMORY_STEPS, LIVES = 0.004, 1_000_000, 1000
+OUTPUTS = tuple(s.name for s in ALL_ON.outputs)
+
+
+def main(arguments: list[str]) -> None:
+    """`python -m tests.studies fmus`."""
+    parser = argparse.ArgumentParser(prog="python -m tests.studies fmus", description=__doc__)
+    parser.add_argument("--steps", type=int, default=60_000, metavar="N", help="communication steps (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        paths = written(Path(folder))
+        for path in paths.values():
+            problems = validate_fmu(str(path))
+            print(f"{path.name}: fmpy validate: {len(problems)} problems", flush=True)
+        bits(paths, options.steps)
+        memory(paths["native"])
+
+
+def written(folder: Path) -> dict[str, Path]:
+    """The FMUs, by flavour; the same bytes from a second export."""
+    models = {"python": (python_fmu, ALL_ON, PROBES), "native": (native_fmu, ALL_ON, PROBES)}
+    models |= {"plain": (native_fmu, BASE, {}), "controller": (native_fmu, CONTROLLER, {})}
+    paths = {}
+    for name, (make, model, values) in models.items():
+        paths[name] = folder / f"{name}.fmu"
+        paths[name].write_bytes(make(model, values))
+        again = make(model, values) == paths[name].read_bytes()
+        size = paths[name].stat().st_size
+        print(f"{name}.fmu: {size} bytes, a second export has {'the same' if again else 'OTHER'} bytes")
+    return paths
+
+
+def bits(paths: dict[str, Path], steps: int) -> None:
+    """Whether each flavour gives the functions' numbers to the bit over `steps` communication steps."""
+    commands = random_steps(steps + 1, 100, seed=1, model=ALL_ON)
+    rows = np.column_stack(list(commands.values()))
+    exact = reference(ALL_ON, PROBES, commands, np.full(steps, STEP))
+    shown = {name: stepped(paths[name], list(commands), rows) for name in ("python", "native")}
+    if lacks := missing():
+        print(f"64-bit ARM: not run: {lacks}")
+    else:
+        shown["64-bit ARM under qemu"] = np.vstack([exact[:1], outputs_on_arm(ALL_ON, PROBES, rows, STEP)])
+    for name, outputs in shown.items():
+        equal = int(np.sum(np.all(outputs == exact, axis=1)))
+        print(f"{name}: {equal - 1} of {steps} steps are the functions' to the bit", flush=True)
+
+
+def stepped(path: Path, names: list[str], rows: np.ndarray) -> np.ndarray:
+    """Outputs (rows, outputs) of an FMU under inputs (rows, inputs)."""
+    fmu = Fmu(path)
+    instance = FmuInstance(fmu, names, OUTPUTS)
+    held = rows.tolist()
+    shown = [instance.start(held[0])]
+    step = instance.stepper(STEP)
+    shown += [step(row) for row in held[:-1]]
+    instance.close()
+    fmu.close()
+    return np.array(shown)
+
+
+def memory(path: Path) -> None:
+    """Growth of the process over many steps and over many lives of an instance."""
+    fmu = Fmu(path)
+    names = [u.name for u in ALL_ON.inputs]
+    rows = np.column_stack(list(random_steps(1000, 20, model=ALL_ON).values())).tolist()
+    instance = FmuInstance(fmu, names, OUTPUTS)
+    instance.start(rows[0])
+    step = instance.stepper(STEP)
+    for row in rows:
+        step(row)
+    before, began = resident(), time.perf_counter()
+    for k in range(MEMORY_STEPS):
+        step(rows[k % 1000])
+    seconds = time.perf_counter() - began
+    print(f"{MEMORY_STEPS} steps: memory grew by {resident() - before} kB, {1e6 * seconds / MEMORY_STEPS:.2f} us a step")
+    instance.close()
+    for lives in (LIVES // 10, LIVES):
+        before = resident()
+        for _ in range(lives):
+            one = FmuInstance(fmu, names, OUTPUTS)
+            one.start(rows[0])
+            one.stepper(STEP)(rows[1])
+            one.close()
+    print(f"{LIVES} instances made, stepped and freed: memory grew by {resident() - before} kB")
+    fmu.close()
+
+
+def resident() -> int:
+    """Resident memory of this process, kB."""
+    return 4 * int(Path("/proc/self/statm").read_text().split()[1])
