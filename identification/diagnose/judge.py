@@ -62,6 +62,19 @@ class Judgement:
     held_out_gain: Mapping[str, float]
     refused: tuple[str, ...]
 
+    @property
+    def artefact(self) -> str:
+        """In words, why this is no physics of the rotor but of how it is measured; empty where it is not.
+
+        What delays or bends the speed must show in the measured speed too; where that gets worse, it is the thrust's reading
+        that is late.
+        """
+        if self.effect.startswith(("sensor_", "stand_")):
+            return "in the reading of thrust (load cell, stand, amplifier, logger), not in the thrust itself"
+        if self.effect.startswith("speed_") and self.held_out_gain.get("omega", 0.0) < -ENOUGH_HELD_OUT:
+            return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
+        return ""
+
 
 def trifling(fit: Fit) -> bool:
     """Whether the last effect of a fit is one that every rig has, and too small here to be named."""

@@ -38,7 +38,8 @@ def _effect(found: Diagnosis, name: str) -> dict:
         "explained_fraction": found.explained and found.explained.share,
     }
     intervals = {n.partition(".")[2]: list(i) for n, i in found.final.thresholds.items() if n.startswith(f"{name}.")}
-    return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence}
+    found_in = {"artefact": judged.artefact} if judged.artefact else {}
+    return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence, **found_in}
 
 
 def _errors(found: Diagnosis, fit: Fit) -> list[dict]:

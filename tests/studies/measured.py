@@ -78,3 +78,6 @@ def of_days(fitted, other, look):
         effects = ", ".join(seen.final.effects) or "no effect"
         before, after = seen.held_before.rmse_thrust, seen.held_after.rmse_thrust
         print(f"{fitted.stem}: {seen.verdict}: {effects}; other day {before:.3f} N before, {after:.3f} N after", flush=True)
+        for judged in seen.selection.judgements.values():
+            if judged.artefact:
+                print(f"  {judged.effect}: {judged.artefact}", flush=True)
