@@ -44,11 +44,14 @@ class Fit:
         meant = {p.name for p in self.evidence.model.parameters if p.limit_form}
         return tuple(n for n in self.free if active.get(n, False) and n not in meant)
 
+    @property
+    def deviance(self) -> float:
+        """-2 log-likelihood, noise variances unknown, up to a constant."""
+        return float(sum(n * np.log(self.score.squares[c]) for c, n in self.score.counts.items()))
+
     def bic(self) -> float:
-        """Bayesian information criterion, noise variances unknown; smaller is better."""
-        total = sum(self.score.counts.values())
-        deviance = sum(n * np.log(self.score.squares[c]) for c, n in self.score.counts.items())
-        return float(deviance + len(self.free) * np.log(total))
+        """Bayesian information criterion; smaller is better."""
+        return self.deviance + len(self.free) * float(np.log(sum(self.score.counts.values())))
 
 
 class Searcher:

@@ -30,6 +30,9 @@ DOUBT = 0.3
 """How far below that the share of a small error may lie in the noise of unseen data, within two standard errors, where the
 fitted records hold nothing more."""
 
+RICHER = 10.0
+"""Fall of the deviance by which a form with more parameters stays in the family, though its BIC is worse."""
+
 PARTLY = 0.5
 """Share from which a set that is not the whole is worth a name and a place in the model."""
 
@@ -110,12 +113,10 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
                 if single
                 else searcher.fit([*rest.effects, tried.candidate.name], forms, free, start, tried.fit.slow_first)
             )
-            if (
-                other.bic() - final.bic() < ALIKE
-                and not other.idle
-                and not judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held)).refused
-            ):
-                names.append(tried.candidate.name)
+            alike = other.bic() - final.bic() < ALIKE or other.deviance < final.deviance - RICHER
+            if alike and not other.idle:
+                judged = judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held))
+                names += [] if judged.refused else [tried.candidate.name]
         found[effect] = sorted(set(names))
     return found
 
