@@ -18,7 +18,7 @@ bench: .venv/ready
 	$(BIN)/python -m tests.benchmarks.native
 
 study: .venv/ready
-	$(BIN)/python -m tests.studies identification
+	$(BIN)/python -m tests.studies identification --workers 2
 
 interop: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[interop]'

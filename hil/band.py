@@ -23,7 +23,8 @@ PEAK = 3.0
 class Band:
     """Noise of one reading: `white` [N], and `slow` [N] with the correlation time `slow_time` [s], both standard deviations.
 
-    `model_error` [N]: the largest mean residual over half a second that the model's own error makes.
+    `model_error` [N]: the largest mean residual over half a second that the model's own error makes, and the largest rms of
+    it about that mean.
     """
 
     white: float
@@ -54,7 +55,7 @@ def band_of(residuals: Sequence[np.ndarray], noise: np.ndarray, dt: float, block
     """The band from thrust residuals [N] of good runs, one array a run, dt [s] apart, and from their noise alone.
 
     `noise` (n,): half the difference of two runs with the same commands, times sqrt(2). Its covariance at the lags to 0.5 s
-    is fitted by that of white and slow noise. The model's error is the largest mean of a block.
+    is fitted by that of white and slow noise. The model's error is the largest mean of a block, or the largest rms about it.
     """
     noise = noise - noise.mean()
     lags = np.arange(1, max(3, round(0.5 / dt)) + 1)
@@ -66,8 +67,9 @@ def band_of(residuals: Sequence[np.ndarray], noise: np.ndarray, dt: float, block
         best = min(best, (float(np.sum((covariance - slow * shape) ** 2)), slow, float(time)))
     rows, largest = round(block / dt), 0.0
     for residual in residuals:
-        means = residual[: len(residual) // rows * rows].reshape(-1, rows).mean(axis=1)
-        largest = max(largest, float(np.abs(means).max()))
+        blocks = residual[: len(residual) // rows * rows].reshape(-1, rows)
+        about = np.sqrt(np.maximum(blocks.var(axis=1, ddof=1) - noise.var(), 0.0))
+        largest = max(largest, float(np.abs(blocks.mean(axis=1)).max()), float(about.max()))
     white = float(noise @ noise) / len(noise) - best[1]
     return Band(sqrt(max(white, 1e-12)), sqrt(best[1]), best[2], largest)
 
@@ -105,3 +107,28 @@ class Whitener:
         self._innovation = mean - self._phi * self._before - self._theta * self._innovation
         self._before = mean
         return self._innovation / self.scale
+
+
+class Spread:
+    """Variances of `rows` readings about their mean, made normal with variance 1; of mean 0 where the model errs at its most.
+
+    The sum of squares of correlated noise is about a chi-squared number, shifted and stretched to the same three moments; the
+    cube root of that is normal (Wilson and Hilferty, PNAS 17, 1931).
+    """
+
+    def __init__(self, band: Band, rows: int, dt: float):
+        lags = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows))) * dt
+        covariance = band.white**2 * np.eye(rows) + band.slow**2 * np.exp(-lags / band.slow_time)
+        powers = np.linalg.eigvalsh(covariance - covariance.mean(axis=0) - covariance.mean(axis=1)[:, None] + covariance.mean())
+        first, second, third = (float(np.sum(powers**k)) for k in (1, 2, 3))
+        self._freedom = second**3 / third**2
+        self._mean = first / (rows - 1)
+        self._stretch = sqrt(self._freedom / second) * (rows - 1)
+        self._mean_most = self._mean + band.model_error**2
+
+    def update(self, variance: float) -> float:
+        """A block's variance [N^2] as a normal number."""
+        noise = variance * self._mean / self._mean_most
+        squares = self._freedom + self._stretch * (noise - self._mean)
+        width = 2.0 / (9.0 * self._freedom)
+        return (max(squares / self._freedom, 0.0) ** (1.0 / 3.0) - 1.0 + width) / sqrt(width)

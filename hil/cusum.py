@@ -1,8 +1,8 @@
-"""Page's cumulative sum, two-sided, for independent normal numbers of variance 1; and how long it runs.
+"""Page's cumulative sum for independent normal numbers of variance 1, and how long it runs.
 
-    S+ = max(0, S+ + z - reference),   S- = max(0, S- - z - reference),   alarm when one exceeds the threshold
+    S = max(0, S + z - reference),   alarm when it exceeds the threshold;   a second one, of -z, makes the test two-sided
 
-Its mean run length L from S+ = 0 under the mean m follows from Page's integral equation (E. S. Page, Biometrika 41, 1954)
+Its mean run length L from S = 0 under the mean m follows from Page's integral equation (E. S. Page, Biometrika 41, 1954)
 
     L(s) = 1 + L(0) Phi(reference - m - s) + integral from 0 to threshold of L(x) phi(x - s + reference - m) dx
 
@@ -22,7 +22,7 @@ LONGEST = 1e13
 
 
 def run_length(threshold: float, reference: float, mean: float) -> float:
-    """Mean number of z's until the upper sum, from 0, exceeds the threshold, while they have this mean; LONGEST at most."""
+    """Mean number of z's until the sum, from 0, exceeds the threshold, while they have this mean; LONGEST at most."""
     x, weight = leggauss(NODES)
     x, weight = 0.5 * threshold * (x + 1.0), 0.5 * threshold * weight
     at = np.concatenate([[0.0], x])
@@ -36,12 +36,14 @@ def run_length(threshold: float, reference: float, mean: float) -> float:
     return length if 0.0 < length < LONGEST else LONGEST
 
 
-def threshold_for(run: float, reference: float, mean: float) -> float:
-    """The threshold at which the two sums together alarm once in `run` z's, in the mean, if the z's mean is +-`mean`."""
+def threshold_for(run: float, reference: float, mean: float, two_sided: bool = True) -> float:
+    """The threshold at which the sum of z, with that of -z if `two_sided`, alarms once in `run` z's of this mean."""
 
     def lacking(threshold):
-        upper, lower = run_length(threshold, reference, mean), run_length(threshold, reference, -mean)
-        return -np.log((1.0 / upper + 1.0 / lower) * run)
+        rate = 1.0 / run_length(threshold, reference, mean)
+        if two_sided:
+            rate += 1.0 / run_length(threshold, reference, -mean)
+        return -np.log(rate * run)
 
     enough = 1.0
     while lacking(enough) < 0.0:
@@ -50,28 +52,21 @@ def threshold_for(run: float, reference: float, mean: float) -> float:
 
 
 class Cusum:
-    """The two sums, and for each how many z's ago it last stood at 0: the likeliest beginning of what it then found."""
+    """The sum, and how many z's ago it last stood at 0 (`age`): the likeliest beginning of what it then found."""
 
     def __init__(self, threshold: float, reference: float):
         self.threshold, self.reference = threshold, reference
         self.reset()
 
     def reset(self) -> None:
-        """Both sums at 0."""
-        self.upper = self.lower = 0.0
-        self._upper_age = self._lower_age = 0
+        """The sum at 0."""
+        self.sum, self.age = 0.0, 0
 
     def update(self, z: float) -> bool:
-        """Whether one of the sums is above the threshold now."""
-        self.upper, self._upper_age = _summed(self.upper + z - self.reference, self._upper_age)
-        self.lower, self._lower_age = _summed(self.lower - z - self.reference, self._lower_age)
-        return self.upper > self.threshold or self.lower > self.threshold
-
-    @property
-    def age(self) -> int:
-        """z's since the larger sum left 0."""
-        return self._upper_age if self.upper > self.lower else self._lower_age
-
-
-def _summed(total: float, age: int) -> tuple[float, int]:
-    return (total, age + 1) if total > 0.0 else (0.0, 0)
+        """Whether the sum is above the threshold now."""
+        self.sum += z - self.reference
+        if self.sum > 0.0:
+            self.age += 1
+        else:
+            self.reset()
+        return self.sum > self.threshold

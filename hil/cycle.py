@@ -141,10 +141,9 @@ class Cycle:
         """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
         senses = self.senses
         if senses.revolution is not None:
-            speed_age = self.bench.clock.now() - senses.revolution.received
             reading = Reading(
                 *(self.ticks.time, senses.counts, senses.saturated, senses.thrust, senses.thrust_age, senses.omega),
-                *(senses.revolution.pulses, senses.mark_age, speed_age, self.throttle, self.commands[1]),
+                *(senses.revolution.pulses, senses.mark_age, senses.speed_age, self.throttle, self.commands[1]),
             )
             fault = self.plausibility.check(reading)
             if fault:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from hil.bench import Bench
 from hil.cycle import NOBODY, PERIOD, Cycle
+from hil.faults import DeviceFault
 from hil.limits import Cut, Limiter, Limits
 from hil.live import NoView, View
 from hil.log import Log
@@ -18,6 +19,8 @@ from hil.tare import Tare, TareRefused, tare
 from hil.twin import Twin
 from vpp_fmu.errors import VppError
 
+SERVES = 0.02
+"""s for which the tachometer's last answer serves; then the speed loop freezes, or its integral would open the throttle."""
 TARE_SAMPLES = 1000
 TARE_TRIES = 3
 """Slow noise of the amplifier looks like a drift now and then."""
@@ -33,6 +36,10 @@ RAMP = 1.5
 
 class RunEnded(VppError):
     """The run ended before its time: the message says why. What was measured until then is in the log."""
+
+
+ENDINGS = (RunEnded, TareRefused, DeviceFault)
+"""What may leave `start` and `step`: the idle pulse stands then, or stood all the time."""
 
 
 class RigSample(NamedTuple):
@@ -107,10 +114,15 @@ class Rig:
         return self.last
 
     def idle(self, count: int) -> None:
-        """`count` ticks with everything at work but the rotor: the idle pulse stands."""
+        """`count` ticks with everything at work but the rotor: the idle pulse stands, and stays whatever fails.
+
+        Faults are noted in `states` and `transitions`; only the operator ends it early (RunEnded).
+        """
         self._begin()
         for _ in range(count):
-            self._idle_tick()
+            self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
+            if any(fault.device == "operator" for fault in self.states.faults) or self._cycle.asked:
+                self._end()
         self._dismiss()
 
     def stop(self) -> None:
@@ -189,7 +201,7 @@ class Rig:
         """A tick of the run."""
         cycle, senses = self._cycle, self._cycle.senses
         if self.states.state is SafetyState.RUN:
-            frozen = not (senses.fresh and cycle.plausibility.speed_trusted)
+            frozen = senses.speed_age > SERVES or not cycle.plausibility.speed_trusted
             cycle.tick(omega_ref, beta_ref, self._pi.update(omega_ref, senses.omega, cycle.passed, frozen), wanted, cut)
         if self.states.state is not SafetyState.RUN:
             self._come_down()

@@ -9,7 +9,7 @@ import numpy as np
 from hil.columns import RUN
 from hil.limits import Limiter, Limits
 from hil.log import Column, MemoryLog
-from hil.rig import Rig, RunEnded
+from hil.rig import ENDINGS, Rig
 from hil.session import Session, Setup, read_log, session
 from hil.twin import Twin
 from vpp_fmu.loop import run as run_loop
@@ -82,7 +82,7 @@ def run_on_rig(
         try:
             run_loop(one.rig, Told(controller, one.rig), profile, start, progress)
             one.rig.stop()
-        except RunEnded as reason:
+        except ENDINGS as reason:
             ended = str(reason)
     log = read_log(folder / LOG)
     return Run(loop_part(log), log, one, ended)

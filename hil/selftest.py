@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration import Calibration
-from hil.rig import RunEnded
+from hil.rig import ENDINGS
 from hil.session import Session, Setup, read_log, session
 from vpp_fmu.record import Record
 
@@ -47,11 +47,12 @@ def selftest(
         rig, count = one.rig, round(seconds / one.rig.dt)
         try:
             rig.idle(count)
-        except RunEnded as reason:
+        except ENDINGS as reason:
             ended = str(reason)
+        faults = [str(fault) for fault in rig.states.faults]
         outputs = [(path, round(1e9 * pulse), Path(path).read_text().split()[0]) for path, pulse in rig.bench.outputs]
     log = read_log(folder / LOG)
-    checks = (*_timing(one, log), *_buses(one, log, ended), *_calibration(setup.calibration, log), *_outputs(outputs))
+    checks = (*_timing(one, log), *_buses(one, log, faults, ended), *_calibration(setup.calibration, log), *_outputs(outputs))
     return SelfTest(checks, log, one, ended)
 
 
@@ -91,16 +92,18 @@ def _timing(one: Session, log: Record) -> list[Check]:
     return checks
 
 
-def _buses(one: Session, log: Record, ended: str) -> list[Check]:
+def _buses(one: Session, log: Record, faults: list[str], ended: str) -> list[Check]:
     checks = []
     for device, counts in one.rig.counters.items():
         troubles = {name: n for name, n in counts.items() if name != "pulses" and n}
         share = sum(troubles.values()) / max(1, len(log))
         text = ", ".join(f"{name} {n}" for name, n in troubles.items()) or "nothing went wrong"
-        checks.append(Check(device, share < 0.01 and device not in ended, text))
+        faulty = any(fault.startswith(device) for fault in faults)
+        checks.append(Check(device, share < 0.01 and not faulty, text))
     repeats = float(np.mean(np.diff(log["counts"]) == 0.0)) if len(log) > 1 else 1.0
     text = f"{repeats:.1%} of the readings equal the one before"
-    return [*checks, Check("adc, conversions", repeats < 0.3, text), Check("run", not ended, ended or "to its end")]
+    fault = Check("faults", not faults and not ended, "; ".join([*faults, ended] if ended else faults) or "none")
+    return [*checks, Check("adc, conversions", repeats < 0.3, text), fault]
 
 
 def _calibration(calibration: Calibration, log: Record) -> list[Check]:

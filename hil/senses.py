@@ -11,13 +11,13 @@ from hil.faults import DeviceFault, Fault
 
 class Senses:
     """The last readings: `counts` of the ADC and whether `saturated`; `thrust` [N] over the tare's `zero` [counts] and its age
-    [s]; speed `omega` [rpm] of the last whole revolution, 0 at standstill, and the age [s] of the mark's last pass; `fresh`:
-    whether the tachometer has answered at this tick; its last answer."""
+    [s]; speed `omega` [rpm] of the last whole revolution, 0 at standstill, and the age [s] of the mark's last pass; the
+    tachometer's last answer and its age `speed_age` [s]."""
 
     def __init__(self, bench: Bench, zero: float):
         self._bench, self.zero = bench, zero
         self.counts, self.saturated, self.thrust, self.thrust_age = 0, False, 0.0, math.inf
-        self.omega, self.mark_age, self.fresh = 0.0, math.inf, False
+        self.omega, self.mark_age, self.speed_age = 0.0, math.inf, math.inf
         self.revolution: Revolution | None = None
 
     def wake(self, clock: Clock, pause: float) -> None:
@@ -45,8 +45,8 @@ class Senses:
             bench.tachometer.request()
         except DeviceFault as failed:
             faults.append(failed.fault)
-        self.fresh = answer is not None
         if answer is not None:
             self.revolution, self.mark_age = answer, answer.age
             self.omega = 0.0 if answer.stalled else answer.omega
+        self.speed_age = bench.clock.now() - self.revolution.received if self.revolution else math.inf
         return faults

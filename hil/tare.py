@@ -10,6 +10,9 @@ from vpp_fmu.errors import VppError
 BLOCKS = 10
 """The standard error is taken from the means of this many blocks: an amplifier's noise is coloured."""
 
+SURE = 4.0
+"""Standard errors by which a drift must be beyond what is allowed; with so few blocks three are not enough."""
+
 
 class TareRefused(VppError):
     """The readings are no zero: the message says why, with the numbers in N."""
@@ -20,7 +23,7 @@ class TareGate:
     """What readings must keep to be taken as a zero.
 
     `noise_max` [N]: largest standard deviation. A turning rotor, a hand or wind give more than the amplifier does.
-    `drift_max` [N]: how far first and second half may differ beyond three standard errors. More: the rotor runs out, or the
+    `drift_max` [N]: how far first and second half may differ beyond its own error. More: the rotor runs out, or the
     cell warms up. `offset_max` [N]: how far the zero may be from the calibration's. More: something hangs on the cell, or it
     is not connected. `samples_min`: fewest readings.
     """
@@ -62,9 +65,10 @@ def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: floa
         )
     means = counts[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     error = float(means.std(ddof=1)) / BLOCKS**0.5
+    # Neighbouring blocks tell the noise of a block's mean whether the zero drifts or not.
+    still = float(np.mean(np.diff(means) ** 2) / 2.0 * (4.0 / BLOCKS)) ** 0.5
     drift = abs(float(means[BLOCKS // 2 :].mean() - means[: BLOCKS // 2].mean()))
-    still = noise * (4.0 / len(counts)) ** 0.5
-    if drift * scale > gate.drift_max + 3.0 * still * scale:
+    if drift * scale > gate.drift_max + SURE * still * scale:
         raise TareRefused(
             f"tare: the reading moved by {drift * scale:.3g} N from first to second half, allowed is {gate.drift_max:g} N: "
             "wait until the rotor stands and the amplifier is warm"

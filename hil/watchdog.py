@@ -53,7 +53,8 @@ def main(page: int, report: int, silence: float, outputs: list[tuple[int, bytes]
                 write_idle(outputs)
                 return 0
             if not tripped:
-                _trip(numbers, outputs, report, f"gone, {1e3 * (time.monotonic() - last):.1f} ms after its last beat")
+                after = f"{1e3 * (time.monotonic() - last):.1f} ms after its last beat" if last else "before its first beat"
+                _trip(numbers, outputs, report, f"gone, {after}")
             _keep_idle(outputs)
             return 1
         if tripped:

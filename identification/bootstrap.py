@@ -2,10 +2,11 @@
 
 The residual of each channel of each record is resampled in blocks of BLOCK seconds that may run over the record's end into
 its start (circular block bootstrap: Politis and Romano, 1992), added to the model's prediction, and the parameters are fitted
-again from the optimum. What the fit took out of the residual is first put back, by frequency. Unlike the covariance this needs
-no parabola: near a bound or a double pole the intervals come out lopsided, as they are. It supposes that the residual has one
-colour and size all along the record, which the covariance does not. Weights of the channels stay as they are; prior knowledge
-scatters as its covariance says.
+again from the optimum. Records of the same commands are drawn alike: what the model lacks in them stays shared. What the fit
+took out of the residual is first put back, by frequency. Unlike the covariance this needs no parabola: near a bound or a
+double pole the intervals come out lopsided, as they are. It supposes that the residual has one colour and size all along the
+record, which the covariance does not. Weights of the channels stay as they are; prior knowledge scatters as its covariance
+says.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,6 +51,11 @@ class Bootstrap:
     def intervals(self) -> np.ndarray:
         """(n, 2) 95 % intervals, from the samples' percentiles."""
         return np.percentile(self.samples, [2.5, 97.5], axis=0).T
+
+    def summary(self) -> dict:
+        """For identification.json."""
+        std, intervals = (dict(zip(self.names, each.tolist(), strict=True)) for each in (self.std, self.intervals))
+        return {"samples": len(self.samples), "std": std, "interval": intervals}
 
 
 @dataclass(frozen=True)
@@ -97,15 +103,13 @@ def bootstrap(
 
 def _fit(refinement: Refinement) -> Fit:
     problem = refinement.problem
-    names = problem.coordinates.names
-    slow_first = {names[i].split("_")[1]: names[i].endswith("_1") for i, _ in problem.coordinates.pairs}
     return Fit(
         effects=problem.model.optional,
         records=problem.records,
         values=problem.values,
-        names=names,
+        names=problem.coordinates.names,
         prior=problem.prior,
-        slow_first=slow_first,
+        slow_first=problem.coordinates.slow_first,
         std=dict(problem.std),
         value=refinement.solution.value,
         residual=restored(problem, refinement.solution),
@@ -118,10 +122,10 @@ def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
     problem = fit.problem()
     lower, upper = problem.coordinates.lower, problem.coordinates.upper
     optimum, _ = problem.evaluate(fit.value)
-    blocks = [(b.at, _rows(problem, b)) for b in problem.blocks]
+    groups = [[(b.at, _rows(problem, b)) for b in group] for group in problem.groups]
     samples = []
     for seed in seeds:
-        drawn = _drawn(np.random.default_rng(seed), fit.residual, blocks)
+        drawn = _drawn(np.random.default_rng(seed), fit.residual, groups)
 
         def evaluate(x, shift=drawn - optimum):
             # Measured is predicted at the optimum less the drawn residual, so the rest cancels.
@@ -133,14 +137,20 @@ def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
     return np.array(samples)
 
 
-def _drawn(rng: np.random.Generator, residual: np.ndarray, blocks: Sequence[tuple[slice, int]]) -> np.ndarray:
-    """A residual (rows,) made of blocks of the given one; `blocks`: (where a channel of a record stands, rows in a block)."""
+def _drawn(rng: np.random.Generator, residual: np.ndarray, groups: Sequence[Sequence[tuple[slice, int]]]) -> np.ndarray:
+    """A residual (rows,) made of blocks of the given one.
+
+    `groups`: for each group of a problem, (where a channel of a record stands, rows in a block) of its records.
+    """
     drawn = rng.standard_normal(len(residual))  # stays so where a prior stands: its rows have unit variance
-    for at, length in blocks:
-        own = residual[at] - residual[at].mean()  # what has no mean in the model must not become one in the samples
-        m = len(own)
-        starts = rng.integers(0, m, -(-m // length))
-        drawn[at] = own[(starts[:, None] + np.arange(length)) % m].ravel()[:m]
+    for group in groups:
+        most = max(-(-(at.stop - at.start) // length) for at, length in group)
+        starts = rng.random(most)
+        for at, length in group:
+            own = residual[at] - residual[at].mean()  # what has no mean in the model must not become one in the samples
+            m = len(own)
+            rows = (starts * m).astype(int)[:, None] + np.arange(length)
+            drawn[at] = own[rows % m].ravel()[:m]
     return drawn
 
 

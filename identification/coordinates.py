@@ -25,7 +25,7 @@ class Coordinates:
     """
 
     def __init__(self, model: Model, names: Sequence[str], slow_first: Mapping[str, bool] | None = None):
-        self.names = tuple(names)
+        self.names, self.slow_first = tuple(names), dict(slow_first or {})
         bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters}
         lower, upper = np.array([bounds[n] for n in self.names]).reshape(-1, 2).T.copy()
         self.floor = lower.copy()
@@ -33,7 +33,7 @@ class Coordinates:
         for channel in CHANNELS:
             pair = [f"tau_{channel}_1", f"tau_{channel}_2"]
             if set(pair) <= set(self.names):
-                i, j = (self.names.index(n) for n in (pair if (slow_first or {}).get(channel, True) else pair[::-1]))
+                i, j = (self.names.index(n) for n in (pair if self.slow_first.get(channel, True) else pair[::-1]))
                 self.pairs.append((i, j))
                 lower[[i, j]], upper[[i, j]] = (np.log(2 * lower[i]), CLOSEST), (np.log(2 * upper[i]), WIDEST)
         self.lower, self.upper = lower, upper

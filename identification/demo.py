@@ -1,21 +1,22 @@
-"""The whole job on one campaign: identify, export, simulate in fmpy, close the loop."""
+"""The whole job on one campaign: identify, diagnose, augment, export, simulate before and after in fmpy, close the loop."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
-from identification.identify import Identification, identify
+from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.quality import rmse
-from vpp_fmu.campaign import read_campaign
-from vpp_fmu.export import Experiment, python_fmu
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.export.toolchain import host
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.loop import run as run_loop
-from vpp_fmu.parameters import ParameterSet, to_ssv
+from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import FmuController, FmuPlant
 from vpp_fmu.record import Record
 
@@ -24,19 +25,29 @@ STEP = 0.004
 IDLE = (2000.0, 0.0)
 """Commands that the loop starts from, rpm and deg: the lowest speed of the operating region."""
 
+Export = Callable[[Sequence[ParameterSet], str], Mapping[str, bytes | str]]
+"""(plant's parameters, and controller's where there is one; flavour) -> contents of files by name."""
+
 
 @dataclass(frozen=True)
 class Demo:
-    """What the job gave. `fmu_thrust` (rows of validation.csv,) N: the exported FMU's prediction through fmpy."""
+    """What the job gave. `thrust`: predictions of validation.csv through the FMUs (rows,) N, by "before" and "after"; `loops`:
+    runs of the augmented plant's FMU by controller."""
 
-    identification: Identification
-    fmu_thrust: np.ndarray
-    loops: dict[str, Record]
+    diagnosis: Diagnosis
+    flavour: str
+    thrust: Mapping[str, np.ndarray]
+    loops: Mapping[str, Record]
 
     @property
-    def fmu_rmse(self) -> float:
-        """Thrust error of the exported FMU on the validation record, N."""
-        return rmse(self.fmu_thrust - self.identification.campaign.validation["thrust"])
+    def validation(self) -> Record:
+        """The record that no fit has seen."""
+        return self.diagnosis.campaign.validation
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Thrust error of the FMUs on the validation record, N."""
+        return {name: rmse(thrust - self.validation["thrust"]) for name, thrust in self.thrust.items()}
 
 
 def example_folder() -> Path:
@@ -50,25 +61,38 @@ def step_profile(thrust_scale: float = 15.0) -> Record:
     return Record({"time": np.array([0.0, 3.0, 6.0, 9.0]), "thrust_set": levels}, "step profile")
 
 
-def demo(folder: OutputFolder, stage: Callable[[str], None]) -> Demo:
-    """Run the job on the example campaign and write the FMUs; `stage` is told what begins."""
-    stage("identify")
-    found = identify(read_campaign(example_folder()))
+def local_flavour() -> str:
+    """ "python" where pythonfmu brings a library for this machine, else "native"."""
+    libraries = Path(str(distribution("pythonfmu").locate_file("pythonfmu/resources/binaries")))
+    return "python" if (libraries / host()).is_dir() else "native"
+
+
+def demo(campaign: Campaign, folder: OutputFolder, export: Export, workers: int, stage: Callable[[str], None]) -> Demo:
+    """Run the job on a campaign with a validation record and write the FMUs; `stage` is told what begins."""
+    found, flavour = diagnose(campaign, workers=workers, stage=stage), local_flavour()
     stage("export")
     gains = ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(DUAL)
-    experiment = Experiment(stop=float(found.campaign.validation.time[-1]), step=STEP)
-    paths = {}
-    for part in (found.parameters, gains):
-        name = part.model.name
-        paths[name] = folder.write(f"{name}.fmu", python_fmu(part.model, part.values, experiment))
-        folder.write(f"{name}.ssv", to_ssv(part, name))
+    suffix = "" if flavour == "python" else ".native"
+    before = export([found.parameters(found.base)], flavour)[f"VppPlant{suffix}.fmu"]
+    paths = {"before": folder.write(f"VppPlant_base{suffix}.fmu", before)}
+    for name, content in export([found.parameters(found.final), gains], flavour).items():
+        paths[name] = folder.write(name, content)
+    plant, controller = (paths[f"{name}{suffix}.fmu"] for name in ("VppPlant", "VppController"))
     stage("simulate in fmpy")
-    thrust = simulate_in_fmpy(paths["VppPlant"], found.campaign.validation)
+    thrust = {
+        name: simulate_in_fmpy(path, campaign.validation) for name, path in (("before", paths["before"]), ("after", plant))
+    }
     stage("close the loop")
-    loops = {}
-    for name, gains in (("dual", DUAL), ("speed only", SPEED_ONLY)):
-        plant, controller = FmuPlant(paths["VppPlant"], dt=STEP), FmuController(paths["VppController"], gains, dt=STEP)
-        loops[name] = run_loop(plant, controller, step_profile(), IDLE)
-        plant.close()
-        controller.close()
-    return Demo(found, thrust, loops)
+    return Demo(found, flavour, thrust, {name: _loop(plant, controller, g) for name, g in _GAINS.items()})
+
+
+_GAINS = {"dual": DUAL, "speed only": SPEED_ONLY}
+
+
+def _loop(plant: Path, controller: Path, gains: Mapping[str, float]) -> Record:
+    """The step profile through both FMUs."""
+    parts = FmuPlant(plant, dt=STEP), FmuController(controller, gains, dt=STEP)
+    done = run_loop(*parts, step_profile(), IDLE)
+    for part in parts:
+        part.close()
+    return done

@@ -23,7 +23,7 @@ def descend(
 ) -> Solution:
     """Run the paper's descent from coordinates `start`, in the parameters themselves. Costs are half sums of squares.
 
-    The problem's residual must be normalised thrust over one record. A step that leaves the parameters' bounds ends on them.
+    The problem's residual must be normalised thrust. A step that leaves the parameters' bounds ends on them.
     """
     coordinates = problem.coordinates
     x = np.clip(start, coordinates.lower, coordinates.upper)

@@ -2,7 +2,8 @@
 
 Residuals are in units of their standard deviation. Thrust is white as far as the fit is concerned; what colour it has is
 accounted for in the uncertainty. A channel's weight follows from what the fit leaves in it (maximum likelihood with unknown
-variances): a sensor that is far better than the model is would otherwise dictate all parameters.
+variances): a sensor that is far better than the model is would otherwise dictate all parameters. Records of the same commands
+share what the model lacks; they weigh as their mean does, not as so many independent ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -58,11 +59,21 @@ class Block:
     at: slice
 
 
+def summed(group: Sequence[Block], residual: np.ndarray) -> np.ndarray:
+    """(m,) the residuals (rows,) of one channel in records of the same commands, added at the rows of the first."""
+    first = group[0]
+    total = residual[first.at].copy()
+    for other in group[1:]:
+        total += np.interp(first.rows, other.rows, residual[other.at]) * (len(other.rows) / len(first.rows))
+    return total
+
+
 class Problem:
     """The residual of `names` over `records`, as a function of coordinates.
 
     `values`: all parameter values of the model, of which those in `names` are free. `channels`: what of "thrust", "omega"
-    counts where a record has it.
+    counts where a record has it. `twin`: for each record the number of the first one with the same inputs; such records are
+    simulated once, and what the model lacks is the same in all of them.
     """
 
     def __init__(
@@ -80,6 +91,8 @@ class Problem:
         self.prior = prior
         self._simulator = Simulator(model, names)
         self._thrust, self._omega = (self._simulator.outputs.index(n) for n in CHANNELS)
+        inputs = [u.name for u in model.inputs]
+        self.twin = tuple(next(k for k, r in enumerate(self.records) if _same_run(r, own, inputs)) for own in self.records)
         self._blocks: list[Block] = []
         self._tachometers: dict[int, Tachometer] = {}
         self.std: dict[str, float] = {}
@@ -98,21 +111,34 @@ class Problem:
         """Where each channel of each record stands in the residual; a prior's rows come last."""
         return tuple(self._blocks)
 
+    @property
+    def groups(self) -> tuple[tuple[Block, ...], ...]:
+        """The same, those of one channel in records with the same inputs together."""
+        together: dict[tuple[int, str], list[Block]] = {}
+        for block in self._blocks:
+            together.setdefault((self.twin[block.record], block.channel), []).append(block)
+        return tuple(map(tuple, together.values()))
+
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian (rows, coordinates) at `x`."""
-        found = self.values | self.coordinates.values(x)
-        inner = self.coordinates.jacobian(x)
-        residual, jacobian = np.empty(self.size), np.empty((self.size, len(x)))
-        for i, record in enumerate(self.records):
+        residual, jacobian = self.rows(self.coordinates.values(x))
+        return residual, jacobian @ self.coordinates.jacobian(x)
+
+    def rows(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and Jacobian (rows, names) in the free parameters themselves, at their `values` by name."""
+        found, names = self.values | dict(values), self.coordinates.names
+        known = 0 if self.prior is None else len(self.prior.names)
+        residual, jacobian = np.empty(self.size + known), np.empty((self.size + known, len(names)))
+        for first in dict.fromkeys(self.twin):
+            record = self.records[first]
             # Kept until the next evaluation: memory that went back to the system costs more to get again than the arithmetic.
             outputs, tangents = self._work = self._simulator.sensitivities(found, record.columns, record.steps)
             for block in self._blocks:
-                if block.record == i:
-                    e, j = self._compared(block, record, outputs, tangents)
-                    residual[block.at], jacobian[block.at] = e, j @ inner
+                if self.twin[block.record] == first:
+                    measured = self.records[block.record]
+                    residual[block.at], jacobian[block.at] = self._compared(block, measured, outputs, tangents)
         if self.prior is not None:
-            error, known = self.prior.rows(found, self.coordinates.names)
-            residual, jacobian = np.append(residual, error), np.vstack([jacobian, known @ inner])
+            residual[self.size :], jacobian[self.size :] = self.prior.rows(found, names)
         return residual, jacobian
 
     def solve(self, start: Mapping[str, float]) -> Solution:
@@ -142,8 +168,11 @@ class Problem:
     def weigh(self, residual: np.ndarray) -> None:
         """Set each channel's standard deviation from a residual under the present ones."""
         for channel in self.std:
-            parts = [residual[b.at] for b in self._blocks if b.channel == channel]
-            self.std[channel] *= float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) or 1.0
+            groups = [g for g in self.groups if g[0].channel == channel]
+            rows = [len(g) * len(g[0].rows) for g in groups]
+            # The mean of n independent records has a variance of 1 / n, that of what they share has none the less.
+            variances = [np.mean(summed(g, residual) ** 2) / len(g) for g in groups]
+            self.std[channel] *= float(np.sqrt(np.average(variances, weights=rows))) or 1.0
 
     def _rows(self, i, record, channel):
         if channel not in record:
@@ -162,3 +191,10 @@ class Problem:
         std = self.std["thrust"]
         error = outputs[block.rows, self._thrust] - record["thrust"][block.rows]
         return error / std, tangents[block.rows, self._thrust] / std
+
+
+def _same_run(a: Record, b: Record, inputs: Sequence[str]) -> bool:
+    """Whether the model's response to both records is the same."""
+    if len(a) != len(b) or not np.array_equal(a.steps, b.steps):
+        return False
+    return all((name in a) == (name in b) and (name not in a or np.array_equal(a[name], b[name])) for name in inputs)

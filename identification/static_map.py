@@ -40,6 +40,16 @@ class StaticFit:
         """Standard deviation of each coefficient."""
         return dict(zip(self.coefficients, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
+    def summary(self) -> dict:
+        """For identification.json."""
+        return {
+            "coefficients": dict(self.coefficients),
+            "std": self.std,
+            "r2_adjusted": self.r2_adjusted,
+            "rmse": self.rmse,
+            "points": int(self.used.sum()),
+        }
+
     def uncertainty(self, omega: np.ndarray, beta: np.ndarray, scales: Mapping[str, float]) -> np.ndarray:
         """Standard deviation [N] of the fitted map at speed [rpm] and pitch [deg], of the shape the two broadcast to.
 

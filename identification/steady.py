@@ -1,5 +1,6 @@
 """Steady points from raw samples, and how many samples a mean needs (paper, section 3.1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,33 +15,71 @@ SETTLE = 3.0
 BATCHES = 50
 """Blocks that the longest mean leaves in the readings: its variance is then known to 16 %, sqrt(4 / (3 BATCHES))."""
 
+FEWEST = 4 * BATCHES
+"""Readings from which the colour of noise can be told."""
+
 _GROWTH = 1.3
 """More than chance lets m times the variance of a mean grow over the last doubling of m, once readings are independent."""
 
 
-def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
-    """The static map of a record with thrust: a point for each stretch in which neither command moves.
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Commands [rpm, deg] that stood still; of what was settled by then, `thrust` N and `omega` rpm, each (readings,)."""
 
-    Of each stretch the first `settle` s are dropped; means, and the spread of single readings, are over what is left, rows
-    without a value left out. A stretch with less than two readings gives no point. `omega` is the command where no speed was
-    measured. A point measured twice is two points. BadInput where there is none.
+    omega_ref: float
+    beta_ref: float
+    thrust: np.ndarray
+    omega: np.ndarray
+
+
+def stretches(record: Record, settle: float = SETTLE) -> list[Stretch]:
+    """Where neither command of a record moves, without the first `settle` s, and without rows that have no value.
+
+    Those with less than two readings of thrust are left out. BadInput where none is left.
     """
-    omega_ref, beta_ref = record["omega_ref"], record["beta_ref"]
-    moved = (np.diff(omega_ref) != 0) | (np.diff(beta_ref) != 0)
+    moved = (np.diff(record["omega_ref"]) != 0) | (np.diff(record["beta_ref"]) != 0)
     starts = np.append(0, np.flatnonzero(moved) + 1)
     speed = record["omega"] if "omega" in record else np.full(len(record), np.nan)
-    points = []
+    found = []
     for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
         settled = first + int(np.sum(np.round(record.time[first:end] - record.time[first], 9) < settle))
         thrust = _seen(record["thrust"][settled:end])
-        if len(thrust) < 2:
-            continue
-        turns = _seen(speed[settled:end])
-        omega = turns.mean() if len(turns) else omega_ref[first]
-        points.append((omega_ref[first], beta_ref[first], omega, thrust.mean(), thrust.std(ddof=1), len(thrust)))
-    if not points:
+        if len(thrust) >= 2:
+            commands = float(record["omega_ref"][first]), float(record["beta_ref"][first])
+            found.append(Stretch(*commands, thrust, _seen(speed[settled:end])))
+    if not found:
         allowed = f"both commands still for longer than {settle:g} s somewhere"
         raise BadInput(record.source, "steady stretches", "none", allowed)
+    return found
+
+
+def noise(found: Sequence[Stretch]) -> np.ndarray:
+    """Readings (n,) N of all stretches, one after the other, each less its stretch's mean."""
+    return np.concatenate([stretch.thrust - stretch.thrust.mean() for stretch in found])
+
+
+def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
+    """The static map of a record with thrust: a point for each of its `stretches`, with their errors.
+
+    Means, and the spread of single readings, are over what is settled. `samples` is the number of independent readings that
+    such a mean is worth: neighbours share noise, by an inflation that all stretches tell together (1 where all of them have
+    too few readings for one). `omega` is the command where no speed was measured. A point measured twice is two points.
+    """
+    found = stretches(record, settle)
+    shared = np.concatenate([(s.thrust - s.thrust.mean()) / (s.thrust.std() or 1.0) for s in found])
+    enough = len(shared) >= FEWEST and np.ptp(shared) > 0.0
+    inflation = max(1.0, samples_needed(shared, 1.0).inflation) if enough else 1.0
+    points = [
+        (
+            stretch.omega_ref,
+            stretch.beta_ref,
+            stretch.omega.mean() if len(stretch.omega) else stretch.omega_ref,
+            stretch.thrust.mean(),
+            stretch.thrust.std(ddof=1),
+            max(1.0, len(stretch.thrust) / inflation),
+        )
+        for stretch in found
+    ]
     return StaticMap(*np.array(points, float).T, source=record.source)
 
 
@@ -75,13 +114,13 @@ def samples_needed(readings: np.ndarray, wanted_std: float) -> SampleSize:
     the overlapping blocks of m about the mean of all, n / ((n - m) (n - m + 1)) sum (block - mean)^2 (Meketon and Schmeiser,
     1984), unbiased for white readings, whatever m; of coloured ones it stays above var / m, by
     (1 + rho) / (1 - rho) in the end for a first-order colour rho. m runs up to n / BATCHES. The paper settled on 5000.
-    BadInput for less than 4 BATCHES readings, or for readings that are all the same.
+    BadInput for less than FEWEST readings, or for readings that are all the same.
     """
     y = _seen(np.asarray(readings, float))
     n = len(y)
-    if n < 4 * BATCHES or np.ptp(y) == 0.0 or not wanted_std > 0.0:
+    if n < FEWEST or np.ptp(y) == 0.0 or not wanted_std > 0.0:
         found = f"{n} numbers from {y.min(initial=np.inf):g} to {y.max(initial=-np.inf):g}, for {wanted_std:g} N"
-        raise BadInput("samples_needed", "readings", found, f"{4 * BATCHES} or more that differ, for more than 0 N")
+        raise BadInput("samples_needed", "readings", found, f"{FEWEST} or more that differ, for more than 0 N")
     longest = n // BATCHES
     m = np.unique(np.round(np.geomspace(1, longest, 40)).astype(int))
     sums = np.append(0.0, np.cumsum(y - y.mean()))
@@ -105,7 +144,7 @@ def _variance(sums: np.ndarray, m: int) -> float:
     """Variance of a mean of m, from running sums (n + 1,) of readings about their mean."""
     n = len(sums) - 1
     blocks = (sums[m:] - sums[:-m]) / m
-    return n / ((n - m) * (n - m + 1)) * float(blocks @ blocks)
+    return n / ((n - m) * (n - m + 1)) * float(np.sum(blocks**2))
 
 
 def _first_below(m: np.ndarray, std: np.ndarray, wanted: float) -> int:

@@ -1,4 +1,4 @@
-"""What estimates are worth: covariance under coloured residuals, weak directions, profiles.
+"""What estimates are worth: covariance under coloured residuals, intervals, weak directions.
 
 Least squares stays unbiased when residuals are correlated, but its textbook covariance is then too small. The covariance
 here is the sandwich H^-1 S H^-1, S the covariance of the scores J.T e. With F the filter of zero phase whose gain is the root
@@ -6,6 +6,9 @@ of the residual's spectrum, J.T e = (F J).T (F^-1 e) exactly, and F^-1 e is whit
 F J times F^-1 e, as White (1980) does for white residuals. So it holds for any colour, and for residuals that are larger
 while the model moves. Sums of the scores' correlation over lags (Newey and West, 1987) must choose a longest lag: the one
 that slow colours need makes intervals of white residuals too small, since a fit absorbs what is slow.
+
+What a model lacks is the same in every record of the same commands: such records are not independent. Their residuals are
+summed before the scores are, so what they share counts as shared, and what is noise averages out.
 """
 
 from dataclasses import dataclass
@@ -13,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.coordinates import Coordinates
-from identification.least_squares import Solution, solve
-from identification.problem import Problem
+from identification.least_squares import Solution
+from identification.problem import Problem, summed
 
 BAND = 2.0 ** (1.0 / 3.0)
 """Ratio of a band's edges, in which a spectrum is taken as flat: a third of an octave."""
@@ -30,7 +33,8 @@ class Uncertainty:
     """Covariance (n, n) of the parameters `names`, in their own units, and what follows from it.
 
     `inflation` (n,): standard deviation over what white residuals would give. `reach` (n, 2): how far below and above the
-    values the 95 % intervals go, where that is not the same on both sides. The covariance is a tangent's: near a double pole
+    values the 95 % intervals go, where that is not the same on both sides. `profiled`: the parameters whose intervals come from
+    the profile of the likelihood. The covariance is a tangent's: near a double pole
     it is right for what depends on a pair's sum and product, as predictions do, and too wide for the single constants;
     their `std` follows from their reach.
     """
@@ -40,6 +44,7 @@ class Uncertainty:
     covariance: np.ndarray
     inflation: np.ndarray
     reach: np.ndarray | None = None
+    profiled: tuple[str, ...] = ()
 
     @property
     def std(self) -> np.ndarray:
@@ -51,6 +56,10 @@ class Uncertainty:
         """(n, 2) 95 % intervals."""
         reach = NORMAL_95 * self.std[:, None] if self.reach is None else self.reach
         return self.values[:, None] + np.array([-1.0, 1.0]) * reach
+
+    def kind(self, name: str) -> str:
+        """In words, what a parameter's interval comes from."""
+        return "profile likelihood" if name in self.profiled else "covariance"
 
     @property
     def correlation(self) -> np.ndarray:
@@ -78,7 +87,7 @@ def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     j, e = found.jacobian[:, free], found.residual
     prior = slice(problem.size, len(e))
     known = j[prior].T @ j[prior]
-    scores = sum(_coloured(j[b.at], e[b.at], inverse) for b in problem.blocks) + known
+    scores = sum(_coloured(j[g[0].at], summed(g, e), inverse * len(g)) for g in problem.groups) + known
     white = sum(_white(j[b.at], e[b.at]) for b in problem.blocks) + known
     coloured, plain = (inverse @ s @ inverse for s in (scores, white))
     std = np.zeros(len(found.value))
@@ -141,13 +150,18 @@ def _banded(values: np.ndarray) -> np.ndarray:
 def restored(problem: Problem, found: Solution) -> np.ndarray:
     """The residual (rows,) as large as it was before the fit took its share, at each frequency; a prior's rows stay.
 
-    What a bootstrap should draw from: a fit of steady levels absorbs a good part of what is slow.
+    What a bootstrap should draw from: a fit of steady levels absorbs a good part of what is slow. It takes from the mean of
+    records of the same commands, and nothing from their differences.
     """
     free, inverse = _free(problem, found)
     residual = found.residual.copy()
-    for b in problem.blocks:
-        j, m = np.fft.rfft(found.jacobian[b.at][:, free], axis=0), b.at.stop - b.at.start
-        residual[b.at] = np.fft.irfft(np.fft.rfft(residual[b.at]) / np.sqrt(_left(j, inverse, m)), m)
+    for group in problem.groups:
+        first, count = group[0], len(group)
+        mean, m = summed(group, found.residual) / count, len(first.rows)
+        j = np.fft.rfft(found.jacobian[first.at][:, free], axis=0)
+        taken = np.fft.irfft(np.fft.rfft(mean) / np.sqrt(_left(j, inverse * count, m)), m) - mean
+        for block in group:
+            residual[block.at] += np.interp(block.rows, first.rows, taken)
     return residual
 
 
@@ -165,39 +179,3 @@ def _free(problem, found):
 def _inverse(normal: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.diag(normal))
     return np.linalg.pinv(normal / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size)
-
-
-def profile(problem: Problem, found: Solution, k: int, level: float = 3.841458820694124) -> tuple[float, float]:
-    """95 % interval of coordinate `k` by profile likelihood: where the cost, all others refitted, has risen by level / 2.
-
-    For where the parabola is wrong: near a bound, or at a double pole. Returns coordinates, within the bounds. Residuals
-    must be in units of their (white) standard deviation.
-    """
-    variance = 2.0 * found.cost / max(1, len(found.residual) - len(found.value))
-    wanted = found.cost + 0.5 * level * variance
-    lower, upper = problem.coordinates.lower, problem.coordinates.upper
-    return tuple(_edge(problem, found, k, wanted, bound) for bound in (lower[k], upper[k]))
-
-
-def _edge(problem, found, k, wanted, bound):
-    def cost(at, start):
-        low, high = problem.coordinates.lower.copy(), problem.coordinates.upper.copy()
-        low[k] = high[k] = at
-        start = start.copy()
-        start[k] = at
-        return solve(problem.evaluate, start, low, high, tolerance=1e-8)
-
-    inside, outside = found.value[k], bound
-    start = found.value
-    if cost(outside, start).cost <= wanted:
-        return outside
-    for _ in range(40):
-        middle = 0.5 * (inside + outside)
-        tried = cost(middle, start)
-        if tried.cost <= wanted:
-            inside, start = middle, tried.value
-        else:
-            outside = middle
-        if abs(outside - inside) <= 1e-3 * abs(inside - found.value[k]) + 1e-12:
-            break
-    return 0.5 * (inside + outside)

@@ -1,6 +1,7 @@
 """The command: the whole job from the shell, and one line for whatever is wrong."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -124,9 +125,14 @@ def test_prediction_compares_equal_with_itself(exported, tmp_path, capsys):
 def test_demo_does_the_whole_job(tmp_path, capsys):
     assert main(["demo", "-o", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    rmse, floor = (float(said.split(word)[1].split(" N")[0]) for word in ("validation.csv: rmse ", "noise floor "))
-    assert floor < rmse < 2 * floor  # the example's model lacks something, but not more than the noise itself
-    for name in ("parameters.json", "parameters.ssv", "identification.json", "report.html", "VppPlant.fmu", "run_dual.csv"):
+    before, after = map(float, re.search(r"FMU in fmpy: ([\d.]+) → ([\d.]+) N", said).groups())
+    floor = float(said.split("noise of one reading ")[1].split(" N")[0])
+    assert floor < after < before < 2 * floor  # the example's model lacks something, but not more than the noise itself
+    for name in (
+        *("parameters.json", "parameters.ssv", "parameters_base.json", "identification.json", "diagnosis.json", "report.html"),
+        *("VppPlant.fmu", "VppPlant_base.fmu", "VppController.fmu", "VppLoop.ssp", "gains.json", "run_dual.csv"),
+    ):
         assert (tmp_path / name).stat().st_size > 0
-    found = json.loads((tmp_path / "identification.json").read_text())
-    assert found["cost_final"] < found["cost_start"]
+    found = json.loads((tmp_path / "diagnosis.json").read_text())
+    for told, entry in ((before, found["before"][0]), (after, found["after"][0])):
+        assert told == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed

@@ -268,6 +268,19 @@ def test_residual_and_its_size_are_those_of_the_data():
     assert [fig.layout.shapes[0].y0, fig.layout.shapes[0].y1] == [-0.2, 0.2]
 
 
+def test_band_stands_around_the_prediction_and_in_the_residual():
+    r = record(500)
+    std = np.linspace(0.1, 0.2, 500)
+    predicted = r["thrust"] - 0.1
+    fig = measured_against_predicted(r["time"], r["thrust"], {"model": predicted}, "title", band=std)
+    edges = [trace for trace in fig.data if trace.hoverinfo == "skip"]
+    assert [trace.yaxis for trace in edges] == ["y", "y", "y2", "y2"]
+    for edge, centre, side in zip(edges, (predicted, predicted, 0.0, 0.0), (-1, 1, -1, 1), strict=True):
+        np.testing.assert_allclose(edge.y, centre + side * 1.96 * std, atol=1e-5)
+    assert [trace.fill for trace in edges] == [None, "tonexty", None, "tonexty"]
+    assert sum(bool(trace.showlegend) for trace in edges) == 1
+
+
 def test_one_set_point_for_runs_that_share_it():
     r, longer = record(400), record(500)
     names = [trace.name for trace in closed_loop({"dual": r, "speed only": record(400, seed=2)}, "T").data]

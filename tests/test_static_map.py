@@ -122,7 +122,9 @@ def test_steady_points_of_raw_samples():
     np.testing.assert_array_equal(found.omega_ref, [3000.0, 4000.0])
     np.testing.assert_array_equal(found.beta_ref, [0.0, 5.0])
     np.testing.assert_array_equal(found.omega, [3007.0, 4007.0])
-    np.testing.assert_array_equal(found.samples, [498.0, 299.0])
+    # White noise: each reading counts, as far as eight hundred of them tell; all stretches have one colour.
+    assert found.samples[0] / found.samples[1] == pytest.approx(498 / 299)
+    assert 0.6 * 498 < found.samples[0] <= 498
     rest = thrust[300:800]
     assert found.thrust[0] == pytest.approx(np.nanmean(rest), rel=1e-12)
     assert found.thrust_std[0] == pytest.approx(np.nanstd(rest, ddof=1), rel=1e-12)
@@ -173,6 +175,20 @@ def test_coloured_readings_need_the_textbooks_inflation(rho):
     np.testing.assert_allclose(np.mean([r.std**2 for r in runs], axis=0), exact, rtol=0.1)
 
 
+@pytest.mark.parametrize("rho", [0.5, 0.9])
+def test_means_of_coloured_readings_are_worth_fewer_of_them(rho):
+    """n (1 - rho) / (1 + rho), in the long run, for a first-order colour."""
+    rows, points = 2000, 12
+    omega_ref = np.repeat(np.linspace(2000.0, 6000.0, points), rows)
+    thrust = omega_ref / 1000.0 + 0.2 * first_order(rho, len(omega_ref), 7)
+    columns = {"omega_ref": omega_ref, "beta_ref": np.zeros(len(omega_ref)), "thrust": thrust}
+    record = Record({"time": np.arange(len(omega_ref)) * 0.01} | columns, "raw")
+    found = steady_points(record, settle=0.0)
+    np.testing.assert_allclose(found.samples, rows * (1.0 - rho) / (1.0 + rho), rtol=0.35)
+    pulls = (found.thrust - found.omega_ref / 1000.0) / (found.thrust_std / np.sqrt(found.samples))
+    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=3.0 / np.sqrt(2.0 * points))
+
+
 def test_what_is_no_noise_to_average():
     wander = np.cumsum(np.random.default_rng(2).standard_normal(20_000))
     assert not samples_needed(wander, 0.1).settled
@@ -197,6 +213,8 @@ def test_figures_show_what_they_are_given():
     needed = samples_needed(first_order(0.9, 5000, 0), 0.1)
     means = mean_convergence(needed.m, needed.std, needed.white, "means")
     assert means.layout.xaxis.type == means.layout.yaxis.type == "log"
+    told = mean_convergence(needed.m, needed.std, needed.white, "means", (needed.number, 0.1)).data[-1]
+    assert (told.x, told.y) == ((needed.number,), (0.1,))
     omega, beta = np.linspace(2000.0, 6000.0, 9), np.linspace(-5.0, 10.0, 7)
     std = fit.uncertainty(omega, beta[:, None], SCALES)
     heat = map_uncertainty(omega, beta, std, "doubt")

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from studies.identification import BASE_PARAMETERS, COLOURED, FORMS, figures_of_merit, random_starts, show, show_merit, trials
+from studies.identification import BASE_PARAMETERS, COLOURED, FORMS, show, show_first, trials
+from studies.merit import figures_of_merit, random_starts, show_merit
 from studies.synthetic import NOISE, STEP, TRUTH, commands, covariance, measured
 
 from vpp_fmu.kernel.plant import BASE
@@ -86,6 +87,19 @@ def test_forms_are_where_pairs_are_regular(white):
         assert known[f"tau_{channel} sum"] < known[f"tau_{channel}_1"]
 
 
+def test_errors_near_a_double_pole_are_those_that_its_root_bends(white):
+    """Second order of the root, v the spread: rms over linear is 1 + 15 s^2 / 32, s = sd(v) / v (Taylor)."""
+    single = BASE_PARAMETERS.index("tau_beta_1"), BASE_PARAMETERS.index("tau_beta_2")
+    ratio = np.sqrt(np.mean((white.bent / white.theory) ** 2, axis=0))
+    a, b = TRUTH["tau_beta_1"], TRUTH["tau_beta_2"]
+    # The sum is known so much better than the spread that d tau = sum / 4 / root(v) dv, and sd(v) / v = 4 sd(tau) / (a - b).
+    s2 = np.median((4.0 * white.theory[:, single[0]] / (a - b)) ** 2)
+    assert ratio[list(single)].mean() == pytest.approx(1.0 + 15.0 * s2 / 32.0, abs=0.04)
+    others = [k for k in range(len(ratio)) if k not in single]
+    assert ratio[others] == pytest.approx(1.0, abs=0.04)
+    assert np.all(white.profiled[:, : single[0]].mean(axis=0) < 0.2)
+
+
 def test_random_starts_reach_the_optimum():
     found = random_starts(8)
     assert (found.starts, found.reached) == (9, 9)
@@ -99,6 +113,7 @@ def test_the_papers_figures_and_the_tables(white, capsys):
     assert descent.iterations == 350
     assert ours.iterations < 20
     show("white", white)
+    show_first(white.first(10))
     show_merit(merits, only_slow)
     printed = capsys.readouterr().out
     assert all(name in printed for name in (*BASE_PARAMETERS, *FORMS, "38.3 %", "0.000519", "350"))

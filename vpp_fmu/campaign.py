@@ -12,6 +12,9 @@ from vpp_fmu.files import Table, read_table
 from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record
 
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
+RAW = "static_raw"
+"""A record of steady stretches: the raw samples behind `static`, in its place or beside it."""
+
 NEED = (*COMMANDS, "thrust")
 GRID = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
 
@@ -42,6 +45,7 @@ class Campaign:
     open_loop: Record | None
     repeat: Record | None
     validation: Record | None
+    static_raw: Record | None = None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -56,7 +60,7 @@ def read_campaign(folder: str | os.PathLike) -> Campaign:
     """
     folder = Path(folder)
     paths = _paths(folder)
-    records = {n: _measured(paths[n]) if n in paths else None for n in ("open_loop", "repeat", "validation")}
+    records = {n: _measured(paths[n]) if n in paths else None for n in ("open_loop", "repeat", "validation", RAW)}
     if records["open_loop"] is not None and records["repeat"] is not None:
         _check_repeat(records["open_loop"], records["repeat"])
     static = read_static(paths["static"]) if "static" in paths else None
@@ -78,7 +82,7 @@ def _paths(folder: Path) -> dict[str, Path]:
         found = "a file" if folder.exists() else "no such folder"
         raise BadInput(folder, "campaign folder", found, f"a folder with any of {names}")
     paths = {}
-    for name in NAMES:
+    for name in (*NAMES, RAW):
         there = [path for path in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if path.exists()]
         if len(there) > 1:
             raise BadInput(folder, f"{name}.csv", f"{there[0].name} and {there[1].name}", "one of the two")

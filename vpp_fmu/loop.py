@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vpp_fmu.plants import COMMANDS, MEASURED, Controller, Plant
+from vpp_fmu.plants import COMMANDS, Controller, Plant
 from vpp_fmu.record import Record
 
 STANDSTILL = (0.0, 0.0)
@@ -21,8 +21,8 @@ def run(
 
     At each communication point the controller sees the thrust that stands there, and its commands act until the next one.
     `start`: the commands [rpm, deg] that the plant rests on at time 0. `progress` is told the share done now and then.
-    Returns a record (rows = steps + 1) of `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, one row a
-    communication point: what is measured stands before the row's commands act.
+    Returns a record (rows = steps + 1) of `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, and what else the
+    plant's samples hold, one row a communication point: what is measured stands before the row's commands act.
     """
     dt = plant.dt
     count = round((references.time[-1] - references.time[0]) / dt) + 1
@@ -39,5 +39,5 @@ def run(
             sample = plant.step(*commands)
         if k % 1000 == 0:
             progress(k / count)
-    columns = dict(zip(COMMANDS + MEASURED, np.array(rows).T, strict=True))
+    columns = dict(zip((*COMMANDS, *sample._fields), np.array(rows).T, strict=True))
     return Record({"time": time, "thrust_set": np.array(wanted), **columns}, source="closed loop")

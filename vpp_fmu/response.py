@@ -15,7 +15,7 @@ BAND = 0.02
 class Step:
     """One change of the wanted thrust, from `before` to `after` [N] at `time` [s].
 
-    `settling` s to stay within BAND of the step; None where it never does. `overshoot` in % of the step.
+    `settling` s to stay within the band around it; None where it never does. `overshoot` in % of the step.
     """
 
     time: float
@@ -25,8 +25,8 @@ class Step:
     overshoot: float
 
 
-def steps(run: Record) -> list[Step]:
-    """Every change of `thrust_set` in a run, judged on `thrust` until the next change."""
+def steps(run: Record, band: float = BAND) -> list[Step]:
+    """Every change of `thrust_set` in a run, judged on `thrust` until the next change; `band`: share of the step."""
     wanted, time, thrust = run["thrust_set"], run.time, run["thrust"]
     changes = [*(np.flatnonzero(np.diff(wanted)) + 1), len(wanted)]
     found = []
@@ -34,7 +34,7 @@ def steps(run: Record) -> list[Step]:
         before, after = wanted[start - 1], wanted[start]
         size = after - before
         missing = (after - thrust[start:end]) / size
-        outside = np.flatnonzero(np.abs(missing) > BAND)
+        outside = np.flatnonzero(np.abs(missing) > band)
         settled = len(outside) == 0 or outside[-1] + 1 < end - start
         after_last = start + (outside[-1] + 1 if len(outside) else 0)
         settling = float(time[after_last] - time[start]) if settled else None

@@ -62,7 +62,7 @@ class Tachometer:
     answer is borne.
 
     DeviceFault: NOT_READY from `hello`; from `poll` SILENT (no bytes), GARBLED (bytes, but none that pass), UNPLUGGED,
-    RESTARTED. `counters`: requests lost, answers that came too late, frames with a wrong CRC, bytes dropped.
+    RESTARTED. `counters`: requests lost, answers that nobody waits for any more, frames with a wrong CRC, bytes dropped.
     """
 
     name = "tachometer"
@@ -72,6 +72,7 @@ class Tachometer:
         self._port: Port | None = None
         self._reader = FrameReader(frames.FROM_BOARD)
         self._sequence, self._asked = 0, None
+        self._due: dict[int, float] = {}
         self._answered = 0.0
         self._received_then = self._heard_then = 0
         self._lost = self._late = 0
@@ -113,13 +114,19 @@ class Tachometer:
                 return
             self._lost += 1
         self._sequence, self._asked, self._heard_then = (self._sequence + 1) % 256, now, heard
+        self._due = {number: asked for number, asked in self._due.items() if now - asked < self._timeout}
+        self._due[self._sequence] = now
         try:
             self._port.write(encoded(Frame(frames.ASK_ANSWER, self._sequence)))
         except OSError as error:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
 
     def poll(self) -> Revolution | None:
-        """The answer to the last request, if it has come and wasn't returned yet."""
+        """The answer to the newest request that has one, if it has come and wasn't returned yet.
+
+        A busy machine may hold bytes back for longer than a request is waited for: an answer to one that counts as lost is as
+        true as any, and as old as it says.
+        """
         now, answer = self._clock.now(), None
         try:
             heard = self._frames()
@@ -128,9 +135,12 @@ class Tachometer:
         for frame in heard:
             if frame.type == frames.HELLO:
                 raise DeviceFault(self.name, FaultKind.RESTARTED, "the board has greeted anew")
-            if frame.type == frames.ANSWER and self._asked is not None and frame.sequence == self._sequence:
-                answer = self._revolution(frame, now)
-                self._asked, self._answered, self._received_then = None, now, self._reader.received
+            asked = self._due.pop(frame.sequence, None) if frame.type == frames.ANSWER else None
+            if asked is not None:
+                answer = self._revolution(frame, now, asked)
+                self._due = {number: later for number, later in self._due.items() if later > asked}
+                self._asked = self._asked if self._due else None
+                self._answered, self._received_then = now, self._reader.received
             else:
                 self._late += 1
         if now - self._answered > self._timeout:
@@ -159,13 +169,14 @@ class Tachometer:
             needed = f"{frames.VERSION} and {1e6 * frames.TICK:g} us"
             detail = f"firmware version {hello.version}, timer of {hello.tick} us; needed are {needed}"
             raise DeviceFault(self.name, FaultKind.NOT_READY, detail)
-        self._asked, self._answered, self._received_then = None, self._clock.now(), self._reader.received
+        self._asked, self._due = None, {}
+        self._answered, self._received_then = self._clock.now(), self._reader.received
         return hello
 
-    def _revolution(self, frame: Frame, now: float) -> Revolution:
+    def _revolution(self, frame: Frame, now: float, asked: float) -> Revolution:
         answer = frames.read_answer(frame)
         # The board's age is of the moment it answered, at most a line's delay after the request.
-        age = frames.TICK * answer.age + now - self._asked
+        age = frames.TICK * answer.age + now - asked
         period = frames.TICK * answer.period if answer.flags & frames.MEASURED else math.inf
         return Revolution(answer.pulses, period, age, bool(answer.flags & frames.STALLED), frame.sequence, answer.rejected, now)
 

@@ -5,9 +5,12 @@ The pty is for real time only: how soon bytes cross it is the machine's affair, 
 
 import contextlib
 import errno
+import fcntl
 import os
 import random
 import select
+import sys
+import termios
 import tty
 from pathlib import Path
 
@@ -19,6 +22,9 @@ FAULTS = ("silent", "flipped", "garbage", "resets", "unplugged", "marks_lost", "
 """What can be set, from any process: answers to come that are swallowed, that have one to three bits flipped, that random
 bytes stand for (math.inf: all); resets of the board to come; 1: the plug is out; 1: the sensor sees no mark, every second
 one, or one more between two."""
+
+LOOK_EVERY = 0.1
+"""s between two looks whether the host has hung up, while it asks nothing."""
 
 REQUEST_DELAY, ANSWER_DELAY = 0.0005, 0.001
 """From the host's write to the board's ear, and back: the bytes at 500 kBd and the USB's frames [s]."""
@@ -89,7 +95,7 @@ class PtyLine(SerialLine):
         self._path.unlink(missing_ok=True)
         self._path.symlink_to(os.ttyname(terminal))
         os.close(terminal)  # from now on a hang-up shows that nobody has the port open
-        self._poll, self._open = select.poll(), False
+        self._poll, self._open, self._look_again = select.poll(), False, 0.0
         self._poll.register(self._file, select.POLLIN)
 
     def fileno(self) -> int:
@@ -99,14 +105,20 @@ class PtyLine(SerialLine):
     def _hear(self, t):
         if self._file is None:
             return []
-        events = dict(self._poll.poll(0)).get(self._file, 0)
+        waiting = int.from_bytes(fcntl.ioctl(self._file, termios.FIONREAD, bytes(4)), sys.byteorder)
+        if not waiting and self._open and t < self._look_again:
+            return []
+        # A poll waits for the kernel's worker where bytes are under way, and that one for its turn: tens of milliseconds on a
+        # busy machine. Right behind a request no byte is.
+        data = [(t, os.read(self._file, waiting))] if waiting else []
+        events, self._look_again = dict(self._poll.poll(0)).get(self._file, 0), t + LOOK_EVERY
         opened, self._open = not self._open, not events & select.POLLHUP
         if not self._open:
             self._under_way.clear()
             return []
         if opened:
             self._board.reset(t)
-        return [(t, os.read(self._file, 4096))] if events & select.POLLIN else []
+        return data
 
     def _say(self, data):
         with contextlib.suppress(BlockingIOError):  # nobody reads and the buffer is full: lost, as on a wire

@@ -15,20 +15,18 @@ from identification.diagnose.judge import Seen, seen
 from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
+from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.stepwise import Selection, select
 from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
-from identification.identify import Identification, Prediction, identify, predict
-from identification.problem import Prior
+from identification.identify import Identification
+from identification.prediction import Prediction, predict
 from identification.uncertainty import Uncertainty
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
-
-LOOSE = 10.0
-"""How much wider the static map's knowledge is taken than its own scatter: a missing effect bends the steady points too."""
 
 HELD_SHARE = 1.0 / 3.0
 """Of the open-loop record, its end, kept from the fits where a campaign has no validation record."""
@@ -36,10 +34,14 @@ HELD_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data."""
+    """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data.
+
+    `given`: the model that was brought, as it was brought; None where the campaign was identified first.
+    """
 
     campaign: Campaign
-    identification: Identification
+    identification: Identification | None
+    given: ParameterSet | None
     noise: Noise
     selection: Selection
     verdict: str
@@ -65,12 +67,17 @@ class Diagnosis:
         """The model with the effects that stand; what removes too little to be worth a name is not in it."""
         return self.selection.base if self.verdict == "unexplained" else self.selection.final
 
+    @property
+    def fits(self) -> dict[str, Fit]:
+        """The models to show: before and after where effects stand, else the only one."""
+        return {"before": self.base, "after": self.final} if self.final.effects else {"model": self.base}
+
     def parameters(self, fit: Fit) -> ParameterSet:
         """A fit's parameters as a set that exports."""
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
         source["record_seconds"] = float(self.campaign.open_loop.time[-1])
         doubt = {n: s for n, s in self.doubt.items() if n in fit.values} if fit is self.final else {}
-        return ParameterSet(fit.evidence.model, source=source).replaced(fit.values, doubt)
+        return ParameterSet(exportable(fit.evidence.model), source=source).replaced(fit.values, doubt)
 
     def prediction(self, fit: Fit, record: Record) -> Prediction:
         """A fit's open-loop response to a record."""
@@ -83,22 +90,22 @@ def diagnose(
     workers: int = 2,
     seed: int = 0,
     stage: Callable[[str], None] = lambda text: None,
+    given: ParameterSet | None = None,
 ) -> Diagnosis:
     """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
 
-    BadInput where the campaign has no open-loop record.
+    The model is identified from the campaign first, or it is `given`, its effects part of the base. BadInput where the campaign
+    has no open-loop record.
     """
-    library = tuple(library)
     with threadpool_limits(1):  # the fits run side by side: threads inside each would only fight
         stage("identify")
-        identified = identify(campaign, seed=seed)
         fitted, held = _split(campaign)
-        names = list(identified.refinement.names)
-        noise = _noise(campaign, identified)
+        at = from_given(campaign, given, library, fitted) if given else from_identification(campaign, library, seed)
+        library, noise = at.library, _noise(campaign, at)
         experiments = [Experiment(fitted, noise)]
         unseen = [Experiment([record], noise) for record in held]
-        searcher = Searcher(experiments, names, _knowledge(identified, names), identified.start, library)
-        base = searcher.fit((), {}, (), identified.refinement.values)
+        searcher = Searcher(experiments, at.names, at.knowledge, at.first, library)
+        base = searcher.fit((), {}, (), at.values)
         options = candidates(library, (*fitted, *held))
         stage("what can be told apart")
         with ThreadPoolExecutor(workers) as pool:
@@ -112,7 +119,8 @@ def diagnose(
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(
             campaign=campaign,
-            identification=identified,
+            identification=at.identification,
+            given=given,
             noise=noise,
             selection=selection,
             verdict=word,
@@ -143,23 +151,13 @@ def _split(campaign: Campaign) -> tuple[list[Record], list[Record]]:
     return [r.part(slice(None, cut)) for r in fitted], [end]
 
 
-def _noise(campaign: Campaign, identified: Identification) -> Noise:
+def _noise(campaign: Campaign, at: Starting) -> Noise:
     if campaign.repeat is not None:
         return noise_of(campaign.open_loop, campaign.repeat)
     if (noise := noise_at_rest(campaign.open_loop)) is not None:
         return noise
-    error = identified.predictions["open_loop"].thrust - campaign.open_loop["thrust"]
-    return noise_from_residual(campaign.open_loop, error)
-
-
-def _knowledge(identified: Identification, names) -> Prior | None:
-    static = identified.static
-    if static is None:
-        return None
-    kept = [k for k, n in enumerate(static.coefficients) if n in names]
-    mean = np.array(list(static.coefficients.values()))[kept]
-    chosen = tuple(n for n in static.coefficients if n in names)
-    return Prior(chosen, mean, static.covariance[np.ix_(kept, kept)]).loosened(LOOSE) if kept else None
+    shown = predict(plant((), at.library), at.values, campaign.open_loop)
+    return noise_from_residual(campaign.open_loop, shown.thrust - campaign.open_loop["thrust"])
 
 
 def _doubt(fit: Fit) -> dict[str, float | None]:

@@ -18,8 +18,8 @@ from vpp_fmu.native import Simulator
 ENOUGH_BIC = 10.0
 """Difference of BIC that counts as very strong (Kass and Raftery, 1995)."""
 
-ALIKE = 6.0
-"""Effects whose BIC differs by less fit the data equally well (Kass and Raftery: below 'strong')."""
+ALIKE = 10.0
+"""Effects whose BIC differs by less fit the data alike: only beyond it is evidence very strong (Kass and Raftery, 1995)."""
 
 ENOUGH_HELD_OUT = 3.0
 """Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""

@@ -3,103 +3,144 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.effect_report import add_effects
+from identification.diagnose.empirical import Empirical, corrected
+from identification.diagnose.evidence_report import add_apart, add_evidence, add_shift
 from identification.diagnose.noise import blocks
+from identification.diagnose.residual_report import add_residual
 from identification.diagnose.summary import summary
-from vpp_fmu.report import (
-    Page,
-    autocorrelation,
-    correlation_heatmap,
-    measured_against_predicted,
-    residual_by_section,
-    thinning,
-)
+from vpp_fmu.record import Record
+from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
 SURE = {
     "attributed": "one set of effects explains it",
-    "family": "these data can't tell the named effects apart",
-    "partly": "a named effect explains part of it",
-    "unexplained": "no effect of the library explains it",
+    "family": "these data can't tell the named effects from others",
+    "partly": "the named effect explains a part of it",
+    "unexplained": "no effect to choose from explains it",
     "none": "nothing above the noise is missing",
 }
 
+ZOOM, SMOOTHED = 3.0, 0.2
+"""s to both sides of a worst moment; it is the worst mean over so many s."""
+
 
 def headline(found: Diagnosis) -> str:
-    """The finding in one sentence."""
-    effects = " and ".join(found.final.effects) or "no effect"
+    """The finding in one or two sentences."""
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
     noise = f"the noise is {found.noise.floor:.3f} N"
     if found.verdict == "none":
         return f"Nothing is missing: the thrust error on unseen data is {before:.3f} N, {noise}."
     if found.verdict == "unexplained":
-        return f"Something is missing that is not in the library: {before:.3f} N on unseen data, {noise}."
+        return f"Something is missing that no effect to choose from explains: {before:.3f} N on unseen data, {noise}."
+    described = {e.name: e.description for e in found.final.evidence.model.effects}
+    effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
     return f"{effects}: thrust error on unseen data {before:.3f} N before, {after:.3f} N after, {noise}."
 
 
 def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     """(label, value, note) of what a reader must know first."""
-    figures = [("verdict", found.verdict, SURE[found.verdict])]
+    figures = []
     for effect in summary(found)["effects"]:
         for name, p in effect["parameters"].items():
-            if name != "form":
-                doubt = "" if p["std"] is None else f"± {1.96 * p['std']:.2g} (95 %)"
-                figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g} {p['unit']}", doubt))
+            if name == "form":
+                continue
+            doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else "held"
+            unit = "" if p["unit"] == "1" else f" {p['unit']}"
+            figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g}{unit}", doubt))
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
-    figures.append(("thrust error, unseen data", f"{before:.3f} → {after:.3f} N", f"noise {found.noise.floor:.3f} N"))
+    change = f"{before:.3f} → {after:.3f} N" if found.final.effects else f"{before:.3f} N"
+    checked = "" if found.noise.verified else ", not verified by a repeat"
+    figures.append(("thrust error, unseen data", change, f"noise of one reading {found.noise.floor:.3f} N{checked}"))
+    if found.given is not None:
+        as_given = summary(found)["given"][0]["rmse_thrust"]
+        figures.append(("the model as it was given", f"{as_given:.3f} N", "thrust error on unseen data, before any fit"))
     if found.explained is not None:
-        figures.append(
-            (
-                "of the explainable error",
-                f"{100 * found.explained.share:.0f} %",
-                f"removed on unseen data, ± {200 * found.explained.error:.0f} %",
-            )
-        )
-    return figures
+        share, doubt = 100 * found.explained.share, 200 * found.explained.error
+        figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on unseen data"))
+    rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.family.items() if others]
+    return [*figures, ("verdict", found.verdict, "; ".join(rivals) or SURE[found.verdict])]
 
 
-def diagnosis_page(found: Diagnosis) -> Page:
-    """The page of one diagnosis."""
-    page = Page("Diagnosis", headline(found))
+def diagnosis_page(found: Diagnosis, correction: Empirical | None = None) -> Page:
+    """The page of one diagnosis, and of an empirical correction where one was asked for."""
+    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found))
     page.tiles(key_figures(found))
+    for effect, judged in found.selection.judgements.items():
+        if effect in found.final.effects and judged.artefact:
+            page.note(f"{effect}: {judged.artefact}.")
+    if correction is not None:
+        _add_empirical(page, found, correction)
+    page.section("Before and after" if found.final.effects else "The model on unseen data")
+    for record in found.held:
+        _add_whole(page, found, record)
     add_diagnosis(page, found)
     return page
 
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
-    """Figures and tables of a diagnosis, onto a page."""
-    page.section("Before and after")
+    """Figures and tables of a diagnosis, onto a page that shows the unseen record already."""
+    page.section("The worst moments")
     for record in found.held:
-        _add_record(page, found, record)
-    _add_sections(page, found)
+        _add_worst(page, found, record)
+    if found.final.effects:
+        _add_sections(page, found)
+        page.section("What the effect does")
+        add_effects(page, found)
+        add_shift(page, found)
     page.section("Why this, and not something else")
-    _add_candidates(page, found)
+    add_evidence(page, found)
     page.section("What is left")
-    _add_remainder(page, found)
+    add_residual(page, found)
+    _add_location(page, found)
     page.section("What these commands can show")
-    _add_apart(page, found)
+    add_apart(page, found)
     if found.verdict not in ("none", "attributed"):
         page.note("next_experiment.csv holds a record of commands that separates what these could not. Run it twice.")
 
 
-def _add_record(page: Page, found: Diagnosis, record) -> None:
-    before, after = (found.prediction(fit, record) for fit in (found.base, found.final))
-    shown = {"before": before.thrust} | ({"after": after.thrust} if found.final.effects else {})
-    title = f"Unseen data: {before.rmse_thrust:.3f} N before, {after.rmse_thrust:.3f} N after"
+def _add_empirical(page: Page, found: Diagnosis, correction: Empirical) -> None:
+    page.section("Beyond the library: an empirical correction")
+    page.note(f"{correction.told[0].upper()}{correction.told[1:]}. It is in no parameter file and in no FMU.")
+    if not correction.accepted:
+        return
+    record = found.held[0]
+    shown = corrected(found, correction, record)
+    lines = {"model": shown["thrust"], "empirical": shown["thrust_empirical"]}
+    change = f"{correction.before:.3f} to {correction.after:.3f} N"
+    title = f"A linear filter of the model's own outputs brings the error from {change}"
+    page.figure(_figure(found, record, lines, title), "Unseen data. The filter was fitted to the open-loop record.")
+
+
+def _add_whole(page: Page, found: Diagnosis, record: Record) -> None:
+    shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
+    errors = [f"{p.rmse_thrust:.3f} N" for p in shown.values()]
+    erred = f"{errors[0]} before, by {errors[1]} after" if len(errors) > 1 else errors[0]
+    title = f"On unseen data the model errs by {erred}; the noise alone is {found.noise.floor:.3f} N"
+    lines = {name: p.thrust for name, p in shown.items()}
+    page.figure(_figure(found, record, lines, title), f"{record.source.rsplit('/', 1)[-1]}. {thinning(len(record))}")
+
+
+def _add_worst(page: Page, found: Diagnosis, record: Record) -> None:
+    """Where the model before was worst, and where the one after is, if that is elsewhere."""
+    lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
+    at = blocks(record, SMOOTHED)
+    means = {name: np.abs(at.mean(thrust - record["thrust"])) for name, thrust in lines.items()}
+    centers = [float(at.time[np.nanargmax(mean)]) for mean in means.values()]
+    for name, center in dict(zip(means, centers, strict=True)).items():
+        if name == "after" and abs(center - centers[0]) < ZOOM:
+            continue  # in the same window
+        block = int(np.argmin(np.abs(at.time - center)))
+        there = " and ".join(f"{mean[block]:.2f} N {other}" for other, mean in means.items()).removesuffix(" model")
+        near = np.abs(record.time - center) <= ZOOM
+        when = "" if name == "model" else f" {name}"
+        title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
+        part = {other: thrust[near] for other, thrust in lines.items()}
+        page.figure(_figure(found, record.part(near), part, title), f"Six seconds around the worst mean over {SMOOTHED:g} s.")
+
+
+def _figure(found: Diagnosis, record: Record, lines, title: str):
     commands = {n: record[n] for n in ("omega_ref", "beta_ref")}
-    figure = measured_against_predicted(record.time, record["thrust"], shown, title, commands=commands, noise=found.noise.floor)
-    page.figure(figure, f"{record.source.rsplit('/', 1)[-1]}. {thinning(len(record))}")
-    center = _worst(record, before.thrust - record["thrust"])
-    near = np.abs(record.time - center) <= 3.0
-    zoom = {name: values[near] for name, values in shown.items()}
-    title = f"The worst moment before, around {center:.0f} s"
-    part = record.part(near)
-    commands = {n: part[n] for n in ("omega_ref", "beta_ref")}
-    figure = measured_against_predicted(part.time, part["thrust"], zoom, title, commands=commands, noise=found.noise.floor)
-    page.figure(figure, "Six seconds around the largest error of means over 0.2 s.")
-
-
-def _worst(record, error) -> float:
-    at = blocks(record, 0.2)
-    return float(at.time[np.nanargmax(np.abs(at.mean(error)))])
+    return measured_against_predicted(record.time, record["thrust"], lines, title, commands=commands, noise=found.noise.floor)
 
 
 def _add_sections(page: Page, found: Diagnosis) -> None:
@@ -107,69 +148,27 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
     before, after = (found.prediction(fit, record).summary()["sections"] for fit in (found.base, found.final))
     names = list(before)
     values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
-    title = "Where the error fell"
-    page.figure(
-        residual_by_section(names, *values, found.noise.floor, title), "Thrust error by what is commanded, unseen data."
-    )
-    rows = [(n, v["before"], v["after"], v["std"]) for n, v in summary(found)["base_parameters"].items()]
-    page.table(("parameter", "before", "after", "std"), rows, "What the base parameters had bent to, and where they stand now.")
+    k = int(np.argmax(values[0] - values[1]))
+    title = f"The error fell most where {_commanded(names[k])}: from {values[0][k]:.3f} to {values[1][k]:.3f} N"
+    figure = residual_by_section(names, *values, found.noise.floor, title)
+    page.figure(figure, "Thrust error by what is commanded, unseen data.")
 
 
-def _add_candidates(page: Page, found: Diagnosis) -> None:
-    rows = []
-    for entry in summary(found)["candidates"]:
-        if "delta_bic" not in entry:
-            continue
-        beside = " + ".join(entry["beside"]) or "nothing"
-        form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
-        size = ", ".join(f"{n.partition('.')[2]} {v:.3g}" for n, v in entry["parameters"].items())
-        rows.append((entry["name"], form, beside, entry["delta_bic"], size, entry["why_not"] or "taken"))
+def _commanded(section: str) -> str:
+    return {"both": "both are commanded", "steady": "nothing is commanded"}.get(section, f"{section} is commanded")
+
+
+def _add_location(page: Page, found: Diagnosis) -> None:
+    where, what = found.location, "error of the base model" if not found.final.effects else "error that is left"
+    strongest, largest = where["strongest_correlate"], where["largest"]
     page.table(
-        ("effect", "form", "beside", "fall of BIC", "parameters", "verdict"), rows, "Candidates that were refitted in full."
-    )
-    for effect, judged in found.selection.judgements.items():
-        gains = ", ".join(f"{channel} {gain:+.1f}" for channel, gain in judged.held_out_gain.items())
-        page.note(f"{effect}: BIC falls by {judged.delta_bic:.0f}; log-likelihood of unseen data: {gains}.")
-
-
-def _add_remainder(page: Page, found: Diagnosis) -> None:
-    record = found.campaign.open_loop
-    title = f"What repeats of the error was {found.before_left.share:.3f} of the noise's power, now {found.left.share:.3f}"
-    lines = {}
-    for name, fit in (("before", found.base), ("after", found.final)):
-        error = blocks(record, 0.02).mean(record["thrust"] - found.prediction(fit, record).thrust)
-        lines[name] = _correlation(error, 150)
-    lags = np.arange(1, 151) * 0.02
-    band = 1.96 / np.sqrt(len(error))
-    page.figure(
-        autocorrelation(lags, lines["after"], band, title), "Autocorrelation of the thrust residual after, means over 20 ms."
-    )
-    where = found.location
-    strongest = where["strongest_correlate"]
-    page.table(
-        ("what is left", ""),
+        ("what", "value"),
         [
-            ("strongest correlate", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
+            ("goes most with", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
             ("input", where["input"]),
-            *((f"share between {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
-            *((f"mean square, {name}", f"{power:.2g} N²") for name, power in where["mean_square_by_section"].items()),
+            ("largest", f"{largest['thrust']:+.2f} N at {largest['time']:.1f} s"),
+            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
+            *((f"mean square, {name}", f"{max(power, 0.0):.2g} N²") for name, power in where["mean_square_by_section"].items()),
         ],
-        "Where the remaining repeatable error lives.",
+        f"Where the {what} lives, so far as it repeats.",
     )
-
-
-def _correlation(error: np.ndarray, count: int) -> np.ndarray:
-    e = error[np.isfinite(error)] - np.nanmean(error)
-    return np.array([float(e[k:] @ e[:-k]) for k in range(1, count + 1)]) / float(e @ e)
-
-
-def _add_apart(page: Page, found: Diagnosis) -> None:
-    visible = [i for i, v in enumerate(found.apart.visibility) if v >= 10.0]
-    names = [found.apart.labels[i] for i in visible]
-    if len(names) > 1:
-        title = "Which effects these commands can tell apart: 1 means one passes for the other"
-        page.figure(
-            correlation_heatmap(names, found.apart.overlap[np.ix_(visible, visible)], title), "Squared cosine of their traces."
-        )
-    unseen = ", ".join(found.apart.invisible()) or "none"
-    page.note(f"Would not show at a plausible size under these commands: {unseen}.")

@@ -3,6 +3,7 @@
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.search import Fit
 from identification.diagnose.stepwise import Tried
+from identification.prediction import predict
 
 
 def summary(found: Diagnosis) -> dict:
@@ -14,6 +15,7 @@ def summary(found: Diagnosis) -> dict:
         "next_experiment": "next_experiment.csv" if found.verdict != "none" else None,
         "before": _errors(found, found.base),
         "after": _errors(found, found.final),
+        **({"given": _given(found)} if found.given else {}),
         "noise_floor_thrust": found.noise.floor,
         "noise_floor_verified": found.noise.verified,
         "explained_fraction": found.explained and found.explained.share,
@@ -51,8 +53,14 @@ def _errors(found: Diagnosis, fit: Fit) -> list[dict]:
     return entries
 
 
+def _given(found: Diagnosis) -> list[dict]:
+    """The errors of a model that was brought, as it was brought."""
+    model, values = found.given.model, found.given.values
+    return [{"record": r.source, "role": "held out", **predict(model, values, r).summary()} for r in found.held]
+
+
 def _shift(found: Diagnosis) -> dict:
-    names = found.identification.refinement.names
+    names = found.base.evidence.coordinates.names
     return {n: {"before": found.base.values[n], "after": found.final.values[n], "std": found.doubt.get(n)} for n in names}
 
 

@@ -2,8 +2,8 @@
 
 TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
 `physics` (`hidden`, `parameters`), `refuse` (name of a PWM file whose writes are refused), `sabotage`: what SIGUSR1 makes the
-controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON, a line each: where the rig's files are; that
-it runs; how it ended.
+controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON, a line each: where the rig's
+files are; that it runs; how it ended.
 """
 
 import json

@@ -1,13 +1,57 @@
-"""Two rows of the fault table; `python -m tests.hil.faults` tries all of them."""
+"""The fault table in short: bus faults in virtual time, one row for real. `python -m tests.hil.faults` tries all for real."""
 
 from dataclasses import replace
 
 import pytest
-from faults import ROWS, tried
+from rigs import IDLE, duties, virtual_rig
+
+from hil import rig as hil_rig
+from hil.columns import COLUMNS
+from hil.rig import RunEnded
+from hil.states import SafetyState
+from tests.hil.faults import ROWS, tried
+from tests.hil.injection import Injected
+
+ON_THE_BUSES = {
+    row.name: row
+    for row in ROWS
+    if row.name.partition(":")[0] in ("serial", "Uno", "I2C", "ADC", "speed") and "20 x" not in row.name
+}
 
 
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT"])
-def test_what_must_come_of_a_fault_comes_of_it(name):
-    row = next(row for row in ROWS if row.name == name)
+def drive(rig):
+    for _ in range(150):
+        rig.step(4000.0, 2.0)
+
+
+@pytest.mark.parametrize("name", ON_THE_BUSES)
+def test_a_fault_on_a_bus_ends_as_it_must(monkeypatch, name):
+    monkeypatch.setattr(hil_rig, "TARE_SAMPLES", 250)
+    monkeypatch.setattr(hil_rig, "SETTLE", 0.5)
+    row, (rig, log) = ON_THE_BUSES[name], virtual_rig(COLUMNS)
+    try:
+        rig.start(4000.0, 2.0)
+        esc = rig.bench.esc.duty_file
+        row.inject(Injected(None, esc.parents[3], esc, b"", 0.0))
+        began = len(log.rows)
+        if row.within is None:
+            drive(rig)
+            assert rig.states.state is SafetyState.RUN
+            assert abs(log["omega"][began:] - 4000.0).max() < 60.0  # no wrong value
+        else:
+            with pytest.raises(RunEnded, match=row.cause):
+                drive(rig)
+            assert rig.states.state is SafetyState.FAULT
+            assert duties(rig) == IDLE
+            assert (len(log.rows) - began) * rig.dt <= 1e-3 * row.within + 0.1
+            opened = log["throttle"][began:]
+            assert opened.max() <= 1.1 * opened[0]  # nothing that was wrong was believed
+    finally:
+        rig.close()
+
+
+def test_a_killed_loop_leaves_an_idle_rotor_and_its_log():
+    row = next(row for row in ROWS if row.name == "SIGKILL")
     outcome = tried(replace(row, within=10.0 * row.within))  # the machine may have others to serve
     assert not outcome.wrong, outcome
+    assert "rows in the log" in outcome.happened

@@ -8,9 +8,9 @@ from rigs import LIMITS, virtual_rig
 from hil.campaign import PARTS, Plan, measure, recorded, same_commands, seconds, steep, step_responses
 from hil.columns import COLUMNS
 from hil.commands import Step, grid, open_loop, resampled, steps, validation
+from hil.cycle import PERIOD
 from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
-from hil.rig import PERIOD
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder
@@ -181,3 +181,15 @@ def test_a_hidden_effect_is_in_the_campaign(rig):
 def test_sizes_that_make_no_sense_are_refused(capsys, words, tmp_path):
     assert main(["hil", "campaign", "--virtual", *words, "-o", str(tmp_path)]) == 2
     assert words[0] in capsys.readouterr().err
+
+
+def test_a_part_that_a_fault_ends_is_told_and_its_log_kept(tmp_path, capsys):
+    limits = {"format": "vpp-limits/1", "limits": {"run_time": {"value": 5.0, "unit": "s"}}}
+    (tmp_path / "limits.json").write_text(json.dumps(limits))
+    out, own = tmp_path / "out", ["--limits", str(tmp_path / "limits.json"), "--parts", "validation"]
+    assert main(["hil", "campaign", "--virtual", *SMALL, *own, "-o", str(out)]) == 2
+    assert "run time" in capsys.readouterr().err
+    part = json.loads((out / "hil.json").read_text())["parts"]["validation"]
+    assert "run time" in part["ended"]
+    assert part["log"]["rows"] == part["log"]["ticks"] > 1250
+    assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz"]

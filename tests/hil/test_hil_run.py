@@ -103,7 +103,7 @@ def twinned(tmp_path, emulated):
     values = BASE.values()
     band = Band(0.12, 0.047, 0.13, 0.8)
     twin = Twin(KernelPlant(BASE, values), band)
-    profile = step_profile(4.0, 8.0, hold=5.0)
+    profile = step_profile(4.0, 8.0, hold=3.0)
     return twin, run_on_rig(setup(emulated), KernelController(), profile, tmp_path, twin=twin)
 
 
@@ -111,7 +111,7 @@ def test_a_twin_is_at_peace_with_the_rig_it_was_made_for_and_sees_a_new_effect(t
     calm, run = twinned(tmp_path, Emulated(seed=1))
     assert not calm.alarmed
     residual = run.log["residual"][np.isfinite(run.log["residual"])]
-    assert len(residual) == len(run.record) == round(15.0 / 0.004)
+    assert len(residual) == len(run.record) == round(9.0 / 0.004)
     gain = Emulated({"load_cell_gain.gain": 1.4}, ("load_cell_gain",), seed=1)
     alarmed, run = twinned(tmp_path, gain)
     assert alarmed.alarmed

@@ -24,14 +24,14 @@ def constant(omega, beta=5.0):
     return lambda t: (omega, beta)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_alarm_while_speed_and_pitch_step_over_their_whole_range(seed):
-    assert run(steps(seed), 60.0, seed=seed)[0] is None
+    assert run(steps(seed), 40.0, seed=seed)[0] is None
 
 
 @pytest.mark.parametrize("effect", HIDDEN)
 def test_an_effect_the_model_lacks_is_no_fault(effect):
-    assert run(steps(1), 20.0, hidden=(effect,))[0] is None
+    assert run(steps(1), 12.0, hidden=(effect,))[0] is None
 
 
 def test_a_ramp_down_to_standstill_is_no_fault():

@@ -130,7 +130,7 @@ def test_a_silent_tachometer_freezes_the_throttle_and_ends_the_run(rig_and_log):
     faults.close()
     held = [k for k in range(began, len(log.rows)) if states(log)[k] == "run"]
     assert 0.04 <= len(held) * rig.dt <= 0.1
-    assert np.ptp(log["throttle"][held[4:]]) == 0.0
+    assert np.ptp(log["throttle"][held[7:]]) == 0.0
 
 
 def test_the_operator_ends_a_run_in_order(rig_and_log):

@@ -360,3 +360,21 @@ def test_opening_the_pty_again_resets_the_board(terminal):
         assert 3 < pulses <= (time.monotonic() - opened) / 0.015 + 1  # none from before it was opened
         tachometer.close()
         within(5.0, lambda: not line._open)
+
+
+def test_an_answer_that_a_busy_machine_held_back_still_counts(loop):
+    """Each takes 20 ms, and a request is waited for 12 ms: none answers the newest, all tell the truth."""
+    held: list[tuple[float, bytes]] = []
+    say = loop.line._say
+    loop.line._say = lambda data: held.append((loop.clock.now() + 0.02, data))
+    ages = []
+    for _ in range(250):
+        for entry in [entry for entry in held if entry[0] <= loop.clock.now()]:
+            held.remove(entry)
+            say(entry[1])
+        answer = loop.tick()
+        if answer is not None:
+            ages.append(answer.age)
+            assert answer.age >= 0.02
+    assert len(ages) > 50
+    assert loop.tachometer.counters["lost"] > 50

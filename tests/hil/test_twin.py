@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import norm
 
-from hil.band import Band, Whitener, band_of, read_band
+from hil.band import Band, Spread, Whitener, band_of, read_band
 from hil.cusum import Cusum, run_length, threshold_for
 from hil.twin import BLOCK, Twin
 from vpp_fmu.errors import BadInput
@@ -40,14 +41,15 @@ def test_the_threshold_gives_the_run_length_it_was_asked_for(run, mean):
 
 def test_the_sums_run_as_long_as_page_says():
     """Simulated: mean of 4000 runs, whose standard error is that of an exponential time."""
-    threshold, cusum, dice = threshold_for(40.0, 1.5, 0.0), Cusum(1.0, 1.5), np.random.default_rng(3)
-    cusum.threshold, runs, count = threshold, [], 0
-    for z in dice.standard_normal(170000).tolist():
+    threshold, runs, count = threshold_for(40.0, 1.5, 0.0), [], 0
+    above, below = Cusum(threshold, 1.5), Cusum(threshold, 1.5)
+    for z in np.random.default_rng(3).standard_normal(170000).tolist():
         count += 1
-        if cusum.update(z):
+        if above.update(z) | below.update(-z):
             runs.append(count)
             count = 0
-            cusum.reset()
+            above.reset()
+            below.reset()
     assert np.mean(runs) == pytest.approx(40.0, rel=4.0 / len(runs) ** 0.5)
 
 
@@ -77,6 +79,18 @@ def test_a_constant_residual_comes_through_with_the_gain():
     assert z * whitener.scale == pytest.approx(0.3 * whitener.gain, rel=1e-9)
 
 
+@pytest.mark.parametrize(("slow", "slow_time"), [(0.0, 0.1), (0.05, 0.15), (0.05, 2.0)])
+def test_the_spread_of_noise_is_a_normal_number(slow, slow_time):
+    band, n = Band(0.12, slow, slow_time, 0.0), 20000
+    spread = Spread(band, 125, 0.004)
+    variances = noise(band, 125 * n, 0.004, 6).reshape(n, 125).var(axis=1, ddof=1)
+    z = np.array([spread.update(value) for value in variances.tolist()])
+    assert abs(z.mean()) < 4 / n**0.5
+    assert z.std() == pytest.approx(1.0, abs=4 / (2 * n) ** 0.5)
+    for level in (2.0, 3.0):
+        assert np.mean(z > level) == pytest.approx(norm.sf(level), rel=4 / (n * norm.sf(level)) ** 0.5)
+
+
 class Still:
     """A plant without thrust: what is measured is the residual."""
 
@@ -103,14 +117,30 @@ def alarms(twin, residual):
 
 def test_alarms_are_as_frequent_as_stated_and_no_more_while_the_model_errs_within_its_band():
     """One in 20 s, so that there are enough to count: white noise, slow noise, a model at its band's edge, one within it."""
-    n = 200000
+    n = 150000
     stated = 180.0 * n * Still.dt / 3600.0
-    for band, error in ((WHITE, 0.0), (replace(COLOURED, model_error=0.0), 0.0), (replace(WHITE, model_error=0.2), 0.2)):
+    for band, error, share in (
+        (WHITE, 0.0, 1.0),
+        (replace(COLOURED, model_error=0.0), 0.0, 1.0),
+        (replace(WHITE, model_error=0.2), 0.2, 0.5),
+    ):
         twin = Twin(Still(), band, false_alarms=180.0)
-        assert alarms(twin, error + noise(band, n, Still.dt, 2)) == pytest.approx(stated, rel=4.0 / stated**0.5)
+        assert alarms(twin, error + noise(band, n, Still.dt, 2)) == pytest.approx(share * stated, rel=4.0 / stated**0.5)
     wandering = 0.2 * np.sign(np.sin(np.arange(n) * Still.dt * 2.0))
     twin = Twin(Still(), COLOURED, false_alarms=180.0)
     assert alarms(twin, wandering + noise(COLOURED, n, Still.dt, 3)) < stated / 2.0
+
+
+def test_a_vibration_is_found_though_its_mean_is_none():
+    twin, n = Twin(Still(), replace(WHITE, model_error=0.1)), 20000
+    hiss = noise(WHITE, n, Still.dt, 4)
+    within, beyond = (a * 2**0.5 * np.sin(np.arange(n) * Still.dt * 50.0) for a in (0.1, 0.25))
+    assert alarms(twin, hiss + within) == 0
+    twin.start(0.0, 0.0, 0.0)
+    for k, value in enumerate((hiss + beyond)[:200].tolist()):
+        twin.update(k * Still.dt, 0.0, 0.0, value)
+    assert twin.alarmed
+    assert twin.since < 1.0
 
 
 def test_a_step_is_found_after_the_stated_delay():
@@ -122,7 +152,7 @@ def test_a_step_is_found_after_the_stated_delay():
             twin.start(0.0, 0.0, 0.0)
             ticks = next(k for k in itertools.count(1) if twin.update(k * Still.dt, 0.0, 0.0, next(hiss)).alarmed)
             delays.append(ticks * Still.dt)
-            assert twin.since == pytest.approx(ticks * Still.dt - twin._cusum.age * BLOCK)
+            assert twin.since == pytest.approx(ticks * Still.dt - twin._above.age * BLOCK)
         if expected:
             assert np.mean(delays) == pytest.approx(expected, abs=4.0 * np.std(delays) / 500**0.5)
         else:
@@ -132,7 +162,7 @@ def test_a_step_is_found_after_the_stated_delay():
 STEPS = [(2500.0, 0.0), (4500.0, 6.0), (3500.0, -3.0), (5500.0, 2.0), (3000.0, 8.0)]
 
 
-def beside(names, parameters, seconds=40.0):
+def beside(names, parameters, seconds=20.0):
     """A twin of the plain plant beside a rig with hidden effects; noise on the thrust."""
     rig, twin = KernelPlant(plant(names), parameters), Twin(KernelPlant(), Band(0.12, 0.05, 0.15, 0.05))
     hiss = noise(COLOURED, round(seconds / 0.004), 0.004, 11).tolist()
@@ -198,7 +228,7 @@ def test_the_band_of_what_identify_wrote(tmp_path):
 
 
 def test_the_band_of_two_runs_with_the_same_commands():
-    truth, n = Band(0.12, 0.05, 0.15, 0.0), 100000
+    truth, n = Band(0.12, 0.05, 0.15, 0.0), 60000
     error = 0.25 * np.sin(np.arange(n) * 0.004 * 0.5)
     runs = [error + noise(truth, n, 0.004, seed) for seed in (1, 2)]
     band = band_of(runs, (runs[0] - runs[1]) / 2**0.5, 0.004)

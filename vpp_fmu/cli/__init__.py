@@ -12,12 +12,14 @@ VERBS = {
     "demo": "the whole job on the campaign that ships with the project",
     "identify": "a campaign to parameters",
     "diagnose": "what the model lacks, and the model with it",
+    "tune": "gains for a model",
     "export": "parameters to FMUs",
     "cosim": "the closed loop of two FMUs",
     "simulate": "the open-loop response to a record",
     "compare": "two records side by side",
     "plan": "the next experiment for a model: commands, and what they would tell",
     "import": "a test stand's log to a record",
+    "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 
 

@@ -1,16 +1,24 @@
-"""The whole job on the campaign that ships with the project: identify, export, simulate in fmpy, close the loop."""
+"""The whole job on the campaign that ships with the project: identify, diagnose, augment, export, simulate, close the loop."""
 
 import time
 
 from tqdm import tqdm
 
-from identification.demo import demo, step_profile
-from identification.report import add_identification, key_figures
+from identification.demo import Demo, demo, example_folder, step_profile
+from identification.diagnose.report import add_diagnosis
+from identification.diagnose.report import key_figures as diagnosed
+from identification.found_report import add_found
+from identification.identify import Identification
+from identification.map_report import add_static
+from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.cosim import STEP_COLUMNS, row, told
+from vpp_fmu.cli.diagnose import write_diagnosis
+from vpp_fmu.cli.export import exported
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.parameters import to_json, to_ssv
-from vpp_fmu.record import write_record
+from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
+from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
+from vpp_fmu.record import Record, write_record
 from vpp_fmu.report import Page, closed_loop, measured_against_predicted, thinning
 from vpp_fmu.response import steps
 
@@ -18,6 +26,7 @@ EXAMPLE = "vpp demo -o demo"
 
 
 def configure(parser):
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="fits that run side by side (default: %(default)s)")
     add_output(parser)
     parser.set_defaults(output="demo")
 
@@ -25,25 +34,18 @@ def configure(parser):
 def run(options):
     began = time.perf_counter()
     folder = OutputFolder(options.output)
-    with tqdm(total=5, disable=None, leave=False) as bar:
-
-        def stage(name):
-            bar.set_description(name)
-            bar.update()
-
-        done = demo(folder, stage)
-        stage("report")
-        found = done.identification
-        folder.write("parameters.json", to_json(found.parameters))
-        folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
-        folder.write("identification.json", as_json(found.summary()))
-        write_record(folder, "profile.csv", step_profile())
-        for name, loop in done.loops.items():
-            write_record(folder, f"run_{name.replace(' ', '_')}.csv", loop)
-        folder.write("report.html", demo_page(done).html())
-    for label, value, note in key_figures(found):
+    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+        done = demo(
+            read_campaign(example_folder()),
+            folder,
+            lambda parts, flavour: exported(parts, [flavour]),
+            options.workers,
+            bar.set_description,
+        )
+        bar.set_description("report")
+        _write(folder, done)
+    for label, value, note in key_figures(done):
         print(f"{label}: {value} ({note})")
-    print(f"exported FMU in fmpy on validation.csv: rmse {done.fmu_rmse:.4f} N, noise floor {found.noise_floor:.4f} N")
     for name, loop in done.loops.items():
         for step in steps(loop):
             print(f"{name}: {told(step)}")
@@ -51,29 +53,80 @@ def run(options):
     say_written(folder)
 
 
-def demo_page(done) -> Page:
+def _write(folder: OutputFolder, done: Demo) -> None:
+    """What the other verbs would have written on the way, and the report."""
+    found = done.diagnosis
+    write_diagnosis(folder, found)
+    folder.write("parameters.ssv", to_ssv(found.parameters(found.final), "parameters"))
+    folder.write("identification.json", as_json(found.identification.summary()))
+    for name, gains in (("gains.json", DUAL), ("gains_speed_only.json", SPEED_ONLY)):
+        folder.write(name, to_json(ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(gains)))
+    write_record(folder, "profile.csv", step_profile())
+    commands = {name: done.validation[name] for name in ("time", "omega_ref", "beta_ref")}
+    for name, file in (("before", "prediction_base.csv"), ("after", "prediction.csv")):
+        write_record(folder, file, Record({**commands, "thrust": done.thrust[name]}, "vpp demo"))
+    for name, loop in done.loops.items():
+        write_record(folder, f"run_{name.replace(' ', '_')}.csv", loop)
+    folder.write("report.html", demo_page(done).html())
+
+
+def key_figures(done: Demo) -> list[tuple[str, str, str]]:
+    """(label, value, note): as of the diagnosis, with the errors through the FMUs."""
+    before, after = done.rmse["before"], done.rmse["after"]
+    note = f"unseen record, noise of one reading {done.diagnosis.noise.floor:.3f} N"
+    through = ("thrust error, FMU in fmpy", f"{before:.3f} → {after:.3f} N", note)
+    return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in diagnosed(done.diagnosis)]
+
+
+def demo_page(done: Demo) -> Page:
     """The report of the whole job."""
-    found = done.identification
-    validation = found.campaign.validation
+    found, validation = done.diagnosis, done.validation
+    described = {e.name: e.description for e in found.final.evidence.model.effects}
+    effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects) or "nothing"
+    before, after = done.rmse["before"], done.rmse["after"]
     page = Page(
         "From rig data to FMUs",
-        "A measured campaign becomes a plant model, the model becomes FMUs, and fmpy runs them: against a record that was not "
-        "used to fit, and in a closed loop with the controller's FMU.",
+        f"A measured campaign becomes a plant model; its residual tells what the model lacks: {effects}. The model before and "
+        f"after is exported as FMUs, and fmpy runs them on a record that no fit has seen: {before:.3f} N before, {after:.3f} N "
+        f"after; the noise alone is {found.noise.floor:.3f} N.",
     )
+    page.tiles(key_figures(done))
+    page.section("The plant FMUs against measurement")
     title = (
-        f"The exported FMU, run by fmpy, predicts an unseen record to {done.fmu_rmse:.3f} N; noise is {found.noise_floor:.3f} N"
+        f"On an unseen record the FMU errs by {before:.3f} N before and {after:.3f} N after; noise is {found.noise.floor:.3f} N"
     )
+    lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
     figure = measured_against_predicted(
-        validation.time, validation["thrust"], {"FMU": done.fmu_thrust}, title, noise=found.noise_floor
+        validation.time,
+        validation["thrust"],
+        lines,
+        title,
+        commands={n: validation[n] for n in ("omega_ref", "beta_ref")},
+        noise=found.noise.floor,
     )
-    page.section("The plant FMU against measurement")
     page.figure(figure, f"validation.csv. {thinning(len(validation))}")
-    page.section("The closed loop of both FMUs")
-    found_steps = {name: steps(loop) for name, loop in done.loops.items()}
-    down = {name: each[-1].settling for name, each in found_steps.items()}
-    title = f"Step down: both actuators settle in {down['dual']:.2f} s, speed alone in {down['speed only']:.2f} s"
-    page.figure(closed_loop({name: loop.columns for name, loop in done.loops.items()}, title), "The paper's gains.")
-    rows = [(name, *row(step)) for name, each in found_steps.items() for step in each]
-    page.table(("loop", *STEP_COLUMNS), rows, "Settled: within 2 % of the step from then on.")
-    add_identification(page, found)
+    _add_loops(page, done)
+    add_diagnosis(page, found)
+    _add_identification(page, found.identification)
     return page
+
+
+def _add_identification(page: Page, found: Identification) -> None:
+    """Parameters, their doubt and the static map; how it predicts is shown above."""
+    text = "The plain model, without the effects, fitted to the campaign: what the diagnosis began with."
+    page.section("Where this started: the identification", text)
+    add_found(page, found)
+    if found.static is not None:
+        add_static(page, found)
+
+
+def _add_loops(page: Page, done: Demo) -> None:
+    page.section("The closed loop of both FMUs")
+    found = {name: steps(loop) for name, loop in done.loops.items()}
+    settling = {name: each[-1].settling for name, each in found.items()}
+    words = {name: "not in time" if s is None else f"in {s:.2f} s" for name, s in settling.items()}
+    title = f"Step down: both actuators settle {words['dual']}, speed alone {words['speed only']}"
+    caption = "The paper's gains on the augmented plant."
+    page.figure(closed_loop({name: loop.columns for name, loop in done.loops.items()}, title), caption)
+    rows = [(name, *row(step)) for name, each in found.items() for step in each]
+    page.table(("loop", *STEP_COLUMNS), rows, "Settled: within 2 % of the step from then on.")

@@ -1,18 +1,24 @@
 """Identify the model's parameters from a measured campaign (a folder with open_loop.csv, static.csv, ...)."""
 
+from pathlib import Path
+
+from tqdm import tqdm
+
 from identification.identify import identify
 from identification.refine import METHODS
 from identification.report import identification_page, key_figures
-from vpp_fmu.campaign import read_campaign
+from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import to_json, to_ssv
+from vpp_fmu.record import Record, read_record
 
 EXAMPLE = "vpp identify campaigns/monday -o out"
 
 
 def configure(parser):
     parser.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
+    parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="how to search (default: %(default)s)")
     parser.add_argument("--starts", type=int, default=8, metavar="N", help="starts of the search (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random starts (default: %(default)s)")
@@ -26,21 +32,37 @@ def configure(parser):
 
 def run(options):
     folder = OutputFolder(options.output)
-    found = identify(
-        read_campaign(options.campaign),
-        method=options.method,
-        starts=options.starts,
-        seed=options.seed,
-        resamples=options.bootstrap,
-        workers=options.workers,
-        scheduler=options.scheduler,
-    )
-    folder.write("parameters.json", to_json(found.parameters))
-    folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
-    folder.write("identification.json", as_json(found.summary()))
-    folder.write("report.html", identification_page(found).html())
+    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+        bar.set_description("read")
+        campaign, records = read_campaign(options.campaign), _records(options.record)
+        found = identify(
+            campaign,
+            method=options.method,
+            starts=options.starts,
+            seed=options.seed,
+            resamples=options.bootstrap,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            records=records,
+            stage=bar.set_description,
+        )
+        bar.set_description("report")
+        folder.write("parameters.json", to_json(found.parameters))
+        folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
+        folder.write("identification.json", as_json(found.summary()))
+        folder.write("report.html", identification_page(found).html())
     for left_out in found.left_out:
-        print(f"open_loop.csv: {left_out}")
+        print(left_out)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder)
+
+
+def _records(paths: list[str]) -> dict[str, Record]:
+    """Records by the file's name; by its whole path where the name is taken."""
+    records = {}
+    for path in paths:
+        name = Path(path).name.removesuffix(".gz").removesuffix(".csv")
+        taken = {*NAMES, *records}
+        records[path if name in taken else name] = read_record(path, NEED, holes=("thrust",))
+    return records

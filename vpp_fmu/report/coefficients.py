@@ -32,14 +32,27 @@ def thrust_coefficients(speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray,
     return fig
 
 
-def mean_convergence(m: np.ndarray, std: np.ndarray, white: np.ndarray, title: str) -> go.Figure:
-    """Standard deviation [N] of the mean of m readings, measured and were the readings independent; all (k,), log-log."""
+def mean_convergence(
+    m: np.ndarray, std: np.ndarray, white: np.ndarray, title: str, wanted: tuple[int, float] | None = None
+) -> go.Figure:
+    """Standard deviation [N] of the mean of m readings, measured and were the readings independent; all (k,), log-log.
+
+    `wanted`: (readings, standard deviation [N]) that the reader is to see; beyond the measured line it is extrapolated.
+    """
     fig = style.figure(title, 400)
     hover = {"hovertemplate": "%{y:.2~g} N for %{x} readings<extra></extra>"}
     measured = {"color": style.MEASURED, "width": 2}
     fig.add_scatter(x=m, y=std, mode="lines+markers", name="measured", line=measured, marker={"size": 4}, **hover)
     line = {"color": style.AFTER, "width": 1.6, "dash": "dash"}
     fig.add_scatter(x=m, y=white, mode="lines", name="independent readings", line=line, **hover)
+    if wanted is not None:
+        number, good = wanted
+        name, dotted = f"{good:g} N at {number} readings", {"color": style.MEASURED, "width": 1.2, "dash": "dot"}
+        far = number > m[-1]
+        line = {"mode": "lines", "line": dotted, "showlegend": False, "hoverinfo": "skip"}
+        fig.add_scatter(x=[m[-1], number] if far else [number], y=[std[-1], good] if far else [good], **line)
+        marker = {"size": 10, "color": style.BEFORE, "symbol": "diamond"}
+        fig.add_scatter(x=[number], y=[good], mode="markers", name=name, marker=marker, **hover)
     fig.update_xaxes(title_text="readings in the mean [-]", type="log", dtick="D2")
     fig.update_yaxes(title_text="standard deviation of the mean [N]", type="log", dtick="D2", tickformat="~g")
     return fig

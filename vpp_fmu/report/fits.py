@@ -66,18 +66,16 @@ def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) ->
     return fig
 
 
-def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str) -> go.Figure:
+def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quantity: str = "cost [-]") -> go.Figure:
     """The cost at each of n evaluations, both (n,), and the best one so far; cost on a logarithmic axis."""
     fig = style.figure(title, 340)
-    fig.add_scatter(
-        x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 4, "color": style.SET_POINT, "opacity": 0.6}
-    )
+    fig.add_scatter(x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 5, "color": style.SET_POINT})
     best = np.fmin.accumulate(np.asarray(cost, float))
     fig.add_scatter(
         x=evaluations, y=best, mode="lines", name="best so far", line={"color": style.AFTER, "width": 2, "shape": "hv"}
     )
-    fig.update_xaxes(title_text="evaluations [-]")
-    fig.update_yaxes(title_text="cost [-]", type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
+    fig.update_xaxes(title_text="evaluations [-]", dtick=1 if len(cost) <= 20 else None)  # there is no half evaluation
+    fig.update_yaxes(title_text=quantity, type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
     return fig
 
 

@@ -64,6 +64,17 @@ def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
     )
 
 
+def add_envelope(
+    fig: go.Figure, panel: int, time: np.ndarray, low: np.ndarray, high: np.ndarray, name: str, colour: str
+) -> None:
+    """A band of a colour from `low` to `high`, both (n,), over the time [s]; of one name, only the first is in the legend."""
+    shown = not any(trace.name == style.escaped(name) for trace in fig.data)
+    shared = {"mode": "lines", "legendgroup": name, "yaxis": _axis("y", panel), "line": {"width": 0}, "hoverinfo": "skip"}
+    fig.add_scatter(x=time, y=low, showlegend=False, **shared)
+    filled = {"fill": "tonexty", "fillcolor": colour, "showlegend": shown}
+    fig.add_scatter(x=time, y=high, name=style.escaped(name), **filled, **shared)
+
+
 def _folded(label: str, height: int) -> str:
     """The label broken into lines that fit along `height` pixels, at some 8 pixels a letter."""
     return "<br>".join(textwrap.wrap(label, height // 8))

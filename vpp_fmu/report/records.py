@@ -6,8 +6,13 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.report import style
-from vpp_fmu.report.panels import add_band, add_line, panels
+from vpp_fmu.report.panels import add_band, add_envelope, add_line, panels
 from vpp_fmu.report.thinning import places
+
+_NORMAL_95 = 1.959963984540054
+
+_BAND = "rgba(86,180,233,0.32)"
+"""Lighter than the model's own blue, so that its residual stands out."""
 
 _HELD = "hv"
 """Commands are held until the next one."""
@@ -24,10 +29,12 @@ def measured_against_predicted(
     unit: str = "N",
     commands: Mapping[str, np.ndarray] | None = None,
     noise: float | None = None,
+    band: np.ndarray | None = None,
 ) -> go.Figure:
     """Measured and predicted values, measured - predicted with a band of +-2 `noise`, and a panel a command; over time [s].
 
-    All arrays are (n,), values and `noise` (standard deviation) in `unit`. Commands go by their column's name.
+    All arrays are (n,), values and `noise` (standard deviation) in `unit`. Commands go by their column's name. `band`: standard
+    deviation of a reading about the first prediction, drawn at 1.96 of it around the prediction and in the residual.
     """
     commands = commands or {}
     labels = [f"{quantity} [{unit}]", f"residual [{unit}]", *map(style.label, commands)]
@@ -36,6 +43,10 @@ def measured_against_predicted(
     residuals = {name: measured - values for name, values in predictions.items()}
     kept = places([measured, *predictions.values(), *residuals.values(), *commands.values()])
     time = np.asarray(time)[kept]
+    if band is not None:
+        reach, middle = _NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
+        for panel, centre in ((0, middle), (1, 0.0 * middle)):
+            add_envelope(fig, panel, time, centre - reach, centre + reach, "95 % of readings expected", _BAND)
     add_line(fig, 0, time, measured[kept], "measured", {"color": style.MEASURED, "width": 1})
     if noise is not None:
         add_band(fig, 1, 2 * noise, f"± 2 noise ({2 * noise:.2g} {unit})")

@@ -15,10 +15,10 @@ p { margin: 0 0 10px; max-width: 78ch; overflow-wrap: anywhere; }
 nav { margin: 18px 0 0; font-size: 14px; display: flex; flex-wrap: wrap; gap: 4px 20px; }
 nav a { color: var(--accent); text-decoration: none; }
 nav a:hover { text-decoration: underline; }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(200px, 1fr)); gap: 12px; margin: 16px 0 0; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(230px, 1fr)); gap: 12px; margin: 16px 0 0; }
 .tile { border: 1px solid var(--line); border-top: 3px solid var(--accent); border-radius: 4px; padding: 12px 16px; }
 .label { font-size: 13px; color: var(--quiet); }
-.value { font-size: 26px; line-height: 1.3; font-weight: 600; font-variant-numeric: tabular-nums; }
+.value { font-size: 23px; line-height: 1.3; font-weight: 600; font-variant-numeric: tabular-nums; }
 .small { font-size: 13px; line-height: 1.4; color: var(--quiet); }
 figure { margin: 28px 0 32px; }
 .plot { width: 100%; overflow: hidden; }

@@ -1,0 +1,117 @@
+"""Of the report: the effect's own curve, what it does to pitch, speed or thrust at rest and in time."""
+
+import numpy as np
+
+from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.noise import blocks
+from identification.diagnose.search import Fit
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+from vpp_fmu.report import Page, behind_against_before, reached_against_commanded, stacked
+
+QUANTITIES = {"beta": ("pitch", "deg", 0.02), "omega": ("speed", "rpm", 5.0)}
+"""Output, its word and unit, and the change from which an effect is said to act on it."""
+
+OUTPUTS = ("thrust", "omega", "beta")
+STAIRS, HOLD, STEP = 60, 3.0, 0.02
+"""Stairs of a sweep up and down, s on each, s of a step."""
+
+NEAR = 1.5
+"""s shown to both sides of the moment at which an effect does most."""
+
+AT_REST = 0.01
+"""Share of the range from which an effect is said to show at rest."""
+
+
+def add_effects(page: Page, found: Diagnosis) -> None:
+    """For each effect of the final set its curve at rest, where it has one, and what it does where it does most."""
+    for effect in found.final.effects:
+        on, off = _with_and_without(found.final, effect, found.held[0])
+        change = on - off
+        acts = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
+        if acts == "thrust":
+            _add_thrust(page, effect, found.held[0], off, change)
+        else:
+            _add_at_rest(page, found, effect, acts)
+        _add_in_time(page, found, effect, acts, change)
+
+
+class _Outputs(dict):
+    """Outputs (rows,) by name."""
+
+    def __sub__(self, other):
+        return _Outputs({n: self[n] - other[n] for n in self})
+
+
+def _simulated(fit: Fit, columns, steps, changes=()) -> _Outputs:
+    outputs = Simulator(fit.evidence.model).simulate({**fit.values, **dict(changes)}, columns, steps)
+    return _Outputs(zip(OUTPUTS, outputs.T, strict=True))
+
+
+def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[_Outputs, _Outputs]:
+    effect = next(e for e in fit.evidence.model.effects if e.name == name)
+    off = {effect.full(n): v for n, v in effect.off.items()}
+    return _simulated(fit, record.columns, record.steps), _simulated(fit, record.columns, record.steps, off)
+
+
+def _add_at_rest(page: Page, found: Diagnosis, effect: str, acts: str) -> None:
+    """Reached against commanded, up and down again; nothing where the effect doesn't show at rest."""
+    word, unit, _ = QUANTITIES[acts]
+    record, command = found.held[0], f"{acts}_ref"
+    beside = "beta_ref" if acts == "omega" else "omega_ref"
+    levels = sorted({float(v) for v in np.percentile(record[beside], [0, 50, 100])}) if acts == "omega" else [None]
+    reached, stairs = {}, _stairs(record[command])
+    for level in levels:
+        held = {beside: float(np.median(record[beside])) if level is None else level}
+        told = "" if level is None else f", pitch {level:.3g} deg"
+        fits = found.fits if level in (None, levels[-1]) else {"after": found.final}
+        reached |= {f"{name}{told}": _at_rest(fit, record, command, stairs, held)[acts] for name, fit in fits.items()}
+    off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
+    if off < AT_REST * np.ptp(stairs):
+        return
+    title = f"{effect}: at rest the {word} ends up to {off:.3g} {unit} from its command"
+    figure = reached_against_commanded(stairs, reached, title, word, unit)
+    page.figure(figure, f"The models at rest after stairs of {stairs[1] - stairs[0]:.2g} {unit}, up and down again.")
+
+
+def _stairs(command: np.ndarray) -> np.ndarray:
+    up = np.linspace(command.min(), command.max(), STAIRS + 1)
+    return np.concatenate([up, up[-2::-1]])
+
+
+def _at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> _Outputs:
+    """Outputs (stairs,) at the end of each stair of a command, everything else standing."""
+    rows = round(HOLD / STEP)
+    n = len(stairs) * rows
+    inputs = [u.name for u in fit.evidence.model.inputs]
+    columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
+    columns[command] = np.repeat(stairs, rows)
+    outputs = _simulated(fit, columns, np.full(n - 1, STEP))
+    return _Outputs({name: values[rows - 1 :: rows] for name, values in outputs.items()})
+
+
+def _add_thrust(page: Page, effect: str, record: Record, off: _Outputs, change: _Outputs) -> None:
+    rows = slice(None, None, max(1, len(record) // 2000))
+    largest = float(np.max(np.abs(change["thrust"])))
+    title = f"{effect}: the thrust changes by up to {largest:.2g} N"
+    figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
+    page.figure(figure, "The augmented model with the effect, less the same without it, on the unseen commands.")
+
+
+def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: _Outputs) -> None:
+    record = found.held[0]
+    at = blocks(record, 0.2)
+    center = float(at.time[np.argmax(np.abs(at.mean(change[acts])))])
+    near = np.flatnonzero(np.abs(record.time - center) <= NEAR)
+    shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
+    rows = {}
+    word, unit, _ = QUANTITIES.get(acts, ("thrust", "N", 0.0))
+    if acts != "thrust":
+        rows[f"{word} [{unit}]"] = {f"{word} command": record[f"{acts}_ref"][near]}
+        rows[f"{word} [{unit}]"] |= {"measured": record[acts][near]} if acts in record else {}
+        rows[f"{word} [{unit}]"] |= {name: getattr(p, acts)[near] for name, p in shown.items()}
+    rows["thrust [N]"] = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
+    size = float(np.max(np.abs(change["thrust"][near])))
+    moved = "" if acts == "thrust" else f"{np.max(np.abs(change[acts][near])):.3g} {unit} of {word}, "
+    title = f"{effect} does most around {center:.0f} s: {moved}{size:.2g} N of thrust"
+    page.figure(stacked(record.time[near], rows, title), "Unseen data; before: the best model without the effect.")

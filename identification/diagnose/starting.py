@@ -1,0 +1,92 @@
+"""Where a diagnosis starts: at an identification of the campaign, or at a model that someone brings.
+
+A model that is brought has its own effects; they become part of the base, which no candidate replaces and nothing drops.
+Its smooth parameters are fitted to the campaign all the same: else an effect would be credited with what stale parameters
+cost. Thresholds and forms stay as they are given.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from identification.identify import Identification, identify
+from identification.problem import Prior
+from identification.refine import BASE_PARAMETERS, refine
+from identification.static_map import StaticFit, fit_static_map
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.types import Effect, Model
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+LOOSE = 10.0
+"""How much wider the static map's knowledge is taken than its own scatter: a missing effect bends the steady points too."""
+
+
+@dataclass(frozen=True)
+class AlwaysOn(Effect):
+    """An optional effect that a base model has for good; its parameters keep their names. `origin`: as the library has it."""
+
+    origin: Effect | None = None
+
+    def full(self, name: str) -> str:
+        """As of the optional effect."""
+        return f"{self.name}.{name}"
+
+
+def always_on(effect: Effect) -> AlwaysOn:
+    """The effect as part of every model that is built from a library."""
+    own = {f.name: getattr(effect, f.name) for f in fields(Effect)}
+    return AlwaysOn(**{**own, "off": None}, origin=effect)
+
+
+def exportable(model: Model) -> Model:
+    """The model with the library's own effects: what is always on is then an effect like any other."""
+    return replace(model, effects=tuple(e.origin if isinstance(e, AlwaysOn) else e for e in model.effects))
+
+
+@dataclass(frozen=True)
+class Starting:
+    """Library and free base parameters of a search, `values` to start from and those before any fit (`first`), what the static
+    map tells; `identification` where that is where the values come from."""
+
+    library: tuple[Effect, ...]
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    first: Mapping[str, float]
+    knowledge: Prior | None
+    identification: Identification | None = None
+
+
+def from_identification(campaign: Campaign, library: Iterable[Effect], seed: int) -> Starting:
+    """Start at what an identification of the campaign finds."""
+    found = identify(campaign, seed=seed)
+    names = tuple(found.refinement.names)
+    return Starting(tuple(library), names, found.refinement.values, found.start, _knowledge(found.static, names), found)
+
+
+def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect], fitted: Sequence[Record]) -> Starting:
+    """Start at a given model, fitted to the `fitted` records. BadInput where a record lacks an input that the model needs."""
+    kept = given.model.optional
+    for name in given.model.measured_inputs:
+        for record in (campaign.open_loop, campaign.repeat, campaign.validation):
+            if record is not None and name not in record:
+                raise BadInput(record.source, f"column {name}", "no such column", f"what {', '.join(kept)} of the model needs")
+    library = tuple(always_on(e) if e.name in kept else e for e in library)
+    model = plant((), library)
+    own = [e.full(p.name) for e in model.effects if e.name in kept for p in e.parameters if not p.choices]
+    found = refine(model, fitted, given.values, [*BASE_PARAMETERS, *own])
+    static = fit_static_map(campaign.static, given.values) if campaign.static is not None else None
+    return Starting(library, found.names, found.values, given.values, _knowledge(static, found.names))
+
+
+def _knowledge(static: StaticFit | None, names: Sequence[str]) -> Prior | None:
+    """What the steady points tell of the map, loosened."""
+    if static is None:
+        return None
+    kept = [k for k, n in enumerate(static.coefficients) if n in names]
+    mean = np.array(list(static.coefficients.values()))[kept]
+    chosen = tuple(n for n in static.coefficients if n in names)
+    return Prior(chosen, mean, static.covariance[np.ix_(kept, kept)]).loosened(LOOSE) if kept else None

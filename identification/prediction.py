@@ -1,0 +1,74 @@
+"""A record beside what the model predicts for its commands, and how far the prediction is to be trusted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.quality import fit_percent, rmse
+from identification.sections import sections
+from identification.uncertainty import NORMAL_95, Uncertainty
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A record beside the model's open-loop response to its commands; `thrust` N, `omega` rpm, `beta` deg, each (rows,)."""
+
+    record: Record
+    thrust: np.ndarray
+    omega: np.ndarray
+    beta: np.ndarray
+
+    @property
+    def rmse_thrust(self) -> float:
+        """N."""
+        return rmse(self.thrust - self.record["thrust"])
+
+    @property
+    def rmse_omega(self) -> float | None:
+        """rpm; None where no speed was measured."""
+        return rmse(self.omega - self.record["omega"]) if "omega" in self.record else None
+
+    @property
+    def fit_thrust(self) -> float:
+        """%, as `fit_percent`."""
+        return fit_percent(self.record["thrust"], self.thrust)
+
+    def within(self, std: np.ndarray) -> float:
+        """Share of the readings that lie within 1.96 `std` (rows,) N of what was predicted."""
+        error = self.thrust - self.record["thrust"]
+        seen = np.isfinite(error)
+        return float(np.mean(np.abs(error[seen]) <= NORMAL_95 * std[seen]))
+
+    def summary(self) -> dict:
+        """The figures of CONTRACT.md's `identification.json` for this record, whole and by section."""
+        measured = self.record["thrust"]
+        by_section = {
+            name: {
+                "rmse_thrust": rmse((self.thrust - measured)[mask]),
+                "fit_thrust": fit_percent(measured[mask], self.thrust[mask]),
+            }
+            for name, mask in sections(self.record).items()
+        }
+        return {
+            "rmse_thrust": self.rmse_thrust,
+            "rmse_omega": self.rmse_omega,
+            "fit_thrust": self.fit_thrust,
+            "sections": by_section,
+        }
+
+
+def predict(model: Model, values: Mapping[str, float], record: Record) -> Prediction:
+    """The model's open-loop response to a record's commands."""
+    outputs = Simulator(model).simulate(values, record.columns, record.steps)
+    return Prediction(record, *outputs.T)
+
+
+def band(model: Model, values: Mapping[str, float], doubt: Uncertainty, record: Record, left: float) -> np.ndarray:
+    """Standard deviation (rows,) N of a predicted reading: what the parameters leave open, and what the fit has `left` [N]."""
+    _, tangents = Simulator(model, doubt.names).sensitivities(values, record.columns, record.steps)
+    slope = tangents[:, 0]
+    return np.sqrt(np.einsum("ij,jk,ik->i", slope, doubt.covariance, slope) + left**2)

@@ -1,0 +1,179 @@
+"""Profile-likelihood intervals, for where a parabola is wrong: near a double pole, at a bound, in a strongly curved model.
+
+    { t : cost(t) <= cost + (1.96 k)^2 / 2 },   cost(t): the least half sum of squares with the parameter held at t
+
+(Venzon and Moolgavkar, 1988), where k^2 is the parameter's variance over that under white residuals of unit variance: twice the
+rise of the cost is k^2 times a chi-square variable (Kent, 1982), so the interval holds whatever their colour and size.
+
+Each end of a linear interval is tried: where the root of the cost's rise is within DEPARTURE of what a parabola says, the end
+stays; else it is searched. Trying takes one evaluation, as a Gauss-Newton step tells what refitting the others would bring.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from identification.coordinates import CLOSEST, Coordinates
+from identification.least_squares import Solution, solve
+from identification.problem import Problem
+from identification.uncertainty import NORMAL_95, Uncertainty
+
+DEPARTURE = 0.05
+"""Share by which the root of the cost's rise at the end of a linear interval may differ from a parabola's."""
+
+CLOSE = 0.01
+"""A searched end is found when that root is this close."""
+
+TRIALS = 20
+"""Points of a profile on one side before the search takes the last."""
+
+FARTHEST = 4.0
+"""How many times as far as the last a trial may go."""
+
+NOTHING = 1e-20
+"""Mean square of a residual that is rounding."""
+
+_BLAS = ThreadpoolController()
+
+
+def profiled(problem: Problem, found: Solution, doubt: Uncertainty) -> Uncertainty:
+    """`doubt` of a solution, with the ends of its 95 % intervals from the profile wherever the linear ones are wrong.
+
+    An interval ends at a parameter's bound where the cost has not risen enough before. Data without noise leave it as it is.
+    """
+    if found.cost <= NOTHING * len(found.residual):
+        return doubt
+    with _BLAS.limit(limits=1):
+        optimum = _optimum(problem, found, doubt)
+        reach, names = np.abs(doubt.intervals - doubt.values[:, None]), []
+        for k, name in enumerate(doubt.names):
+            profile = Profile(optimum, k)
+            ends = [profile.end(side, linear) for side, linear in zip((-1.0, 1.0), reach[k], strict=True)]
+            if not np.array_equal(ends, reach[k]):
+                reach[k] = ends
+                names.append(name)
+        return replace(doubt, reach=reach, profiled=tuple(names))
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """A solution in the parameters themselves, all (n,) or by name: its cost, its Jacobian (rows, n), and the rise of the root
+    of twice the cost at the end of each interval, `target`."""
+
+    problem: Problem
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    cost: float
+    jacobian: np.ndarray
+    target: np.ndarray
+
+
+def _optimum(problem: Problem, found: Solution, doubt: Uncertainty) -> _Optimum:
+    values = dict(zip(doubt.names, doubt.values.tolist(), strict=True))
+    jacobian = problem.rows(values)[1]
+    variance, unit = np.diag(doubt.covariance), np.diag(_inverse(jacobian))
+    told = (variance > 0) & (unit > 0)
+    scale = np.sqrt(np.divide(variance, unit, out=np.ones(len(unit)), where=told))
+    # At a bound nothing was said of the colour: the worst of the others, and not below the residual's own size.
+    left = np.sqrt(2.0 * found.cost / max(1, len(found.residual) - len(found.value)))
+    worst = scale[told].max(initial=left)
+    return _Optimum(problem, doubt.names, values, found.cost, jacobian, NORMAL_95 * np.where(told, scale, worst))
+
+
+class Profile:
+    """The fit with parameter number `k` held, the others free in regular coordinates."""
+
+    def __init__(self, optimum: _Optimum, k: int):
+        self.optimum, self.k, self.name = optimum, k, optimum.names[k]
+        problem = optimum.problem
+        self.at, self.target = optimum.values[self.name], float(optimum.target[k])
+        declared = next(p for p in problem.model.parameters if p.name == self.name)
+        self.minimum, self.maximum = declared.minimum, declared.maximum
+        self.rest = [i for i in range(len(optimum.names)) if i != k]
+        names = [optimum.names[i] for i in self.rest]
+        self.coordinates = Coordinates(problem.model, names, problem.coordinates.slow_first)
+        self.start = self.coordinates.vector(optimum.values)
+        inner = optimum.jacobian[:, self.rest] @ self.coordinates.jacobian(self.start)
+        # How the others follow where the parameter moves, to first order.
+        self.slope = -_inverse(inner) @ (inner.T @ optimum.jacobian[:, k])
+
+    def end(self, side: float, linear: float) -> float:
+        """How far the interval goes to one `side` (-1, 1): as far as the `linear` one if that is right."""
+        room = self.maximum - self.at if side > 0 else self.at - self.minimum
+        if room <= 0.0:
+            return 0.0
+        if 0.0 < linear <= room and abs(self._expected(side * linear) / self.target - 1.0) <= DEPARTURE:
+            return linear
+        own = self.optimum.jacobian[:, self.k]
+        first = linear or self.target / float(np.sqrt(max(own @ own, 1e-300)))
+        return self._search(side, first, room)
+
+    def _search(self, side: float, away: float, room: float) -> float:
+        inside, outside, slope = (0.0, 0.0), None, self.slope
+        for _ in range(TRIALS):
+            away = min(away, room)
+            found = self._refitted(side * away, slope)
+            root, slope = self._root(found.cost), (found.value - self.start) / (side * away)
+            if abs(root / self.target - 1.0) <= CLOSE or (away == room and root < self.target):
+                break
+            if root < self.target:
+                inside = away, root
+            else:
+                outside = away, root
+            away = self._next(inside, outside)
+        return away
+
+    def _next(self, inside: tuple[float, float], outside: tuple[float, float] | None) -> float:
+        """Where a straight line through both (distance, root) meets the target; farther out while nothing is outside."""
+        (low, below), target = inside, self.target
+        if outside is None:
+            return low * float(np.clip(target / max(below, 1e-300), 1.0 + CLOSE, FARTHEST))
+        high, above = outside
+        share = (target - below) / (above - below)
+        return low + (high - low) * float(np.clip(share, 0.05, 0.95))
+
+    def _root(self, cost: float) -> float:
+        return float(np.sqrt(max(0.0, 2.0 * (cost - self.optimum.cost))))
+
+    def _expected(self, away: float) -> float:
+        """The root of the cost's rise at `away` from the optimum, from one evaluation."""
+        lower, upper = self._bounds(away)
+        x = np.clip(self.start + away * self.slope, lower, upper)
+        residual, jacobian = self._evaluate(x, away)
+        gradient = jacobian.T @ residual
+        free = ~((x <= lower) & (gradient > 0)) & ~((x >= upper) & (gradient < 0))
+        fall = gradient[free] @ _inverse(jacobian[:, free]) @ gradient[free]
+        return self._root(0.5 * float(residual @ residual - fall))
+
+    def _refitted(self, away: float, slope: np.ndarray) -> Solution:
+        lower, upper = self._bounds(away)
+        start = np.clip(self.start + away * slope, lower, upper)
+        # The rise has to be known, not the place of the minimum: to half of CLOSE in its root.
+        enough = 0.5 * CLOSE * self.target**2
+        return solve(lambda x: self._evaluate(x, away), start, lower, upper, enough / self.optimum.cost)
+
+    def _evaluate(self, x: np.ndarray, away: float) -> tuple[np.ndarray, np.ndarray]:
+        values = self.coordinates.values(x) | {self.name: self.at + away}
+        residual, jacobian = self.optimum.problem.rows(values)
+        return residual, jacobian[:, self.rest] @ self.coordinates.jacobian(x)
+
+    def _bounds(self, away: float) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the others: of a pair whose one constant is held, the slower stays the slower."""
+        lower, upper, names = self.coordinates.lower.copy(), self.coordinates.upper.copy(), self.optimum.names
+        apart, held = 1.0 + float(np.sqrt(CLOSEST)), self.at + away
+        for i, j in self.optimum.problem.coordinates.pairs:
+            if self.k == i:
+                fast = self.coordinates.names.index(names[j])
+                upper[fast] = np.clip(held / apart, lower[fast], upper[fast])
+            elif self.k == j:
+                slow = self.coordinates.names.index(names[i])
+                lower[slow] = np.clip(held * apart, lower[slow], upper[slow])
+        return lower, upper
+
+
+def _inverse(jacobian: np.ndarray) -> np.ndarray:
+    """Of the normal matrix; columns may vanish or coincide at a bound."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    return np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-13, hermitian=True) / np.outer(size, size)

@@ -1,0 +1,50 @@
+"""Tuned gains once more, through exported FMUs: what was tuned in compiled C must be what others will run."""
+
+import platform
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from identification.tune.chain import Measured
+from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.loop import run
+from vpp_fmu.native.closed_loop import Course
+from vpp_fmu.plants import FmuController, FmuPlant
+from vpp_fmu.record import Record
+
+WRAPPED = ("x86_64", "AMD64")
+"""Machines that pythonfmu ships its wrapper for; elsewhere the native FMUs run."""
+
+
+def through_fmus(
+    model: Model,
+    values: Mapping[str, float],
+    settings: Mapping[str, Mapping[str, float]],
+    chain: Mapping[str, float],
+    courses: Mapping[str, Course],
+    profile: Record,
+) -> dict[str, Record]:
+    """Runs of the plant's and the controller's FMU over `profile`, by name: one for each of the controller's `settings`."""
+    runs = {}
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {each.name: Path(folder, f"{each.name}.fmu") for each in (model, CONTROLLER)}
+        make = python_fmu if platform.machine() in WRAPPED else native_fmu
+        paths[model.name].write_bytes(make(model, values))
+        paths[CONTROLLER.name].write_bytes(make(CONTROLLER))
+        for name, own in settings.items():
+            course = courses[name]
+            plant = FmuPlant(paths[model.name], dt=course.dt)
+            controller = Measured(FmuController(paths[CONTROLLER.name], own, dt=course.dt), chain, course.noise)
+            runs[name] = run(plant, controller, profile, course.rest)
+            plant.close()
+            controller.close()
+    return runs
+
+
+def largest_difference(first: Record, second: Record) -> float:
+    """Of thrust, N."""
+    return float(np.max(np.abs(first["thrust"] - second["thrust"])))

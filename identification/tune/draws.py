@@ -1,0 +1,49 @@
+"""Plants that an identified one may be: draws from its parameters' doubt."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from identification.plan import free_parameters
+from identification.problem import Prior
+from vpp_fmu.parameters import ParameterSet
+
+
+def doubt(parameters: ParameterSet, assumed: Collection[str], spread: float) -> dict[str, float]:
+    """Standard deviation of every parameter that is free: as the file has it, or `spread` as a share of the value.
+
+    The share stands for what no fit tells: values `assumed`, files without standard deviations, thresholds.
+    """
+    values, found = parameters.values, {}
+    for name in free_parameters(parameters.model):
+        estimate = parameters.estimates.get(name)
+        known = estimate is not None and estimate.std is not None and name not in assumed
+        found[name] = estimate.std if known else spread * abs(values[name])
+    return found
+
+
+def draws(
+    parameters: ParameterSet, std: dict[str, float], knowledge: Prior | None, count: int, seed: int | tuple[int, ...]
+) -> np.ndarray:
+    """(count, parameters) values of the whole model, normally distributed, held within the parameters' bounds.
+
+    `knowledge`: what else a fit told; only its correlation is used, since a diagnosis may have changed the widths.
+    """
+    names, model = list(std), parameters.model
+    correlation = np.eye(len(names))
+    if knowledge is not None:
+        rows = [k for k, name in enumerate(knowledge.names) if name in std]
+        at = [names.index(knowledge.names[k]) for k in rows]
+        own = knowledge.covariance[np.ix_(rows, rows)]
+        size = np.sqrt(np.diag(own))
+        correlation[np.ix_(at, at)] = own / np.outer(size, size)
+    covariance = correlation * np.outer(list(std.values()), list(std.values()))
+    values = parameters.values
+    mean = np.array([values[name] for name in names])
+    drawn = np.random.default_rng(seed).multivariate_normal(mean, covariance, count, method="eigh")
+    columns = [p.name for p in model.parameters]
+    found = np.tile(np.array(list(values.values())), (count, 1))
+    for k, name in enumerate(names):
+        p = model.parameters[columns.index(name)]
+        found[:, columns.index(name)] = np.clip(drawn[:, k], p.minimum, p.maximum)
+    return found

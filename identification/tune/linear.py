@@ -1,0 +1,67 @@
+"""A loop around an operating point, as frequency responses at its sampling instants.
+
+Thrust and commands are in the paper's normalised quantities, so that gains multiply as they stand in the controller. The
+plant's response is measured on the model itself: a step of one command up and down from rest, half their difference. That
+is exact for the linear parts between samples and for quadratic ones, and leaves moves through an effect of any kind their
+say; what drifts without a command drops out.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import freqz
+
+from vpp_fmu.kernel.measurement import MEASUREMENT
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.native import Simulator
+
+MOVE = 0.2
+"""Size of the plant's step, normalised: 1200 rpm, 3 deg. Wide enough to pass through dead bands. What the map's cubic
+term adds to the gain is below 1 % of it."""
+
+SETTLED = 6.0
+"""s after which a step counts as settled."""
+
+CHANNELS = {"omega": "omega_ref", "beta": "beta_ref"}
+
+
+def pulse_response(model: Model, values: Mapping[str, float], rest: tuple[float, float], channel: str, dt: float, move=MOVE):
+    """(n,) thrust at the samples after a unit pulse, one sample long, of channel "omega" or "beta", at rest on the commands
+    `rest` [rpm, deg]. `values`: all of the model's."""
+    size = move * values[f"{channel}_scale"]
+    rows = round(SETTLED / dt) + 2
+    shown = []
+    for sign in (1.0, -1.0):
+        inputs = {name: np.full(rows, float(value)) for name, value in zip(CHANNELS.values(), rest, strict=True)}
+        inputs[CHANNELS[channel]][1:] += sign * size
+        shown.append(Simulator(model).simulate(values, inputs, np.full(rows - 1, dt))[1:, 0])
+    step = (shown[0] - shown[1]) / (2.0 * move * values["thrust_scale"])
+    return np.diff(step, prepend=0.0)
+
+
+def chain_response(chain: Mapping[str, float], omega: np.ndarray, dt: float) -> np.ndarray:
+    """The measurement chain's response (n,) at `omega` [rad/s], without the converter's steps."""
+    rows = round(SETTLED / dt) + 3
+    inputs = {"thrust": np.r_[0.0, np.ones(rows - 1)], "noise": np.zeros(rows)}
+    values = {**chain, "resolution": 0.0, "sample_time": dt}
+    shown = Simulator(MEASUREMENT).simulate(values, inputs, np.full(rows - 1, dt))[2:, 0]
+    return freqz(np.diff(shown, prepend=0.0), worN=omega * dt)[1]
+
+
+def plant_response(pulse: np.ndarray, omega: np.ndarray, dt: float) -> np.ndarray:
+    """The response (n,) at `omega` [rad/s] that a pulse response stands for."""
+    return freqz(pulse, worN=omega * dt)[1]
+
+
+def controller_response(settings: Mapping[str, float], channel: str, omega: np.ndarray) -> np.ndarray:
+    """One channel of the controller within its limits, (n,) at `omega` [rad/s].
+
+        C(z) = kp + ki (dt / 2) (z + 1) / (z - 1) + kd (delta / dt) (z - 1) / (z - 1 + delta),   delta = dt / t_filter
+
+    The z-transform of `vpp_fmu.kernel.effects.dual_pid`; `settings`: all of the controller's values.
+    """
+    dt = settings["sample_time"]
+    delta = dt / max(settings["t_filter"], dt)
+    z = np.exp(1j * omega * dt)
+    kp, ki, kd = (settings[f"{gain}_{channel}"] for gain in ("kp", "ki", "kd"))
+    return kp + ki * 0.5 * dt * (z + 1.0) / (z - 1.0) + kd * delta / dt * (z - 1.0) / (z - 1.0 + delta)

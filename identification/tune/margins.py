@@ -1,0 +1,70 @@
+"""How far a sampled loop is from instability: gain, phase and delay margins, and its largest sensitivity."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+POINTS = 1000
+"""Frequencies of a response."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a loop.
+
+    `gain`: factor by which the loop's gain may grow; `reduction`: share to which it may fall (0: to any). `phase` deg, and
+    `crossover` rad/s where it is found. `delay` s: dead time that the loop still bears. `sensitivity`: the largest
+    |1 / (1 + L)|, by which the loop amplifies a disturbance at worst. None where the loop never gets there.
+    """
+
+    stable: bool
+    gain: float | None
+    reduction: float
+    phase: float | None
+    crossover: float | None
+    delay: float | None
+    sensitivity: float
+
+    def summary(self) -> dict:
+        """As JSON has it."""
+        return asdict(self)
+
+
+def frequencies(dt: float, lowest: float = 0.05) -> np.ndarray:
+    """(POINTS,) rad/s from `lowest` up to what the sampling can show."""
+    return np.geomspace(lowest, np.pi / dt * (1.0 - 1e-9), POINTS)
+
+
+def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
+    """Margins of the open loop's response `loop` (n,) at `omega` (n,) rad/s, close enough to follow it.
+
+    The open loop must be stable but for one integrator. The closed loop is stable where 1 + L turns from -90 deg, where the
+    integrator has it at low frequencies, to 0 at the highest (Nyquist).
+    """
+    turned = np.unwrap(np.angle(1.0 + loop))
+    stable = bool(abs(turned[-1] - turned[0] - np.pi / 2.0) < np.pi / 2.0 and abs(turned[-1]) < np.pi / 2.0)
+    at, size = _crossings(loop.imag, np.log(omega), np.where(loop.real < 0.0, np.log(np.abs(loop)), np.nan))
+    grow, fall = size[size < 0.0], size[size >= 0.0]
+    at, angle = _crossings(np.log(np.abs(loop)), np.log(omega), np.unwrap(np.angle(loop)))
+    at, phase = np.exp(at), np.mod(np.degrees(angle) + 180.0, 360.0)
+    delay = np.radians(phase) / at
+    near = np.minimum(phase, 360.0 - phase)
+    first = int(np.argmin(near)) if len(near) else None
+    return Margins(
+        stable=stable,
+        gain=float(np.exp(-grow.max())) if len(grow) else None,
+        reduction=float(np.exp(-fall.min())) if len(fall) else 0.0,
+        phase=None if first is None else float(near[first]),
+        crossover=None if first is None else float(at[first]),
+        delay=float(delay.min()) if len(delay) else None,
+        sensitivity=float(1.0 / np.abs(1.0 + loop).min()),
+    )
+
+
+def _crossings(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """x and y, straight between points, where `values` passes through 0; each (n,). Places where y is unknown are left out."""
+    k = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
+    share = values[k] / (values[k] - values[k + 1])
+    found_x, found_y = (each[k] + share * (each[k + 1] - each[k]) for each in (x, y))
+    known = np.isfinite(found_y)
+    return found_x[known], found_y[known]

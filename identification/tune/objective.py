@@ -1,0 +1,153 @@
+"""What a tuning makes small: the paper's cost (eq. 21), over the plant as it is or over many that it may be.
+
+    J = integral of ((thrust_set - thrust) / thrust_scale)^2 dt + alpha |gains|^2
+
+in normalised gains. The cost alone has its minimum where the loop barely holds: on the paper's plant, gains that follow a step
+to 0.8 best are unstable a little above it. So a tuning also holds the nominal loop's overshoot, and its largest sensitivity
+around the operating points (`linear`, `margins`), below limits, by a penalty.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+
+from identification.tune.linear import CHANNELS, chain_response, controller_response, plant_response, pulse_response
+from identification.tune.margins import frequencies
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.native.closed_loop import ClosedLoop, Course
+from vpp_fmu.record import Record
+
+ALPHA = 1e-8
+"""The paper gives no value. The cost's slope along the logarithms of the published gains is least at alpha = 3e-8 for speed
+alone and at 2e-9 to 6e-9 for both actuators; this is between. Published gains are nowhere its minimum."""
+
+PENALTY = 10.0
+"""Share of the cost that a limit costs which is exceeded by its own size."""
+
+EVERY = 5
+"""Of the frequencies of a response, those that a search looks at."""
+
+UNSTABLE = 100.0
+"""What an unstable loop counts as at least, where sensitivities count."""
+
+
+@cache
+def closed_loop(effects: tuple[str, ...]) -> ClosedLoop:
+    """The loop around the plant with these effects; made once a process."""
+    return ClosedLoop(plant(effects))
+
+
+@dataclass(frozen=True)
+class Point:
+    """An operating point: thrust [N], the commands [rpm, deg] that hold it, and the channels that are free to move there."""
+
+    thrust: float
+    commands: tuple[float, float]
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """The cost of a controller's gains; plain data, so that another process can be sent it.
+
+    `effects`: of the plant; `plants` (count, parameters): its values, the nominal ones first. `settings`: all of the
+    controller's values; `chain`: all of the measurement chain's. `over`: "worst" or "mean" of the plants. `overshoot`: largest
+    share of a step, and `sensitivity`, at `points`: the limits on the nominal loop.
+    """
+
+    effects: tuple[str, ...]
+    plants: np.ndarray
+    settings: Mapping[str, float]
+    chain: Mapping[str, float]
+    course: Course
+    alpha: float = ALPHA
+    over: str = "worst"
+    overshoot: float = 0.01
+    sensitivity: float = 2.0
+    points: tuple[Point, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The gains of the channels that act: all proportional ones, then integral, then derivative."""
+        channels = ("omega",) if self.settings["speed_only"] > 0.5 else tuple(CHANNELS)
+        return tuple(f"{kind}_{channel}" for kind in ("kp", "ki", "kd") for channel in channels)
+
+    @property
+    def gains(self) -> np.ndarray:
+        """(n,) as `settings` has them."""
+        return np.array([self.settings[name] for name in self.names])
+
+    @property
+    def nominal(self) -> "Objective":
+        """The same for the nominal plant alone."""
+        return replace(self, plants=self.plants[:1])
+
+    def with_gains(self, gains: np.ndarray) -> dict[str, float]:
+        """All of the controller's values with these gains (n,)."""
+        return {**self.settings, **dict(zip(self.names, gains.tolist(), strict=True))}
+
+    def merits(self, gains: np.ndarray) -> np.ndarray:
+        """(count, 2) integral of the squared error [s] and overshoot, for each plant."""
+        return closed_loop(self.effects).merits((self.plants, self._chain, self._controller(gains)), self.course)
+
+    def costs(self, gains: np.ndarray) -> np.ndarray:
+        """(count,) the paper's cost for each plant."""
+        return self.merits(gains)[:, 0] + self.alpha * float(gains @ gains)
+
+    def cost(self, gains: np.ndarray) -> float:
+        """The paper's cost, worst or mean over the plants."""
+        return self._over(self.costs(gains))
+
+    def penalised(self, gains: np.ndarray) -> float:
+        """What a search makes small: the cost, more where the nominal loop exceeds a limit."""
+        merits = self.merits(gains)
+        cost = self._over(merits[:, 0] + self.alpha * float(gains @ gains))
+        excess = max(0.0, merits[0, 1] / self.overshoot - 1.0)
+        excess += max(0.0, self.largest_sensitivity(gains) / self.sensitivity - 1.0)
+        return cost * (1.0 + PENALTY * excess) if np.isfinite(cost) else np.inf
+
+    def run(self, gains: np.ndarray, row: int = 0) -> Record:
+        """The loop's record for one of the plants."""
+        return closed_loop(self.effects).run((self.plants[row], self._chain, self._controller(gains)), self.course)
+
+    def largest_sensitivity(self, gains: np.ndarray) -> float:
+        """Of the nominal loop at `points`; 0 without points. More than any sensitivity where one of the loops is unstable."""
+        if not self.points:
+            return 0.0
+        loop = np.einsum("i,ijk->jk", gains, self._shares)  # not BLAS: its threads cost more than this
+        return float(1.0 / np.abs(1.0 + loop).min()) if _holds(loop) else float(UNSTABLE + np.abs(loop).max())
+
+    @cached_property
+    def _shares(self) -> np.ndarray:
+        """What a gain of 1 alone adds to the open loop (n, points, m), by the order of the gains."""
+        model, dt = closed_loop(self.effects).models[0], self.course.dt
+        omega = frequencies(dt)[::EVERY]
+        values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
+        chain = chain_response(self.chain, omega, dt)
+        shares = np.zeros((len(self.names), len(self.points), len(omega)), complex)
+        for k, point in enumerate(self.points):
+            for channel in point.channels:
+                path = chain * plant_response(pulse_response(model, values, point.commands, channel, dt), omega, dt)
+                for i, one in enumerate(np.eye(len(self.names))):
+                    if self.names[i].endswith(channel):
+                        shares[i, k] = path * controller_response(self.with_gains(one), channel, omega)
+        return shares
+
+    @cached_property
+    def _chain(self) -> np.ndarray:
+        return np.array(list(self.chain.values()))
+
+    def _controller(self, gains: np.ndarray) -> np.ndarray:
+        return np.array(list(CONTROLLER.values(self.with_gains(gains)).values()))
+
+    def _over(self, costs: np.ndarray) -> float:
+        return float(costs.max() if self.over == "worst" else costs.mean())
+
+
+def _holds(loop: np.ndarray) -> bool:
+    """Whether all of the loops (points, m) are stable once they are closed; see `margins`."""
+    turned = np.unwrap(np.angle(1.0 + loop), axis=-1)
+    return bool((np.abs(turned[:, -1] - turned[:, 0] - np.pi / 2.0) < np.pi / 2.0).all())

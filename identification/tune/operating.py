@@ -1,0 +1,67 @@
+"""Where a loop works: the operating points that it settles at, and its margins there."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from identification.tune.linear import CHANNELS, chain_response, controller_response, plant_response, pulse_response
+from identification.tune.margins import Margins, frequencies, margins
+from identification.tune.objective import Objective, Point, closed_loop
+
+LEVELS, HOLD = 5, 3.0
+"""Levels of thrust between the lowest and the highest that is asked for; s for which each is held."""
+
+RESTS = 0.03
+"""Share of the scale of thrust within which a loop counts as resting at what is wanted."""
+
+FREE = 1e-6
+"""Share of its scale by which a command must be off its limits to count as free."""
+
+
+def operating_points(objective: Objective, gains: np.ndarray) -> tuple[Point, ...]:
+    """Where the loop rests on the levels up and down again, by simulation; without those that it does not reach
+    or where no channel is free.
+
+    With two actuators the commands at a thrust are not unique: they follow from the gains and from what came before.
+    """
+    course = objective.course
+    levels = np.linspace(course.wanted.min(), course.wanted.max(), LEVELS)
+    levels = np.unique(levels) if levels[0] == levels[-1] else np.r_[levels, levels[-2::-1]]
+    rows = round(HOLD / course.dt)
+    stairs = replace(course, wanted=np.repeat(levels, rows), noise=np.zeros(rows * len(levels)))
+    run = replace(objective.nominal, course=stairs).run(gains)
+    points = []
+    for level, end in zip(levels.tolist(), range(rows - 1, rows * len(levels), rows), strict=True):
+        commands = tuple(float(run[name][end]) for name in CHANNELS.values())
+        channels = _free(objective, commands)
+        if channels and abs(run["thrust"][end] - level) <= RESTS * course.scale:
+            points.append(Point(level, commands, channels))
+    return tuple(points)
+
+
+def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...]:
+    settings, found = objective.settings, []
+    for channel, command in zip(CHANNELS, commands, strict=True):
+        room = FREE * settings[f"{channel}_scale"]
+        acts = channel == "omega" or settings["speed_only"] < 0.5
+        if acts and settings[f"{channel}_min"] + room < command < settings[f"{channel}_max"] - room:
+            found.append(channel)
+    return tuple(found)
+
+
+def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    """(frequencies [rad/s], response of chain, controller and nominal plant in a row), each (n,), at an operating point."""
+    dt, model = objective.course.dt, closed_loop(objective.effects).models[0]
+    omega, settings = frequencies(dt), objective.with_gains(gains)
+    values = dict(zip((p.name for p in model.parameters), objective.plants[0].tolist(), strict=True))
+    paths = (
+        controller_response(settings, channel, omega)
+        * plant_response(pulse_response(model, values, point.commands, channel, dt), omega, dt)
+        for channel in point.channels
+    )
+    return omega, chain_response(objective.chain, omega, dt) * sum(paths)
+
+
+def margins_at(objective: Objective, gains: np.ndarray, points: tuple[Point, ...]) -> tuple[Margins, ...]:
+    """Margins at each of the points."""
+    return tuple(margins(*open_loop(objective, gains, point)) for point in points)

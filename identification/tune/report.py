@@ -1,0 +1,189 @@
+"""The report of a tuning: what it gained, what the second actuator brings, how far the loop is from instability."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identification.tune.objective import closed_loop
+from identification.tune.operating import open_loop
+from identification.tune.summary import NAMES, against, judged_steps, key_figures, settling
+from identification.tune.tune import JUDGED, Tuned, Tuning
+from vpp_fmu.report import Page, learning_curve
+from vpp_fmu.report import closed_loop as loop_figure
+from vpp_fmu.report.tuning import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
+from vpp_fmu.response import BAND
+
+DRAWN = 40
+"""Plants whose responses are drawn."""
+
+EVERY = 2
+"""Samples from one point to the next in a cloud."""
+
+STEPS, SEEN = 2, (0.1, 1.1)
+"""Steps that are drawn, and seconds before and after them."""
+
+
+def tuning_page(found: Tuning) -> Page:
+    """The page of one tuning."""
+    task = found.task
+    assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
+    page = Page(
+        "Gains for the model",
+        f"Squared thrust error over the test signal plus {task.alpha:g} times the squared norm of the gains, made small by "
+        f"Nelder and Mead's search on the compiled loop; overshoot held to {100 * task.overshoot:g} %, the sensitivity around "
+        f"the operating points to {task.sensitivity:g}." + (f" Assumed for the design: {assumed}." if assumed else ""),
+    )
+    page.tiles(key_figures(found))
+    for name, tuned in found.tuned.items():
+        _add_controller(page, found, name, tuned)
+    if len(found.tuned) > 1:
+        _add_comparison(page, found)
+    if found.plants is not None:
+        _add_robust(page, found)
+    return page
+
+
+def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
+    """What the gains are called, by what they are."""
+    return {which: f"{found.task.reference} (before)" if which == "start" else which for which in tuned.gains}
+
+
+def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
+    names, objective = _names(found, tuned), tuned.objective
+    start, cost = tuned.cost("start"), tuned.cost("tuned")
+    page.section(f"Gains of {NAMES[name]}")
+    runs = {names[which]: objective.run(gains).columns for which, gains in tuned.gains.items()}
+    title = f"{NAMES[name].capitalize()}: the cost falls from {start:.4f} to {cost:.4f}"
+    page.figure(loop_figure(runs, title), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
+    rows = [(gain, *(own[k] for own in tuned.gains.values())) for k, gain in enumerate(objective.names)]
+    rows.append(("cost", *(tuned.cost(which) for which in tuned.gains)))
+    page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
+    rows = [
+        (names[which], s.time, s.before, s.after, settling(s.settling), s.overshoot)
+        for which in tuned.gains
+        for s in judged_steps(tuned, which)
+    ]
+    columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]")
+    page.table(columns, rows, "The paper: about 0.5 s from 1.5 to 12 N, no overshoot. Settled: within 2 % of the step.")
+    curve = tuned.searches["tuned"].curve
+    ends = ", ".join(f"{stage} until {end}" for stage, end in tuned.searches["tuned"].stages)
+    shown = np.where(np.isfinite(curve), curve, np.nan)
+    title = f"{len(curve)} evaluations lead to {np.nanmin(shown):.4f}"
+    figure = learning_curve(np.arange(len(curve)), np.minimum(shown, 2.0 * start), title)
+    page.figure(figure, f"With penalties. Stages: {ends}.")
+    _add_margins(page, found, name, tuned)
+
+
+def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
+    names, (last, gains) = _names(found, tuned), list(tuned.gains.items())[-1]
+    if not tuned.points[last]:
+        page.note("No operating point at which a command is free to move: no margins.")
+        return
+    thrust = {names[w]: np.array([p.thrust for p in tuned.points[w]]) for w in tuned.gains}
+
+    def over(name, scale=1.0) -> Mapping[str, np.ndarray]:
+        found = {w: [getattr(m, name) for m in tuned.margins[w]] for w in tuned.gains}
+        return {names[w]: np.array([np.nan if v is None else scale * v for v in values]) for w, values in found.items()}
+
+    quantities = {"phase [deg]": over("phase"), "delay [ms]": over("delay", 1e3), "sensitivity [-]": over("sensitivity")}
+    worst = [max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in ("start", last)]
+    title = f"The largest sensitivity goes from {worst[0]:.2f} to {worst[1]:.2f}"
+    limits = {"sensitivity [-]": found.task.sensitivity}
+    page.figure(
+        margins_over_thrust(thrust, quantities, limits, title),
+        "Operating points up the levels of thrust and down again, where the loop itself comes to rest. Dashed: the limit.",
+    )
+    points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
+    loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
+    omega = next(iter(loops.values()))[0]
+    shown = {label: loop for label, (_, loop) in loops.items()}
+    title = f"{NAMES[name].capitalize()}: how near the open loops come to -1"
+    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {last} gains on the way up.")
+    crossed = [m.crossover for m in tuned.margins[last] if m.crossover is not None]
+    where = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
+    title = f"{NAMES[name].capitalize()}: the open loops {where}"
+    page.figure(bode(omega, shown, title), f"The same loops, {last} gains, up to half the sampling frequency.")
+    _add_margin_table(page, tuned, last)
+
+
+def _add_margin_table(page: Page, tuned: Tuned, which: str) -> None:
+    rows = []
+    for p, m in zip(tuned.points[which], tuned.margins[which], strict=True):
+        gain = None if m.gain is None else 20.0 * np.log10(m.gain)
+        delay = None if m.delay is None else 1e3 * m.delay
+        free = "both" if len(p.channels) > 1 else "speed" if "omega" in p.channels else "pitch"
+        state = "stable" if m.stable else "unstable"
+        rows.append((p.thrust, *p.commands, free, gain, m.phase, delay, m.crossover, m.sensitivity, state))
+    columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "free", "gain [dB]", "phase [deg]", "delay [ms]")
+    page.table(
+        (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
+        rows,
+        f"Margins of the {which} gains; a dash: the loop never gets there. Linearised by moves of 1200 rpm and 3 deg.",
+    )
+
+
+def _add_comparison(page: Page, found: Tuning) -> None:
+    page.section("Both actuators against speed alone")
+    runs = {NAMES[name]: tuned.objective.run(tuned.final).columns for name, tuned in found.tuned.items()}
+    rows = against(found)
+    down = [row for row in rows if row["after"] < row["before"]]
+    title = "Both actuators against speed alone"
+    if down:
+        times = [settling(down[0][name]["settling"]) for name in found.tuned]
+        title = f"Step down: both actuators settle in {times[0]}, speed alone in {times[1]}"
+    page.figure(loop_figure(runs, title), "The gains that were asked for.")
+    cells = []
+    for row in rows:
+        for name in found.tuned:
+            own = row[name]
+            told = settling(own["settling"]), own["overshoot"], own["squared_error"]
+            cells.append((row["time"], row["before"], row["after"], NAMES[name], *told))
+    columns = ("at [s]", "from [N]", "to [N]", "controller", "settled after", "overshoot [%]", "squared error [s]")
+    page.table(columns, cells, "Squared error: of normalised thrust, until the next step.")
+
+
+def _add_robust(page: Page, found: Tuning) -> None:
+    page.section("Over what the plant may be")
+    gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
+    for name, tuned in found.tuned.items():
+        worst = " and ".join(f"{tuned.judged[which].max():.4f}" for which in gains.values())
+        title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
+        shown = {label: tuned.judged[which] for label, which in gains.items()}
+        page.figure(cost_ranks(shown, title), "Costs, each in its own order. None of these plants was there in the search.")
+        _add_clouds(page, found, name, gains)
+        rows = []
+        for which, label in _names(found, tuned).items():
+            costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
+            rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
+        columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
+        page.table(columns, rows, f"What robustness costs on the nominal plant, and brings on {JUDGED} others.")
+
+
+def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
+    """The first steps, under each of the gains."""
+    tuned = found.tuned[name]
+    course, found_steps = tuned.objective.course, judged_steps(tuned, "tuned")[:STEPS]
+    before, after = (round(seconds / course.dt) for seconds in SEEN)
+    thrust = {label: _cloud(found, tuned, which) for label, which in gains.items()}
+    clouds, time = [], np.arange(-before, after, EVERY) * course.dt
+    for step in found_steps:
+        rows = round(step.time / course.dt) + np.arange(-before, after, EVERY)
+        rows = np.clip(rows, 0, len(course.wanted) - 1)
+        label = f"{step.before:.3g} → {step.after:.3g} N"
+        clouds += [Cloud(label, which, course.wanted[rows], own[:, rows]) for which, own in thrust.items()]
+    if clouds:
+        first = found_steps[0]
+        near = BAND * abs(first.after - first.before)
+        there = [int(np.sum(np.abs(c.thrust[:, -1] - first.after) <= near)) for c in clouds[: len(gains)]]
+        reached = f"{there[0]} of {DRAWN} plants are at {first.after:.3g} N under nominal gains, {there[1]} under robust ones"
+        title = f"{NAMES[name].capitalize()}: {SEEN[1]:g} s after the step {reached}"
+        caption = "Thrust around the first steps, under nominal gains above, robust ones below. At: within 2 % of the step."
+        page.figure(response_clouds(time, clouds, title, DRAWN), caption)
+
+
+def _cloud(found: Tuning, tuned: Tuned, which: str) -> np.ndarray:
+    """Thrust (DRAWN, points) N of the first judged plants."""
+    objective = tuned.objective
+    loop = closed_loop(objective.effects)
+    _, chain, controller = loop.vectors({}, objective.chain, objective.with_gains(tuned.gains[which]))
+    return np.array([loop.run((own, chain, controller), objective.course)["thrust"] for own in found.plants[:DRAWN]])

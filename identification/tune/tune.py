@@ -1,0 +1,181 @@
+"""Gains for a plant: of both actuators and of speed alone at a fixed pitch, nominal and robust, judged and checked."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.demo import IDLE
+from identification.problem import Prior
+from identification.tune.check import largest_difference, through_fmus
+from identification.tune.draws import doubt, draws
+from identification.tune.margins import Margins
+from identification.tune.objective import ALPHA, Objective, Point
+from identification.tune.operating import margins_at, operating_points
+from identification.tune.rounds import rounds
+from identification.tune.search import Search
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.measurement import MEASUREMENT
+from vpp_fmu.native.closed_loop import Course
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+STARTS = (1.0, 0.3)
+"""Factors on the gains that a search starts from."""
+
+SHAKES = (4, 2)
+"""Searches from around the best gains in the end: over the nominal plant, over many."""
+
+HARDEST = 12
+"""Plants that a search for the worst case begins with: those that cost most under the nominal gains."""
+
+JUDGED = 200
+"""Plants that robust gains are judged on; none of them was there in the search."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What gains are wanted for. `parameters`: the plant's; `assumed`: the names of those that were set by hand for the design.
+
+    `chain`: changes to the measurement chain; `noise_std` N: of a reading. `overshoot` (share of a step) and `sensitivity` are
+    limits on the nominal loop. `reference`: what the gains are called that tuned ones are held against. `robust`: None,
+    "worst" or "mean" over `draws` plants; `spread`: standard deviation, as a share of the value, of parameters that have none.
+    """
+
+    parameters: ParameterSet
+    profile: Record
+    assumed: tuple[str, ...] = ()
+    chain: Mapping[str, float] | None = None
+    noise_std: float = 0.0
+    alpha: float = ALPHA
+    overshoot: float = 0.01
+    sensitivity: float = 2.0
+    reference: str = "published"
+    robust: str | None = None
+    draws: int = 200
+    spread: float = 0.1
+    knowledge: Prior | None = None
+    seed: int = 0
+
+    def objective(self, settings: Mapping[str, float]) -> Objective:
+        """The cost of the gains in a controller with these settings, on the nominal plant."""
+        settings, values = CONTROLLER.values(settings), self.parameters.values
+        dt, speed_only = settings["sample_time"], settings["speed_only"] > 0.5
+        rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else IDLE
+        course = Course.of(self.profile, dt, scale=values["thrust_scale"], rest=rest)
+        noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))
+        return Objective(
+            effects=self.parameters.model.optional,
+            plants=np.array([list(values.values())]),
+            settings=settings,
+            chain=MEASUREMENT.values({**(self.chain or {}), "sample_time": dt}),
+            course=replace(course, noise=noise),
+            alpha=self.alpha,
+            over=self.robust or "worst",
+            overshoot=self.overshoot,
+            sensitivity=self.sensitivity,
+        )
+
+    def plants(self, count: int, stream: int) -> np.ndarray:
+        """(count, parameters) plants from the parameters' doubt; another `stream` gives others."""
+        std = doubt(self.parameters, self.assumed, self.spread)
+        return draws(self.parameters, std, self.knowledge, count, (self.seed, stream))
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """One controller. `gains`: "start" (published or given), "tuned", and "robust" where asked for, each (n,).
+
+    `searches` as they led to tuned and robust gains; `points` and `margins` around each of the gains' own operating points.
+    `judged`, `overshoots`: the cost and the overshoot (share of a step) of each of the gains on JUDGED other plants (JUDGED,).
+    `fmu_difference` N: the largest, of the thrust of the last gains through FMUs.
+    """
+
+    objective: Objective
+    gains: Mapping[str, np.ndarray]
+    searches: Mapping[str, Search]
+    points: Mapping[str, tuple[Point, ...]]
+    margins: Mapping[str, tuple[Margins, ...]]
+    judged: Mapping[str, np.ndarray]
+    overshoots: Mapping[str, np.ndarray]
+    fmu_difference: float
+
+    @property
+    def final(self) -> np.ndarray:
+        """The gains that were asked for."""
+        return list(self.gains.values())[-1]
+
+    def cost(self, which: str) -> float:
+        """The paper's cost on the nominal plant."""
+        return self.objective.cost(self.gains[which])
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """The gains of both controllers, "dual" and "speed_only"; `plants` (JUDGED, parameters): what they were judged on."""
+
+    task: Task
+    tuned: Mapping[str, Tuned]
+    plants: np.ndarray | None
+    seconds: float
+
+
+def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1, scheduler: str | None = None) -> Tuning:
+    """Tune a controller for each of `starts`: settings by the controller's name, gains among them.
+
+    `workers`, `scheduler` as in `identification.workers`; the gains do not depend on them.
+    """
+    began = time.perf_counter()
+    objectives = {name: task.objective(settings) for name, settings in starts.items()}
+    found = _nominal(objectives, workers, scheduler)
+    searches = {name: {"tuned": each} for name, (_, each) in found.items()}
+    plants = None
+    if task.robust:
+        for name, (_, each) in _robust(task, found, workers, scheduler).items():
+            searches[name]["robust"] = each
+        plants = task.plants(JUDGED, stream=1)
+    finals = {name: objectives[name].with_gains(list(each.values())[-1].gains) for name, each in searches.items()}
+    model, values = task.parameters.model, task.parameters.values
+    courses = {name: objective.course for name, objective in objectives.items()}
+    chain = next(iter(objectives.values())).chain
+    runs = through_fmus(model, values, finals, chain, courses, task.profile)
+    tuned = {name: _tuned(objectives[name], searches[name], plants, runs[name]) for name in objectives}
+    return Tuning(task, tuned, plants, time.perf_counter() - began)
+
+
+def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> dict[str, tuple[Objective, Search]]:
+    """The best search for each controller, and the objective that it has made small."""
+    pointed = {name: replace(o, points=operating_points(o, o.gains)) for name, o in objectives.items()}
+    starts = {name: [(factor * o.gains, ("PI", "D", "all")) for factor in STARTS] for name, o in objectives.items()}
+    return rounds(pointed, starts, None, SHAKES[0], workers, scheduler, "tuning")
+
+
+def _robust(task: Task, found: Mapping[str, tuple[Objective, Search]], workers, scheduler):
+    """The same over many plants, from the nominal gains and from the first ones. Few plants make the worst case: for that the
+    rest is kept in reserve."""
+    drawn = task.plants(task.draws, stream=0)
+    many, starts = {}, {}
+    for name, (o, each) in found.items():
+        chosen = drawn
+        if task.robust == "worst":
+            chosen = drawn[np.argsort(replace(o, plants=drawn).costs(each.gains))[-HARDEST:]]
+        many[name] = replace(o, plants=np.vstack([o.plants, chosen]))
+        starts[name] = [(gains, ("all",)) for gains in (each.gains, o.gains)]
+    reserve = drawn if task.robust == "worst" else None
+    return rounds(many, starts, reserve, SHAKES[1], workers, scheduler, "robust tuning")
+
+
+def _tuned(objective: Objective, searches: Mapping[str, Search], plants: np.ndarray | None, by_fmus: Record) -> Tuned:
+    gains = {"start": objective.gains} | {name: each.gains for name, each in searches.items()}
+    points = {name: operating_points(objective, own) for name, own in gains.items()}
+    margins = {name: margins_at(objective, own, points[name]) for name, own in gains.items()}
+    judged, overshoots = {}, {}
+    if plants is not None:
+        others = replace(objective, plants=plants)
+        judged = {name: others.costs(own) for name, own in gains.items()}
+        overshoots = {name: others.merits(own)[:, 1] for name, own in gains.items()}
+    final = list(gains.values())[-1]
+    return Tuned(
+        objective, gains, searches, points, margins, judged, overshoots, largest_difference(objective.run(final), by_fmus)
+    )

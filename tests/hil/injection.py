@@ -1,0 +1,192 @@
+"""The loop under test: started in a process of its own, faults put into it from outside, its ESC's duty file watched."""
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from hil.emulator import i2c, serial_line
+from hil.emulator.rig import BUS, LINE
+from hil.emulator.shared import SharedNumbers
+
+HERE = Path(__file__).resolve().parent
+
+STUCK_AFTER = 8.0
+"""s from the emulation's start until its pitch actuator gets stuck, where it is to."""
+
+
+@dataclass
+class Injected:
+    """The process under test: where its files are, and the numbers of its buses."""
+
+    process: subprocess.Popen
+    at: Path
+    esc: Path
+    idle: bytes
+    opened: float
+
+    @contextlib.contextmanager
+    def numbers(self, file: str) -> Iterator[SharedNumbers]:
+        names = i2c.REGISTERS + i2c.STATE + i2c.FAULTS if file == BUS else serial_line.FAULTS
+        shared = SharedNumbers(self.at / file, names)
+        try:
+            yield shared
+        finally:
+            shared.close()
+
+    def supervisor(self) -> int:
+        """Its process."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        return next(int(pid) for pid in children if b"watchdog" in Path(f"/proc/{pid}/cmdline").read_bytes())
+
+
+def bus(name: str, value: float = math.inf):
+    def inject(rig: Injected) -> None:
+        with rig.numbers(BUS) as numbers:
+            numbers[name] = value
+
+    return inject
+
+
+def line(name: str, value: float = math.inf, times: int = 1):
+    """`times`: so often, 30 ms apart."""
+
+    def inject(rig: Injected) -> None:
+        with rig.numbers(LINE) as numbers:
+            for _ in range(times):
+                numbers[name] = value
+                time.sleep(0.03 * (times > 1))
+
+    return inject
+
+
+def brown_out(rig: Injected) -> None:
+    with rig.numbers(BUS) as numbers:
+        i2c.brown_out(numbers)
+
+
+def sends(*numbers: int, pause: float = 0.02):
+    """Signals to the loop, `pause` s apart. Ctrl-C goes to the whole process group, as from a terminal."""
+
+    def inject(rig: Injected) -> None:
+        for number in numbers:
+            send = os.killpg if number == signal.SIGINT else os.kill
+            send(rig.process.pid, number)
+            time.sleep(pause if len(numbers) > 1 else 0.0)
+
+    return inject
+
+
+def to_supervisor(number: int):
+    return lambda rig: os.kill(rig.supervisor(), number)
+
+
+def nothing(rig: Injected) -> None:
+    """What is wrong was wrong from the start."""
+
+
+def stuck(rig: Injected) -> float:
+    """Wait for the time at which the emulated actuator gets stuck; it counts from the emulation's start."""
+    time.sleep(max(0.0, rig.opened + STUCK_AFTER - time.monotonic()))
+    return time.monotonic()
+
+
+@contextlib.contextmanager
+def load(wanted: bool) -> Iterator[None]:
+    """Four busy processes."""
+    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * wanted)]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+
+
+@contextlib.contextmanager
+def started(task: dict, folder: Path) -> Iterator[tuple[subprocess.Popen, list[dict]]]:
+    """The process in a session of its own, and what it has said so far; on a disk of 64 kB if the task says `full`."""
+    told, words = [], [sys.executable, str(HERE / "rig_process.py"), json.dumps({"seconds": 3, **task, "folder": str(folder)})]
+    if task.get("full"):
+        words = ["unshare", "-m", "sh", "-c", 'mount -t tmpfs -o size=64k none "$0" && exec "$@"', str(folder), *words]
+    environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=environment, start_new_session=True)
+
+    def read():
+        for each in process.stdout:
+            told.append({**json.loads(each), "heard": time.monotonic()})
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    try:
+        yield process, told
+    finally:
+        process.kill()
+        process.wait()
+        reader.join(5.0)
+        process.stdout.close()
+        for each in told[:1]:
+            shutil.rmtree(each.get("at", folder), ignore_errors=True)
+
+
+def wait_for(told: list[dict], key: str, process: subprocess.Popen) -> dict | None:
+    """What the process says with this key; None if it ends without."""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        for each in list(told):
+            if key in each:
+                return each
+        if process.poll() is not None and not any(key in each for each in told):
+            time.sleep(0.2)  # the reader may still be at it
+            return next((each for each in told if key in each), None)
+        time.sleep(0.005)
+    return None
+
+
+class Watched(NamedTuple):
+    """ms from the injection to the first idle pulse, and for how long the throttle was seen open after that [ms]."""
+
+    idle: float
+    reopened: float
+
+
+def until_idle(rig: Injected, inject: Callable[[Injected], float | None]) -> Watched | None:
+    """Inject, and watch the ESC until it has idled for 0.8 s at a stretch; None if it doesn't within a minute."""
+    file, began, moment = os.open(rig.esc, os.O_RDONLY), time.monotonic(), []
+    injector = threading.Thread(target=lambda: moment.append(inject(rig)))
+    injector.start()
+    first, idle_since, reopened, before = None, None, 0.0, began
+    try:
+        while idle_since is None or injector.is_alive() or before - idle_since < 0.8:
+            now = time.monotonic()
+            if os.pread(file, 32, 0).split(b"\n")[0] == rig.idle:
+                idle_since, first = idle_since or now, first or now
+            else:
+                idle_since, reopened = None, reopened + (now - before) * (first is not None)
+            before = now
+            if now - began > 60.0:
+                return None
+            time.sleep(0.0002)
+    finally:
+        injector.join()
+        os.close(file)
+    return Watched(1e3 * (first - (moment[0] or began)), 1e3 * reopened)
+
+
+def left_behind(folder: Path) -> str:
+    """What a loop that is gone has left: its supervisor's report, and the log that its writer finishes."""
+    end = time.monotonic() + 5.0
+    while not (folder / "log.csv").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    rows = (folder / "log.csv").read_text().count("\n") - 1 if (folder / "log.csv").exists() else 0
+    return f"{(folder / 'supervisor.log').read_text().partition(': ')[2].strip()}; {rows} rows in the log"

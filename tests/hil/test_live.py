@@ -1,0 +1,75 @@
+import math
+import os
+import subprocess
+import sys
+import time
+
+from hil.columns import SHOWN, STATES
+from hil.live import NoView, line, view
+
+LABELS = (("state", "s", ""), ("thrust", "6.2f", "N"), ("speed", "5.0f", "rpm"))
+WORDS = {"state": ("safe", "run")}
+
+
+def test_a_line_tells_names_numbers_and_units():
+    assert line(LABELS, WORDS, (1.0, 7.256, 4321.4), 80) == "run       | thrust   7.26 N | speed  4321 rpm"
+
+
+def test_what_is_not_known_is_left_out_and_a_narrow_terminal_is_not_broken():
+    assert line(LABELS, WORDS, (0.0, math.nan, 10.0), 80) == "safe      | speed    10 rpm"
+    assert len(line(LABELS, WORDS, (1.0, 7.256, 4321.4), 20)) == 19
+
+
+def test_every_label_of_the_rig_can_be_shown():
+    told = line(SHOWN, {"state": STATES}, [0.0] * len(SHOWN), 500)
+    assert told.count("|") == len(SHOWN) - 1
+
+
+def test_without_a_terminal_nothing_is_shown(capsys):
+    assert isinstance(view(LABELS, WORDS), NoView)
+
+
+def test_a_terminal_shows_the_newest_row():
+    ours, theirs = os.openpty()
+    text = f"""
+import time
+from hil.live import view
+shown = view({LABELS!r}, {WORDS!r})
+for k in range(60):
+    shown.show(1.0, 0.1 * k, 1000.0 + k)
+    time.sleep(0.01)
+time.sleep(0.4)
+shown.close()
+"""
+    done = subprocess.run([sys.executable, "-c", text], stderr=theirs, check=True, timeout=30)
+    os.close(theirs)
+    os.set_blocking(ours, False)
+    seen = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert done.returncode == 0
+    assert "thrust   5.90 N | speed  1059 rpm" in seen
+    assert seen.endswith("\r\x1b[K")  # the line is gone at the end
+
+
+def test_a_terminal_that_takes_nothing_does_not_hold_the_loop():
+    ours, theirs = os.openpty()
+    text = f"""
+import time
+from hil.live import view
+shown = view({LABELS!r}, {WORDS!r})
+began = time.monotonic()
+for k in range(10000):
+    shown.show(1.0, 0.1 * k, 1000.0 + k)
+took = time.monotonic() - began
+shown.close()
+print(took)
+"""
+    import termios
+
+    termios.tcflow(theirs, termios.TCOOFF)  # Ctrl-S
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", text], stderr=theirs, stdout=subprocess.PIPE, check=True, timeout=30)
+    assert float(done.stdout) < 2.0
+    assert time.monotonic() - began < 20.0
+    os.close(theirs)
+    os.close(ours)

@@ -1,0 +1,241 @@
+"""From a campaign to what its model lacks: the files, the model that exports, and what happens where data are missing."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studies.synthetic import STEP, TRUTH, commands
+
+from identification.demo import example_folder
+from identification.diagnose.diagnose import HELD_SHARE, diagnose
+from identification.diagnose.empirical import correct, corrected, empirical
+from identification.diagnose.evidence import Experiment
+from identification.diagnose.noise import noise_of
+from identification.diagnose.report import diagnosis_page, key_figures
+from identification.diagnose.residual_report import moves
+from identification.diagnose.summary import summary
+from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.cli import main
+from vpp_fmu.cli.diagnose import write_diagnosis
+from vpp_fmu.errors import BadInput
+from vpp_fmu.export import python_fmu
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.fmu import simulate_in_fmpy
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.parameters import ParameterSet, read_parameters
+
+NOISE = 0.1  # N
+CONTRACT = {
+    *("verdict", "effects", "family", "next_experiment", "before", "after", "noise_floor_thrust", "candidates"),
+    "unexplained",
+}
+
+
+def some(*names):
+    """The library with these effects only."""
+    return tuple(e for e in LIBRARY if e.off is None or e.name in names)
+
+
+FEW = some("pitch_command_deadband", "pitch_offset", "sensor_lag")
+
+
+def thrust_of(record, **values):
+    """Noise-free thrust of the true base and further effects' values, N."""
+    model = plant({name.partition(".")[0] for name in values})
+    return Simulator(model).simulate(model.values(TRUTH | values), record.columns, record.steps)[:, 0]
+
+
+def rig(seed=0, **values) -> Campaign:
+    """Records of the paper's model with effects, a repeat and a validation record; no steps, no static map."""
+    rng = np.random.default_rng(seed)
+    first, other = commands(rng, 12.0), commands(rng, 8.0)
+    read = [r.with_columns(thrust=thrust_of(r, **values) + NOISE * rng.standard_normal(len(r))) for r in (first, first, other)]
+    records = [replace(r, source=name) for r, name in zip(read, ("open_loop.csv", "repeat.csv", "validation.csv"), strict=True)]
+    return Campaign(example_folder(), None, (), *records)
+
+
+@pytest.fixture(scope="module")
+def example():
+    """The campaign that ships with the project, diagnosed with a small library."""
+    return diagnose(read_campaign(example_folder()), FEW)
+
+
+@pytest.fixture(scope="module")
+def nothing_missing():
+    """A rig that is the model."""
+    return diagnose(rig(), FEW)
+
+
+def test_summary_has_what_the_contract_names(example):
+    found = json.loads(json.dumps(summary(example), allow_nan=False))
+    assert set(found) >= CONTRACT
+    assert found["verdict"] in ("attributed", "family", "partly", "unexplained", "none")
+    for effect in found["effects"]:
+        assert set(effect["evidence"]) == {"delta_bic", "held_out_gain", "explained_fraction"}
+        assert all({"value", "std", "unit"} <= set(p) for p in effect["parameters"].values())
+    for entry in (*found["before"], *found["after"]):
+        assert {"record", "rmse_thrust", "rmse_omega", "fit_thrust", "sections"} <= set(entry)
+    assert all("why_not" in entry for entry in found["candidates"])
+    assert {c["name"] for c in found["candidates"]} == {"pitch_command_deadband", "pitch_offset", "sensor_lag"}
+
+
+def test_augmented_parameters_export_and_the_fmu_errs_as_reported(example, tmp_path):
+    write_diagnosis(OutputFolder(tmp_path), example)
+    reported = json.loads((tmp_path / "diagnosis.json").read_text())
+    validation = example.campaign.validation
+    for file, entries in (("parameters_base.json", reported["before"]), ("parameters.json", reported["after"])):
+        parameters = read_parameters(tmp_path / file, plant)
+        path = tmp_path / "plant.fmu"
+        path.write_bytes(python_fmu(parameters.model, parameters.values))
+        error = simulate_in_fmpy(path, validation) - validation["thrust"]
+        assert np.sqrt(np.mean(error**2)) == pytest.approx(entries[0]["rmse_thrust"], rel=1e-6)
+    assert parameters.model.optional == tuple(e["name"] for e in reported["effects"])
+
+
+def test_first_screen_says_effect_error_and_verdict(example):
+    html = diagnosis_page(example).html()
+    tiles = html[html.index('class="tiles"') : html.index("<nav>")]
+    for label, value, _ in key_figures(example):
+        assert label in tiles
+        assert value.split(" ")[0] in tiles
+    before, after = example.held_before.rmse_thrust, example.held_after.rmse_thrust
+    assert f"{before:.3f} → {after:.3f} N" in tiles
+    assert html.index("<h1>") < html.index('class="tiles"') < html.index("<h2")
+
+
+def test_every_figure_of_the_page_has_a_title_of_its_own(example):
+    html = diagnosis_page(example).html()
+    titles = re.findall(r'"text":"\\u003cb\\u003e(.*?)"', html)
+    assert len(titles) >= 10
+    assert len(set(titles)) == len(titles)
+
+
+def test_same_result_to_the_bit_with_another_number_of_workers(nothing_missing):
+    again = diagnose(rig(), FEW, workers=1)
+    assert json.dumps(summary(again)) == json.dumps(summary(nothing_missing))
+
+
+def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
+    assert nothing_missing.verdict == "none"
+    assert nothing_missing.noise.floor == pytest.approx(NOISE, rel=0.03)
+    assert nothing_missing.held_after.rmse_thrust == pytest.approx(NOISE, rel=0.03)
+    write_diagnosis(OutputFolder(tmp_path), nothing_missing)
+    assert json.loads((tmp_path / "parameters.json").read_text())["effects"] == []
+    assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
+    assert empirical(nothing_missing) is None
+    assert "Nothing is missing" in diagnosis_page(nothing_missing).html()
+
+
+def test_one_record_is_enough_and_its_end_is_kept_unseen():
+    record = rig().open_loop
+    record = record.with_columns(thrust=np.where(np.arange(len(record)) % 3 > 0, record["thrust"], np.nan))
+    found = diagnose(Campaign(example_folder(), None, (), record, None, None), some("sensor_lag"))
+    assert not found.noise.verified
+    seen = found.base.evidence.experiments[0].record
+    assert len(seen) + len(found.held[0]) == len(record)
+    assert len(found.held[0]) / len(record) == pytest.approx(HELD_SHARE, abs=0.001)
+    assert found.held[0].time[0] == 0.0
+    assert "not verified" in diagnosis_page(found).html()
+
+
+def test_no_open_loop_record_is_bad_input():
+    with pytest.raises(BadInput, match=r"open_loop\.csv"):
+        diagnose(replace(rig(), open_loop=None), FEW)
+
+
+def test_a_given_model_s_effects_are_part_of_the_base():
+    """Play of 1 deg is in the given model with 0.7 deg: it is refitted, stays in the model that exports, and is no finding."""
+    campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
+    given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
+    found = diagnose(campaign, some(name, "sensor_lag"), given=given)
+    assert (found.verdict, found.final.effects) == ("none", ())
+    assert found.base.values[f"{name}.half_gap"] == pytest.approx(1.0, rel=0.05)
+    exported = found.parameters(found.final)
+    assert exported.model.optional == (name,)
+    assert exported.values[f"{name}.half_gap"] == found.base.values[f"{name}.half_gap"]
+    stale = thrust_of(campaign.validation, **{f"{name}.half_gap": 0.7}) - campaign.validation["thrust"]
+    assert summary(found)["given"][0]["rmse_thrust"] == pytest.approx(np.sqrt(np.mean(stale**2)), rel=1e-6)
+    assert found.held_after.rmse_thrust < summary(found)["given"][0]["rmse_thrust"]
+
+
+BAD_CALLS = {
+    "unknown effect": (["--effects", "pitch_gremlin"], ("--effects", "pitch_gremlin", "pitch_backlash")),
+    "no effect": (["--effects", ","], ("--effects", "none")),
+    "no workers": (["--workers", "0"], ("--workers", "1 or more")),
+    "no parameter file": (["--parameters", "nowhere.json"], ("nowhere.json",)),
+}
+
+
+@pytest.mark.parametrize("case", BAD_CALLS)
+def test_bad_call_is_one_line_and_exit_2(case, tmp_path, capsys):
+    arguments, words = BAD_CALLS[case]
+    assert main(["diagnose", str(example_folder()), *arguments, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert all(word in said for word in words)
+    assert not (tmp_path / "out").exists()
+
+
+def experiments(**values):
+    """(fitted, unseen, noise-free thrust of the unseen) of a rig with effects."""
+    campaign = rig(**values)
+    noise = noise_of(campaign.open_loop, campaign.repeat)
+    fitted = Experiment([campaign.open_loop, campaign.repeat], noise)
+    return fitted, Experiment([campaign.validation], noise), thrust_of(campaign.validation, **values)
+
+
+def test_a_linear_effect_that_no_name_explains_is_corrected():
+    """Thrust while the blades turn is k w^2 times the pitch's rate: mostly linear in what the correction may use."""
+    fitted, unseen, true = experiments(**{"pitch_rate_feedthrough.gain": 0.05})
+    found = correct(BASE, TRUTH, fitted, [unseen])
+    assert found.accepted, found.refused
+    outputs = Simulator(BASE).simulate(TRUTH, unseen.record.columns, unseen.record.steps)
+    before = outputs[:, 0] - true
+    after = before + found.correction(unseen.record.time, outputs)
+    assert np.mean(after**2) < 0.25 * np.mean(before**2)
+    assert found.before == pytest.approx(np.sqrt(np.mean((outputs[:, 0] - unseen.record["thrust"]) ** 2)))
+    assert found.after < found.before
+    assert found.summary()["kind"].startswith("empirical")
+
+
+def test_no_correction_where_the_model_is_right():
+    fitted, unseen, _ = experiments()
+    found = correct(BASE, TRUTH, fitted, [unseen])
+    assert not found.accepted
+    assert found.told.startswith("no empirical correction")
+
+
+def test_what_no_candidate_explains_is_said_and_corrected_apart_from_the_model(tmp_path):
+    campaign = rig(**{"pitch_rate_feedthrough.gain": -0.15})
+    found = diagnose(campaign, some("sensor_gain"))
+    assert found.verdict == "unexplained"
+    correction = empirical(found)
+    assert correction.accepted, correction.refused
+    write_diagnosis(OutputFolder(tmp_path), found, correction)
+    assert json.loads((tmp_path / "empirical.json").read_text())["accepted"]
+    assert "empirical" not in (tmp_path / "parameters.json").read_text()
+    assert (tmp_path / "validation_empirical.csv").read_text().splitlines()[
+        0
+    ] == "time,omega_ref,beta_ref,thrust,thrust_empirical"
+    shown = corrected(found, correction, campaign.validation)
+    error = shown["thrust_empirical"] - campaign.validation["thrust"]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(correction.after)
+    assert "no parameter file" in diagnosis_page(found, correction).html()
+
+
+def test_moves_are_steps_and_whole_ramps():
+    time = np.arange(2000) * STEP
+    command = np.where(time < 1.0, 2.0, 5.0)  # a step of 3 at 1 s
+    command = command - np.clip(time - 3.0, 0.0, 2.0) * 2.0  # a ramp down of 4 from 3 to 5 s
+    command = command + np.where(time >= 6.0, 0.5, 0.0)
+    first, size = moves(time, command)
+    np.testing.assert_allclose(time[first], [1.0, 3.0, 6.0], atol=2 * STEP)
+    np.testing.assert_allclose(size, [3.0, -4.0, 0.5])
+
+
+def test_a_command_at_rest_has_no_moves():
+    first, size = moves(np.arange(10.0), np.full(10, 4.0))
+    assert len(first) == len(size) == 0

@@ -1,0 +1,132 @@
+"""A campaign from its files to parameters: what is fitted, what is only predicted, what is said."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studies.synthetic import NOISE, TRUTH, commands, measured
+
+from identification.identify import identify
+from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.cli import main
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record, write_record
+
+SECTION = 8.0
+"""Seconds of each part of a record."""
+
+
+def steady(rng) -> Record:
+    """Raw samples of a grid of steady points: 4 s at 50 Hz each."""
+    omega, beta = (axis.ravel() for axis in np.meshgrid(np.linspace(2000, 6000, 5), np.linspace(-5, 10, 5)))
+    rows = 200
+    columns = {"time": np.arange(rows * 25) * 0.02, "omega_ref": np.repeat(omega, rows), "beta_ref": np.repeat(beta, rows)}
+    record = Record(columns, "static_raw.csv")
+    thrust = Simulator(BASE).simulate(TRUTH, columns, record.steps)[:, 0]
+    return record.with_columns(thrust=thrust + NOISE * rng.standard_normal(len(record)))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A campaign without steps and without means of steady points, and a further record beside it."""
+    path, rng = tmp_path_factory.mktemp("campaign"), np.random.default_rng(0)
+    orders = commands(rng, SECTION)
+    records = {"open_loop": measured(orders, rng), "repeat": measured(orders, rng), "static_raw": steady(rng)}
+    records["validation"] = measured(commands(rng, SECTION), rng)
+    for name, record in records.items():
+        write_record(OutputFolder(path), f"{name}.csv", record)
+    write_record(OutputFolder(path / "more"), "open_loop.csv", measured(commands(rng, SECTION), rng))
+    write_record(OutputFolder(path / "more"), "tuesday.csv.gz", measured(commands(rng, SECTION), rng))
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    """The campaign as it stands, identified."""
+    return identify(read_campaign(folder), starts=2)
+
+
+def near_truth(found):
+    return [abs(found.refinement.values[n] - TRUTH[n]) < 4.5 * s for n, s in found.refinement.std.items()]
+
+
+def test_records_of_a_campaign_are_fitted_together_and_the_other_only_predicted(found):
+    assert found.fitted == ("open_loop", "repeat")
+    assert tuple(found.predictions) == ("open_loop", "repeat", "validation")
+    assert found.campaign.missing == ("steps.csv",)
+    assert all(near_truth(found))
+    assert found.noise_floor == pytest.approx(NOISE, rel=0.05)
+
+
+def test_the_band_holds_what_it_says_on_unseen_data(found):
+    # Six thousand white readings: their share is known to 0.3 %.
+    assert found.coverage["validation"] == pytest.approx(0.95, abs=0.01)
+
+
+def test_raw_samples_give_the_static_map(found):
+    coefficients = found.static.coefficients
+    assert found.static.used.sum() == 25
+    for name, std in found.static.std.items():
+        assert abs(coefficients[name] - TRUTH[name]) < 5 * std
+
+
+def test_a_second_record_makes_the_intervals_shorter(found, folder):
+    alone = identify(replace(read_campaign(folder), repeat=None, static_raw=None), starts=1)
+    assert alone.fitted == ("open_loop",)
+    assert alone.noise_floor is None
+    both = identify(replace(read_campaign(folder), static_raw=None), starts=1)
+    # 0.71 for independent noise; a standard deviation is known to some 14 %.
+    assert 0.5 < np.median(both.refinement.uncertainty.std / alone.refinement.uncertainty.std) < 0.95
+
+
+def test_one_further_record_is_enough(folder):
+    more = {"tuesday": read_campaign(folder).open_loop}
+    found = identify(Campaign(folder, None, (), None, None, None), starts=1, records=more)
+    assert found.fitted == ("tuesday",)
+    assert all(near_truth(found))
+    with pytest.raises(BadInput, match=r"open_loop\.csv: found no such file"):
+        identify(Campaign(folder, None, (), None, None, None))
+
+
+def test_command_fits_further_records_and_says_what_it_did(folder, tmp_path, capsys):
+    taken = str(folder / "more" / "open_loop.csv")
+    further = ["--record", str(folder / "more" / "tuesday.csv.gz"), "--record", taken]
+    assert main(["identify", str(folder), *further, "--starts", "1", "-o", str(tmp_path)]) == 0
+    said = json.loads((tmp_path / "identification.json").read_text())
+    assert said["fitted"] == ["open_loop", "repeat", "tuesday", taken]
+    assert list(said["rmse_thrust"]) == [*said["fitted"], "validation"]
+    assert said["missing"] == ["steps.csv"]
+    assert said["static_map"]["points"] == 25
+    assert {p["interval_from"] for p in said["parameters"].values()} <= {"covariance", "profile likelihood"}
+    for name, p in said["parameters"].items():
+        assert p["interval"][0] < p["value"] < p["interval"][1], name
+    page = (tmp_path / "report.html").read_text()
+    assert "Fitted together: open_loop, repeat, tuesday" in page
+    assert "A steady point needs" in page
+    assert "not used to fit" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("text", "says"), [(None, "no such file"), ("time,omega_ref,beta_ref\n0,1,1\n", "column thrust")])
+def test_a_further_record_that_is_none_is_one_line(folder, tmp_path, capsys, text, says):
+    path = tmp_path / "further.csv"
+    if text is not None:
+        path.write_text(text)
+    capsys.readouterr()
+    assert main(["identify", str(folder), "--record", str(path), "-o", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert str(path) in told
+    assert says in told
+    assert not (tmp_path / "parameters.json").exists()
+
+
+def test_what_was_left_out_names_its_record(folder):
+    campaign = read_campaign(folder)
+    clipped = campaign.repeat.with_columns(thrust=np.minimum(campaign.repeat["thrust"], 9.0))
+    notes = identify(replace(campaign, repeat=clipped), starts=1).left_out
+    assert notes
+    assert all(note.startswith("repeat: thrust: ") for note in notes)

@@ -1,0 +1,145 @@
+"""Profile-likelihood intervals: where a closed form, or a search by other means, says what they must be."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from studies.synthetic import commands, measured
+
+from identification.coordinates import Coordinates
+from identification.least_squares import solve
+from identification.profile import profiled
+from identification.refine import BASE_PARAMETERS, refine
+from identification.uncertainty import NORMAL_95, Uncertainty
+from vpp_fmu.kernel.plant import AVERAGED, BASE
+from vpp_fmu.kernel.types import Effect, Model, Parameter
+
+
+class Level:
+    """A problem of one parameter p: readings of `curve`(p), which has the slope `slope`(p)."""
+
+    def __init__(self, readings, curve, slope, minimum=-10.0):
+        effect = Effect("level", "", parameters=(Parameter("p", "1", 0.5, minimum, 10.0, ""),))
+        self.model = Model("level", "", (), (), (effect,))
+        self.coordinates = Coordinates(self.model, ["p"])
+        self.readings, self.curve, self.slope = readings, curve, slope
+
+    def rows(self, values):
+        p = values["p"]
+        return self.curve(p) - self.readings, np.full((len(self.readings), 1), self.slope(p))
+
+    def solution(self):
+        def evaluate(x):
+            return self.rows({"p": float(x[0])})
+
+        return solve(evaluate, np.array([0.5]), self.coordinates.lower, self.coordinates.upper)
+
+    def interval(self, inflation=1.0, std=None):
+        found = self.solution()
+        n, slope = len(self.readings), self.slope(float(found.value[0]))
+        own = inflation * np.sqrt(2.0 * found.cost / (n - 1) / n) / abs(slope) if std is None else std
+        doubt = Uncertainty(("p",), found.value, np.array([[own**2]]), np.array([inflation]))
+        return profiled(self, found, doubt)
+
+
+@pytest.fixture
+def readings():
+    """Twenty of them about 1, of standard deviation 1, exactly."""
+    values = np.random.default_rng(0).normal(size=20)
+    values -= values.mean()
+    return 1.0 + values / values.std(ddof=1)
+
+
+@pytest.mark.parametrize("inflation", [1.0, 2.0])
+def test_interval_of_a_curved_parameter_is_that_of_what_is_linear(readings, inflation):
+    """Of exp(p) the interval is that of a mean, so that of p goes from log to log, whatever the colour's inflation."""
+    found = Level(readings, np.exp, np.exp).interval(inflation)
+    half = inflation * NORMAL_95 / np.sqrt(20.0)
+    assert found.profiled == ("p",)
+    assert np.exp(found.intervals[0]) == pytest.approx([1.0 - half, 1.0 + half], abs=0.02 * half)
+
+
+def test_a_parabola_keeps_its_interval(readings):
+    level = Level(readings, lambda p: 2.0 * p, lambda p: 2.0)
+    found = level.interval()
+    half = NORMAL_95 / np.sqrt(20.0) / 2.0
+    assert found.profiled == ()
+    assert found.intervals[0] == pytest.approx([0.5 - half, 0.5 + half], rel=1e-6)
+
+
+def test_interval_at_a_bound_is_what_the_cost_leaves_open(readings):
+    """A mean of -0.3 that may not be negative: the cost n (t + 0.3)^2 / 2 rises by 1.92 from t = 0 on."""
+    level = Level(readings - 1.3, lambda p: p, lambda p: 1.0, minimum=0.0)
+    found = level.interval(std=0.0)
+    variance = 2.0 * level.solution().cost / 19.0
+    assert found.intervals[0, 0] == 0.0
+    assert found.intervals[0, 1] == pytest.approx(-0.3 + np.sqrt(0.09 + NORMAL_95**2 * variance / 20.0), rel=0.02)
+
+
+def test_interval_ends_at_a_bound_that_the_cost_does_not_reach(readings):
+    found = Level(readings, np.exp, np.exp, minimum=-0.2).interval(2.0)
+    assert found.intervals[0, 0] == pytest.approx(-0.2)
+    assert found.intervals[0, 1] == pytest.approx(np.log(1.0 + 2.0 * NORMAL_95 / np.sqrt(20.0)), rel=0.02)
+
+
+def test_data_without_noise_leave_nothing_to_search():
+    found = Level(np.ones(20), np.exp, np.exp).interval(std=1e-9)
+    assert found.profiled == ()
+    assert found.std[0] == pytest.approx(1e-9)
+
+
+@pytest.fixture(scope="module")
+def near_double_pole():
+    """A record whose two pitch lags came out close to each other."""
+    rng = np.random.default_rng(1)
+    record = measured(commands(rng), rng)
+    found = refine(BASE, [record], AVERAGED, channels=("thrust",))
+    return found, profiled(found.problem, found.solution, found.uncertainty)
+
+
+def least_cost(problem, name, value, start) -> float:
+    """The cost with one constant of the pitch held, by scipy and in the parameters themselves."""
+    names = [n for n in BASE_PARAMETERS if n != name]
+    columns = [BASE_PARAMETERS.index(n) for n in names]
+
+    def rows(p):
+        return problem.rows(dict(zip(names, p, strict=True)) | {name: value})
+
+    low = {n: 0.001 if n.startswith("tau") else -10.0 for n in names}
+    high = dict.fromkeys(names, 10.0)
+    if name == "tau_beta_1":  # else the two would change their names
+        high["tau_beta_2"] = value
+    else:
+        low["tau_beta_1"] = value
+    bounds = np.array([[low[n], high[n]] for n in names]).T
+    start = np.clip([start[n] for n in names], bounds[0] + 1e-6, bounds[1] - 1e-6)
+    found = least_squares(lambda p: rows(p)[0], start, lambda p: rows(p)[1][:, columns], bounds, x_scale="jac")
+    return float(found.cost)
+
+
+@pytest.mark.parametrize("name", ["tau_beta_1", "tau_beta_2"])
+def test_ends_near_a_double_pole_are_where_another_search_finds_them(near_double_pole, name):
+    found, doubt = near_double_pole
+    assert {"tau_beta_1", "tau_beta_2"} <= set(doubt.profiled)
+    k = BASE_PARAMETERS.index(name)
+    variance = 2.0 * found.solution.cost / (len(found.solution.residual) - 9)
+    wanted = 0.5 * (NORMAL_95 * doubt.inflation[k]) ** 2 * variance
+    for end in doubt.intervals[k]:
+        rise = least_cost(found.problem, name, end, found.values) - found.solution.cost
+        # Kept where within 5 % of a parabola, so within 10 % in the cost.
+        assert rise == pytest.approx(wanted, rel=0.12)
+
+
+def test_a_profile_is_cheap(near_double_pole):
+    """Two of nine parameters searched: each evaluation is as dear as one step of the fit."""
+    found, _ = near_double_pole
+    count, rows = 0, found.problem.rows
+
+    def counted(values):
+        nonlocal count
+        count += 1
+        return rows(values)
+
+    found.problem.rows = counted
+    profiled(found.problem, found.solution, found.uncertainty)
+    del found.problem.rows
+    assert count < 100

@@ -1,0 +1,97 @@
+"""Records of the same commands: simulated once, fitted together, and what they share is not taken for independent."""
+
+import numpy as np
+import pytest
+from studies.synthetic import STEP, TRUTH, commands, covariance, measured
+
+from identification.bootstrap import bootstrap
+from identification.problem import Prior, Problem
+from identification.refine import BASE_PARAMETERS, refine
+from vpp_fmu.kernel.plant import AVERAGED, BASE
+
+SECTION = 8.0
+"""Seconds of each part of a record."""
+
+CALM = 0.05
+"""Noise that is small enough for linear theory, N."""
+
+
+@pytest.fixture(scope="module")
+def records():
+    """Two records of the same commands with noise of their own, and one of other commands."""
+    rng = np.random.default_rng(0)
+    orders = commands(rng, SECTION)
+    return [measured(orders, rng), measured(orders, rng), measured(commands(rng, SECTION), rng)]
+
+
+def fit(records):
+    return refine(BASE, records, AVERAGED, channels=("thrust",))
+
+
+def test_records_of_the_same_commands_are_simulated_once(records):
+    problem = Problem(BASE, records, BASE.values(), BASE_PARAMETERS)
+    assert problem.twin == (0, 0, 2)
+    runs, sensitivities = [], problem._simulator.sensitivities
+    problem._simulator.sensitivities = lambda *run: runs.append(run) or sensitivities(*run)
+    together, _ = problem.rows(TRUTH)
+    assert len(runs) == 2
+    alone = [Problem(BASE, [record], BASE.values(), BASE_PARAMETERS).rows(TRUTH)[0] for record in records]
+    np.testing.assert_array_equal(together, np.concatenate(alone))
+
+
+def test_other_times_or_commands_make_another_record(records):
+    later = records[0].with_columns(time=records[0].time * 1.25)
+    other = records[0].with_columns(beta_ref=records[0]["beta_ref"] + 1e-9)
+    assert Problem(BASE, [records[0], later, other], BASE.values(), BASE_PARAMETERS).twin == (0, 1, 2)
+
+
+def test_the_same_record_twice_tells_nothing_new(records):
+    once, twice = fit(records[:1]), fit([records[0], records[0]])
+    np.testing.assert_allclose(twice.uncertainty.values, once.uncertainty.values, rtol=1e-6)
+    np.testing.assert_allclose(twice.uncertainty.std, once.uncertainty.std, rtol=1e-5)
+    np.testing.assert_allclose(twice.uncertainty.inflation, np.sqrt(2.0) * once.uncertainty.inflation, rtol=1e-5)
+
+
+def test_the_same_record_twice_weighs_against_knowledge_as_once(records):
+    names = ("c20", "c21")
+    prior = Prior(names, np.array([0.36, 0.81]), np.diag([1e-5, 1e-5]))
+    found = [refine(BASE, part, AVERAGED, prior=prior, channels=("thrust",)) for part in (records[:1], [records[0]] * 2)]
+    once, twice = (f.uncertainty for f in found)
+    np.testing.assert_allclose(twice.values, once.values, rtol=1e-4)
+    np.testing.assert_allclose(twice.std, once.std, rtol=1e-3)
+
+
+def test_noise_of_its_own_halves_the_variance():
+    ratios = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        orders = commands(rng, SECTION)
+        found = fit([measured(orders, rng, CALM), measured(orders, rng, CALM)])
+        ratios.append(found.uncertainty.std / theory(found.problem))
+    # As in the bootstrap's tests: a deviation is known to 14 % from a record, to 6 % from six; judged at three times that.
+    assert np.mean(ratios, axis=0) == pytest.approx(1.0 / np.sqrt(2.0), abs=0.15)
+
+
+def theory(problem) -> np.ndarray:
+    """Standard deviations from the first record alone, at the truth."""
+    x, first = problem.coordinates.vector(TRUTH), problem.blocks[0].at
+    inner = problem.coordinates.jacobian(x)
+    of_thrust = problem.evaluate(x)[1][first] * problem.std["thrust"]
+    return np.sqrt(np.diag(inner @ covariance(of_thrust, CALM) @ inner.T))
+
+
+def test_what_both_records_share_counts_as_shared(records):
+    """A slow error of the model in both, larger than the noise: a second record brings next to nothing."""
+    time = np.arange(len(records[0])) * STEP
+    wave = 0.5 * np.sin(2.0 * np.pi * time / 3.0) * np.sin(2.0 * np.pi * time / 23.0)
+    shared = [record.with_columns(thrust=record["thrust"] + wave) for record in records[:2]]
+    once, twice = fit(shared[:1]), fit(shared)
+    ratio = twice.uncertainty.std / once.uncertainty.std
+    assert np.median(ratio) > 0.85
+
+
+def test_the_bootstrap_draws_them_alike(records):
+    short = records[0].part(slice(0, None, 3))
+    once, twice = (bootstrap(fit(part), 60, seed=1) for part in ([short], [short, short]))
+    # Drawn apart it would be 0.71; sixty samples know a deviation to 9 %, the nine hang together.
+    assert np.median(twice.std / once.std) == pytest.approx(1.0, abs=0.2)

@@ -1,0 +1,159 @@
+"""Tune the controller for a model: the paper's cost, within limits on overshoot and sensitivity; both actuators, speed alone.
+
+The controller samples, saturates and sees thrust through a converter as on the rig. The result is run again through both
+FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn from the parameters' doubt."""
+
+import json
+
+from identification.demo import step_profile
+from identification.information import read_knowledge
+from identification.tune.objective import ALPHA
+from identification.tune.report import tuning_page
+from identification.tune.summary import key_figures, summary
+from identification.tune.tune import Task, Tuning, tune
+from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
+from vpp_fmu.kernel.effects.thrust_reading import LONGEST
+from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
+from vpp_fmu.record import read_profile
+
+EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
+
+RANGES = {
+    "alpha": (0.0, 1.0),
+    "overshoot": (0.01, 100.0),
+    "sensitivity": (1.1, 100.0),
+    "noise": (0.0, 100.0),
+    "delay": (0.0, 10.0),
+    "lag": (0.0, 1.0),
+    "resolution": (0.0, 10.0),
+    "draws": (1, 10000),
+    "spread": (0.0, 1.0),
+}
+"""What the options may be."""
+
+
+def configure(parser):
+    def number(name, default, text, metavar="X", kind=float):
+        shown = "" if default is None else " (default: %(default).4g)"
+        parser.add_argument(f"--{name}", type=kind, default=default, metavar=metavar, help=text + shown)
+
+    parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
+    text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
+    parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
+    text = "limits, filter, sample time and first gains of the controller (default: the paper's)"
+    parser.add_argument("--gains", metavar="G", help=text)
+    parser.add_argument(
+        "--profile", metavar="P", help="CSV with time, thrust_set (default: 0.1 to 0.8 of full thrust and back)"
+    )
+    number("alpha", ALPHA, "weight of the squared norm of the gains")
+    number("overshoot", 1.0, "largest overshoot in %% of a step")
+    number("sensitivity", 2.0, "largest amplification of a disturbance around the operating points")
+    number("noise", None, "standard deviation of a thrust reading in N (default: that of --knowledge, else 0)")
+    number("delay", 1.0 / CONVERSIONS, "how late a thrust reading is in s", "S")
+    number("lag", 0.0, "time constant of the thrust reading in s", "S")
+    number("resolution", RESOLUTION, "step of the converter in N")
+    parser.add_argument("--robust", choices=("worst", "mean"), help="tune over many plants as well")
+    number("draws", 200, "plants to tune over", "N", int)
+    number("spread", 0.1, "standard deviation, as a share, of assumed parameters and of those whose file has none")
+    parser.add_argument("--knowledge", metavar="F", help="identification.json: correlation of the parameters, noise of thrust")
+    number("seed", 0, "of plants and noise", "N", int)
+    number("workers", 1, "searches that run side by side", "N", int)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the searches on instead")
+    add_output(parser)
+
+
+def run(options):
+    for name, (low, high) in RANGES.items():
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise BadInput("command line", f"--{name}", value, f"{low:g} to {high:g}")
+    task, starts = _task(options)
+    folder = OutputFolder(options.output)
+    found = tune(task, starts, options.workers, options.scheduler)
+    files = {
+        "gains.json": to_json(_gains(found, "dual", options)),
+        "gains_speed_only.json": to_json(_gains(found, "speed_only", options)),
+        "tuning.json": as_json(summary(found)),
+        "report.html": tuning_page(found).html(),
+    }
+    for name, content in files.items():
+        folder.write(name, content)
+    for label, value, note in key_figures(found):
+        print(f"{label}: {value} ({note})")
+    print(f"tuned in {found.seconds:.1f} s")
+    say_written(folder)
+
+
+def _task(options) -> tuple[Task, dict[str, dict[str, float]]]:
+    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    base = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
+    assumed = dict(_assumed(text, parameters) for text in options.assume)
+    knowledge = read_knowledge(options.knowledge) if options.knowledge else None
+    period = base.values["sample_time"]
+    if options.delay > LONGEST * period:
+        raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
+    scale = parameters.values["thrust_scale"]
+    profile = read_profile(options.profile) if options.profile else step_profile(scale)
+    if profile.time[-1] < 10.0 * period:
+        raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")
+    task = Task(
+        parameters=parameters.replaced(assumed),
+        profile=profile,
+        assumed=tuple(assumed),
+        chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": options.resolution},
+        noise_std=_noise(options),
+        alpha=options.alpha,
+        overshoot=options.overshoot / 100.0,
+        sensitivity=options.sensitivity,
+        reference="given" if options.gains else "published",
+        robust=options.robust,
+        draws=options.draws,
+        spread=options.spread,
+        knowledge=knowledge and knowledge[0],
+        seed=options.seed,
+    )
+    scales = {name: value for name, value in parameters.values.items() if name in base.values}
+    settings = {**base.values, **scales}
+    own = base.values["speed_only"] > 0.5
+    alone = {k: v for k, v in SPEED_ONLY.items() if k != "beta_fixed" and not (own and k in base.estimates)}
+    return task, {"dual": {**settings, "speed_only": 0.0}, "speed_only": {**settings, **alone, "speed_only": 1.0}}
+
+
+def _noise(options) -> float:
+    """N; a floor is known only where a campaign was repeated."""
+    if options.noise is not None or not options.knowledge:
+        return options.noise or 0.0
+    floor = json.loads(read_text(options.knowledge)).get("noise_floor_thrust")
+    return float(floor) if isinstance(floor, int | float) else 0.0
+
+
+def _assumed(text: str, parameters: ParameterSet) -> tuple[str, float]:
+    known = {p.name: p for p in parameters.model.parameters}
+    name, _, value = text.partition("=")
+    if name not in known:
+        raise BadInput("command line", "--assume", text, f"NAME=VALUE with one of {', '.join(known)}")
+    p = known[name]
+    try:
+        number = float(value)
+    except ValueError:
+        number = float("nan")
+    if not p.minimum <= number <= p.maximum:
+        raise BadInput("command line", f"--assume {name}", value, f"a number from {p.minimum:g} to {p.maximum:g} {p.unit}")
+    return name, number
+
+
+def _gains(found: Tuning, name: str, options) -> ParameterSet:
+    tuned = found.tuned[name]
+    source = {
+        "made_by": "vpp tune",
+        "parameters": options.parameters,
+        "assumed": {n: found.task.parameters.values[n] for n in found.task.assumed},
+        "robust": options.robust,
+        "cost": tuned.cost(list(tuned.gains)[-1]),
+    }
+    return ParameterSet(CONTROLLER, source=source).replaced(tuned.objective.with_gains(tuned.final))

@@ -1,0 +1,177 @@
+"""The closed loop of `vpp_fmu.loop`, in one compiled function: plant, measurement chain and controller over a profile.
+
+For searches and for many sets of parameters at once. The numbers are those of `vpp_fmu.loop.run`, to the bit.
+"""
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+
+from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.measurement import MEASUREMENT
+from vpp_fmu.kernel.schedule import SLOTS, DelayFull
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.native.compiler import compiled
+from vpp_fmu.native.part import CompiledPart, InterpretedPart
+from vpp_fmu.native.simulator import _say_once
+from vpp_fmu.record import Record
+
+JUMP = 0.05
+"""Changes of the wanted thrust that are smaller than this share of its span are no steps to be judged."""
+
+ROW = ("omega_ref", "beta_ref", "thrust", "omega", "beta")
+"""What a run shows at each communication point."""
+
+FAILURES = {1: "out of memory", 2: f"more than {SLOTS} command changes wait in one delay"}
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What a loop is asked to follow: `wanted` thrust and `noise` of its reading (points,) N, one communication point every
+    `dt` seconds. The plant rests on the commands `rest` [rpm, deg] before. Errors are divided by `scale` [N]."""
+
+    wanted: np.ndarray
+    noise: np.ndarray
+    dt: float
+    scale: float = 15.0
+    rest: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def jump(self) -> float:
+        """The least change of `wanted` that counts as a step, N."""
+        return JUMP * float(np.ptp(self.wanted))
+
+    @classmethod
+    def of(cls, references: Record, dt: float, noise: np.ndarray | None = None, **more) -> "Course":
+        """The course of a profile (`time` [s], `thrust_set` [N], each held to the next row), as `vpp_fmu.loop.run` has it."""
+        count = round((references.time[-1] - references.time[0]) / dt) + 1
+        held = np.searchsorted(references.time - references.time[0], np.arange(count) * dt + 1e-9, side="right") - 1
+        wanted = np.ascontiguousarray(references["thrust_set"][held], float)
+        return cls(wanted, np.zeros(count) if noise is None else noise, dt, **more)
+
+
+class ClosedLoop:
+    """A plant under the project's controller, ready to run. Inputs that the plant's effects measure stay at their start."""
+
+    def __init__(self, plant: Model):
+        self.models = plant, MEASUREMENT, CONTROLLER
+        self._extra = tuple(plant.measured_inputs.values())
+        memo, made = plant.memo, "closed_loop"
+        if made not in memo:
+            memo[made] = _runner(self.models)
+        self._run = memo[made]
+
+    def vectors(self, plant: Mapping, chain: Mapping, gains: Mapping) -> tuple[np.ndarray, ...]:
+        """Changes to the defaults of plant, measurement chain and controller, as their whole sets (parameters,)."""
+        changes = zip(self.models, (plant, chain, gains), strict=True)
+        return tuple(np.array(list(model.values(change).values())) for model, change in changes)
+
+    def run(self, sets: Sequence[np.ndarray], course: Course) -> Record:
+        """One run with the sets of `vectors`, as the record that `vpp_fmu.loop.run` gives. SimulationFailed."""
+        rows = np.empty((len(course.wanted), len(ROW)))
+        self._run(_batch(sets), course, (*course.rest, *self._extra), np.empty((1, 2)), rows)
+        time = np.arange(len(rows)) * course.dt
+        columns = dict(zip(ROW, rows.T, strict=True))
+        return Record({"time": time, "thrust_set": course.wanted, **columns}, source="closed loop")
+
+    def merits(self, sets: Sequence[np.ndarray], course: Course) -> np.ndarray:
+        """(count, 2) for each row of the sets, (count, parameters) or shared: the integral of the squared error over `scale`
+        [s], and the largest overshoot of a step of the wanted thrust as a share of it. SimulationFailed.
+
+        Infinite where a run left all bounds.
+        """
+        sets = _batch(sets)
+        merits = np.empty((max(len(each) for each in sets), 2))
+        self._run(sets, course, (*course.rest, *self._extra), merits, None)
+        return merits
+
+
+def _batch(sets: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [np.ascontiguousarray(np.atleast_2d(each), float) for each in sets]
+
+
+def _runner(models: Sequence[Model]):
+    try:
+        return _compiled(models)
+    except CompilerMissing as missing:
+        _say_once(str(missing))
+        return _interpreted(models)
+
+
+class _Profile(ctypes.Structure):
+    _fields_ = (
+        ("points", ctypes.c_long),
+        ("dt", ctypes.c_double),
+        ("scale", ctypes.c_double),
+        ("jump", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("wanted", "noise", "rest")),
+        ("inputs", ctypes.c_long),
+    )
+
+
+def _compiled(models: Sequence[Model]):
+    parts = [_part(model) for model in models]
+    run_loops = ctypes.CDLL(str(compiled((files("vpp_fmu.native") / "loop.c").read_text()))).run_loops
+    pointers, longs, vector = ctypes.c_void_p * 3, ctypes.c_long * 3, ctypes.c_void_p
+    run_loops.argtypes = [vector, pointers, longs, ctypes.c_long, ctypes.POINTER(_Profile), vector, vector]
+    table = (ctypes.c_void_p * 9)(*(address for part in parts for address in part.addresses))
+
+    def run(sets, course, inputs, merits, rows):
+        wanted, noise = (np.ascontiguousarray(column, float) for column in (course.wanted, course.noise))
+        if len(noise) != len(wanted):
+            raise SimulationFailed(f"closed loop: {len(wanted)} points, but noise for {len(noise)}")
+        rest = np.array(inputs)
+        pointed = (each.ctypes.data for each in (wanted, noise, rest))
+        profile = _Profile(len(wanted), course.dt, course.scale, course.jump, *pointed, len(rest))
+        strides = longs(*(each.shape[1] if len(each) > 1 else 0 for each in sets))
+        starts = pointers(*(each.ctypes.data for each in sets))
+        shown = None if rows is None else rows.ctypes.data
+        if code := run_loops(table, starts, strides, len(merits), profile, merits.ctypes.data, shown):
+            raise SimulationFailed(f"closed loop of {models[0].name}: {FAILURES[code]}")
+
+    return run
+
+
+def _part(model: Model) -> CompiledPart:
+    if "part" not in model.memo:
+        model.memo["part"] = CompiledPart(model)
+    return model.memo["part"]
+
+
+def _interpreted(models: Sequence[Model]):
+    plant, chain, controller = (InterpretedPart(model) for model in models)
+
+    def run_one(sets, course, inputs, rows):
+        sample, total, change, over = plant.begin(sets[0], inputs), 0.0, 0.0, 0.0
+        (reading,) = chain.begin(sets[1], (sample[0], 0.0))
+        controller.begin(sets[2], (course.wanted[0], reading))
+        before = course.wanted[0]
+        for k, (wanted, noise) in enumerate(zip(course.wanted.tolist(), course.noise.tolist(), strict=True)):
+            (reading,) = chain.advance((sample[0], noise), course.dt)
+            commands = controller.advance((wanted, reading), course.dt)
+            if rows is not None:
+                rows[k] = *commands, *sample
+            if wanted != before:
+                change, before = (wanted - before if abs(wanted - before) >= course.jump else 0.0), wanted
+            over = max(over, (sample[0] - wanted) / change) if change else 0.0
+            if k + 1 == len(course.wanted):
+                return total * course.dt, over
+            e = (wanted - sample[0]) / course.scale
+            total += e * e
+            sample = plant.advance((*commands, *inputs[2:]), course.dt)
+
+    def run(sets, course, inputs, merits, rows):
+        for n in range(len(merits)):
+            own = [each[n if len(each) > 1 else 0].tolist() for each in sets]
+            try:
+                merits[n] = run_one(own, course, inputs, rows)
+            except DelayFull as full:
+                raise SimulationFailed(f"closed loop of {models[0].name}: {full}") from full
+            except (OverflowError, ZeroDivisionError, ValueError):
+                merits[n] = np.inf
+
+    return run

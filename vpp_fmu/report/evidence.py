@@ -1,0 +1,62 @@
+"""The figure of what speaks for each candidate, and at which gate it failed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.report import style
+
+TAKEN, PASSED, FAILED = "taken", "passes all gates, not taken", "fails a gate"
+COLOURS = {TAKEN: style.AFTER, PASSED: "#56b4e9", FAILED: "#c4cad0"}
+
+_LEAST = 1.0
+"""Where bars begin: on a logarithmic axis there is no zero."""
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A candidate: by how much it lowers the criterion, its outcome (a key of COLOURS) and why, in a few words."""
+
+    name: str
+    fall: float
+    outcome: str
+    why: str
+
+
+def evidence_bars(bars: Sequence[Bar], gate: float, title: str) -> go.Figure:
+    """Candidates by the fall of their BIC, the best on top, the gate as a line, the reason beside each bar.
+
+    What falls by less than 1, or rises, has no bar.
+    """
+    ranked = sorted(bars, key=lambda bar: -bar.fall)
+    fig = style.figure(title, 140 + 30 * len(ranked))
+    for outcome, colour in COLOURS.items():
+        own = [bar for bar in ranked if bar.outcome == outcome]
+        if own:
+            fig.add_bar(
+                y=[style.escaped(bar.name) for bar in own],
+                x=[max(bar.fall, _LEAST) for bar in own],
+                orientation="h",
+                name=outcome,
+                marker_color=colour,
+                text=[f"{bar.fall:,.0f}  {style.escaped(bar.why)}" for bar in own],
+                textposition="outside",
+                textfont={"size": 12},
+                cliponaxis=False,
+                hovertemplate="%{y}: %{text}<extra></extra>",
+            )
+    line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
+    fig.add_vline(x=gate, line=line, name=f"gate: {gate:g}", showlegend=True)
+    reach = np.log10(max(10.0 * gate, *(bar.fall for bar in ranked)))
+    # The reasons stand behind the bars: half of the width is theirs.
+    fig.update_xaxes(title_text="fall of the BIC [-]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
+    order = [style.escaped(bar.name) for bar in ranked]
+    fig.update_yaxes(title_text="candidate [-]", type="category", categoryorder="array", categoryarray=order[::-1])
+    fig.update_layout(bargap=0.35, barmode="overlay")
+    return fig
+
+
+def _decades(reach: float) -> list[float]:
+    return [10.0**k for k in range(int(np.ceil(reach)) + 1)]
