@@ -70,7 +70,7 @@ def _base_of(found: Diagnosis, beside: tuple[str, ...]) -> Fit:
 
 def _bar(found: Diagnosis, tried: Tried, base: Fit, without: Seen, unseen, top: float) -> Bar:
     name = tried.candidate.name
-    judged = judge(name, tried.fit, base, seen(tried.fit, unseen), without)
+    judged = judge(name, tried.fit, base, seen(tried.fit, unseen), without, base)
     label = tried.candidate.label
     if name in found.final.effects and all(found.final.forms.get(n) == v for n, v in tried.candidate.form.items()):
         return Bar(label, tried.delta_bic, TAKEN, "in the final set")

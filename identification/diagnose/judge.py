@@ -24,6 +24,10 @@ ALIKE = 10.0
 ENOUGH_HELD_OUT = 3.0
 """Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""
 
+WORTH = 0.02
+"""Share of what a set explains that each of its effects must explain: a slightly wrong form of one leaves such a remainder,
+which a second, superfluous name would take."""
+
 SPILL = 0.5
 """Share of a gain in thrust that speed may lose: a thrust that fits weighs more, and the shared constants move towards it."""
 
@@ -88,8 +92,8 @@ def trifling(fit: Fit) -> bool:
     return rmse(shown - quiet) ** 2 < NUISANCE[effect] * evidence.experiments[0].noise.floor ** 2
 
 
-def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without: Seen) -> Judgement:
-    """Judge one effect. A bound counts only for the effect's own parameters."""
+def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without: Seen, base: Fit) -> Judgement:
+    """Judge one effect. A bound counts only for the effect's own parameters; `base`: the fit without any effect."""
     delta = without.bic() - with_it.bic()
     gain = held_with.score.gain(held_without.score)
     refused = []
@@ -105,5 +109,18 @@ def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without
         refused.append(
             f"thrust error on unseen data rises from {held_without.rmse_thrust:.4g} to {held_with.rmse_thrust:.4g} N"
         )
+    if (share := _share(with_it, without, base)) < WORTH:
+        refused.append(f"explains {share:.1%} of what the set does, {WORTH:.0%} is asked for: another's form may leave as much")
     refused += [f"{name} ended on its bound" for name in with_it.at_bound if name.startswith(f"{effect}.")]
     return Judgement(effect, float(delta), gain, tuple(refused))
+
+
+def _share(with_it: Fit, without: Fit, base: Fit) -> float:
+    """Of the fall of the squares from `base`, what is lost without the effect, in the channel that shows it best."""
+    shares = [0.0]
+    for channel, n in base.score.counts.items():
+        least = with_it.score.squares[channel]
+        fall = max(base.score.squares[channel], without.score.squares[channel]) - least
+        if fall > ENOUGH_BIC * least / n:  # a channel in which nothing falls says nothing
+            shares.append((without.score.squares[channel] - least) / fall)
+    return max(shares)

@@ -13,6 +13,9 @@ from identification.diagnose.search import Fit, Searcher
 MOST = 3
 """Effects that one diagnosis may name; with more, the data of one campaign cannot tell sets apart."""
 
+ROUNDS = 5
+"""Rounds of refits after which the search takes what stands: where nothing fits, more of them only take time."""
+
 REFITTED = 8
 """Candidates of a round that are refitted in full; the look before ranks the right one among the first few."""
 
@@ -63,12 +66,12 @@ def select(
     found = Selection(base, base)
     known: dict[tuple, list[Tried]] = {}
     with ThreadPoolExecutor(workers) as pool:
-        for _ in range(MOST):
+        while len(known) < ROUNDS:
             usable = [c for c in options if c.name not in found.refused]
             path = _forward(searcher, base, usable, left, pool, known, stage)
             found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
             stage("judge")
-            final, judgements, dropped = _backward(searcher, path[-1], held)
+            final, judgements, dropped = _backward(searcher, path[-1], held, base)
             found.final, found.judgements = final, judgements
             if not dropped:
                 break
@@ -87,7 +90,7 @@ def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], he
         best = max(fitted, key=lambda t: t.delta_bic)
         start = {**found.final.values, **{n: best.fit.values[n] for n in best.candidate.free}}
         fuller = _with(searcher, found.final, best.candidate, start, found.final.slow_first)
-        kept, judgements, dropped = _backward(searcher, fuller, held)
+        kept, judgements, dropped = _backward(searcher, fuller, held, found.base)
         if not dropped:
             found.final, found.judgements = kept, judgements
             del found.refused[name]
@@ -158,14 +161,14 @@ def _with(searcher, fit, candidate, start, order, thorough=True) -> Fit:
     return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough)
 
 
-def _backward(searcher: Searcher, final: Fit, held) -> tuple[Fit, dict[str, Judgement], dict[str, Judgement]]:
+def _backward(searcher: Searcher, final: Fit, held, base: Fit) -> tuple[Fit, dict[str, Judgement], dict[str, Judgement]]:
     """Drop the weakest effect that does not stand, until all do: (fit, judgements, what was dropped)."""
     dropped: dict[str, Judgement] = {}
     while final.effects:
         held_with, judgements, rest = seen(final, held), {}, {}
         for effect in final.effects:
             rest[effect] = without(searcher, final, effect)
-            judgements[effect] = judge(effect, final, rest[effect], held_with, seen(rest[effect], held))
+            judgements[effect] = judge(effect, final, rest[effect], held_with, seen(rest[effect], held), base)
         weak = [j for j in judgements.values() if j.refused]
         if not weak:
             return final, judgements, dropped

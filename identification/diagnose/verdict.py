@@ -26,12 +26,11 @@ ATTRIBUTED = 0.9
 DRIFT = 0.1
 """Share by which the noise may differ from rest to motion, where no repeat tells."""
 
-DOUBT = 0.3
-"""How far below that the share of a small error may lie in the noise of unseen data, within two standard errors, where the
-fitted records hold nothing more."""
+NEARLY = 0.6
+"""The same where the fitted records hold nothing more: the noise of unseen data blurs the share of a small error."""
 
 RICHER = 10.0
-"""Fall of the deviance by which a form with more parameters stays in the family, though its BIC is worse."""
+"""Fall of the deviance that a rival with more parameters must bring: else it only contains the simpler effect."""
 
 PARTLY = 0.5
 """Share from which a set that is not the whole is worth a name and a place in the model."""
@@ -113,9 +112,10 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
                 if single
                 else searcher.fit([*rest.effects, tried.candidate.name], forms, free, start, tried.fit.slow_first)
             )
-            alike = other.bic() - final.bic() < ALIKE or other.deviance < final.deviance - RICHER
+            richer = len(other.free) > len(final.free)
+            alike = other.deviance < final.deviance - RICHER if richer else other.bic() - final.bic() < ALIKE
             if alike and not other.idle:
-                judged = judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held))
+                judged = judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held), selection.base)
                 names += [] if judged.refused else [tried.candidate.name]
         found[effect] = sorted(set(names))
     return found
@@ -142,11 +142,8 @@ def verdict(selection: Selection, remainder: Remainder, family: Mapping[str, lis
     if not selection.final.effects:
         return ("unexplained" if left.anything else "none"), None, left
     explained = remainder.explained(selection.base, selection.final)
-    if explained is None:
-        whole = not left.anything
-    else:
-        doubt = 0.0 if left.anything else min(2.0 * explained.error, DOUBT)
-        whole = explained.share >= ATTRIBUTED - doubt
+    enough = ATTRIBUTED if left.anything else NEARLY
+    whole = not left.anything if explained is None else explained.share >= enough
     if not whole:
         return ("partly" if explained is None or explained.share >= PARTLY else "unexplained"), explained, left
     return ("family" if any(family.values()) else "attributed"), explained, left
