@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from studies.synthetic import STEP, TRUTH, commands
 
 from identification.demo import example_folder
 from identification.diagnose.diagnose import HELD_SHARE, diagnose
+from identification.diagnose.effect_report import at_rest
 from identification.diagnose.empirical import correct, corrected, empirical
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.noise import noise_of
@@ -25,7 +27,8 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.native import Simulator
-from vpp_fmu.parameters import ParameterSet, read_parameters
+from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
+from vpp_fmu.record import write_record
 
 NOISE = 0.1  # N
 CONTRACT = {
@@ -161,6 +164,25 @@ def test_a_given_model_s_effects_are_part_of_the_base():
     assert found.held_after.rmse_thrust < summary(found)["given"][0]["rmse_thrust"]
 
 
+def test_command_starts_from_a_given_model_and_chosen_candidates(tmp_path, capsys):
+    campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
+    measured = OutputFolder(tmp_path / "campaign")
+    for record in (campaign.open_loop, campaign.repeat, campaign.validation):
+        write_record(measured, record.source, record)
+    given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
+    (tmp_path / "given.json").write_text(to_json(given))
+    options = ["--parameters", str(tmp_path / "given.json"), "--effects", "sensor_lag", "--empirical"]
+    assert main(["diagnose", str(measured.path), *options, "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "Nothing is missing" in said
+    assert "as it was given" in said
+    assert "empirical: nothing to correct" in said
+    assert json.loads((tmp_path / "out" / "parameters.json").read_text())["effects"] == [name]
+    tried = {c["name"] for c in json.loads((tmp_path / "out" / "diagnosis.json").read_text())["candidates"]}
+    assert tried <= {"sensor_lag"}
+    assert not (tmp_path / "out" / "empirical.json").exists()
+
+
 BAD_CALLS = {
     "unknown effect": (["--effects", "pitch_gremlin"], ("--effects", "pitch_gremlin", "pitch_backlash")),
     "no effect": (["--effects", ","], ("--effects", "none")),
@@ -224,6 +246,19 @@ def test_what_no_candidate_explains_is_said_and_corrected_apart_from_the_model(t
     error = shown["thrust_empirical"] - campaign.validation["thrust"]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(correction.after)
     assert "no parameter file" in diagnosis_page(found, correction).html()
+
+
+def test_play_s_own_curve_is_its_closed_form():
+    """At rest the blades trail a rising command by half of the gap and lead a falling one by as much."""
+    name, half = "pitch_backlash", 1.0
+    fit = SimpleNamespace(
+        evidence=SimpleNamespace(model=plant([name])), values=TRUTH | {f"{name}.half_gap": half, f"{name}.form": 1.0}
+    )
+    stairs = np.concatenate([np.linspace(-5.0, 10.0, 31), np.linspace(9.5, -5.0, 30)])
+    reached = at_rest(fit, rig().open_loop, "beta_ref", stairs, {"omega_ref": 4000.0})["beta"]
+    up, down = slice(4, 31), slice(35, None)  # play is taken up within two stairs of either turn
+    np.testing.assert_allclose(reached[up], stairs[up] - half, atol=2e-3)
+    np.testing.assert_allclose(reached[down], stairs[down] + half, atol=2e-3)
 
 
 def test_moves_are_steps_and_whole_ramps():

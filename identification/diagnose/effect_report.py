@@ -36,19 +36,19 @@ def add_effects(page: Page, found: Diagnosis) -> None:
         _add_in_time(page, found, effect, acts, change)
 
 
-class _Outputs(dict):
+class Outputs(dict):
     """Outputs (rows,) by name."""
 
     def __sub__(self, other):
-        return _Outputs({n: self[n] - other[n] for n in self})
+        return Outputs({n: self[n] - other[n] for n in self})
 
 
-def _simulated(fit: Fit, columns, steps, changes=()) -> _Outputs:
+def _simulated(fit: Fit, columns, steps, changes=()) -> Outputs:
     outputs = Simulator(fit.evidence.model).simulate({**fit.values, **dict(changes)}, columns, steps)
-    return _Outputs(zip(OUTPUTS, outputs.T, strict=True))
+    return Outputs(zip(OUTPUTS, outputs.T, strict=True))
 
 
-def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[_Outputs, _Outputs]:
+def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Outputs]:
     effect = next(e for e in fit.evidence.model.effects if e.name == name)
     off = {effect.full(n): v for n, v in effect.off.items()}
     return _simulated(fit, record.columns, record.steps), _simulated(fit, record.columns, record.steps, off)
@@ -65,7 +65,7 @@ def _add_at_rest(page: Page, found: Diagnosis, effect: str, acts: str) -> None:
         held = {beside: float(np.median(record[beside])) if level is None else level}
         told = "" if level is None else f", pitch {level:.3g} deg"
         fits = found.fits if level in (None, levels[-1]) else {"after": found.final}
-        reached |= {f"{name}{told}": _at_rest(fit, record, command, stairs, held)[acts] for name, fit in fits.items()}
+        reached |= {f"{name}{told}": at_rest(fit, record, command, stairs, held)[acts] for name, fit in fits.items()}
     off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
     if off < AT_REST * np.ptp(stairs):
         return
@@ -79,7 +79,7 @@ def _stairs(command: np.ndarray) -> np.ndarray:
     return np.concatenate([up, up[-2::-1]])
 
 
-def _at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> _Outputs:
+def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> Outputs:
     """Outputs (stairs,) at the end of each stair of a command, everything else standing."""
     rows = round(HOLD / STEP)
     n = len(stairs) * rows
@@ -87,10 +87,10 @@ def _at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -
     columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
     columns[command] = np.repeat(stairs, rows)
     outputs = _simulated(fit, columns, np.full(n - 1, STEP))
-    return _Outputs({name: values[rows - 1 :: rows] for name, values in outputs.items()})
+    return Outputs({name: values[rows - 1 :: rows] for name, values in outputs.items()})
 
 
-def _add_thrust(page: Page, effect: str, record: Record, off: _Outputs, change: _Outputs) -> None:
+def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: Outputs) -> None:
     rows = slice(None, None, max(1, len(record) // 2000))
     largest = float(np.max(np.abs(change["thrust"])))
     title = f"{effect}: the thrust changes by up to {largest:.2g} N"
@@ -98,7 +98,7 @@ def _add_thrust(page: Page, effect: str, record: Record, off: _Outputs, change: 
     page.figure(figure, "The augmented model with the effect, less the same without it, on the unseen commands.")
 
 
-def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: _Outputs) -> None:
+def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: Outputs) -> None:
     record = found.held[0]
     at = blocks(record, 0.2)
     center = float(at.time[np.argmax(np.abs(at.mean(change[acts])))])

@@ -58,7 +58,18 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         share, doubt = 100 * found.explained.share, 200 * found.explained.error
         figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on unseen data"))
     rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.family.items() if others]
-    return [*figures, ("verdict", found.verdict, "; ".join(rivals) or SURE[found.verdict])]
+    figures.append(("verdict", found.verdict, "; ".join(rivals) or SURE[found.verdict]))
+    return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures
+
+
+def _where(found: Diagnosis) -> tuple[str, str, str]:
+    """Where the error lives that nothing explains."""
+    where = found.location
+    band, section = (max(where[k], key=where[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
+    strongest, largest = where["strongest_correlate"], where["largest"]
+    note = f"most where {_commanded(section)}; goes with {strongest['signal']} ({strongest['correlation']:+.2f}); "
+    note += f"up to {abs(largest['thrust']):.2f} N; input: {where['input']}"
+    return "what is left", f"{band} Hz", note
 
 
 def diagnosis_page(found: Diagnosis, correction: Empirical | None = None) -> Page:
@@ -68,11 +79,11 @@ def diagnosis_page(found: Diagnosis, correction: Empirical | None = None) -> Pag
     for effect, judged in found.selection.judgements.items():
         if effect in found.final.effects and judged.artefact:
             page.note(f"{effect}: {judged.artefact}.")
-    if correction is not None:
-        _add_empirical(page, found, correction)
     page.section("Before and after" if found.final.effects else "The model on unseen data")
     for record in found.held:
         _add_whole(page, found, record)
+    if correction is not None:
+        _add_empirical(page, found, correction)
     add_diagnosis(page, found)
     return page
 

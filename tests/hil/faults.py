@@ -133,20 +133,21 @@ def tried(row: Row) -> Outcome:
     """Inject a row's fault and judge what came of it."""
     for _ in range(TRIES):
         outcome = once(row)
-        if outcome:
+        if isinstance(outcome, Outcome):
             return outcome
-    return Outcome("no run came far enough to inject it", "", None, "not tried")
+    return Outcome(f"no run came far enough to inject it; the last: {outcome}", "", None, "not tried")
 
 
-def once(row: Row) -> Outcome | None:
-    """One run; None if it ended before the fault could be injected."""
+def once(row: Row) -> Outcome | str:
+    """One run; if it ended before the fault could be injected, why."""
     with tempfile.TemporaryDirectory() as folder, started(row.task, Path(folder)) as (process, told):
         here = wait_for(told, "esc", process)
         if here is None:
-            return judged(row, wait_for(told, "ended", process), None) if row.inject is nothing else None
+            end = wait_for(told, "ended", process)
+            return judged(row, end, None) if row.inject is nothing else told_by(end)
         rig = Injected(process, Path(here["at"]), Path(here["esc"]), b"%d" % here["idle"], here["heard"])
         if not wait_for(told, "running", process):
-            return None
+            return told_by(wait_for(told, "ended", process))
         with load(row.load):
             time.sleep(0.2 * row.load)
             seen = until_idle(rig, row.inject)
@@ -156,8 +157,10 @@ def once(row: Row) -> Outcome | None:
         return judged(row, wait_for(told, "ended", process), seen)
 
 
-def told_by(end: dict) -> str:
+def told_by(end: dict | None) -> str:
     """The cause in full, and the kinds of what followed."""
+    if end is None:
+        return "it said nothing"
     causes = [why for _, state, why in end["transitions"] if state in ("ramp down", "fault")]
     later = [": ".join(why.split(": ")[:2]) for why in causes if why != end["ended"] and ": " in why]
     return "; then ".join([end["ended"] or end.get("failure") or "ran to its end", *later])
