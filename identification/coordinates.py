@@ -51,7 +51,7 @@ class Coordinates:
         p = np.array(x, float)
         for i, j in self.pairs:
             total, spread = np.exp(x[i]), np.sqrt(x[j])
-            p[i], p[j] = total * (1 + spread) / 2, total * (1 - spread) / 2
+            p[i], p[j] = total * (1 + spread) / 2, max(total * (1 - spread) / 2, self.floor[j])
         return dict(zip(self.names, p.tolist(), strict=True))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
@@ -61,4 +61,6 @@ class Coordinates:
             total, spread = np.exp(x[i]), np.sqrt(x[j])
             d[i, i], d[j, i] = total * (1 + spread) / 2, total * (1 - spread) / 2
             d[i, j], d[j, j] = total / (4 * spread), -total / (4 * spread)
+            if total * (1 - spread) / 2 < self.floor[j]:  # a lag too short to matter stays at its least
+                d[j] = 0.0
         return d

@@ -85,7 +85,8 @@ def _refuse(record: Record) -> None:
 
 def _clipped(time: np.ndarray, thrust: np.ndarray):
     """(column, first row, row behind) of stretches at the extremes."""
-    spread = np.nanstd(np.diff(thrust))
+    moves = np.diff(thrust)
+    spread = np.std(moves[np.isfinite(moves)]) if np.isfinite(moves).any() else 0.0
     for extreme in (np.nanmax(thrust), np.nanmin(thrust)):
         at = np.concatenate([[False], thrust == extreme, [False]])
         for low, high in zip(np.flatnonzero(at[1:] & ~at[:-1]), np.flatnonzero(at[:-1] & ~at[1:]), strict=True):

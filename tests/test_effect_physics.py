@@ -407,6 +407,23 @@ def test_sag_follows_the_pitch_through_the_rotors_lags():
     np.testing.assert_allclose(omega, exact[: len(t)], rtol=0, atol=0.02)
 
 
+def test_droop_answers_through_the_rotors_lags():
+    """Two lags towards what the load leaves of the command, integrated by another solver."""
+    ref, sag, lift = 5500.0, 80.0, 12.0
+    inputs = {"omega_ref": np.r_[3000.0, np.full(749, ref)], "beta_ref": np.full(750, lift - 5.0)}
+    omega = run("supply_sag", {"sag": sag, "form": 2.0}, inputs)[1]
+    start = 6000.0**2 / (2.0 * sag * lift) * (np.sqrt(1.0 + 4.0 * sag * lift * 3000.0 / 6000.0**2) - 1.0)
+
+    def slope(t, x):
+        inner, outer = x
+        left = ref - sag * lift * (outer / 6000.0) ** 2
+        return [(left - inner) / 0.053, (inner - outer) / 0.172]
+
+    t = np.arange(750) * STEP
+    exact = solve_ivp(slope, (0.0, t[-1]), [start, start], t_eval=t, rtol=1e-9, atol=1e-6).y[1]
+    np.testing.assert_allclose(omega[1:], exact[:-1], rtol=0, atol=0.05)  # the step is given in the second row
+
+
 @pytest.mark.parametrize(("share", "voltage"), [(1.0, 22.0), (0.5, 26.0), (0.3, 12.0)])
 def test_voltage_scales_the_speed(share, voltage):
     omega = settled("supply_voltage", {"share": share}, 4000.0, 3.0, voltage=voltage)[1]

@@ -1,7 +1,7 @@
 """What might be missing: every effect of the library that the data could show, in each of its forms."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -18,11 +18,15 @@ SHAPES = (0.3, 1.0, 3.0)
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names."""
+    """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names.
+
+    `measured`: of free parameters that stand for a level of a measured input (the nominal voltage), levels that it had.
+    """
 
     effect: Effect
     form: Mapping[str, float]
     free: tuple[str, ...]
+    measured: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -65,6 +69,8 @@ class Candidate:
         """Values of a free parameter to look at first, around the probe; a size's of both signs where both are allowed."""
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
         size = p.name in self.effect.off
+        if name in self.measured:
+            return list(self.measured[name])
         probe = self.effect.probe.get(p.name)
         if probe is None:
             return [p.default]
@@ -88,5 +94,15 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
         free = tuple(effect.full(p.name) for p in effect.parameters if not p.choices)
         for values in product(*(options for _, options in choices)):
             form = dict(zip((name for name, _ in choices), values, strict=True))
-            found.append(Candidate(effect, form, free))
+            found.append(Candidate(effect, form, free, _levels(effect, records)))
+    return found
+
+
+def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[float, ...]]:
+    """Least, middle and greatest of an effect's measured inputs, for its parameters in the same unit."""
+    found = {}
+    for u in effect.inputs:
+        seen = np.concatenate([r[u.name] for r in records])
+        levels = tuple(dict.fromkeys(np.nanquantile(seen, [0.0, 0.5, 1.0]).tolist()))
+        found |= {effect.full(p.name): levels for p in effect.parameters if p.unit == u.unit and p.name not in effect.off}
     return found

@@ -28,6 +28,9 @@ from vpp_fmu.kernel.types import Effect
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
+CHANGED = ("attributed", "family", "partly")
+"""Verdicts that put effects into the model."""
+
 HELD_SHARE = 1.0 / 3.0
 """Of the open-loop record, its end, kept from the fits where a campaign has no validation record."""
 
@@ -36,12 +39,14 @@ HELD_SHARE = 1.0 / 3.0
 class Diagnosis:
     """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data.
 
-    `given`: the model that was brought, as it was brought; None where the campaign was identified first.
+    `base`: the model without any further effect, as identified; whitened residuals and all to bend, the search's own base does
+    worse on unseen data and would flatter what is found. `given`: the model that was brought, as it was brought; None where the campaign was identified first.
     """
 
     campaign: Campaign
     identification: Identification | None
     given: ParameterSet | None
+    base: Fit
     noise: Noise
     selection: Selection
     verdict: str
@@ -58,14 +63,9 @@ class Diagnosis:
     held_after: Seen
 
     @property
-    def base(self) -> Fit:
-        """The model without any effect."""
-        return self.selection.base
-
-    @property
     def final(self) -> Fit:
         """The model with the effects that stand; what removes too little to be worth a name is not in it."""
-        return self.selection.base if self.verdict == "unexplained" else self.selection.final
+        return self.selection.final if self.verdict in CHANGED else self.base
 
     @property
     def fits(self) -> dict[str, Fit]:
@@ -114,26 +114,28 @@ def diagnose(
         selection = select(searcher, base, options, unseen, lambda fit: remainder.left(fit).anything, workers, stage)
         stage("judge")
         family = rivals(searcher, selection, unseen)
-        word, explained, left = verdict(selection, remainder, family)
-        final = selection.base if word == "unexplained" else selection.final
+        before = searcher.standing(at.values)
+        word, explained, left = verdict(selection, before, remainder, family)
+        final = selection.final if word in CHANGED else before
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(
             campaign=campaign,
             identification=at.identification,
             given=given,
+            base=before,
             noise=noise,
             selection=selection,
             verdict=word,
             explained=explained,
             left=left,
-            before_left=remainder.left(base),
+            before_left=remainder.left(before),
             family=family,
             doubt=_doubt(final),
             apart=apart,
             location=locate(campaign, shown.thrust, shown.omega, shown.beta),
             experiment=discriminating_experiment(seed),
             held=tuple(held),
-            held_before=seen(base, unseen),
+            held_before=seen(before, unseen),
             held_after=seen(final, unseen),
         )
 

@@ -63,14 +63,14 @@ def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried], u
 def _base_of(found: Diagnosis, beside: tuple[str, ...]) -> Fit:
     """The fit that a round's candidates were added to."""
     if not beside:
-        return found.base
+        return found.selection.base
     tried = [t for each in found.selection.rounds for t in each if t.fit is not None]
-    return min((t.fit for t in tried if set(t.fit.effects) == set(beside)), key=Fit.bic, default=found.base)
+    return min((t.fit for t in tried if set(t.fit.effects) == set(beside)), key=Fit.bic, default=found.selection.base)
 
 
 def _bar(found: Diagnosis, tried: Tried, base: Fit, without: Seen, unseen, top: float) -> Bar:
     name = tried.candidate.name
-    judged = judge(name, tried.fit, base, seen(tried.fit, unseen), without, base)
+    judged = judge(name, tried.fit, base, seen(tried.fit, unseen), without, found.selection.base)
     label = tried.candidate.label
     if name in found.final.effects and all(found.final.forms.get(n) == v for n, v in tried.candidate.form.items()):
         return Bar(label, tried.delta_bic, TAKEN, "in the final set")

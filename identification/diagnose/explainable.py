@@ -18,14 +18,6 @@ def shared_power(first: Record, second: Record, predicted: np.ndarray) -> float:
     return float(np.nanmean(predicted_less(at, predicted, first) * predicted_less(at, predicted, second)))
 
 
-def mean_and_error(product: np.ndarray) -> tuple[float, float]:
-    """Mean of (blocks,) and its standard error, from batches of 2 s, which are nearly independent; NaN blocks left out."""
-    product = product[np.isfinite(product)]
-    size = min(max(1, round(2.0 / BAND)), len(product) // 2)
-    batches = product[: len(product) // size * size].reshape(-1, size).mean(axis=1)
-    return float(product.mean()), float(batches.std(ddof=1) / np.sqrt(len(batches)))
-
-
 def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> float:
     """Mean product of two records' speed residuals below 10 Hz, over the power of their noise.
 
@@ -51,6 +43,7 @@ def predicted_less(at: Blocks, predicted: np.ndarray, record: Record) -> np.ndar
     return at.mean(predicted - record["thrust"])
 
 
-def error_power(record: Record, predicted: np.ndarray) -> tuple[float, float]:
-    """(power [N^2] below 10 Hz of a prediction's error, noise included; its standard error)."""
-    return mean_and_error(predicted_less(blocks(record, BAND), predicted, record) ** 2)
+def slow_residual(record: Record, predicted: np.ndarray) -> np.ndarray:
+    """Predicted less measured thrust [N] below 10 Hz, (blocks,); blocks without a reading left out."""
+    residual = predicted_less(blocks(record, BAND), predicted, record)
+    return residual[np.isfinite(residual)]

@@ -14,6 +14,9 @@ RATE = 0.02
 
 BANDS = ((0.0, 0.2), (0.2, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 25.0))
 
+WEAK = 0.2
+"""Correlation below which an error goes with neither command."""
+
 
 def locate(campaign: Campaign, thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> dict:
     """Description of the repeatable error of a prediction (rows,) [N], [rpm], [deg] of the open-loop record."""
@@ -39,8 +42,15 @@ def locate(campaign: Campaign, thrust: np.ndarray, omega: np.ndarray, beta: np.n
         "largest": {"time": float(at.time[np.argmax(np.abs(both))]), "thrust": float(both[np.argmax(np.abs(both))])},
         "strongest_correlate": {"signal": strongest[0], "correlation": strongest[1]},
         "correlates": dict(ranked),
-        "input": "pitch" if pitch > 1.2 * speed else "speed" if speed > 1.2 * pitch else "both, or neither",
+        "input": _input(speed, pitch),
     }
+
+
+def _input(speed: float, pitch: float) -> str:
+    """Which command the error goes with, by its strongest correlations with what belongs to each."""
+    if max(speed, pitch) < WEAK:
+        return "neither"
+    return "pitch" if pitch > 1.2 * speed else "speed" if speed > 1.2 * pitch else "both"
 
 
 SPEED = ("speed", "rate of speed", "speed still to go")

@@ -95,6 +95,17 @@ class Searcher:
         idle = len(told) < len(free)
         return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, idle)
 
+    def standing(self, values: Mapping[str, float]) -> Fit:
+        """The base model at given values, nothing fitted."""
+        model = plant((), self.library)
+        values = model.values({k: v for k, v in values.items() if k in model.values()})
+        evidence = Evidence(model, self.experiments, values, self.names, self.prior)
+        x = evidence.coordinates.vector(values)
+        residual, jacobian = evidence.evaluate(x)
+        cost = 0.5 * float(residual @ residual)
+        solution = Solution(x, residual, jacobian, (cost,), 1, True, np.zeros(len(x), bool))
+        return Fit((), {}, (), {}, values, evidence, solution, evidence.score(values, Simulator(model)), {}, False)
+
     def _kinds(self, model, values, free, slow_first) -> tuple[list[str], list[str]]:
         """Free parameters (with a tangent, in which the response is piecewise constant); any other is idle here, and stays."""
         if not free:

@@ -21,7 +21,7 @@ from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
-LOOSE = 10.0
+LOOSE = 100.0
 """How much wider the static map's knowledge is taken than its own scatter: a missing effect bends the steady points too."""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
@@ -90,6 +90,7 @@ def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], he
         best = max(fitted, key=lambda t: t.delta_bic)
         start = {**found.final.values, **{n: best.fit.values[n] for n in best.candidate.free}}
         fuller = _with(searcher, found.final, best.candidate, start, found.final.slow_first)
+        fuller = _simplified(searcher, best.candidate, fuller)
         kept, judgements, dropped = _backward(searcher, fuller, held, found.base)
         if not dropped:
             found.final, found.judgements = kept, judgements
@@ -116,7 +117,9 @@ def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
         if not fitted:
             break
         top = max(t.delta_bic for t in fitted)
-        best = max((t for t in fitted if t.delta_bic > top - ALIKE), key=lambda t: (not t.fit.idle, t.delta_bic))
+        best = max(
+            (t for t in fitted if t.delta_bic > top - ALIKE), key=lambda t: (not t.fit.idle, -len(t.fit.free), t.delta_bic)
+        )
         path.append(best.fit)
     return path
 
@@ -153,7 +156,22 @@ def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) ->
     if candidate.effect.delays:  # they act before both lags
         orders = []
     starts = [*orders, refit.slow_first] if refit.thresholds else orders
-    return min([refit, *(_with(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+    best = min([refit, *(_with(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+    return _simplified(searcher, candidate, best)
+
+
+def _simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
+    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands."""
+    while True:
+        sizes = [n for n in candidate.sizes if n in fit.free]
+        fewer = []
+        for name in sizes if len(sizes) > 1 else ():
+            start, free = {**fit.values, name: candidate.off[name]}, [n for n in fit.free if n != name]
+            fewer.append(searcher.fit(fit.effects, fit.forms, free, start, fit.slow_first, thorough=False))
+        best = min([fit, *fewer], key=Fit.bic)
+        if best is fit:
+            return fit
+        fit = replace(best, idle=fit.idle)
 
 
 def _with(searcher, fit, candidate, start, order, thorough=True) -> Fit:

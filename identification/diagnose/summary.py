@@ -72,7 +72,8 @@ def _tried(found: Diagnosis, tried: Tried) -> dict:
     entry |= {"delta_bic": tried.delta_bic, "parameters": {n: tried.fit.values[n] for n in tried.candidate.free}}
     refused = found.selection.refused.get(name)
     if name in found.final.effects:
-        return entry | {"why_not": None}
+        mine = all(found.final.forms.get(n) == v for n, v in tried.candidate.form.items())
+        return entry | {"why_not": None if mine else "another form of it explains more"}
     if name in found.selection.final.effects:
         return entry | {"why_not": f"removes only {100 * found.explained.share:.0f} % of the explainable error on unseen data"}
     if refused is not None:

@@ -24,6 +24,10 @@ COARSE, FINE = 9, 48
 """Points over the whole range: to see whether anything changes, and to find where it is best."""
 
 
+HALVINGS = 6
+"""How often the step of the whole range's grid in which a flat ends is halved."""
+
+
 def piecewise_constant(evidence: Evidence, values: Mapping[str, float], name: str) -> bool:
     """Whether the response changes with a free parameter of `evidence` and yet has no tangent in it, wherever it stands.
 
@@ -51,17 +55,36 @@ def scan(
 
     The interval is of the value itself: between the commands that bound it nothing can tell where it lies.
     """
-    simulator, near = Simulator(evidence.model), ()
+    simulator = Simulator(evidence.model)
     for spread in grids:
         about = Linearised.of(evidence, solution)
         whole = _grid(evidence, name, FINE)
         ends = evidence.values[name] / (spread or 1.0), min(whole[-1], evidence.values[name] * (spread or 1.0))
         grid = (whole if spread is None else np.geomspace(*ends, 25)).tolist()
         costs = [about.cost(simulator, {name: value}) for value in grid]
-        lowest = min(costs)
+        best = grid[int(np.argmin(costs))]
         # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
-        flat = [v for v, cost in zip(grid, costs, strict=True) if cost <= lowest * (1 + 1e-9)]
-        near = [v for v, cost in zip(grid, costs, strict=True) if cost <= lowest + 0.5 * CHI2_95]
-        evidence.values[name] = 0.5 * (flat[0] + flat[-1])
+        evidence.values[name] = 0.5 * sum(_edges(about, simulator, name, best, min(costs) * (1 + 1e-9), whole))
         solution = evidence.refit(solution.value)
-    return solution, (near[0], near[-1])
+    about = Linearised.of(evidence, solution)
+    level = about.cost(simulator, {}) + 0.5 * CHI2_95
+    return solution, _edges(about, simulator, name, evidence.values[name], level, whole)
+
+
+def _edges(
+    about: Linearised, simulator: Simulator, name: str, at: float, level: float, whole: np.ndarray
+) -> tuple[float, float]:
+    """The last values on both sides of `at` from which on the cost is above `level`, within the range of `whole`."""
+    found = []
+    for onward in (whole[whole < at][::-1], whole[whole > at]):
+        inside, beyond = at, None
+        for value in onward:
+            if about.cost(simulator, {name: value}) > level:
+                beyond = value
+                break
+            inside = value
+        for _ in range(HALVINGS if beyond is not None else 0):
+            middle = 0.5 * (inside + beyond)
+            inside, beyond = (middle, beyond) if about.cost(simulator, {name: middle}) <= level else (inside, middle)
+        found.append(float(inside))
+    return found[0], found[1]

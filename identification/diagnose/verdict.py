@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
+from scipy.stats import chi2
 
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.explainable import error_power, shared_power, shared_speed
+from identification.diagnose.explainable import shared_power, shared_speed, slow_residual
 from identification.diagnose.judge import ALIKE, judge, seen
 from identification.diagnose.noise import BAND, Noise
 from identification.diagnose.search import Fit, Searcher
-from identification.diagnose.stepwise import Selection, without
+from identification.diagnose.stepwise import Selection, Tried, without
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.native import Simulator
 
@@ -26,11 +28,15 @@ ATTRIBUTED = 0.9
 DRIFT = 0.1
 """Share by which the noise may differ from rest to motion, where no repeat tells."""
 
-NEARLY = 0.6
-"""The same where the fitted records hold nothing more: the noise of unseen data blurs the share of a small error."""
+CONTRADICTED = 3.0
+"""Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of
+unseen data blurs the share of a small error."""
 
-RICHER = 10.0
-"""Fall of the deviance that a rival with more parameters must bring: else it only contains the simpler effect."""
+PLACES = 9
+"""Points of a threshold's interval that are tried on unseen data."""
+
+RICHER = 0.99
+"""Level of the likelihood ratio that a rival with more parameters must pass: else it only contains the simpler effect."""
 
 PARTLY = 0.5
 """Share from which a set that is not the whole is worth a name and a place in the model."""
@@ -55,7 +61,7 @@ class Left:
 
 @dataclass(frozen=True)
 class Explained:
-    """Share of the explainable thrust error on unseen data that a set removes, with its standard error."""
+    """Share of the explainable thrust error on unseen data that a set removes, with the standard error that noise gives it."""
 
     share: float
     error: float
@@ -72,28 +78,40 @@ class Remainder:
         thrust, speed = _predicted(fit, self._record)
         scale, error = self._noise.floor**2, self._noise.slow * np.sqrt(3.0 * BAND / self._record.time[-1])
         if self._repeat is None:
-            power = error_power(self._record, thrust)[0] - self._noise.slow
+            power = float(np.mean(slow_residual(self._record, thrust) ** 2)) - self._noise.slow
             return Left(power / scale, max(error, DRIFT * self._noise.slow) / scale)
         power = shared_power(self._record, self._repeat, thrust)
         turning = "omega" in self._record and "omega" in self._repeat
         return Left(power / scale, error / scale, shared_speed(self._record, self._repeat, speed) if turning else 0.0)
 
     def explained(self, base: Fit, final: Fit) -> Explained | None:
-        """What `final` removes of the error of `base`; None where there is none to speak of."""
-        (before, _), (after, error) = (self._unseen(fit) for fit in (base, final))
-        explainable = before - self._noise.slow
+        """What `final` removes of the error of `base`; None where there is none to speak of.
+
+        A threshold counts anywhere in its interval: the fitted records can't tell where, and unseen commands may.
+        """
+        slow, before = self._noise.slow, self._unseen(base)
+        axes = [(final.values[n], *np.linspace(*ends, PLACES)) for n, ends in final.thresholds.items()]
+        places = [dict(zip(final.thresholds, point, strict=True)) for point in product(*axes)]
+        after = min((self._unseen(final, place) for place in places), key=lambda residual: np.mean(residual**2))
+        explainable = float(np.mean(before**2)) - slow
         if explainable < 2 * NOTHING * self._noise.floor**2:
             return None
-        return Explained((before - after) / explainable, error / explainable)
+        removed = float(np.mean(before**2) - np.mean(after**2))
+        # Mean squares of noise scatter, and products of noise with the model's error. Three means tell as much as one.
+        one, level = 3.0 / len(before), 3.0 * BAND / self._record.time[-1]
+        of_removed = 4.0 * np.mean((before - after) ** 2) * slow * one
+        of_explainable = 2.0 * slow**2 * (one + level) + 4.0 * explainable * slow * one
+        return Explained(removed / explainable, float(np.sqrt(of_removed + ATTRIBUTED**2 * of_explainable)) / explainable)
 
-    def _unseen(self, fit: Fit) -> tuple[float, float]:
-        powers = np.array([error_power(e.record, _predicted(fit, e.record)[0]) for e in self._held])
-        return float(powers[:, 0].mean()), float(np.sqrt(np.sum(powers[:, 1] ** 2))) / len(powers)
+    def _unseen(self, fit: Fit, changes: Mapping[str, float] | None = None) -> np.ndarray:
+        """Residual [N] on unseen records below 10 Hz, of a fit with `changes` to its values."""
+        return np.concatenate([slow_residual(e.record, _predicted(fit, e.record, changes)[0]) for e in self._held])
 
 
-def _predicted(fit: Fit, record) -> tuple[np.ndarray, np.ndarray]:
-    """Thrust [N] and speed [rpm], each (rows,)."""
-    return tuple(Simulator(fit.evidence.model).simulate(fit.values, record.columns, record.steps).T[:2])
+def _predicted(fit: Fit, record, changes: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Thrust [N] and speed [rpm], each (rows,), of a fit with `changes` to its values."""
+    values = {**fit.values, **(changes or {})}
+    return tuple(Simulator(fit.evidence.model).simulate(values, record.columns, record.steps).T[:2])
 
 
 def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str]]:
@@ -101,24 +119,33 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
     final, found = selection.final, {}
     for effect in final.effects:
         rest = without(searcher, final, effect) if len(final.effects) > 1 else selection.base
-        names = []
+        names = set()
         for tried in _close(selection, effect):
-            free = [*rest.free, *tried.candidate.free]
-            forms = {**rest.forms, **tried.candidate.form}
-            start = {**rest.values, **{n: tried.fit.values[n] for n in tried.candidate.free}}
-            single = not rest.effects and tried.beside == ()
-            other = (
-                tried.fit
-                if single
-                else searcher.fit([*rest.effects, tried.candidate.name], forms, free, start, tried.fit.slow_first)
-            )
-            richer = len(other.free) > len(final.free)
-            alike = other.deviance < final.deviance - RICHER if richer else other.bic() - final.bic() < ALIKE
-            if alike and not other.idle:
+            fuller, simpler = tried.candidate.free, tuple(n for n in tried.candidate.free if n in tried.fit.free)
+            for free in {fuller, simpler}:
+                other = _in_its_place(searcher, rest, tried, free)
+                # What sheds parameters may end as the very model that it is compared with.
+                if other.idle or (tried.fit.idle and free == simpler) or not _alike(other, final):
+                    continue
                 judged = judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held), selection.base)
-                names += [] if judged.refused else [tried.candidate.name]
-        found[effect] = sorted(set(names))
+                names |= set() if judged.refused else {tried.candidate.name}
+        found[effect] = sorted(names)
     return found
+
+
+def _in_its_place(searcher: Searcher, rest: Fit, tried: Tried, free: tuple[str, ...]) -> Fit:
+    if not rest.effects and not tried.beside and set(free) == set(tried.fit.free):
+        return tried.fit
+    start = {**rest.values, **{n: tried.fit.values[n] for n in tried.candidate.free}}
+    forms = {**rest.forms, **tried.candidate.form}
+    return searcher.fit([*rest.effects, tried.candidate.name], forms, [*rest.free, *free], start, tried.fit.slow_first)
+
+
+def _alike(other: Fit, final: Fit) -> bool:
+    more = len(other.free) - len(final.free)
+    if more > 0:
+        return final.deviance - other.deviance > chi2.ppf(RICHER, more)
+    return other.bic() - final.bic() < ALIKE
 
 
 def _close(selection: Selection, effect: str):
@@ -136,14 +163,23 @@ def _close(selection: Selection, effect: str):
     return []
 
 
-def verdict(selection: Selection, remainder: Remainder, family: Mapping[str, list[str]]) -> tuple[str, Explained | None, Left]:
-    """(verdict, share of the explainable error removed on unseen data, what is left on the fitted records)."""
+def verdict(
+    selection: Selection, base: Fit, remainder: Remainder, family: Mapping[str, list[str]]
+) -> tuple[str, Explained | None, Left]:
+    """(verdict, share of the explainable error of `base` removed on unseen data, what is left on the fitted records)."""
     left = remainder.left(selection.final)
     if not selection.final.effects:
         return ("unexplained" if left.anything else "none"), None, left
-    explained = remainder.explained(selection.base, selection.final)
-    enough = ATTRIBUTED if left.anything else NEARLY
-    whole = not left.anything if explained is None else explained.share >= enough
-    if not whole:
+    explained = remainder.explained(base, selection.final)
+    if not _whole(explained, left, remainder.left(base)):
         return ("partly" if explained is None or explained.share >= PARTLY else "unexplained"), explained, left
     return ("family" if any(family.values()) else "attributed"), explained, left
+
+
+def _whole(explained: Explained | None, left: Left, before: Left) -> bool:
+    """Whether a set is the whole explanation."""
+    if not left.anything:
+        return explained is None or explained.share + CONTRADICTED * explained.error >= ATTRIBUTED
+    if left.speed > NOTHING_IN_SPEED and left.speed > (1.0 - ATTRIBUTED) * before.speed:
+        return False
+    return explained is not None and explained.share >= ATTRIBUTED

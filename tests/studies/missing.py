@@ -19,7 +19,8 @@ class Hidden:
     """One effect. `draw(rng)`: settings of the physics, or a force from outside `(w_ref, b_ref) -> N` under "extra".
 
     `kernel(settings)`: true values of the project's parameters, by bare name; {}: no one number corresponds.
-    `relatives`: for what is in no list, names in the list of which it is another form; naming one of them is no mistake.
+    `relatives`: names in the list of which it is another form or a special case; without its own name there, naming one of
+    them is no mistake.
     """
 
     name: str
@@ -95,7 +96,12 @@ def _drift(rng):
 LISTED = (
     Hidden("pitch_command_deadband", _some("deadband", 0.03, 0.15), _same("deadband", "half_width", DEG)),
     Hidden("pitch_error_deadzone", _either_lag("last_stage", "deadzone", 0.015, 0.06), _same("deadzone", "half_width", DEG)),
-    Hidden("pitch_stop_band", _some("stop_band", 0.015, 0.05), _same("stop_band", "half_width", DEG)),
+    Hidden(
+        "pitch_stop_band",
+        _some("stop_band", 0.015, 0.05),
+        _same("stop_band", "half_width", DEG),
+        relatives=("pitch_stop_restart", "pitch_speed_limits"),
+    ),
     Hidden(
         "pitch_stop_restart",
         lambda g: {"stop": size(g, 0.005, 0.015), "restart": size(g, 0.03, 0.08)},
@@ -105,6 +111,7 @@ LISTED = (
         "pitch_speed_limits",
         lambda g: {"speed_min": size(g, 0.1, 0.3), "speed_max": size(g, 0.6, 1.5)},
         lambda s: {"slowest": DEG * s["speed_min"], "full": DEG * s["speed_max"]},
+        relatives=("pitch_rate_limit",),  # all of it that shows where nothing moves slowly enough
     ),
     Hidden(
         "pitch_stall_latch",
@@ -112,7 +119,9 @@ LISTED = (
         lambda s: {"speed": DEG * s["stall_speed"], "time": s["stall_time"]},
     ),
     Hidden("pitch_backlash", _some("backlash", 0.015, 0.06), _same("backlash", "half_gap", DEG)),
-    Hidden("pitch_rate_limit", _rate, lambda s: {"rate": DEG * s.get("rate", s.get("slew"))}),
+    Hidden(
+        "pitch_rate_limit", _rate, lambda s: {"rate": DEG * s.get("rate", s.get("slew"))}, relatives=("pitch_speed_limits",)
+    ),
     Hidden("pitch_asymmetry", _either_lag("last_stage", "pitch_asym", 0.1, 0.4, signed), _same("pitch_asym", "asymmetry")),
     Hidden(
         "pitch_travel_limit",
@@ -127,7 +136,9 @@ LISTED = (
         _same("speed_asym", "asymmetry"),
     ),
     Hidden("speed_dependent_lag", _either_lag("speed_last", "damping", 0.3, 1.2), _same("damping", "sensitivity", 1.0 / RPM)),
-    Hidden("speed_saturation", _some("speed_max_w", 0.8, 0.95), _same("speed_max_w", "maximum", RPM)),
+    Hidden(
+        "speed_saturation", _some("speed_max_w", 0.8, 0.95), _same("speed_max_w", "maximum", RPM), relatives=("supply_sag",)
+    ),
     Hidden("supply_sag", _sag, _sag_parameters),
     Hidden("supply_voltage", _voltage, _same("volt_share", "share")),
     Hidden("pitch_speed_coupling", _either_lag("coupling_stiff", "coupling", 0.01, 0.1), _same("coupling", "gain", RPM / DEG)),
