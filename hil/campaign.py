@@ -17,8 +17,9 @@ from vpp_fmu.record import Record
 
 PARTS = ("static", "steps", "open_loop", "repeat", "validation")
 
-STEEP = {"omega_slew": 100_000.0, "beta_slew": 1000.0}
-"""A campaign's steps are steps: what slews the rotor is its own speed loop, not the limit in front of it."""
+STEEP = {"omega_slew": 1e6, "beta_slew": 5000.0}
+"""4000 rpm and 20 deg in one tick, the paper's largest steps: what slews the rotor is its own speed loop, and an identification
+reads no ramp of commands as a step."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
-from identification.diagnose.stepwise import Selection, select
+from identification.diagnose.stepwise import Selection, promised, select
 from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
 from identification.identify import Identification
 from identification.prediction import Prediction, predict
@@ -39,8 +39,9 @@ HELD_SHARE = 1.0 / 3.0
 class Diagnosis:
     """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data.
 
-    `base`: the model without any further effect, as identified; whitened residuals and all to bend, the search's own base does
-    worse on unseen data and would flatter what is found. `given`: the model that was brought, as it was brought; None where the campaign was identified first.
+    `base`: the model without any further effect, as identified; whitened and bent towards what is missing, the search's own
+    base does worse on unseen data and would flatter what is found. `given`: the model that was brought, as it was brought; None
+    where the campaign was identified first.
     """
 
     campaign: Campaign
@@ -115,7 +116,9 @@ def diagnose(
         stage("judge")
         family = rivals(searcher, selection, unseen)
         before = searcher.standing(at.values)
-        word, explained, left = verdict(selection, before, remainder, family)
+        word, explained, left = verdict(
+            selection, before, remainder, family, lambda fit: promised(searcher, fit, options, workers)
+        )
         final = selection.final if word in CHANGED else before
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(

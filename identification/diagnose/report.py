@@ -15,7 +15,7 @@ from vpp_fmu.report import Page, measured_against_predicted, residual_by_section
 SURE = {
     "attributed": "one set of effects explains it",
     "family": "these data can't tell the named effects from others",
-    "partly": "the named effect explains a part of it",
+    "partly": "the named effect explains a part of it, or something near it does",
     "unexplained": "no effect to choose from explains it",
     "none": "nothing above the noise is missing",
 }

@@ -68,6 +68,7 @@ class Searcher:
     ):
         self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
         self.start = {n: start[n] for n in names}
+        self.subsets: dict[tuple, Fit] = {}
 
     def fit(
         self,

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ALIKE, ENOUGH_BIC, Judgement, judge, seen, trifling
+from identification.diagnose.judge import ALIKE, ENOUGH_BIC, NUISANCE, Judgement, judge, seen, trifling
 from identification.diagnose.look import Looks, Seen
 from identification.diagnose.search import Fit, Searcher
 
@@ -21,6 +22,9 @@ REFITTED = 8
 
 REORDERED = 3
 """Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
+
+RECONSIDERED = 2
+"""Refused effects, the best first, that are looked at once more at the end."""
 
 CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
 """The channel between whose lags an effect may stand, by the words of its name."""
@@ -71,19 +75,18 @@ def select(
             path = _forward(searcher, base, usable, left, pool, known, stage)
             found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
             stage("judge")
-            final, judgements, dropped = _backward(searcher, path[-1], held, base)
+            final, judgements, dropped = _backward(searcher, path[-1], held, base, pool)
             found.final, found.judgements = final, judgements
             if not dropped:
                 break
             found.refused.update(dropped)
-        stage("judge")
-        _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left)
+        _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left, pool)
     return found
 
 
-def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], held, left) -> None:
+def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], held, left, pool) -> None:
     """Once more what was refused before the others were there: what hid behind them may stand beside them."""
-    for name in sorted(found.refused, key=lambda n: -found.refused[n].delta_bic):
+    for name in sorted(found.refused, key=lambda n: -found.refused[n].delta_bic)[:RECONSIDERED]:
         if not 0 < len(found.final.effects) < MOST or not left(found.final):
             return
         fitted = [t for t in tried if t.candidate.name == name and t.fit is not None]
@@ -91,7 +94,7 @@ def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], he
         start = {**found.final.values, **{n: best.fit.values[n] for n in best.candidate.free}}
         fuller = _with(searcher, found.final, best.candidate, start, found.final.slow_first)
         fuller = _simplified(searcher, best.candidate, fuller)
-        kept, judgements, dropped = _backward(searcher, fuller, held, found.base)
+        kept, judgements, dropped = _backward(searcher, fuller, held, found.base, pool)
         if not dropped:
             found.final, found.judgements = kept, judgements
             del found.refused[name]
@@ -137,6 +140,13 @@ def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> 
     return tried + [Tried(c, fit.effects, at.fall) for c, at in ranked[REFITTED:]]
 
 
+def promised(searcher: Searcher, fit: Fit, options: Iterable[Candidate], workers: int) -> float:
+    """Log-likelihood that the best of further candidates promises beside a fit; what every rig has a little of left out."""
+    fresh, looks = [c for c in options if c.name not in (*fit.effects, *NUISANCE)], Looks(fit, searcher.start, searcher.library)
+    with ThreadPoolExecutor(workers) as pool:
+        return max((at.fall for at in pool.map(looks.at, fresh)), default=0.0)
+
+
 def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
     """The candidate beside what is there already."""
     # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
@@ -179,14 +189,13 @@ def _with(searcher, fit, candidate, start, order, thorough=True) -> Fit:
     return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough)
 
 
-def _backward(searcher: Searcher, final: Fit, held, base: Fit) -> tuple[Fit, dict[str, Judgement], dict[str, Judgement]]:
+def _backward(searcher: Searcher, final: Fit, held, base: Fit, pool) -> tuple[Fit, dict[str, Judgement], dict[str, Judgement]]:
     """Drop the weakest effect that does not stand, until all do: (fit, judgements, what was dropped)."""
     dropped: dict[str, Judgement] = {}
     while final.effects:
-        held_with, judgements, rest = seen(final, held), {}, {}
-        for effect in final.effects:
-            rest[effect] = without(searcher, final, effect)
-            judgements[effect] = judge(effect, final, rest[effect], held_with, seen(rest[effect], held), base)
+        held_with = seen(final, held)
+        rest = dict(zip(final.effects, pool.map(partial(without, searcher, final), final.effects), strict=True))
+        judgements = {e: judge(e, final, fit, held_with, seen(fit, held), base) for e, fit in rest.items()}
         weak = [j for j in judgements.values() if j.refused]
         if not weak:
             return final, judgements, dropped
@@ -197,12 +206,12 @@ def _backward(searcher: Searcher, final: Fit, held, base: Fit) -> tuple[Fit, dic
 
 
 def without(searcher: Searcher, fit: Fit, effect: str) -> Fit:
-    """The fit of the same set less one effect."""
+    """The fit of the same set less one effect; once per set."""
     own = f"{effect}."
-    return searcher.fit(
-        [e for e in fit.effects if e != effect],
-        {n: v for n, v in fit.forms.items() if not n.startswith(own)},
-        [n for n in fit.free if not n.startswith(own)],
-        fit.values,
-        fit.slow_first,
-    )
+    effects = tuple(e for e in fit.effects if e != effect)
+    forms = {n: v for n, v in fit.forms.items() if not n.startswith(own)}
+    free = tuple(n for n in fit.free if not n.startswith(own))
+    key = effects, tuple(forms.items()), free, tuple(fit.slow_first.items())
+    if key not in searcher.subsets:
+        searcher.subsets[key] = searcher.fit(effects, forms, free, fit.values, fit.slow_first)
+    return searcher.subsets[key]

@@ -1,6 +1,6 @@
 """From a search's outcome to a verdict: attributed, family, partly, unexplained, none."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -28,9 +28,13 @@ ATTRIBUTED = 0.9
 DRIFT = 0.1
 """Share by which the noise may differ from rest to motion, where no repeat tells."""
 
-CONTRADICTED = 3.0
+CONTRADICTED = 2.0
 """Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of
 unseen data blurs the share of a small error."""
+
+FURTHER, BESIDE = 10.0, 0.005
+"""Log-likelihood that one more candidate must promise to show that a set is not the truth but near it; and at least so much of
+what the set itself gained, since no form is exact."""
 
 PLACES = 9
 """Points of a threshold's interval that are tried on unseen data."""
@@ -164,16 +168,26 @@ def _close(selection: Selection, effect: str):
 
 
 def verdict(
-    selection: Selection, base: Fit, remainder: Remainder, family: Mapping[str, list[str]]
+    selection: Selection,
+    base: Fit,
+    remainder: Remainder,
+    family: Mapping[str, list[str]],
+    further: Callable[[Fit], float],
 ) -> tuple[str, Explained | None, Left]:
-    """(verdict, share of the explainable error of `base` removed on unseen data, what is left on the fitted records)."""
-    left = remainder.left(selection.final)
-    if not selection.final.effects:
+    """(verdict, share of the explainable error of `base` removed on unseen data, what is left on the fitted records).
+
+    `further(fit)`: log-likelihood that the best of the remaining candidates promises beside a fit.
+    """
+    final = selection.final
+    left = remainder.left(final)
+    if not final.effects:
         return ("unexplained" if left.anything else "none"), None, left
-    explained = remainder.explained(base, selection.final)
+    explained = remainder.explained(base, final)
+    named = "family" if any(family.values()) else "attributed"
     if not _whole(explained, left, remainder.left(base)):
         return ("partly" if explained is None or explained.share >= PARTLY else "unexplained"), explained, left
-    return ("family" if any(family.values()) else "attributed"), explained, left
+    near = further(final) > max(FURTHER, 0.5 * BESIDE * (selection.base.deviance - final.deviance))
+    return ("partly" if near else named), explained, left
 
 
 def _whole(explained: Explained | None, left: Left, before: Left) -> bool:

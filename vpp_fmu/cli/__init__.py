@@ -19,6 +19,7 @@ VERBS = {
     "compare": "two records side by side",
     "plan": "the next experiment for a model: commands, and what they would tell",
     "import": "a test stand's log to a record",
+    "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 

@@ -39,8 +39,8 @@ class Page:
         self._sections.append(title)
         self._parts.append(f'<h2 id="section-{len(self._sections)}">{escape(title)}</h2>\n{_paragraphs(text)}')
 
-    def figure(self, fig: go.Figure, caption: str) -> None:
-        """A figure, as wide as the page."""
+    def figure(self, fig: go.Figure, caption: str) -> int:
+        """A figure, as wide as the page; returns its number."""
         self._figures += 1
         name = f"figure-{self._figures}"
         # "</script>" in a label would end the script; the json engine keeps the bytes the same wherever orjson is about.
@@ -50,6 +50,7 @@ class Page:
             f"<script>draw({name!r},{drawing})</script>\n"
             f"<figcaption><b>Figure {self._figures}.</b> {escape(caption)}</figcaption></figure>"
         )
+        return self._figures
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
         """A table; the columns' names bear the units. Reals show four significant digits, texts as they are."""
