@@ -22,6 +22,11 @@ STEEP = {"omega_slew": 1e6, "beta_slew": 5000.0}
 reads no ramp of commands as a step."""
 
 
+APPROACH = 5.0
+"""deg below its first value, from where pitch comes to it in one step: the ramp of the spin-up is many small commands, which a
+dead band may not hear, and leaves play where nobody knows."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """How much is measured. Defaults are the paper's: 10 x 10 points, 3 s to settle, 5000 samples each; steps of 5 s + 5 s.
@@ -65,8 +70,8 @@ def measure(rig: Rig, part: str, plan: Plan, progress: Callable[[float], None]) 
     if part == "steps":
         return step_responses(rig, commands.steps(plan.levels), plan, progress)
     if part == "validation":
-        return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt), progress)
-    return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt), progress)
+        return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt), plan.settle, progress)
+    return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt), plan.settle, progress)
 
 
 def static_map(rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress) -> Record:
@@ -105,10 +110,14 @@ def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress) -> Rec
     return Record({name: np.concatenate([part[name] for part in parts]) for name in names}, "steps")
 
 
-def follow(rig: Rig, orders: Record, progress) -> Record:
-    """A record of commands at the loop's own times, settled on the first."""
+def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
+    """A record of commands at the loop's own times, settled for `settle` s on the first."""
     told = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
-    rig.start(*told[0].tolist())
+    omega, beta = told[0].tolist()
+    rig.start(omega, beta)
+    for pitch in (beta - APPROACH, beta):
+        for _ in range(round(settle / rig.dt)):
+            rig.step(omega, pitch)
     record = recorded(rig, told, progress)
     rig.stop()
     return record

@@ -24,7 +24,7 @@ ALIKE = 10.0
 ENOUGH_HELD_OUT = 3.0
 """Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""
 
-WORTH = 0.02
+WORTH = 0.008
 """Share of what a set explains that each of its effects must explain: a slightly wrong form of one leaves such a remainder,
 which a second, superfluous name would take."""
 

@@ -32,7 +32,7 @@ CONTRADICTED = 2.0
 """Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of
 unseen data blurs the share of a small error."""
 
-FURTHER, BESIDE = 10.0, 0.005
+FURTHER, BESIDE = 10.0, 0.002
 """Log-likelihood that one more candidate must promise to show that a set is not the truth but near it; and at least so much of
 what the set itself gained, since no form is exact."""
 

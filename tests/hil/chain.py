@@ -1,8 +1,10 @@
 """The whole chain on the emulated rig: `python -m tests.hil.chain [EFFECT[=SIZE]] [-o DIR] [--seed N]`.
 
-A campaign is measured on a rig with a hidden effect; `vpp identify`, `vpp diagnose` and `vpp export` make two plant FMUs of it,
-without and with what was found; both then predict records of the same rig that nobody has seen, and run beside it in
-the loop. Every step is a command that a user would type; the table says how far each FMU is from the rig.
+The rig as it is is measured once and its model diagnosed: what every later measurement is held against. Then an effect
+hides in the rig. A new campaign, `vpp identify`, `vpp diagnose --parameters` with the model of before, and `vpp export` make
+plant FMUs: the old one, one identified anew, and one with what was found. All predict records of the same rig that nobody
+has seen, and run beside it in the loop. Every step is a command that a user would type; the table says how far each FMU is
+from the rig.
 """
 
 import argparse
@@ -43,32 +45,40 @@ def rmse(fmu: Path, record: Record) -> float:
 
 def chain(effect: str, out: Path, seed: int, more: list[str]) -> dict:
     """Measure, identify, diagnose, export, measure and run again; what came of it."""
-    rig = ["--virtual", "--hide", effect]
-    took = {"campaign": command("hil", "campaign", *rig, "--seed", seed, *more, "-o", out / "campaign")}
+    rig, known = ["--virtual", "--hide", effect], out / "known" / "parameters.json"
+    command("hil", "campaign", "--virtual", "--seed", seed, *more, "-o", out / "campaign_before")
+    took = {"diagnose, before": command("diagnose", out / "campaign_before", "-o", known.parent)}
+    took["campaign"] = command("hil", "campaign", *rig, "--seed", seed, *more, "-o", out / "campaign")
     took["identify"] = command("identify", out / "campaign", "-o", out / "identified")
-    took["diagnose"] = command("diagnose", out / "campaign", "-o", out / "diagnosed")
+    took["diagnose"] = command("diagnose", out / "campaign", "--parameters", known, "-o", out / "diagnosed")
     folder = OutputFolder(out)
     write_record(folder, "new_commands.csv", validation(seed + 1000, 60.0, PERIOD))
     write_record(folder, "steps.csv", Record(STEPS, ""))
     command("hil", "campaign", *rig, "--seed", seed + 1, "--commands", out / "new_commands.csv", "-o", out / "new")
     new = read_record(out / "new" / "record.csv", holes=("thrust",))
     verdict = json.loads((out / "diagnosed" / "diagnosis.json").read_text())
-    found = {"effect": effect, "verdict": verdict["verdict"], "effects": [e["name"] for e in verdict["effects"]]}
-    found |= {"family": verdict.get("family"), "noise": verdict["noise_floor_thrust"], "seconds": took}
-    for name, parameters in (("before", out / "identified"), ("after", out / "diagnosed")):
-        command("export", "--parameters", parameters / "parameters.json", "-o", out / f"fmus_{name}")
+    found = {"effect": effect, "verdict": verdict["verdict"], "effects": [_told(e) for e in verdict["effects"]]}
+    found |= {"noise": verdict["noise_floor_thrust"], "seconds": took, "models": {}}
+    for name in ("known", "identified", "diagnosed"):
+        parameters = out / name / "parameters.json"
+        command("export", "--parameters", parameters, "-o", out / f"fmus_{name}")
         fmu = out / f"fmus_{name}" / "VppPlant.fmu"
         loop = ["--profile", out / "steps.csv", "--beside", fmu, "-o", out / f"run_{name}"]
-        command("hil", "run", *rig, "--seed", seed + 2, "--parameters", parameters / "parameters.json", *loop)
+        command("hil", "run", *rig, "--seed", seed + 2, "--parameters", parameters, *loop)
         beside = json.loads((out / f"run_{name}" / "hil.json").read_text())["beside"]["rms_thrust"]
-        found[name] = {"new record": rmse(fmu, new), "beside the rig in the loop": beside}
+        found["models"][name] = {"new record": rmse(fmu, new), "in the loop": beside}
     return found
+
+
+def _told(effect: dict) -> str:
+    sizes = (f"{n} {p['value']:.3g} {p['unit']}" for n, p in effect["parameters"].items() if n != "form")
+    return f"{effect['name']} ({', '.join(sizes)})"
 
 
 def main() -> None:
     """Run the chain and print its table."""
     parser = argparse.ArgumentParser(prog="python -m tests.hil.chain", description=__doc__)
-    parser.add_argument("effect", nargs="?", default="linkage_play=0.6", help="as --hide has it (default: linkage_play=0.6)")
+    parser.add_argument("effect", nargs="?", default="lac_command_deadband=1", help="as --hide has it (default: %(default)s)")
     parser.add_argument("-o", "--output", default="chain", help="folder (default: chain)")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--paper", action="store_true", help="as many readings as the paper takes")
@@ -76,10 +86,11 @@ def main() -> None:
     out = Path(options.output)
     found = chain(options.effect, out, options.seed, [] if options.paper else LESS)
     OutputFolder(out).write("chain.json", json.dumps(found, indent=2) + "\n")
-    print(f"\nhidden: {found['effect']}; verdict: {found['verdict']}, {', '.join(found['effects']) or 'nothing'}")
-    for what in found["before"]:
-        before, after = found["before"][what], found["after"][what]
-        print(f"{what}: {before:.3f} N before, {after:.3f} N after")
+    print(f"\nhidden: {found['effect']}; verdict: {found['verdict']}, {' and '.join(found['effects']) or 'nothing'}")
+    print(f"{'thrust error of the FMU [N]':40} {'new record':>12} {'in the loop':>12}")
+    titles = {"known": "the model of before", "identified": "identified anew", "diagnosed": "with what was found"}
+    for name, errors in found["models"].items():
+        print(f"{titles[name]:40} {errors['new record']:12.3f} {errors['in the loop']:12.3f}")
     took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in found["seconds"].items())
     print(f"noise of one reading: {found['noise']:.3f} N; {took}")
 

@@ -78,7 +78,9 @@ def _measured(setup: Setup, folder: OutputFolder, part: str, plan: Plan, command
 
         with session(setup, folder.path, f"log_{part}.csv.gz", watch=False) as one:
             try:
-                record = follow(one.rig, commands, progress) if commands else measure(one.rig, part, plan, progress)
+                record = (
+                    follow(one.rig, commands, plan.settle, progress) if commands else measure(one.rig, part, plan, progress)
+                )
             except ENDINGS as reason:
                 ended = reason
     return one, record, ended
