@@ -120,11 +120,15 @@ def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
         if not fitted:
             break
         top = max(t.delta_bic for t in fitted)
-        best = max(
-            (t for t in fitted if t.delta_bic > top - ALIKE), key=lambda t: (not t.fit.idle, -len(t.fit.free), t.delta_bic)
-        )
+        best = max((t for t in fitted if t.delta_bic > top - ALIKE), key=_simplest)
         path.append(best.fit)
     return path
+
+
+def _simplest(tried: Tried) -> tuple:
+    """Of what fits alike, the one with the fewest parameters, and rather one that is simple than one that was made so."""
+    shed = len([n for n in tried.candidate.free if n in tried.fit.free]) < len(tried.candidate.free)
+    return not tried.fit.idle, -len(tried.fit.free), not shed, tried.delta_bic
 
 
 def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:

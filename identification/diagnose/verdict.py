@@ -42,6 +42,9 @@ PLACES = 9
 RICHER = 0.99
 """Level of the likelihood ratio that a rival with more parameters must pass: else it only contains the simpler effect."""
 
+SAME = 0.1
+"""Difference of the deviance below which two fits are one model under two names."""
+
 PARTLY = 0.5
 """Share from which a set that is not the whole is worth a name and a place in the model."""
 
@@ -129,7 +132,8 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
             for free in {fuller, simpler}:
                 other = _in_its_place(searcher, rest, tried, free)
                 # What sheds parameters may end as the very model that it is compared with.
-                if other.idle or (tried.fit.idle and free == simpler) or not _alike(other, final):
+                special = free == simpler != fuller and abs(other.deviance - final.deviance) < SAME
+                if other.idle or special or not _alike(other, final):
                     continue
                 judged = judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held), selection.base)
                 names |= set() if judged.refused else {tried.candidate.name}
