@@ -94,7 +94,7 @@ def test_every_step_of_the_campaign_is_one_that_identification_reads(quick):
 
 
 def test_the_campaign_is_what_the_rigs_own_command_measures(quick, tmp_path):
-    words = ["--virtual", "--parts", "validation", "--validation-seconds", "8", "-o", str(tmp_path)]
+    words = ["--virtual", "--parts", "validation", "--validation-seconds", "8", "--settle", "1", "-o", str(tmp_path)]
     assert main(["hil", "campaign", *words]) == 0
     assert (tmp_path / "validation.csv").read_bytes() == (quick.out / "campaign" / "validation.csv").read_bytes()
 
