@@ -11,8 +11,8 @@ import numpy as np
 
 from hil import commands
 from hil.commands import Step
-from hil.limits import Limits
 from hil.rig import Rig
+from hil.safety.limits import Limits
 from vpp_fmu.record import Record
 
 PARTS = ("static", "steps", "open_loop", "repeat", "validation")

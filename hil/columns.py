@@ -1,7 +1,7 @@
 """What a tick leaves in the log, and what the live view shows of it."""
 
 from hil.log import Column
-from hil.states import SafetyState
+from hil.safety.states import SafetyState
 
 STATES = tuple(state.value for state in SafetyState)
 
@@ -28,8 +28,8 @@ COLUMNS = (
     Column("missed"),
 )
 """A tick's row, in s, N, rpm, deg: what was sampled at its time; the commands that the controller wants and those that act from
-then on; throttle [1]; bits of `hil.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its work
-took, how many slots were missed before it."""
+then on; throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its
+work took, how many slots were missed before it."""
 
 RUN = ("thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "omega_wanted", "beta_wanted")
 """Columns of `run.csv`, beside `time`."""

@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 from hil.bench import Bench
 from hil.columns import STATES
-from hil.faults import DeviceFault, Fault, FaultKind
-from hil.limits import Cut, Limits
 from hil.live import View
 from hil.log import Log
-from hil.plausibility import Plausibility, Reading
+from hil.safety.faults import DeviceFault, Fault, FaultKind
+from hil.safety.limits import Cut, Limits
+from hil.safety.plausibility import Plausibility, Reading
+from hil.safety.states import SafetyState, StateMachine
+from hil.safety.stop import StopSignals
+from hil.safety.supervisor import Supervisor
 from hil.senses import Senses
-from hil.states import SafetyState, StateMachine
-from hil.stop import StopSignals
-from hil.supervisor import Supervisor
 from hil.ticks import Tick, Ticks
 
 PERIOD = 0.004

@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 from hil.bench import Bench
 from hil.cycle import NOBODY, PERIOD, Cycle
-from hil.faults import DeviceFault
-from hil.limits import Cut, Limiter, Limits
 from hil.live import NoView, View
 from hil.log import Log
 from hil.physics.speed_pi import SpeedPi
-from hil.plausibility import Plausibility
-from hil.states import SafetyState
-from hil.stop import StopSignals
-from hil.supervisor import Supervisor
-from hil.tare import Tare, TareRefused, tare
-from hil.twin import Twin
+from hil.safety.faults import DeviceFault
+from hil.safety.limits import Cut, Limiter, Limits
+from hil.safety.plausibility import Plausibility
+from hil.safety.states import SafetyState
+from hil.safety.stop import StopSignals
+from hil.safety.supervisor import Supervisor
+from hil.safety.tare import Tare, TareRefused, tare
+from hil.twin.twin import Twin
 from vpp_fmu.errors import VppError
 
 SERVES = 0.02

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from hil.columns import RUN
-from hil.limits import Limiter, Limits
 from hil.log import Column, MemoryLog
 from hil.rig import ENDINGS, Rig
+from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, read_log, session
-from hil.twin import Twin
+from hil.twin.twin import Twin
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import Controller, Plant
 from vpp_fmu.record import Record

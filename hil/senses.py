@@ -6,7 +6,7 @@ import math
 from hil.bench import Bench
 from hil.clock import Clock
 from hil.devices.tachometer import Revolution
-from hil.faults import DeviceFault, Fault
+from hil.safety.faults import DeviceFault, Fault
 
 
 class Senses:

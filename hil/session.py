@@ -19,16 +19,16 @@ from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.rig import virtual_bench
-from hil.limits import Limits
 from hil.live import NoView, view
 from hil.log import Logged, MemoryLog, ProcessLog
-from hil.plausibility import Plausibility, Thresholds
 from hil.realtime import real_time
 from hil.rig import Rig
-from hil.stop import StopSignals
-from hil.supervisor import Supervisor
+from hil.safety.limits import Limits
+from hil.safety.plausibility import Plausibility, Thresholds
+from hil.safety.stop import StopSignals
+from hil.safety.supervisor import Supervisor
 from hil.timing import Timing, timing
-from hil.twin import Twin
+from hil.twin.twin import Twin
 from vpp_fmu.files import read_table
 from vpp_fmu.record import Record
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import smbus2
 
 from hil.clock import Clock
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 CONVERSION, CONFIG = 0x00, 0x01
 INPUTS = {

@@ -10,7 +10,7 @@ from os import pwrite
 from pathlib import Path
 
 from hil.clock import Clock
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 ROOT = Path("/sys/class/pwm")
 _PERMISSION = 1.0

@@ -13,7 +13,7 @@ import serial
 from hil.clock import Clock
 from hil.devices import frames
 from hil.devices.frames import Frame, FrameReader, Hello, encoded
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 BAUD = 500_000
 """The Uno divides its 16 MHz to it without a remainder."""

@@ -20,8 +20,8 @@ from hil.devices.tachometer import Tachometer
 from hil.emulator import i2c, pwm_tree
 from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder
 from hil.emulator.serial_line import PtyLine
-from hil.faults import DeviceFault, FaultKind
 from hil.realtime import real_time
+from hil.safety.faults import DeviceFault, FaultKind
 from hil.ticks import Ticks
 
 PERIOD = 0.001

@@ -20,8 +20,8 @@ from hil import rig
 from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.rig import Rig as Emulated
-from hil.limits import Limits
 from hil.run import run_on_rig
+from hil.safety.limits import Limits
 from hil.session import Setup
 from vpp_fmu.errors import VppError
 from vpp_fmu.plants import KernelController

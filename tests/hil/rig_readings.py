@@ -4,10 +4,10 @@ import math
 import random
 
 from hil.emulator.stepper import Stepper
-from hil.limits import Limiter, Limits
 from hil.physics.rig_model import library, powertrain
 from hil.physics.speed_pi import SpeedPi
-from hil.plausibility import Plausibility, Reading
+from hil.safety.limits import Limiter, Limits
+from hil.safety.plausibility import Plausibility, Reading
 
 DT = 0.004
 SPIN_UP = 3.0

@@ -10,8 +10,8 @@ from hil.emulator.rig import LINE, virtual_bench
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.serial_line import FAULTS
 from hil.emulator.shared import SharedNumbers
-from hil.limits import Limits
 from hil.rig import Rig
+from hil.safety.limits import Limits
 from hil.session import Setup
 from vpp_fmu.record import Record
 

@@ -8,7 +8,7 @@ import smbus2
 from hil.clock import VirtualClock
 from hil.devices.ads1115 import Ads1115
 from hil.emulator import i2c
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 TICK = 0.004
 LSB = 4.096 / 32768

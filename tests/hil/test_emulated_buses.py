@@ -14,7 +14,7 @@ from hil.devices.pwm import PwmChannel
 from hil.devices.tachometer import Tachometer
 from hil.emulator import i2c, pwm_tree, serial_line
 from hil.emulator.shared import SharedNumbers
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 FAR_END = """
 import math, os, sys, time

@@ -8,7 +8,7 @@ from rigs import IDLE, duties, virtual_rig
 from hil import rig as hil_rig
 from hil.columns import COLUMNS
 from hil.rig import RunEnded
-from hil.states import SafetyState
+from hil.safety.states import SafetyState
 from tests.hil.faults import ROWS, tried
 from tests.hil.injection import Injected
 

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, LIMITS, setup, step_profile
 
-from hil.band import Band
 from hil.columns import COLUMNS
 from hil.emulator.rig import Rig as Emulated
 from hil.report import judged_steps, smoothed
 from hil.rig import RunEnded
 from hil.run import START, LimitedPlant, loop_part, run_on_rig, write_run
 from hil.session import Setup, read_log
-from hil.twin import Twin
+from hil.twin.band import Band
+from hil.twin.twin import Twin
 from vpp_fmu.cli import main
 from vpp_fmu.comparison import compare
 from vpp_fmu.files import OutputFolder

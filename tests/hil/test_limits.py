@@ -7,8 +7,8 @@ import random
 
 import pytest
 
-from hil.faults import FaultKind
-from hil.limits import Cut, Limiter, Limits, read_limits
+from hil.safety.faults import FaultKind
+from hil.safety.limits import Cut, Limiter, Limits, read_limits
 from vpp_fmu.errors import BadInput
 
 DT = 0.004

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from rig_readings import DT, NEWTON_PER_COUNT, Tachometer, run, steps
 
-from hil.faults import FaultKind, Reaction
-from hil.limits import Limits
 from hil.physics.rig_model import library
-from hil.pitch_effect import PitchEffect
-from hil.plausibility import Plausibility, Reading, Thresholds
-from hil.rotor_bounds import RotorBounds, RotorPhysics
+from hil.safety.faults import FaultKind, Reaction
+from hil.safety.limits import Limits
+from hil.safety.pitch_effect import PitchEffect
+from hil.safety.plausibility import Plausibility, Reading, Thresholds
+from hil.safety.rotor_bounds import RotorBounds, RotorPhysics
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
 

@@ -13,7 +13,7 @@ from hil.clock import VirtualClock
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.emulator import pwm_tree
 from hil.emulator.pwm_tree import PwmTree
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 PERIOD, IDLE = 0.0025, 0.001
 NOBODY = 65534

@@ -10,12 +10,12 @@ from hil.columns import COLUMNS, STATES
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import ZERO_SHIFT
 from hil.emulator.rig import Rig as Emulated
-from hil.faults import Fault, FaultKind
-from hil.limits import Cut, Limits
 from hil.physics.rig_model import FULL_RIG
 from hil.realtime import real_time
 from hil.rig import RAMP, Rig, RunEnded
-from hil.states import SafetyState
+from hil.safety.faults import Fault, FaultKind
+from hil.safety.limits import Cut, Limits
+from hil.safety.states import SafetyState
 from vpp_fmu.kernel.simulation import Simulation
 
 

@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from hil.faults import Fault, FaultKind, Reaction
-from hil.states import IllegalMove, SafetyState, StateMachine
-from hil.tare import Tare
+from hil.safety.faults import Fault, FaultKind, Reaction
+from hil.safety.states import IllegalMove, SafetyState, StateMachine
+from hil.safety.tare import Tare
 
 ZERO = Tare(100.0, 3.0, 0.2, 500)
 SOFT = Fault("tachometer", FaultKind.SILENT, "50 ms")

@@ -5,8 +5,8 @@ import signal
 
 import pytest
 
-from hil.faults import FaultKind, Reaction
-from hil.stop import StopSignals
+from hil.safety.faults import FaultKind, Reaction
+from hil.safety.stop import StopSignals
 
 
 @pytest.mark.parametrize(

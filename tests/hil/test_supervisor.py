@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from hil import watchdog
-from hil.faults import DeviceFault, FaultKind
-from hil.supervisor import LOST, SILENCE, Supervisor
+from hil.safety import watchdog
+from hil.safety.faults import DeviceFault, FaultKind
+from hil.safety.supervisor import LOST, SILENCE, Supervisor
 
 IDLE, OPEN = b"1000000\n", b"1500000\n"
 HERE = Path(__file__).parent

@@ -11,7 +11,7 @@ from hil.devices.frames import ANSWER, FROM_HOST, HELLO, Answer, Frame, FrameRea
 from hil.devices.tachometer import Tachometer
 from hil.emulator.serial_line import MemoryLine, PtyLine
 from hil.emulator.uno import Uno
-from hil.faults import DeviceFault, FaultKind
+from hil.safety.faults import DeviceFault, FaultKind
 
 TICK = 0.004
 MICROTICK = 4e-6

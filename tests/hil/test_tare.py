@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hil.tare import TareGate, TareRefused, tare
+from hil.safety.tare import TareGate, TareRefused, tare
 
 SCALE = 0.004  # N per count
 GATE = TareGate(noise_max=0.3, drift_max=0.05, offset_max=5.0, samples_min=200)

@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from hil.band import Band, Spread, Whitener, band_of, read_band
-from hil.cusum import Cusum, run_length, threshold_for
-from hil.twin import BLOCK, Twin
+from hil.twin.band import Band, Spread, Whitener, band_of, read_band
+from hil.twin.cusum import Cusum, run_length, threshold_for
+from hil.twin.twin import BLOCK, Twin
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.plants import FmuPlant, KernelPlant, Sample

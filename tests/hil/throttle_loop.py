@@ -11,7 +11,7 @@ import sys
 import time
 
 from hil.clock import MonotonicClock
-from hil.supervisor import Supervisor
+from hil.safety.supervisor import Supervisor
 
 OPEN, IDLE = 1.5e-3, 1.0e-3
 TICK = 0.004

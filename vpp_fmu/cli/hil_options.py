@@ -6,8 +6,8 @@ from importlib.resources import files
 from hil.bench import Wiring, check_limits
 from hil.calibration import read_calibration
 from hil.emulator.rig import Rig
-from hil.limits import Limits, read_limits
 from hil.physics.rig_model import library
+from hil.safety.limits import Limits, read_limits
 from hil.session import Setup
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER

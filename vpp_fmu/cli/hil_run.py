@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hil.band import Band, read_band
 from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
 from hil.rig import RunEnded
 from hil.run import START, LimitedPlant, Run, run_on_rig, write_run
-from hil.twin import Twin
+from hil.twin.band import Band, read_band
+from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.campaign import steep
-from hil.limits import Limits
 from hil.report import smoothed
+from hil.safety.limits import Limits
 from identification.tune.operating import operating_points
 from identification.tune.search import search
 from identification.tune.summary import step_error

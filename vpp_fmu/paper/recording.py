@@ -12,9 +12,9 @@ import numpy as np
 from hil.calibration import read_calibration
 from hil.campaign import PARTS, Plan, measure, steep
 from hil.emulator.rig import Rig
-from hil.limits import Limits
 from hil.rig import RunEnded
 from hil.run import run_on_rig
+from hil.safety.limits import Limits
 from hil.session import Setup, session
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.files import OutputFolder

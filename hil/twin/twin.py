@@ -1,15 +1,15 @@
 """The model beside the rig: its thrust under the same commands, and an alarm when the difference leaves its band.
 
-The residual's means over half a second are whitened and summed up, and so are the variances about them (`hil.band`,
-`hil.cusum`): an offset and a vibration are both seen. As long as what the model's own error leaves in them stays within the
-band's `model_error`, however it moves there, alarms are at most as frequent as stated: each step of a cumulative sum grows
-with its input, so no such error makes it alarm sooner than the constant one it is set for.
+The residual's means over half a second are whitened and summed up, and so are the variances about them (`hil.twin.band`,
+`hil.twin.cusum`): an offset and a vibration are both seen. As long as what the model's own error leaves in them stays
+within the band's `model_error`, however it moves there, alarms are at most as frequent as stated: each step of a
+cumulative sum grows with its input, so no such error makes it alarm sooner than the constant one it is set for.
 """
 
 from typing import NamedTuple
 
-from hil.band import Band, Spread, Whitener
-from hil.cusum import Cusum, run_length, threshold_for
+from hil.twin.band import Band, Spread, Whitener
+from hil.twin.cusum import Cusum, run_length, threshold_for
 from vpp_fmu.plants import Plant
 
 BLOCK = 0.5

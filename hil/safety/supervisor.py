@@ -11,8 +11,8 @@ import sys
 import time
 from collections.abc import Sequence
 
-from hil import watchdog
-from hil.faults import DeviceFault, Fault, FaultKind
+from hil.safety import watchdog
+from hil.safety.faults import DeviceFault, Fault, FaultKind
 
 SILENCE = 0.05
 """s without a heartbeat after which the rotor is stopped: twelve ticks."""

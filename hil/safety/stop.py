@@ -2,7 +2,7 @@
 
 import signal
 
-from hil.faults import Fault, FaultKind
+from hil.safety.faults import Fault, FaultKind
 
 
 class StopSignals:

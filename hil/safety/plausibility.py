@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hil.faults import Fault, FaultKind
-from hil.limits import Limits
-from hil.pitch_effect import PitchEffect
-from hil.rotor_bounds import RotorBounds, RotorPhysics
+from hil.safety.faults import Fault, FaultKind
+from hil.safety.limits import Limits
+from hil.safety.pitch_effect import PitchEffect
+from hil.safety.rotor_bounds import RotorBounds, RotorPhysics
 
 HELD_REVOLUTIONS = 3
 """A mark that is missed once makes one late pass and one halved speed; the revolution behind it is right again."""

@@ -7,7 +7,7 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from hil.entries import Entries, Number, read_json
-from hil.faults import Fault, FaultKind
+from hil.safety.faults import Fault, FaultKind
 
 FORMAT = "vpp-limits/1"
 

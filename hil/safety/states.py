@@ -8,8 +8,8 @@ A tare is good for one run. A fault stays until someone resets it, and that only
 
 from enum import Enum
 
-from hil.faults import Fault, Reaction
-from hil.tare import Tare
+from hil.safety.faults import Fault, Reaction
+from hil.safety.tare import Tare
 from vpp_fmu.errors import VppError
 
 
