@@ -73,8 +73,8 @@ class _Look:
 
     def at(self, candidate: Candidate) -> tuple[float, dict[str, float]]:
         """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed."""
-        model = plant([*self._effects, candidate.name], self._library)
-        trace = _Trace(self._about, Simulator(model), Simulator(model, candidate.sizes), candidate)
+        simulator = Simulator(plant([*self._effects, candidate.name], self._library), candidate.sizes)
+        trace = _Trace(self._about, simulator, candidate)
         found = [self._proportional(trace, shape) or self._grid(trace, shape) for shape in candidate.shapes()]
         fall, point = max(found, key=lambda pair: pair[0])
         return fall, trace.followed(point) | point
@@ -120,8 +120,8 @@ class _Look:
 class _Trace:
     """What a candidate adds to the residual that the fitted parameters can't follow, as a function of its parameters."""
 
-    def __init__(self, about: Linearised, simulator: Simulator, tangents: Simulator, candidate: Candidate):
-        self.candidate, self._about, self._simulator, self._tangents = candidate, about, simulator, tangents
+    def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
+        self.candidate, self._about, self._simulator = candidate, about, simulator
         self._quiet = about.rows(simulator, {**candidate.form, **candidate.off})
 
     def at(self, point) -> np.ndarray:
@@ -142,4 +142,4 @@ class _Trace:
 
     def tangents(self, point) -> np.ndarray:
         """(rows, sizes)"""
-        return self._about.apart(self._about.columns(self._tangents, {**self.candidate.form, **point}))
+        return self._about.apart(self._about.columns(self._simulator, {**self.candidate.form, **point}))
