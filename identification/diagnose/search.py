@@ -69,6 +69,7 @@ class Searcher:
         self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
         self.start = {n: start[n] for n in names}
         self.subsets: dict[tuple, Fit] = {}
+        self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
 
     def fit(
         self,
@@ -86,6 +87,8 @@ class Searcher:
         model = plant(effects, self.library)
         values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
         smooth, stuck = self._kinds(model, values, free, slow_first)
+        idle = [n for n in free if n not in smooth and n not in stuck]
+        values |= {n: self._off[n] for n in idle if n in self._off}  # these data don't reach it: nor shall others, by chance
         evidence = Evidence(model, self.experiments, values, [*self.names, *smooth], self.prior, slow_first)
         solution, intervals = evidence.fit(values), {}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
@@ -93,8 +96,7 @@ class Searcher:
         found = evidence.values | evidence.coordinates.values(solution.value)
         score = evidence.score(found, Simulator(model))
         told = tuple(n for n in free if n in smooth or n in stuck)
-        idle = len(told) < len(free)
-        return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, idle)
+        return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, bool(idle))
 
     def standing(self, values: Mapping[str, float]) -> Fit:
         """The base model at given values, nothing fitted."""
