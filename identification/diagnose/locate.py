@@ -30,9 +30,8 @@ def locate(campaign: Campaign, thrust: np.ndarray, omega: np.ndarray, beta: np.n
         chosen = at.mean(mask.astype(float)) > 0.5
         if chosen.any():
             by_section[name] = float(np.mean((error * other)[chosen]))
-    correlates = {
-        name: float(np.corrcoef(both, at.mean(signal))[0, 1]) for name, signal in _signals(record, thrust, omega, beta).items()
-    }
+    signals = _signals(record, thrust, omega, beta)
+    correlates = {name: _correlation(both, at.mean(signal)) for name, signal in signals.items()}
     ranked = sorted(correlates.items(), key=lambda item: -abs(item[1]))
     strongest = ranked[0]
     speed, pitch = (max(abs(correlates[n]) for n in names) for names in (SPEED, PITCH))
@@ -44,6 +43,11 @@ def locate(campaign: Campaign, thrust: np.ndarray, omega: np.ndarray, beta: np.n
         "correlates": dict(ranked),
         "input": _input(speed, pitch),
     }
+
+
+def _correlation(error: np.ndarray, signal: np.ndarray) -> float:
+    """0 with a signal that stands still: a fixed pitch explains nothing."""
+    return float(np.corrcoef(error, signal)[0, 1]) if np.ptp(signal) > 0.0 else 0.0
 
 
 def _input(speed: float, pitch: float) -> str:
@@ -62,14 +66,18 @@ def _signals(record, thrust, omega, beta) -> Mapping[str, np.ndarray]:
     return {
         "time since the start": time,
         "thrust": thrust,
-        "rate of thrust": np.gradient(thrust, time),
+        "rate of thrust": _rate(thrust, time),
         "speed": omega,
-        "rate of speed": np.gradient(omega, time),
+        "rate of speed": _rate(omega, time),
         "speed still to go": record["omega_ref"] - omega,
         "pitch": beta,
-        "rate of pitch": np.gradient(beta, time),
+        "rate of pitch": _rate(beta, time),
         "pitch still to go": record["beta_ref"] - beta,
     }
+
+
+def _rate(signal: np.ndarray, time: np.ndarray) -> np.ndarray:
+    return np.gradient(signal - signal[0], time)  # exactly 0 where it stands still
 
 
 def _bands(error: np.ndarray, other: np.ndarray) -> dict[str, float]:

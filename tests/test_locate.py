@@ -1,0 +1,50 @@
+"""Where an unexplained error lives."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.diagnose.locate import locate
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.record import Record
+
+TIME = np.arange(0.0, 60.0, 0.004)
+SPEED = 4000.0 + 800.0 * np.sin(2 * np.pi * 0.11 * TIME)
+PITCH = 4.0 + 3.0 * np.sin(2 * np.pi * 0.6 * TIME)
+THRUST = 6.0 + 0.001 * (SPEED - 4000.0)
+
+
+def located(error, speed=SPEED, pitch=PITCH):
+    """What is said of an error [N] that comes back in the repeat."""
+    columns = {"omega_ref": speed, "beta_ref": pitch, "omega": speed, "beta": pitch, "thrust": THRUST + error}
+    made = [Record({"time": TIME, **columns, "thrust": columns["thrust"] + noise}, "") for noise in noises()]
+    campaign = Campaign(Path(), None, (), *made, validation=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return locate(campaign, THRUST, speed, pitch)
+
+
+def noises():
+    return np.random.default_rng(0).normal(0.0, 0.1, (2, len(TIME)))
+
+
+def test_an_error_that_goes_with_the_rate_of_pitch_is_seen_there():
+    told = located(0.05 * np.gradient(PITCH, TIME))
+    assert told["strongest_correlate"]["signal"] == "rate of pitch"
+    assert told["strongest_correlate"]["correlation"] == pytest.approx(1.0, abs=0.02)
+    assert told["input"] == "pitch"
+    assert told["share_by_band_hz"]["0.2-1"] > 0.9  # 0.6 Hz
+
+
+def test_an_error_of_its_own_goes_with_neither_command():
+    told = located(0.3 * np.sin(2 * np.pi * 5.0 * TIME))
+    assert told["input"] == "neither"
+    assert told["share_by_band_hz"]["3-10"] > 0.9
+
+
+def test_a_pitch_that_stands_still_explains_nothing():
+    told = located(0.0005 * (SPEED - 4000.0), pitch=np.full(len(TIME), 4.0))
+    assert told["correlates"]["pitch"] == told["correlates"]["rate of pitch"] == 0.0
+    assert told["input"] == "speed"
