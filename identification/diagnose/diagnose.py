@@ -16,7 +16,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
-from identification.diagnose.stepwise import Selection, promised, select
+from identification.diagnose.stepwise import Selection, promising, select
 from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
 from identification.identify import Identification
 from identification.prediction import Prediction, predict
@@ -109,16 +109,15 @@ def diagnose(
         base = searcher.fit((), {}, (), at.values)
         options = candidates(library, (*fitted, *held))
         stage("what can be told apart")
+        remainder, before = Remainder(campaign, unseen, noise), searcher.standing(at.values)
         with ThreadPoolExecutor(workers) as pool:
             apart = distinguishability(base, options, library, pool.map)
-        remainder = Remainder(campaign, unseen, noise)
-        selection = select(searcher, base, options, unseen, lambda fit: remainder.left(fit).anything, workers, stage)
-        stage("judge")
-        family = rivals(searcher, selection, unseen)
-        before = searcher.standing(at.values)
-        word, explained, left = verdict(
-            selection, before, remainder, family, lambda fit: promised(searcher, fit, options, workers)
-        )
+            selection = select(searcher, base, options, unseen, lambda fit: remainder.left(fit).anything, pool, stage)
+            stage("judge")
+            family = rivals(searcher, selection, unseen)
+            word, explained, left = verdict(
+                selection, before, remainder, family, lambda fit: promising(searcher, base, fit, options, pool)
+            )
         final = selection.final if word in CHANGED else before
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(

@@ -69,6 +69,7 @@ class Searcher:
         self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
         self.start = {n: start[n] for n in names}
         self.subsets: dict[tuple, Fit] = {}
+        self.looks: dict[tuple, dict] = {}
         self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
 
     def fit(

@@ -26,6 +26,10 @@ REORDERED = 3
 RECONSIDERED = 2
 """Refused effects, the best first, that are looked at once more at the end."""
 
+FURTHER, BESIDE = 10.0, 0.002
+"""Log-likelihood that one more candidate must promise for a set to be near the truth only; and at least so much of what the
+set itself gained, since no form is exact."""
+
 CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
 """The channel between whose lags an effect may stand, by the words of its name."""
 
@@ -58,29 +62,29 @@ def select(
     options: Iterable[Candidate],
     held: Sequence[Experiment],
     left: Callable[[Fit], bool],
-    workers: int,
+    pool: ThreadPoolExecutor,
     stage: Callable[[str], None] = lambda text: None,
 ) -> Selection:
     """Search up to MOST effects. `held`: experiments that no fit sees. `left(fit)`: is there anything left to explain?
 
+    Where nothing is, a candidate may still promise much beside the fit: noise hides a small effect's power, not its shape.
     An effect that does not stand is banned and the search repeated without it, so that a surrogate does not hide the
-    effect behind it. The result does not depend on `workers`.
+    effect behind it. The result does not depend on the number of workers in `pool`.
     """
     options = list(options)
     found = Selection(base, base)
     known: dict[tuple, list[Tried]] = {}
-    with ThreadPoolExecutor(workers) as pool:
-        while len(known) < ROUNDS:
-            usable = [c for c in options if c.name not in found.refused]
-            path = _forward(searcher, base, usable, left, pool, known, stage)
-            found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
-            stage("judge")
-            final, judgements, dropped = _backward(searcher, path[-1], held, base, pool)
-            found.final, found.judgements = final, judgements
-            if not dropped:
-                break
-            found.refused.update(dropped)
-        _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left, pool)
+    while len(known) < ROUNDS:
+        usable = [c for c in options if c.name not in found.refused]
+        path = _forward(searcher, base, usable, left, pool, known, stage)
+        found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
+        stage("judge")
+        final, judgements, dropped = _backward(searcher, path[-1], held, base, pool)
+        found.final, found.judgements = final, judgements
+        if not dropped:
+            break
+        found.refused.update(dropped)
+    _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left, pool)
     return found
 
 
@@ -110,7 +114,7 @@ def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
     The base is always tried: the gates are stricter than any look at its residual, and see what is below its noise.
     """
     path = [base]
-    while len(path) == 1 or (len(path) <= MOST and left(path[-1])):
+    while len(path) == 1 or (len(path) <= MOST and (left(path[-1]) or promising(searcher, base, path[-1], options, pool))):
         key = _key(path[-1])
         if key not in known:
             stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
@@ -132,9 +136,7 @@ def _simplest(tried: Tried) -> tuple:
 
 
 def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
-    fresh = [c for c in options if c.name not in fit.effects]
-    looks = Looks(fit, searcher.start, searcher.library)
-    ranked = sorted(zip(fresh, pool.map(looks.at, fresh), strict=True), key=lambda pair: -pair[1].fall)
+    ranked = _looks(searcher, fit, options, pool)
     first = ranked[:REFITTED]
     refits = list(pool.map(lambda pair: _refit(searcher, fit, *pair), first))
     best = sorted(range(len(first)), key=lambda k: refits[k].bic())[:REORDERED]
@@ -144,11 +146,23 @@ def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> 
     return tried + [Tried(c, fit.effects, at.fall) for c, at in ranked[REFITTED:]]
 
 
-def promised(searcher: Searcher, fit: Fit, options: Iterable[Candidate], workers: int) -> float:
-    """Log-likelihood that the best of further candidates promises beside a fit; what every rig has a little of left out."""
-    fresh, looks = [c for c in options if c.name not in (*fit.effects, *NUISANCE)], Looks(fit, searcher.start, searcher.library)
-    with ThreadPoolExecutor(workers) as pool:
-        return max((at.fall for at in pool.map(looks.at, fresh)), default=0.0)
+def _looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
+    """The candidates that are not in a fit, by what a look promises; one look a candidate and fit."""
+    fresh = [c for c in options if c.name not in fit.effects]
+    seen_there = searcher.looks.setdefault((_key(fit), fit.deviance), {})
+    if new := [c for c in fresh if c.label not in seen_there]:
+        looks = Looks(fit, searcher.start, searcher.library)
+        seen_there.update(zip((c.label for c in new), pool.map(looks.at, new), strict=True))
+    return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
+
+
+def promising(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> bool:
+    """Whether a further candidate promises so much beside a fit that the fit is near the truth and not the truth.
+
+    What every rig has a little of is left out.
+    """
+    promises = [at.fall for candidate, at in _looks(searcher, fit, options, pool) if candidate.name not in NUISANCE]
+    return max(promises, default=0.0) > max(FURTHER, 0.5 * BESIDE * (base.deviance - fit.deviance))
 
 
 def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:

@@ -32,10 +32,6 @@ CONTRADICTED = 2.0
 """Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of
 unseen data blurs the share of a small error."""
 
-FURTHER, BESIDE = 10.0, 0.002
-"""Log-likelihood that one more candidate must promise to show that a set is not the truth but near it; and at least so much of
-what the set itself gained, since no form is exact."""
-
 PLACES = 9
 """Points of a threshold's interval that are tried on unseen data."""
 
@@ -176,11 +172,11 @@ def verdict(
     base: Fit,
     remainder: Remainder,
     family: Mapping[str, list[str]],
-    further: Callable[[Fit], float],
+    near: Callable[[Fit], bool],
 ) -> tuple[str, Explained | None, Left]:
     """(verdict, share of the explainable error of `base` removed on unseen data, what is left on the fitted records).
 
-    `further(fit)`: log-likelihood that the best of the remaining candidates promises beside a fit.
+    `near(fit)`: whether one of the remaining candidates promises much beside a fit.
     """
     final = selection.final
     left = remainder.left(final)
@@ -190,8 +186,7 @@ def verdict(
     named = "family" if any(family.values()) else "attributed"
     if not _whole(explained, left, remainder.left(base)):
         return ("partly" if explained is None or explained.share >= PARTLY else "unexplained"), explained, left
-    near = further(final) > max(FURTHER, 0.5 * BESIDE * (selection.base.deviance - final.deviance))
-    return ("partly" if near else named), explained, left
+    return ("partly" if near(final) else named), explained, left
 
 
 def _whole(explained: Explained | None, left: Left, before: Left) -> bool:

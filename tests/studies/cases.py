@@ -33,17 +33,19 @@ class Case:
 
     def build(self) -> tuple[Campaign, Rig, dict]:
         """(what was measured, the rig that it was measured on, the sizes of what it hides)."""
-        # A deleted case hides the same on the same rig as the single case of its name.
-        rng = np.random.default_rng([self.seed, zlib.crc32(" ".join(self.hidden).encode())])
-        base, shaking, sizes, extra = random_base(rng), random_vibration(rng), {}, None
-        for name in self.hidden:
-            drawn = dict(HIDDEN[name].draw(rng))
-            extra = drawn.pop("extra", extra)
-            sizes |= drawn
+        rng, base, shaking, drawn = self._draw()
+        sizes = {k: v for own in drawn.values() for k, v in own.items()}
+        extra = sizes.pop("extra", None)
         if self.kind == "faint":
             sizes = self._faint(rng, base, sizes)
         rig = Rig(base | sizes, extra, shaking)
         return campaign(rig, rng), rig, sizes
+
+    def _draw(self) -> tuple[np.random.Generator, dict, float, dict[str, dict]]:
+        # A deleted case hides the same on the same rig as the single case of its name.
+        rng = np.random.default_rng([self.seed, zlib.crc32(" ".join(self.hidden).encode())])
+        base, shaking = random_base(rng), random_vibration(rng)
+        return rng, base, shaking, {name: dict(HIDDEN[name].draw(rng)) for name in self.hidden}
 
     def _faint(self, rng: np.random.Generator, base: dict, sizes: dict) -> dict:
         wanted, commands, scaled = np.exp(rng.uniform(*np.log(FAINT))), orders.open_loop(rng), dict(sizes)
@@ -58,11 +60,14 @@ class Case:
         return {f"{name}.{p}": v for name in self.hidden for p, v in HIDDEN[name].kernel(sizes).items()}
 
     def evidence(self, measured: Campaign, rig: Rig) -> float:
-        """Log-likelihood that the open-loop records hold in favour of what is hidden, over the best base model."""
-        if not self.hidden:
-            return 0.0
-        base = {k: v for k, v in rig.settings.items() if k.startswith("tau") or (k[0] == "c" and k[1:].isdigit())}
-        return evidence(rig, base, measured.open_loop["omega_ref"], measured.open_loop["beta_ref"])
+        """Log-likelihood that the open-loop records hold in favour of what is hidden, over the best base model.
+
+        Of a pair, of its fainter effect, with the other one known.
+        """
+        _, base, _, drawn = self._draw()
+        speed, pitch = measured.open_loop["omega_ref"], measured.open_loop["beta_ref"]
+        known = [{k: v for other in drawn if other != name for k, v in drawn[other].items()} for name in drawn]
+        return min((evidence(rig, base, speed, pitch, others) for others in known), default=0.0)
 
 
 def cases(known: Iterable[str], seeds: Sequence[int], kinds: Sequence[str] = KINDS, only: Sequence[str] = ()) -> list[Case]:

@@ -24,8 +24,13 @@ LIMIT = 20.0
 and the gain of 3 on 60 s of unseen ones for about 18."""
 
 
-def evidence(with_it: Rig, base: Mapping[str, float], speed: np.ndarray, pitch: np.ndarray) -> float:
-    """Log-likelihood over the best base model, of two records of these commands (rpm, deg)."""
+def evidence(
+    with_it: Rig, base: Mapping[str, float], speed: np.ndarray, pitch: np.ndarray, known: Mapping[str, float] | None = None
+) -> float:
+    """Log-likelihood over the best base model, of two records of these commands (rpm, deg).
+
+    `known`: settings that the base model has too.
+    """
     names = list(BASE)
     found = with_it.run(speed, pitch)
     change = np.gradient(_blocks(FULL_SPEED * found.omega), BLOCK * ROW)
@@ -36,7 +41,7 @@ def evidence(with_it: Rig, base: Mapping[str, float], speed: np.ndarray, pitch: 
     def error(x):
         # Time constants must stay positive whatever the fit tries: their logarithm is free, the map's own values are.
         factors = np.where([n.startswith("tau") for n in names], np.exp(x), 1.0 + x)
-        return _white(Rig(dict(zip(names, scale * factors, strict=True))), speed, pitch, doubt) - true
+        return _white(Rig(dict(zip(names, scale * factors, strict=True)) | dict(known or {})), speed, pitch, doubt) - true
 
     best = least_squares(error, np.zeros(len(names)), diff_step=1e-4, bounds=(-4.0, 4.0), max_nfev=8)
     return 2.0 * float(best.cost)
