@@ -1,9 +1,10 @@
 """Facts of the blind study that must hold: the right name where there is one, none where there is none."""
 
 import pytest
-from studies import scores
+from studies import detectable, scores
 from studies.cases import Case
 from studies.diagnosis import outcome
+from studies.rig import Rig
 
 from vpp_fmu.kernel.plant import LIBRARY
 
@@ -46,3 +47,19 @@ def test_effect_out_of_the_library_is_not_replaced_by_another():
     found = studied(Case("deleted", ("pitch_command_deadband",), 0, deleted="pitch_command_deadband"))
     assert not scores.wrong(found)
     assert found["verdict"] != "none"
+
+
+def test_small_effect_is_found_beside_a_large_one():
+    found = studied(Case("pairs", ("pitch_delay", "sensor_drift"), 40))
+    assert scores.hit(found)
+    assert all(good for *_, good in found["parameters"].values())
+
+
+def test_a_pair_is_as_detectable_as_its_fainter_effect():
+    case = Case("pairs", ("pitch_delay", "supply_sag"), 40)
+    measured, rig, sizes = case.build()
+    speed, pitch = measured.open_loop["omega_ref"], measured.open_loop["beta_ref"]
+    base = {k: v for k, v in rig.settings.items() if k not in sizes}
+    delay, sag = (detectable.evidence(Rig(base | {k: sizes[k]}), base, speed, pitch) for k in ("pitch_delay", "droop"))
+    assert sag > 1000.0 * delay  # 11 ms of delay, a tenth of the speed at full load
+    assert case.evidence(measured, rig) == pytest.approx(delay, rel=0.3)
