@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
-from identification.quality import rmse
+from identification.worth.quality import rmse
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.export.toolchain import host
 from vpp_fmu.files import OutputFolder

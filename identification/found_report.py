@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from identification.fit.refine import Refinement
+from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.identify import Identification
-from identification.pairs import forms
-from identification.refine import Refinement
-from identification.uncertainty import NORMAL_95, Uncertainty
+from identification.worth.pairs import forms
 from vpp_fmu.report import Page, correlation_heatmap, learning_curve, parameter_change
 
 TELLING = 0.2

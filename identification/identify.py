@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.bootstrap import Bootstrap, bootstrap
-from identification.pairs import forms, slow_first
-from identification.prediction import Prediction, band, predict
-from identification.problem import Prior
-from identification.profile import profiled
-from identification.quality import noise_floor
-from identification.refine import Refinement, refine
-from identification.residual_tests import ResidualTests, residual_tests
+from identification.fit.problem import Prior
+from identification.fit.refine import Refinement, refine
 from identification.screening import screen
-from identification.static_map import StaticFit, fit_static_map
-from identification.steady import steady_points
-from identification.step_response import StepSummary, fit_steps
+from identification.static.static_map import StaticFit, fit_static_map
+from identification.static.steady import steady_points
+from identification.steps.response import StepSummary, fit_steps
+from identification.worth.bootstrap import Bootstrap, bootstrap
+from identification.worth.pairs import forms, slow_first
+from identification.worth.prediction import Prediction, band, predict
+from identification.worth.profile import profiled
+from identification.worth.quality import noise_floor
+from identification.worth.residual_tests import ResidualTests, residual_tests
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import AVERAGED, BASE

@@ -2,7 +2,7 @@
 
 from identification.found_report import add_found
 from identification.identify import Identification
-from identification.map_report import add_static
+from identification.static.report import add_static
 from vpp_fmu.report import (
     Page,
     autocorrelation,

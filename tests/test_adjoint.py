@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, named, random_steps, simulator
 
-from identification.adjoint import AdjointProblem
 from identification.demo import example_folder
-from identification.problem import Prior, Problem
-from identification.refine import BASE_PARAMETERS, METHODS, refine
-from identification.static_map import fit_static_map
-from identification.tachometer import Tachometer
+from identification.fit.adjoint import AdjointProblem
+from identification.fit.problem import Prior, Problem
+from identification.fit.refine import BASE_PARAMETERS, METHODS, refine
+from identification.fit.tachometer import Tachometer
+from identification.static.static_map import fit_static_map
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER

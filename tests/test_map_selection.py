@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.map_selection import CANDIDATES, CRITERIA, PAPER, select_terms
-from identification.static_map import design, fit_static_map
+from identification.static.selection import CANDIDATES, CRITERIA, PAPER, select_terms
+from identification.static.static_map import design, fit_static_map
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from builders import simulator
 
-from identification.excitation import Limits, candidate, paper_plan
-from identification.information import Information, read_knowledge
-from identification.plan import free_parameters, plan
-from identification.problem import Prior, Problem
-from identification.refine import BASE_PARAMETERS
+from identification.fit.problem import Prior, Problem
+from identification.fit.refine import BASE_PARAMETERS
+from identification.plan.excitation import Limits, candidate, paper_plan
+from identification.plan.plan import free_parameters, plan
+from identification.worth.information import Information, read_knowledge
 from vpp_fmu import cli
 from vpp_fmu.errors import BadInput, NotIdentifiable
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED, LIBRARY, plant

@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import least_squares
 from studies.synthetic import commands, measured
 
-from identification.coordinates import Coordinates
-from identification.least_squares import solve
-from identification.profile import profiled
-from identification.refine import BASE_PARAMETERS, refine
-from identification.uncertainty import NORMAL_95, Uncertainty
+from identification.fit.coordinates import Coordinates
+from identification.fit.least_squares import solve
+from identification.fit.refine import BASE_PARAMETERS, refine
+from identification.fit.uncertainty import NORMAL_95, Uncertainty
+from identification.worth.profile import profiled
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.rcbenchmark import REMEMBERED, read_log
-from identification.speed_map import (
+from identification.stand.rcbenchmark import REMEMBERED, read_log
+from identification.stand.speed_map import (
     RANGES,
     SpeedMap,
     SteadyPoints,

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.static_map import TERMS, coefficient_grid, design, fit_static_map, thrust_coefficient
-from identification.steady import samples_needed, steady_points
+from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, thrust_coefficient
+from identification.static.steady import samples_needed, steady_points
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE

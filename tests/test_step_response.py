@@ -9,8 +9,8 @@ import pytest
 from builders import simulator
 
 from identification.demo import example_folder
-from identification.lag_fit import two_lags
-from identification.step_response import fit_steps
+from identification.steps.lag_fit import two_lags
+from identification.steps.response import fit_steps
 from vpp_fmu.campaign import read_steps
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED, plant

@@ -8,7 +8,7 @@ import pytest
 from builders import FAST_PITCH
 
 from identification.demo import step_profile
-from identification.problem import Prior
+from identification.fit.problem import Prior
 from identification.tune.draws import doubt, draws
 from identification.tune.objective import Objective, Point
 from identification.tune.operating import margins_at

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from studies.synthetic import STEP, TRUTH, commands, covariance, measured
 
-from identification.bootstrap import bootstrap
-from identification.problem import Prior, Problem
-from identification.refine import BASE_PARAMETERS, refine
+from identification.fit.problem import Prior, Problem
+from identification.fit.refine import BASE_PARAMETERS, refine
+from identification.worth.bootstrap import bootstrap
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 
 SECTION = 8.0

@@ -18,9 +18,9 @@ from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.stepwise import Selection, promising, select
 from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
+from identification.fit.uncertainty import Uncertainty
 from identification.identify import Identification
-from identification.prediction import Prediction, predict
-from identification.uncertainty import Uncertainty
+from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import LIBRARY, plant

@@ -19,7 +19,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.judge import ENOUGH_HELD_OUT
 from identification.diagnose.noise import blocks
-from identification.quality import rmse
+from identification.worth.quality import rmse
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.coordinates import Coordinates
 from identification.diagnose.noise import Noise, blocks
-from identification.least_squares import Solution, solve
-from identification.problem import Prior
-from identification.tachometer import Tachometer
+from identification.fit.coordinates import Coordinates
+from identification.fit.least_squares import Solution, solve
+from identification.fit.problem import Prior
+from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record

@@ -8,7 +8,7 @@ vibration repeats too. On a record without a repeat the noise's power is taken o
 import numpy as np
 
 from identification.diagnose.noise import BAND, Blocks, blocks
-from identification.tachometer import Tachometer
+from identification.fit.tachometer import Tachometer
 from vpp_fmu.record import Record
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.diagnose.evidence import Evidence, Experiment, Score
 from identification.diagnose.search import Fit
-from identification.quality import rmse
+from identification.worth.quality import rmse
 from vpp_fmu.native import Simulator
 
 ENOUGH_BIC = 10.0

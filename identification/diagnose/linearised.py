@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.diagnose.evidence import Evidence
-from identification.least_squares import Solution
+from identification.fit.least_squares import Solution
 from vpp_fmu.native import Simulator
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import csd
 
 from identification.diagnose.noise import blocks
-from identification.sections import sections
+from identification.worth.sections import sections
 from vpp_fmu.campaign import Campaign
 
 RATE = 0.02

@@ -11,8 +11,8 @@ import numpy as np
 
 from identification.diagnose.evidence import Evidence, Experiment, Score
 from identification.diagnose.threshold import NEAR, WHOLE, piecewise_constant, scan
-from identification.least_squares import Solution
-from identification.problem import Prior
+from identification.fit.least_squares import Solution
+from identification.fit.problem import Prior
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator

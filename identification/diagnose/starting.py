@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from identification.fit.problem import Prior
+from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.identify import Identification, identify
-from identification.problem import Prior
-from identification.refine import BASE_PARAMETERS, refine
-from identification.static_map import StaticFit, fit_static_map
+from identification.static.static_map import StaticFit, fit_static_map
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import plant

@@ -3,7 +3,7 @@
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.search import Fit
 from identification.diagnose.stepwise import Tried
-from identification.prediction import predict
+from identification.worth.prediction import predict
 
 
 def summary(found: Diagnosis) -> dict:

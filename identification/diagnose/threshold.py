@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.diagnose.evidence import Evidence
 from identification.diagnose.linearised import Linearised
-from identification.least_squares import Solution
+from identification.fit.least_squares import Solution
 from vpp_fmu.native import Simulator
 
 CHI2_95 = 3.841458820694124

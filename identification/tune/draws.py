@@ -4,8 +4,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from identification.plan import free_parameters
-from identification.problem import Prior
+from identification.fit.problem import Prior
+from identification.plan.plan import free_parameters
 from vpp_fmu.parameters import ParameterSet
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.demo import IDLE
-from identification.problem import Prior
+from identification.fit.problem import Prior
 from identification.tune.check import largest_difference, through_fmus
 from identification.tune.draws import doubt, draws
 from identification.tune.margins import Margins

@@ -14,7 +14,7 @@ from fmpy.fmi2 import FMU2Slave
 from pythonfmu import FmuBuilder
 
 from identification.demo import example_folder
-from identification.refine import refine
+from identification.fit.refine import refine
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER

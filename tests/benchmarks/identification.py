@@ -20,9 +20,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from identification.gradient_descent import RATE
-from identification.problem import Problem
-from identification.refine import BASE_PARAMETERS, paper_cost, refine
+from identification.fit.gradient_descent import RATE
+from identification.fit.problem import Problem
+from identification.fit.refine import BASE_PARAMETERS, paper_cost, refine
 from tests.benchmarks.rivals import Outcome, casadi_shooting, jax_sysid, paper_descent
 from tests.studies.synthetic import TRUTH, commands, covariance, measured
 from vpp_fmu.kernel.plant import AVERAGED, BASE

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.stats.qmc import MultivariateNormalQMC
 from threadpoolctl import threadpool_limits
 
-from identification.problem import Problem
-from identification.profile import profiled
-from identification.refine import BASE_PARAMETERS, refine
-from identification.uncertainty import NORMAL_95
+from identification.fit.problem import Problem
+from identification.fit.refine import BASE_PARAMETERS, refine
+from identification.fit.uncertainty import NORMAL_95
 from identification.workers import spread
+from identification.worth.profile import profiled
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 
 from .merit import figures_of_merit, random_starts, show_merit

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from identification.diagnose.diagnose import diagnose
 from identification.identify import identify
-from identification.quality import noise_floor, rmse
-from identification.rcbenchmark import read_log
-from identification.speed_map import fit_speed_map
+from identification.stand.rcbenchmark import read_log
+from identification.stand.speed_map import fit_speed_map
+from identification.worth.quality import noise_floor, rmse
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import simulate_in_fmpy

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identification.gradient_descent import descend
-from identification.refine import Refinement, paper_cost, refine
+from identification.fit.gradient_descent import descend
+from identification.fit.refine import Refinement, paper_cost, refine
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 
 from .synthetic import SECTION, commands, measured

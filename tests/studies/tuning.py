@@ -8,8 +8,8 @@ import argparse
 from collections.abc import Sequence
 
 from identification.demo import example_folder, step_profile
+from identification.fit.problem import Prior
 from identification.identify import identify
-from identification.problem import Prior
 from identification.tune.summary import NAMES, against, judged_steps, settling, told_margins
 from identification.tune.tune import JUDGED, Task, Tuned, Tuning, tune
 from vpp_fmu.campaign import read_campaign

@@ -9,7 +9,7 @@ from identification.diagnose.report import add_diagnosis
 from identification.diagnose.report import key_figures as diagnosed
 from identification.found_report import add_found
 from identification.identify import Identification
-from identification.map_report import add_static
+from identification.static.report import add_static
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.cosim import STEP_COLUMNS, row, told
 from vpp_fmu.cli.diagnose import write_diagnosis

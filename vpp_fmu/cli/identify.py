@@ -4,8 +4,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from identification.fit.refine import METHODS
 from identification.identify import identify
-from identification.refine import METHODS
 from identification.report import identification_page, key_figures
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.output import add_output, as_json, say_written

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.rcbenchmark import REMEMBERED, Log, read_log
-from identification.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
+from identification.stand.rcbenchmark import REMEMBERED, Log, read_log
+from identification.stand.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder

@@ -5,10 +5,10 @@ from math import inf
 
 import numpy as np
 
-from identification.excitation import Limits
-from identification.information import read_knowledge
-from identification.plan import Plan, plan
-from identification.uncertainty import NORMAL_95
+from identification.fit.uncertainty import NORMAL_95
+from identification.plan.excitation import Limits
+from identification.plan.plan import Plan, plan
+from identification.worth.information import read_knowledge
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant

@@ -6,11 +6,11 @@ FMUs. With --robust, gains are sought for the worst case, or the mean, over plan
 import json
 
 from identification.demo import step_profile
-from identification.information import read_knowledge
 from identification.tune.objective import ALPHA
 from identification.tune.report import tuning_page
 from identification.tune.summary import key_figures, summary
 from identification.tune.tune import Task, Tuning, tune
+from identification.worth.information import read_knowledge
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.step_response import StepSummary, fit_steps
-from identification.step_run import StepRun
+from identification.steps.response import StepSummary, fit_steps
+from identification.steps.run import StepRun
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record

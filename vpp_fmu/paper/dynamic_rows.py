@@ -7,7 +7,7 @@ import numpy as np
 
 from hil.physics.propeller import RPM, settled_inflow
 from hil.physics.rig_model import FULL_RIG
-from identification.refine import paper_cost
+from identification.fit.refine import paper_cost
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper.averages import by_size, lags, runs_of

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from plotly import graph_objects as go
 
-from identification.lag_fit import two_lags
-from identification.static_map import OPERATING_PITCH, coefficient_grid, design, thrust_coefficient
-from identification.step_run import StepRun
+from identification.static.static_map import OPERATING_PITCH, coefficient_grid, design, thrust_coefficient
+from identification.steps.lag_fit import two_lags
+from identification.steps.run import StepRun
 from vpp_fmu.paper.fine_tuning import FineTuning
 from vpp_fmu.paper.published import COST_END, COST_START, ITERATIONS
 from vpp_fmu.paper.static import PAPER_UNITS, Statics, paper_thrust

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identification.gradient_descent import descend
-from identification.refine import BASE_PARAMETERS, Refinement, refine
+from identification.fit.gradient_descent import descend
+from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.native import Simulator
 from vpp_fmu.paper.averages import simulated

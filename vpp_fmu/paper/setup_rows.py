@@ -5,7 +5,7 @@ import numpy as np
 from hil.emulator.rig import Rig
 from hil.physics.rig_model import FULL_RIG
 from hil.safety.limits import Limits
-from identification.steady import samples_needed
+from identification.static.steady import samples_needed
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.paper import recording
 from vpp_fmu.paper.counterpart import Counterpart

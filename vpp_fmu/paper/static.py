@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.static_map import StaticFit, design, fit_static_map, thrust_coefficient
+from identification.static.static_map import StaticFit, design, fit_static_map, thrust_coefficient
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.paper.published import R2_ADJUSTED, STATIC_MAP
 

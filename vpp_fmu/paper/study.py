@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from hil.campaign import Plan
+from identification.fit.refine import BASE_PARAMETERS
 from identification.identify import Identification, identify
-from identification.refine import BASE_PARAMETERS
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.paper.averages import Averages, averages

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from identification.static_map import OPERATING_PITCH, TERMS, Regression, check_enough, regression
+from identification.static.static_map import OPERATING_PITCH, TERMS, Regression, check_enough, regression
 from vpp_fmu.campaign import StaticMap
 
 CANDIDATES = tuple((i, j) for degree in range(1, 5) for j in range(degree) for i in (degree - j,))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.problem import Problem
+from identification.fit.problem import Problem
 
 DEPENDENT = 1e-4
 """A column counts as a combination of others when less than this share of it is its own."""

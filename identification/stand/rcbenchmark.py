@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identification.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
+from identification.stand.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import Table, read_text
 from vpp_fmu.record import Record

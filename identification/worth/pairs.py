@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identification.coordinates import CHANNELS
-from identification.uncertainty import Uncertainty
+from identification.fit.coordinates import CHANNELS
+from identification.fit.uncertainty import Uncertainty
 
 
 def slow_first(values: Mapping[str, float]) -> dict[str, float]:

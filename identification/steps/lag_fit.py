@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.coordinates import CLOSEST, WIDEST
-from identification.least_squares import solve
+from identification.fit.coordinates import CLOSEST, WIDEST
+from identification.fit.least_squares import solve
 
 LONGEST_DELAY = 0.3
 """s, as far as the model's effects reach."""

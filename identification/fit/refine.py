@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from identification.adjoint import AdjointProblem
-from identification.gradient_descent import descend
-from identification.identifiability import held as undetermined
-from identification.least_squares import Solution
-from identification.problem import CHANNELS, Prior, Problem
-from identification.uncertainty import Uncertainty, uncertainty
+from identification.fit.adjoint import AdjointProblem
+from identification.fit.gradient_descent import descend
+from identification.fit.identifiability import held as undetermined
+from identification.fit.least_squares import Solution
+from identification.fit.problem import CHANNELS, Prior, Problem
+from identification.fit.uncertainty import Uncertainty, uncertainty
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.record import Record

@@ -16,10 +16,10 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identification.least_squares import solve
-from identification.problem import Prior, Problem
-from identification.refine import Refinement
-from identification.uncertainty import restored
+from identification.fit.least_squares import solve
+from identification.fit.problem import Prior, Problem
+from identification.fit.refine import Refinement
+from identification.fit.uncertainty import restored
 from identification.workers import spread
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.record import Record

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.coordinates import CHANNELS
-from identification.lag_fit import LagFit, Response, settled_from
-from identification.static_map import TERMS, design
-from identification.tachometer import Tachometer
+from identification.fit.coordinates import CHANNELS
+from identification.fit.tachometer import Tachometer
+from identification.static.static_map import TERMS, design
+from identification.steps.lag_fit import LagFit, Response, settled_from
 from vpp_fmu.record import Record
 
 UNSETTLED = 0.05

@@ -3,9 +3,9 @@
 import numpy as np
 
 from identification.identify import Identification
-from identification.map_selection import Selection, select_terms
-from identification.static_map import OPERATING_PITCH, coefficient_grid, design
-from identification.steady import noise, samples_needed, stretches
+from identification.static.selection import Selection, select_terms
+from identification.static.static_map import OPERATING_PITCH, coefficient_grid, design
+from identification.static.steady import noise, samples_needed, stretches
 from vpp_fmu.report import Page, map_residuals, map_surface
 from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
 

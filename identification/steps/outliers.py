@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.coordinates import CHANNELS
-from identification.step_run import UNSETTLED, StepRun
+from identification.fit.coordinates import CHANNELS
+from identification.steps.run import UNSETTLED, StepRun
 
 NOISY = 0.2
 """Noise over step from which a run tells nothing that the others don't tell better."""

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from identification.least_squares import Solution
-from identification.problem import Problem
+from identification.fit.least_squares import Solution
+from identification.fit.problem import Problem
 from vpp_fmu.native.adjoint import Adjoint
 
 MEMORY = 30

@@ -8,8 +8,8 @@ dt, which its figures show was not meant. The sensitivities here are exact, wher
 
 import numpy as np
 
-from identification.least_squares import Solution
-from identification.problem import Problem
+from identification.fit.least_squares import Solution
+from identification.fit.problem import Problem
 
 RATE = 0.5
 """The update step eta; the paper gives none. Much above 1 diverges on the paper's own map."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.problem import Prior
-from identification.uncertainty import NORMAL_95
+from identification.fit.problem import Prior
+from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
 from vpp_fmu.kernel.types import Model

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from identification.coordinates import CLOSEST, Coordinates
-from identification.least_squares import Solution, solve
-from identification.problem import Problem
-from identification.uncertainty import NORMAL_95, Uncertainty
+from identification.fit.coordinates import CLOSEST, Coordinates
+from identification.fit.least_squares import Solution, solve
+from identification.fit.problem import Problem
+from identification.fit.uncertainty import NORMAL_95, Uncertainty
 
 DEPARTURE = 0.05
 """Share by which the root of the cost's rise at the end of a linear interval may differ from a parabola's."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.quality import fit_percent, rmse
-from identification.sections import sections
-from identification.uncertainty import NORMAL_95, Uncertainty
+from identification.fit.uncertainty import NORMAL_95, Uncertainty
+from identification.worth.quality import fit_percent, rmse
+from identification.worth.sections import sections
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record

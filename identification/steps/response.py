@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.coordinates import CHANNELS
-from identification.step_outliers import reasons
-from identification.step_run import StepRun, fit_run, one_step
+from identification.fit.coordinates import CHANNELS
+from identification.steps.outliers import reasons
+from identification.steps.run import StepRun, fit_run, one_step
 from vpp_fmu.record import Record
 
 EVIDENCE = 10.0

@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from tqdm import tqdm
 
-from identification.excitation import Limits, candidate, variant
-from identification.information import Information
-from identification.problem import Prior
+from identification.fit.problem import Prior
+from identification.plan.excitation import Limits, candidate, variant
+from identification.worth.information import Information
 from vpp_fmu.errors import NotIdentifiable
 
 SEGMENT = 5.0

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.coordinates import Coordinates
-from identification.least_squares import Solution
-from identification.problem import Problem, summed
+from identification.fit.coordinates import Coordinates
+from identification.fit.least_squares import Solution
+from identification.fit.problem import Problem, summed
 
 BAND = 2.0 ** (1.0 / 3.0)
 """Ratio of a band's edges, in which a spectrum is taken as flat: a third of an octave."""

@@ -1,0 +1,1 @@
+"""The next experiment: commands that tell most about a model, within a rig's limits."""

@@ -1,0 +1,1 @@
+"""Step responses: delay and two lags of each channel from single steps."""
