@@ -114,12 +114,16 @@ def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
     The base is always tried: the gates are stricter than any look at its residual, and see what is below its noise.
     """
     path = [base]
-    while len(path) == 1 or (len(path) <= MOST and (left(path[-1]) or promising(searcher, base, path[-1], options, pool))):
+    while len(path) <= MOST:
+        anything = len(path) == 1 or left(path[-1])
+        usable = options if anything else _elsewhere(searcher, base, path[-1], options, pool)
+        if not usable:
+            break
         key = _key(path[-1])
         if key not in known:
-            stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
-            known[key] = _round(searcher, path[-1], options, pool)
-        fitted = [t for t in known[key] if t.fit is not None and t.candidate in options and t.delta_bic > ENOUGH_BIC]
+            stage(f"try {len(usable)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
+            known[key] = _round(searcher, path[-1], usable, pool)
+        fitted = [t for t in known[key] if t.fit is not None and t.candidate in usable and t.delta_bic > ENOUGH_BIC]
         fitted = [t for t in fitted if not trifling(t.fit)]
         if not fitted:
             break
@@ -156,6 +160,24 @@ def _looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> 
     return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
 
 
+def _elsewhere(searcher: Searcher, base: Fit, fit: Fit, options: Sequence[Candidate], pool) -> list[Candidate]:
+    """The candidates in channels that a fit's effects leave alone, where the most promising one of all is there.
+
+    What a slightly wrong form leaves shows in its own channel: there, a second effect would mend the first.
+    """
+    touched = set().union(*map(_channels, fit.effects))
+    apart = [c for c in options if touched.isdisjoint(_channels(c.name))]
+    if not promising(searcher, base, fit, options, pool):
+        return []
+    best = next(c for c, _ in _looks(searcher, fit, options, pool) if c.name not in NUISANCE)
+    return apart if best in apart else []
+
+
+def _channels(name: str) -> set[str]:
+    """The channels whose lags an effect of this name may stand between; those of no such word change the thrust."""
+    return {CHANNEL[word] for word in name.split("_") if word in CHANNEL} or {"thrust"}
+
+
 def promising(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> bool:
     """Whether a further candidate promises so much beside a fit that the fit is near the truth and not the truth.
 
@@ -179,8 +201,8 @@ def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
 
 def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
     """The candidate's refit, or a better one with a channel's lags in the other order."""
-    channels = {CHANNEL[word] for word in candidate.name.split("_") if word in CHANNEL}
-    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in sorted(channels)]
+    channels = sorted(_channels(candidate.name) & set(CHANNEL.values()))
+    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in channels]
     if candidate.effect.delays:  # they act before both lags
         orders = []
     starts = [*orders, refit.slow_first] if refit.thresholds else orders
