@@ -79,5 +79,6 @@ def of_days(fitted, other, look):
         before, after = seen.held_before.rmse_thrust, seen.held_after.rmse_thrust
         print(f"{fitted.stem}: {seen.verdict}: {effects}; other day {before:.3f} N before, {after:.3f} N after", flush=True)
         for judged in seen.selection.judgements.values():
-            if judged.artefact:
-                print(f"  {judged.effect}: {judged.artefact}", flush=True)
+            gains = ", ".join(f"{channel} {gain:+.0f}" for channel, gain in judged.held_out_gain.items())
+            worth = f"BIC falls by {judged.delta_bic:.0f} on its day, log-likelihood of the other day: {gains}"
+            print(f"  {judged.effect}: {worth}" + f"; {judged.artefact}" * bool(judged.artefact), flush=True)
