@@ -16,7 +16,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
-from identification.diagnose.stepwise import Selection, promising, select
+from identification.diagnose.stepwise import Selection, gains_further, select
 from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
 from identification.fit.uncertainty import Uncertainty
 from identification.identify import Identification
@@ -116,7 +116,7 @@ def diagnose(
             stage("judge")
             family = rivals(searcher, selection, unseen)
             word, explained, left = verdict(
-                selection, before, remainder, family, lambda fit: promising(searcher, base, fit, options, pool)
+                selection, before, remainder, family, lambda fit: gains_further(searcher, base, fit, options, pool)
             )
         final = selection.final if word in CHANGED else before
         shown = predict(final.evidence.model, final.values, campaign.open_loop)

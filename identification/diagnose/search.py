@@ -89,7 +89,8 @@ class Searcher:
         values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
         smooth, stuck = self._kinds(model, values, free, slow_first)
         idle = [n for n in free if n not in smooth and n not in stuck]
-        values |= {n: self._off[n] for n in idle if n in self._off}  # these data don't reach it: nor shall others, by chance
+        # What these data don't reach, where a look left it, others might: it is off.
+        values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
         evidence = Evidence(model, self.experiments, values, [*self.names, *smooth], self.prior, slow_first)
         solution, intervals = evidence.fit(values), {}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
@@ -109,6 +110,13 @@ class Searcher:
         cost = 0.5 * float(residual @ residual)
         solution = Solution(x, residual, jacobian, (cost,), 1, True, np.zeros(len(x), bool))
         return Fit((), {}, (), {}, values, evidence, solution, evidence.score(values, Simulator(model)), {}, False)
+
+    def _unreached(self, model, values, name) -> bool:
+        """Whether the fitted records come out the same to the bit with the parameter at off."""
+        simulator, off = Simulator(model), {**values, name: self._off[name]}
+        records = [e.record for e in self.experiments]
+        runs = [[simulator.simulate(v, r.columns, r.steps) for v in (values, off)] for r in records]
+        return all(np.array_equal(*pair) for pair in runs)
 
     def _kinds(self, model, values, free, slow_first) -> tuple[list[str], list[str]]:
         """Free parameters (with a tangent, in which the response is piecewise constant); any other is idle here, and stays."""

@@ -27,8 +27,11 @@ RECONSIDERED = 2
 """Refused effects, the best first, that are looked at once more at the end."""
 
 FURTHER, BESIDE = 10.0, 0.002
-"""Log-likelihood that one more candidate must promise for a set to be near the truth only; and at least so much of what the
-set itself gained, since no form is exact."""
+"""Log-likelihood that one more candidate must gain for a set to be near the truth only; and at least so much of what the set
+itself gained, since no form is exact."""
+
+CONFIRMED = 3
+"""Candidates beside a final set, the most promising ones, that are refitted to see whether they gain so much."""
 
 CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
 """The channel between whose lags an effect may stand, by the words of its name."""
@@ -167,10 +170,8 @@ def _elsewhere(searcher: Searcher, base: Fit, fit: Fit, options: Sequence[Candid
     """
     touched = set().union(*map(_channels, fit.effects))
     apart = [c for c in options if touched.isdisjoint(_channels(c.name))]
-    if not promising(searcher, base, fit, options, pool):
-        return []
-    best = next(c for c, _ in _looks(searcher, fit, options, pool) if c.name not in NUISANCE)
-    return apart if best in apart else []
+    best, at = next((c, at) for c, at in _looks(searcher, fit, options, pool) if c.name not in NUISANCE)
+    return apart if best in apart and at.fall > _much(base, fit) else []
 
 
 def _channels(name: str) -> set[str]:
@@ -178,13 +179,21 @@ def _channels(name: str) -> set[str]:
     return {CHANNEL[word] for word in name.split("_") if word in CHANNEL} or {"thrust"}
 
 
-def promising(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> bool:
-    """Whether a further candidate promises so much beside a fit that the fit is near the truth and not the truth.
+def gains_further(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> bool:
+    """Whether a further candidate gains so much beside a fit that the fit is near the truth and not the truth.
 
-    What every rig has a little of is left out.
+    Looks see along straight lines; the most promising are refitted to see what they keep.
     """
-    promises = [at.fall for candidate, at in _looks(searcher, fit, options, pool) if candidate.name not in NUISANCE]
-    return max(promises, default=0.0) > max(FURTHER, 0.5 * BESIDE * (base.deviance - fit.deviance))
+    first = [(c, at) for c, at in _looks(searcher, fit, options, pool) if c.name not in NUISANCE][:CONFIRMED]
+    first = [(c, at) for c, at in first if at.fall > _much(base, fit)]
+    return any(
+        fit.deviance - new.deviance > 2.0 * _much(base, fit) for new in pool.map(lambda p: _refit(searcher, fit, *p), first)
+    )
+
+
+def _much(base: Fit, fit: Fit) -> float:
+    """Log-likelihood that is more than what forms that are nearly right leave beside a fit."""
+    return max(FURTHER, 0.5 * BESIDE * (base.deviance - fit.deviance))
 
 
 def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:

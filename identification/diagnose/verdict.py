@@ -32,8 +32,8 @@ CONTRADICTED = 2.0
 """Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of
 unseen data blurs the share of a small error."""
 
-PLACES = 9
-"""Points of a threshold's interval that are tried on unseen data."""
+PLACES, WIDENED = 13, 0.5
+"""Points at which a threshold is tried on unseen data, and the share of its 95 % interval by which they go beyond each end."""
 
 RICHER = 0.99
 """Level of the likelihood ratio that a rival with more parameters must pass: else it only contains the simpler effect."""
@@ -90,10 +90,10 @@ class Remainder:
     def explained(self, base: Fit, final: Fit) -> Explained | None:
         """What `final` removes of the error of `base`; None where there is none to speak of.
 
-        A threshold counts anywhere in its interval: the fitted records can't tell where, and unseen commands may.
+        A threshold counts anywhere about its interval: the fitted records can't tell where, and unseen commands may.
         """
         slow, before = self._noise.slow, self._unseen(base)
-        axes = [(final.values[n], *np.linspace(*ends, PLACES)) for n, ends in final.thresholds.items()]
+        axes = [(final.values[n], *_places(*ends)) for n, ends in final.thresholds.items()]
         places = [dict(zip(final.thresholds, point, strict=True)) for point in product(*axes)]
         after = min((self._unseen(final, place) for place in places), key=lambda residual: np.mean(residual**2))
         explainable = float(np.mean(before**2)) - slow
@@ -109,6 +109,12 @@ class Remainder:
     def _unseen(self, fit: Fit, changes: Mapping[str, float] | None = None) -> np.ndarray:
         """Residual [N] on unseen records below 10 Hz, of a fit with `changes` to its values."""
         return np.concatenate([slow_residual(e.record, _predicted(fit, e.record, changes)[0]) for e in self._held])
+
+
+def _places(low: float, high: float) -> np.ndarray:
+    """Values (PLACES,) about a threshold's interval; thresholds are positive."""
+    beyond = WIDENED * (high - low)
+    return np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES)
 
 
 def _predicted(fit: Fit, record, changes: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +182,7 @@ def verdict(
 ) -> tuple[str, Explained | None, Left]:
     """(verdict, share of the explainable error of `base` removed on unseen data, what is left on the fitted records).
 
-    `near(fit)`: whether one of the remaining candidates promises much beside a fit.
+    `near(fit)`: whether one of the remaining candidates gains much beside a fit.
     """
     final = selection.final
     left = remainder.left(final)

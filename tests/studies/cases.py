@@ -9,7 +9,7 @@ import numpy as np
 from vpp_fmu.campaign import Campaign
 
 from . import orders
-from .detectable import evidence
+from .detectable import LIMIT, evidence
 from .missing import HIDDEN, LISTED, OUTSIDE, PAIRS, SCALABLE, SIZES
 from .rig import Rig, campaign, random_base, random_vibration
 
@@ -68,6 +68,16 @@ class Case:
         speed, pitch = measured.open_loop["omega_ref"], measured.open_loop["beta_ref"]
         known = [{k: v for other in drawn if other != name for k, v in drawn[other].items()} for name in drawn]
         return min((evidence(rig, base, speed, pitch, others) for others in known), default=0.0)
+
+    def equals(self, measured: Campaign, rig: Rig) -> list[str]:
+        """Names of special cases that these records can't tell from the single effect that is hidden."""
+        _, base, _, drawn = self._draw()
+        speed, pitch = measured.open_loop["omega_ref"], measured.open_loop["beta_ref"]
+        if self.kind != "singles":
+            return []
+        ((name, own),) = drawn.items()
+        special = {other: settings(own) for other, settings in HIDDEN[name].special.items()}
+        return [other for other, known in special.items() if evidence(rig, base, speed, pitch, known) < LIMIT]
 
 
 def cases(known: Iterable[str], seeds: Sequence[int], kinds: Sequence[str] = KINDS, only: Sequence[str] = ()) -> list[Case]:

@@ -74,7 +74,8 @@ def outcome(case: Case, log: Path | None = None, library: Iterable[Effect] = LIB
     found = diagnose(measured, library, workers=1, seed=0)
     seconds = time.perf_counter() - began
     entry = {"kind": case.kind, "hidden": list(case.hidden), "seed": case.seed, "deleted": case.deleted, "sizes": sizes}
-    entry |= {"evidence": case.evidence(measured, rig), "seconds": seconds, "verdict": found.verdict}
+    entry |= {"evidence": case.evidence(measured, rig), "equal": case.equals(measured, rig)}
+    entry |= {"seconds": seconds, "verdict": found.verdict}
     entry |= {"effects": list(found.final.effects), "family": {n: list(o) for n, o in found.family.items()}}
     entry |= {"explained": found.explained and found.explained.share, "removed": removed(found, measured, rig)}
     entry |= {"left": [found.before_left.share, found.left.share, found.left.error]}

@@ -5,7 +5,7 @@ drawn size should come out as, in the project's units: pitch is 15 deg, speed 60
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,12 +21,14 @@ class Hidden:
     `kernel(settings)`: true values of the project's parameters, by bare name; {}: no one number corresponds.
     `relatives`: names in the list of which it is another form or a special case; without its own name there, naming one of
     them is no mistake.
+    `special`: of relatives, their settings for the same sizes: where these can't be told from the effect, their name is right.
     """
 
     name: str
     draw: Callable[[np.random.Generator], Mapping]
     kernel: Callable[[Mapping], Mapping[str, float]] = lambda s: {}
     relatives: tuple[str, ...] = ()
+    special: Mapping[str, Callable[[Mapping], Mapping[str, float]]] = field(default_factory=dict)
 
 
 def size(rng, low, high):
@@ -111,7 +113,8 @@ LISTED = (
         "pitch_speed_limits",
         lambda g: {"speed_min": size(g, 0.1, 0.3), "speed_max": size(g, 0.6, 1.5)},
         lambda s: {"slowest": DEG * s["speed_min"], "full": DEG * s["speed_max"]},
-        relatives=("pitch_rate_limit",),  # all of it that shows where nothing moves slowly enough
+        relatives=("pitch_rate_limit",),
+        special={"pitch_rate_limit": lambda s: {"rate": s["speed_max"]}},  # all of it where nothing moves slowly enough
     ),
     Hidden(
         "pitch_stall_latch",

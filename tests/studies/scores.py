@@ -33,8 +33,9 @@ def named(c: dict) -> set[str]:
 
 
 def hit(c: dict) -> bool:
-    """Every hidden effect claimed, no other found beside."""
-    return set(c["hidden"]) <= named(c) and len(c["effects"]) == len(c["hidden"])
+    """Every hidden effect claimed, or what these data can't tell from it, no other found beside."""
+    right = set(c["hidden"]) <= named(c) or set(c["equal"]) & named(c)
+    return bool(right) and len(c["effects"]) == len(c["hidden"])
 
 
 def wrong(c: dict) -> bool:
