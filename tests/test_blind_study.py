@@ -37,6 +37,14 @@ def test_single_effect_is_named(name):
     assert found["parameters"]
 
 
+def test_a_threshold_between_the_fitted_commands_is_placed_by_the_unseen_ones():
+    found = studied(Case("singles", ("pitch_command_deadband",), 60))  # the fitted records leave 1.5 % open
+    assert scores.hit(found)
+    assert found["removed"] > 0.99
+    ((true, value, *_),) = found["parameters"].values()
+    assert value == pytest.approx(true, rel=0.005)
+
+
 def test_nothing_is_named_where_nothing_is_hidden():
     found = studied(Case("none", (), 0))
     assert found["verdict"] == "none"

@@ -4,7 +4,7 @@ import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ALIKE, ENOUGH_BIC, Seen, judge, seen
+from identification.diagnose.judge import ALIKE, ENOUGH_BIC, Seen, judge, seen_at_best
 from identification.diagnose.search import Fit
 from identification.diagnose.stepwise import Tried
 from identification.diagnose.summary import summary
@@ -45,7 +45,7 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
 
 def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried], unseen) -> None:
     base = _base_of(found, fitted[0].beside)
-    without = seen(base, unseen)
+    without = seen_at_best(base, unseen)
     bars = [_bar(found, t, base, without, unseen, max(t.delta_bic for t in fitted)) for t in fitted]
     beside = " and ".join(fitted[0].beside) or "nothing"
     best = max(bars, key=lambda bar: bar.fall)
@@ -70,7 +70,7 @@ def _base_of(found: Diagnosis, beside: tuple[str, ...]) -> Fit:
 
 def _bar(found: Diagnosis, tried: Tried, base: Fit, without: Seen, unseen, top: float) -> Bar:
     name = tried.candidate.name
-    judged = judge(name, tried.fit, base, seen(tried.fit, unseen), without, found.selection.base)
+    judged = judge(name, tried.fit, base, seen_at_best(tried.fit, unseen), without, found.selection.base)
     label = tried.candidate.label
     if name in found.final.effects and all(found.final.forms.get(n) == v for n, v in tried.candidate.form.items()):
         return Bar(label, tried.delta_bic, TAKEN, "in the final set")

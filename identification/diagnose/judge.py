@@ -6,7 +6,7 @@ signal could buy an effect that worsens the thrust.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,16 +45,38 @@ class Seen:
     rmse_omega: float | None
 
 
-def seen(fit: Fit, experiments: Sequence[Experiment]) -> Seen:
-    """How a fit does on unseen experiments."""
-    simulator = Simulator(fit.evidence.model)
-    score = Evidence(fit.evidence.model, experiments, fit.values, ()).score({}, simulator)
+def seen(fit: Fit, experiments: Sequence[Experiment], changes: Mapping[str, float] | None = None) -> Seen:
+    """How a fit does on unseen experiments, with `changes` to its values."""
+    simulator, values = Simulator(fit.evidence.model), {**fit.values, **(changes or {})}
+    score = Evidence(fit.evidence.model, experiments, values, ()).score({}, simulator)
     thrust, omega = [], []
     for e in experiments:
-        outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
+        outputs = simulator.simulate(values, e.record.columns, e.record.steps)
         thrust.append(outputs[:, 0] - e.record["thrust"])
         omega += [outputs[:, 1] - e.record["omega"]] if "omega" in e.record else []
     return Seen(score, rmse(np.concatenate(thrust)), rmse(np.concatenate(omega)) if omega else None)
+
+
+def best_place(fit: Fit, experiments: Sequence[Experiment]) -> tuple[dict[str, float], Seen]:
+    """Of `Fit.places` the one that does best for unseen thrust, and how it does."""
+    tried = [(place, seen(fit, experiments, place)) for place in fit.places]
+    return min(tried, key=lambda pair: pair[1].score.squares["thrust"])
+
+
+def seen_at_best(fit: Fit, experiments: Sequence[Experiment]) -> Seen:
+    """How a fit does on unseen experiments where its thresholds do best."""
+    return best_place(fit, experiments)[1]
+
+
+def placed(fit: Fit, experiments: Sequence[Experiment]) -> Fit:
+    """The fit with its thresholds where unseen experiments want them, if they do: within what the fitted ones leave open."""
+    place, there = best_place(fit, experiments)
+    if there.score.gain(seen(fit, experiments).score)["thrust"] < ENOUGH_HELD_OUT:
+        return fit
+    ends = {n: (min(low, place[n]), max(high, place[n])) for n, (low, high) in fit.thresholds.items()}
+    values = {**fit.values, **place}
+    score = fit.evidence.score(values, Simulator(fit.evidence.model))
+    return replace(fit, values=values, score=score, thresholds=ends)
 
 
 @dataclass(frozen=True)

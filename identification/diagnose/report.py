@@ -45,6 +45,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
             if name == "form":
                 continue
             doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else "held"
+            doubt += ", its place told by the unseen record" if name in effect["placed_by_unseen_data"] else ""
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
             figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g}{unit}", doubt))
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust

@@ -6,6 +6,7 @@ already bent towards what is missing.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from identification.fit.problem import Prior
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
+
+PLACES, WIDENED = 13, 0.5
+"""Points at which a threshold is tried on unseen data, and the share of its 95 % interval by which they go beyond each end."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,16 @@ class Fit:
         active = dict(zip(self.evidence.coordinates.names, self.solution.active, strict=True))
         meant = {p.name for p in self.evidence.model.parameters if p.limit_form}
         return tuple(n for n in self.free if active.get(n, False) and n not in meant)
+
+    @property
+    def places(self) -> list[dict[str, float]]:
+        """Values of the thresholds about their intervals, the fit's own first: the fitted records can't tell where they are
+        between commands, and unseen commands may. One empty place where there is no threshold."""
+        axes = []
+        for name, (low, high) in self.thresholds.items():
+            beyond = WIDENED * (high - low)
+            axes.append([self.values[name], *np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES).tolist()])
+        return [dict(zip(self.thresholds, point, strict=True)) for point in product(*axes)]
 
     @property
     def deviance(self) -> float:

@@ -7,7 +7,7 @@ from functools import partial
 
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ALIKE, ENOUGH_BIC, NUISANCE, Judgement, judge, seen, trifling
+from identification.diagnose.judge import ALIKE, ENOUGH_BIC, NUISANCE, Judgement, judge, placed, seen_at_best, trifling
 from identification.diagnose.look import Looks, Seen
 from identification.diagnose.search import Fit, Searcher
 
@@ -50,13 +50,17 @@ class Tried:
 
 @dataclass
 class Selection:
-    """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round."""
+    """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round.
+
+    `placed`: thresholds that the fitted records left open and an unseen record told.
+    """
 
     base: Fit
     final: Fit
     judgements: dict[str, Judgement] = field(default_factory=dict)
     rounds: list[list[Tried]] = field(default_factory=list)
     refused: dict[str, Judgement] = field(default_factory=dict)
+    placed: tuple[str, ...] = ()
 
 
 def select(
@@ -88,6 +92,9 @@ def select(
             break
         found.refused.update(dropped)
     _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left, pool)
+    told = placed(found.final, held)
+    found.placed = tuple(n for n in told.thresholds if told.values[n] != found.final.values[n])
+    found.final = told
     return found
 
 
@@ -242,9 +249,9 @@ def _backward(searcher: Searcher, final: Fit, held, base: Fit, pool) -> tuple[Fi
     """Drop the weakest effect that does not stand, until all do: (fit, judgements, what was dropped)."""
     dropped: dict[str, Judgement] = {}
     while final.effects:
-        held_with = seen(final, held)
+        held_with = seen_at_best(final, held)
         rest = dict(zip(final.effects, pool.map(partial(without, searcher, final), final.effects), strict=True))
-        judgements = {e: judge(e, final, fit, held_with, seen(fit, held), base) for e, fit in rest.items()}
+        judgements = {e: judge(e, final, fit, held_with, seen_at_best(fit, held), base) for e, fit in rest.items()}
         weak = [j for j in judgements.values() if j.refused]
         if not weak:
             return final, judgements, dropped

@@ -40,8 +40,16 @@ def _effect(found: Diagnosis, name: str) -> dict:
         "explained_fraction": found.explained and found.explained.share,
     }
     intervals = {n.partition(".")[2]: list(i) for n, i in found.final.thresholds.items() if n.startswith(f"{name}.")}
+    placed = [n.partition(".")[2] for n in found.selection.placed if n.startswith(f"{name}.")]
     found_in = {"artefact": judged.artefact} if judged.artefact else {}
-    return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence, **found_in}
+    return {
+        "name": name,
+        "parameters": values,
+        "intervals": intervals,
+        "placed_by_unseen_data": placed,
+        "evidence": evidence,
+        **found_in,
+    }
 
 
 def _errors(found: Diagnosis, fit: Fit) -> list[dict]:

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.stats import chi2
 
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.explainable import shared_power, shared_speed, slow_residual
-from identification.diagnose.judge import ALIKE, judge, seen
+from identification.diagnose.judge import ALIKE, judge, seen_at_best
 from identification.diagnose.noise import BAND, Noise
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.stepwise import Selection, Tried, without
@@ -31,9 +30,6 @@ DRIFT = 0.1
 CONTRADICTED = 2.0
 """Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of
 unseen data blurs the share of a small error."""
-
-PLACES, WIDENED = 13, 0.5
-"""Points at which a threshold is tried on unseen data, and the share of its 95 % interval by which they go beyond each end."""
 
 RICHER = 0.99
 """Level of the likelihood ratio that a rival with more parameters must pass: else it only contains the simpler effect."""
@@ -90,12 +86,10 @@ class Remainder:
     def explained(self, base: Fit, final: Fit) -> Explained | None:
         """What `final` removes of the error of `base`; None where there is none to speak of.
 
-        A threshold counts anywhere about its interval: the fitted records can't tell where, and unseen commands may.
+        A threshold counts where it does best of `Fit.places`.
         """
         slow, before = self._noise.slow, self._unseen(base)
-        axes = [(final.values[n], *_places(*ends)) for n, ends in final.thresholds.items()]
-        places = [dict(zip(final.thresholds, point, strict=True)) for point in product(*axes)]
-        after = min((self._unseen(final, place) for place in places), key=lambda residual: np.mean(residual**2))
+        after = min((self._unseen(final, place) for place in final.places), key=lambda residual: np.mean(residual**2))
         explainable = float(np.mean(before**2)) - slow
         if explainable < 2 * NOTHING * self._noise.floor**2:
             return None
@@ -109,12 +103,6 @@ class Remainder:
     def _unseen(self, fit: Fit, changes: Mapping[str, float] | None = None) -> np.ndarray:
         """Residual [N] on unseen records below 10 Hz, of a fit with `changes` to its values."""
         return np.concatenate([slow_residual(e.record, _predicted(fit, e.record, changes)[0]) for e in self._held])
-
-
-def _places(low: float, high: float) -> np.ndarray:
-    """Values (PLACES,) about a threshold's interval; thresholds are positive."""
-    beyond = WIDENED * (high - low)
-    return np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES)
 
 
 def _predicted(fit: Fit, record, changes: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -137,7 +125,9 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
                 special = free == simpler != fuller and abs(other.deviance - final.deviance) < SAME
                 if other.idle or special or not _alike(other, final):
                     continue
-                judged = judge(tried.candidate.name, other, rest, seen(other, held), seen(rest, held), selection.base)
+                judged = judge(
+                    tried.candidate.name, other, rest, seen_at_best(other, held), seen_at_best(rest, held), selection.base
+                )
                 names |= set() if judged.refused else {tried.candidate.name}
         found[effect] = sorted(names)
     return found

@@ -41,7 +41,9 @@ EFFECT = Effect(
     _step,
     parameters=(
         Parameter("speed", "deg/s", 0.0, 0.0, 15.0, "rate of pitch below which the motor counts as stalled"),
-        Parameter("time", "s", 0.3, 0.05, 2.0, "time for which it must be stalled before it turns off"),
+        Parameter(
+            "time", "s", 0.3, 0.0, 2.0, "time for which it must be stalled before it turns off", 0.1, limit_form="at once"
+        ),
         Parameter("accuracy", "deg", 0.1, 0.0, 1.5, "pitch error within which it is at its goal and not stalled", 0.1),
     ),
     states=(
