@@ -7,7 +7,17 @@ from functools import partial
 
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ALIKE, ENOUGH_BIC, NUISANCE, Judgement, judge, placed, seen_at_best, trifling
+from identification.diagnose.judge import (
+    ALIKE,
+    ENOUGH_BIC,
+    ENOUGH_HELD_OUT,
+    NUISANCE,
+    Judgement,
+    judge,
+    placed,
+    seen_at_best,
+    trifling,
+)
 from identification.diagnose.look import Looks, Seen
 from identification.diagnose.search import Fit, Searcher
 
@@ -83,7 +93,7 @@ def select(
     known: dict[tuple, list[Tried]] = {}
     while len(known) < ROUNDS:
         usable = [c for c in options if c.name not in found.refused]
-        path = _forward(searcher, base, usable, left, pool, known, stage)
+        path = _forward(searcher, base, usable, held, left, pool, known, stage)
         found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
         stage("judge")
         final, judgements, dropped = _backward(searcher, path[-1], held, base, pool)
@@ -118,7 +128,7 @@ def _key(fit: Fit) -> tuple:
     return tuple(sorted(fit.effects)), tuple(sorted(fit.forms.items()))
 
 
-def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
+def _forward(searcher, base, options, held, left, pool, known, stage) -> list[Fit]:
     """Fits along the way, the base first.
 
     The base is always tried: the gates are stricter than any look at its residual, and see what is below its noise.
@@ -138,9 +148,17 @@ def _forward(searcher, base, options, left, pool, known, stage) -> list[Fit]:
         if not fitted:
             break
         top = max(t.delta_bic for t in fitted)
-        best = max((t for t in fitted if t.delta_bic > top - ALIKE), key=_simplest)
-        path.append(best.fit)
+        path.append(max(_best_held([t for t in fitted if t.delta_bic > top - ALIKE], held), key=_simplest).fit)
     return path
+
+
+def _best_held(alike: list[Tried], held) -> list[Tried]:
+    """Of candidates that fit alike those that do on unseen thrust as the best of them does."""
+    if len(alike) == 1:
+        return alike
+    scores = [seen_at_best(t.fit, held).score for t in alike]
+    best = min(scores, key=lambda score: score.squares["thrust"])
+    return [t for t, own in zip(alike, scores, strict=True) if best.gain(own)["thrust"] < ENOUGH_HELD_OUT]
 
 
 def _simplest(tried: Tried) -> tuple:

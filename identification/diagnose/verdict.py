@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.explainable import shared_power, shared_speed, slow_residual
-from identification.diagnose.judge import ALIKE, judge, seen_at_best
+from identification.diagnose.judge import ALIKE, ENOUGH_HELD_OUT, judge, seen_at_best
 from identification.diagnose.noise import BAND, Noise
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.stepwise import Selection, Tried, without
@@ -112,8 +112,9 @@ def _predicted(fit: Fit, record, changes: Mapping[str, float] | None = None) -> 
 
 
 def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str]]:
-    """For each effect of the final set, others that fit as well in its place and stand on unseen data."""
+    """For each effect of the final set, others that fit as well in its place, and do as well on unseen thrust."""
     final, found = selection.final, {}
+    mine = seen_at_best(final, held)
     for effect in final.effects:
         rest = without(searcher, final, effect) if len(final.effects) > 1 else selection.base
         names = set()
@@ -125,9 +126,10 @@ def rivals(searcher: Searcher, selection: Selection, held) -> dict[str, list[str
                 special = free == simpler != fuller and abs(other.deviance - final.deviance) < SAME
                 if other.idle or special or not _alike(other, final):
                     continue
-                judged = judge(
-                    tried.candidate.name, other, rest, seen_at_best(other, held), seen_at_best(rest, held), selection.base
-                )
+                theirs = seen_at_best(other, held)
+                if mine.score.gain(theirs.score)["thrust"] >= ENOUGH_HELD_OUT:
+                    continue
+                judged = judge(tried.candidate.name, other, rest, theirs, seen_at_best(rest, held), selection.base)
                 names |= set() if judged.refused else {tried.candidate.name}
         found[effect] = sorted(names)
     return found
