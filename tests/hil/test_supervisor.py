@@ -24,7 +24,8 @@ def running_loop(folder, mode="run"):
     duty, report = folder / "duty_cycle", folder / "supervisor.log"
     duty.write_bytes(IDLE)
     arguments = [sys.executable, str(HERE / "throttle_loop.py"), str(duty), str(report), mode]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    # SIGTSTP stops nothing in an orphaned process group, such as that of a test run in the background: a group of its own.
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "preexec_fn": os.setpgrp}
     loop = subprocess.Popen(arguments, cwd=HERE.parents[1], env={**os.environ, "PYTHONPATH": "."}, text=True, **pipes)
     _, fifo = loop.stdout.readline().split()
     descriptor = os.open(duty, os.O_RDONLY)
