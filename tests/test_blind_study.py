@@ -45,6 +45,17 @@ def test_a_threshold_between_the_fitted_commands_is_placed_by_the_unseen_ones():
     assert value == pytest.approx(true, rel=0.005)
 
 
+def test_a_stop_that_the_fitted_records_never_meet_is_not_put_where_others_do():
+    case = Case(
+        "singles", ("pitch_travel_limit",), 32
+    )  # validation goes below the -3 deg at which a look had left the other stop
+    library = [e for e in LIBRARY if e.off is None or e.name in ("pitch_travel_limit", "map_terms")]
+    found = outcome(case, library=library)
+    assert scores.hit(found)
+    assert "pitch_travel_limit.minimum" not in found["values"]
+    assert found["removed"] > 0.98
+
+
 def test_nothing_is_named_where_nothing_is_hidden():
     found = studied(Case("none", (), 0))
     assert found["verdict"] == "none"

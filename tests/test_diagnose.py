@@ -72,6 +72,20 @@ def nothing_missing():
     return diagnose(rig(), FEW)
 
 
+def test_the_only_candidate_leaves_none_to_look_at_beside_it():
+    found = diagnose(read_campaign(example_folder()), some("pitch_command_deadband"))
+    assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
+
+
+def test_error_on_a_record_that_placed_a_threshold_is_not_called_unseen(example):
+    label = "thrust error, unseen data"
+    assert label in [name for name, *_ in key_figures(example)]
+    selection = replace(example.selection, placed=("pitch_command_deadband.half_width",))
+    told = [name for name, *_ in key_figures(replace(example, selection=selection))]
+    assert label not in told
+    assert any("thrust error" in name and "placed pitch_command_deadband.half_width" in name for name in told)
+
+
 def test_summary_has_what_the_contract_names(example):
     found = json.loads(json.dumps(summary(example), allow_nan=False))
     assert set(found) >= CONTRACT

@@ -34,7 +34,13 @@ def headline(found: Diagnosis) -> str:
         return f"Something is missing that no effect to choose from explains: {before:.3f} N on unseen data, {noise}."
     described = {e.name: e.description for e in found.final.evidence.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
-    return f"{effects}: thrust error on unseen data {before:.3f} N before, {after:.3f} N after, {noise}."
+    return f"{effects}: thrust error on {_unseen(found)} {before:.3f} N before, {after:.3f} N after, {noise}."
+
+
+def _unseen(found: Diagnosis) -> str:
+    """What the errors are of. A record that told where a threshold lies is no longer unseen in that."""
+    told = " and ".join(n for n in found.selection.placed if n in found.final.values)
+    return f"data that no fit saw, but that placed {told}," if told else "unseen data"
 
 
 def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
@@ -51,13 +57,13 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
     change = f"{before:.3f} → {after:.3f} N" if found.final.effects else f"{before:.3f} N"
     checked = "" if found.noise.verified else ", not verified by a repeat"
-    figures.append(("thrust error, unseen data", change, f"noise of one reading {found.noise.floor:.3f} N{checked}"))
+    figures.append((f"thrust error, {_unseen(found)}", change, f"noise of one reading {found.noise.floor:.3f} N{checked}"))
     if found.given is not None:
         as_given = summary(found)["given"][0]["rmse_thrust"]
         figures.append(("the model as it was given", f"{as_given:.3f} N", "thrust error on unseen data, before any fit"))
     if found.explained is not None:
         share, doubt = 100 * found.explained.share, 200 * found.explained.error
-        figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on unseen data"))
+        figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on {_unseen(found)}"))
     rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.family.items() if others]
     figures.append(("verdict", found.verdict, "; ".join(rivals) or SURE[found.verdict]))
     return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures

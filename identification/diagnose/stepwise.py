@@ -195,8 +195,8 @@ def _elsewhere(searcher: Searcher, base: Fit, fit: Fit, options: Sequence[Candid
     """
     touched = set().union(*map(_channels, fit.effects))
     apart = [c for c in options if touched.isdisjoint(_channels(c.name))]
-    best, at = next((c, at) for c, at in _looks(searcher, fit, options, pool) if c.name not in NUISANCE)
-    return apart if best in apart and at.fall > _much(base, fit) else []
+    further = _promising(searcher, base, fit, options, pool)
+    return apart if further and further[0][0] in apart else []
 
 
 def _channels(name: str) -> set[str]:
@@ -209,11 +209,15 @@ def gains_further(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Can
 
     Looks see along straight lines; the most promising are refitted to see what they keep.
     """
-    first = [(c, at) for c, at in _looks(searcher, fit, options, pool) if c.name not in NUISANCE][:CONFIRMED]
-    first = [(c, at) for c, at in first if at.fall > _much(base, fit)]
-    return any(
-        fit.deviance - new.deviance > 2.0 * _much(base, fit) for new in pool.map(lambda p: _refit(searcher, fit, *p), first)
-    )
+    first = _promising(searcher, base, fit, options, pool)[:CONFIRMED]
+    fuller = pool.map(lambda pair: _refit(searcher, fit, *pair), first)
+    return any(fit.deviance - new.deviance > 2.0 * _much(base, fit) for new in fuller)
+
+
+def _promising(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
+    """The candidates that promise much beside a fit, the best first; without what every rig has a little of."""
+    looks = _looks(searcher, fit, options, pool)
+    return [(c, at) for c, at in looks if c.name not in NUISANCE and at.fall > _much(base, fit)]
 
 
 def _much(base: Fit, fit: Fit) -> float:
