@@ -18,7 +18,13 @@ SHORT = (
 )
 """Effects that the diagnosis may choose from here; the whole library is for the study itself."""
 
-SOME = tuple(e for e in LIBRARY if e.off is None or e.name in SHORT)
+
+def library(*names):
+    """The library with these effects only."""
+    return tuple(e for e in LIBRARY if e.off is None or e.name in names)
+
+
+SOME = library(*SHORT)
 
 
 def studied(case):
@@ -46,14 +52,29 @@ def test_a_threshold_between_the_fitted_commands_is_placed_by_the_unseen_ones():
 
 
 def test_a_stop_that_the_fitted_records_never_meet_is_not_put_where_others_do():
-    case = Case(
-        "singles", ("pitch_travel_limit",), 32
-    )  # validation goes below the -3 deg at which a look had left the other stop
-    library = [e for e in LIBRARY if e.off is None or e.name in ("pitch_travel_limit", "map_terms")]
-    found = outcome(case, library=library)
+    # Validation goes below the -3 deg at which a look had left the other stop.
+    case = Case("singles", ("pitch_travel_limit",), 32)
+    found = outcome(case, library=library("pitch_travel_limit", "map_terms"))
     assert scores.hit(found)
     assert "pitch_travel_limit.minimum" not in found["values"]
     assert found["removed"] > 0.98
+
+
+def test_a_small_effect_stands_beside_a_large_one_of_another_channel():
+    case = Case("pairs", ("pitch_command_deadband", "stand_resonance"), 80)  # 0.5 % of what both explain
+    found = outcome(case, library=library("pitch_command_deadband", "pitch_error_deadzone", "stand_resonance"))
+    assert scores.hit(found)
+    assert all(good for *_, good in found["parameters"].values())
+
+
+def test_what_only_the_fitted_records_like_is_not_built_upon():
+    case = Case("deleted", ("pitch_asymmetry",), 80, "pitch_asymmetry")
+    found = outcome(case, library=library("pitch_asymmetry", "map_terms", "pitch_rate_limit", "thrust_gain_drift"))
+    assert found["verdict"] == "unexplained"
+    assert not found["effects"]
+    assert len(found["rounds"]) == 1
+    for name in ("map_terms", "pitch_rate_limit", "thrust_gain_drift"):  # each promises a log-likelihood of 100 on those
+        assert any("unseen data" in why for why in found["refused"][name])
 
 
 def test_nothing_is_named_where_nothing_is_hidden():

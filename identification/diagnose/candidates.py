@@ -15,18 +15,21 @@ SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)
 SHAPES = (0.3, 1.0, 3.0)
 """Multiples of what is not a size: time constants, frequencies."""
 
+TOPS = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
+"""Multiples of the highest speed commanded for what limits speed: above it, a limit that gives way binds in one corner only."""
+
 
 @dataclass(frozen=True)
 class Candidate:
     """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names.
 
-    `measured`: of free parameters that stand for a level of a measured input (the nominal voltage), levels that it had.
+    `levels`: of free parameters that go by what was commanded or measured (a top speed, a nominal voltage), values to try.
     """
 
     effect: Effect
     form: Mapping[str, float]
     free: tuple[str, ...]
-    measured: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -69,8 +72,8 @@ class Candidate:
         """Values of a free parameter to look at first, around the probe; a size's of both signs where both are allowed."""
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
         size = p.name in self.effect.off
-        if name in self.measured:
-            return list(self.measured[name])
+        if name in self.levels:
+            return list(self.levels[name])
         probe = self.effect.probe.get(p.name)
         if probe is None:
             return [p.default]
@@ -81,7 +84,8 @@ class Candidate:
     def fine_axis(self, name: str, count: int = 32) -> list[float]:
         """Values of a size all over its range, for a search that must meet the right one."""
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
-        return np.geomspace(max(p.minimum, p.maximum / 100.0), p.maximum, count).tolist()
+        highest = max(self.levels.get(name, (p.maximum,)))
+        return np.geomspace(max(p.minimum, highest / 100.0), highest, count).tolist()
 
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
@@ -99,8 +103,11 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
 
 
 def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[float, ...]]:
-    """Least, middle and greatest of an effect's measured inputs, for its parameters in the same unit."""
-    found = {}
+    """Values to look at first of what goes by the records: about the top speed commanded for what limits speed; for what stands
+    for a level of a measured input the least, middle and greatest that it had."""
+    top = max(float(np.nanmax(r["omega_ref"])) for r in records)
+    limits = [p for p in effect.parameters if p.unit == "rpm" and effect.off.get(p.name) == p.maximum]
+    found = {effect.full(p.name): tuple(v for k in TOPS if (v := k * top) > p.minimum) or (p.minimum,) for p in limits}
     for u in effect.inputs:
         seen = np.concatenate([r[u.name] for r in records])
         levels = tuple(dict.fromkeys(np.nanquantile(seen, [0.0, 0.5, 1.0]).tolist()))

@@ -11,13 +11,14 @@ from identification.diagnose.candidates import candidates
 from identification.diagnose.distinguish import Distinguishability, distinguishability
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.experiment import discriminating_experiment
+from identification.diagnose.explainable import Explained, Left, Remainder
 from identification.diagnose.judge import Seen, seen
 from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.stepwise import Selection, gains_further, select
-from identification.diagnose.verdict import Explained, Left, Remainder, rivals, verdict
+from identification.diagnose.verdict import rivals, verdict
 from identification.fit.uncertainty import Uncertainty
 from identification.identify import Identification
 from identification.worth.prediction import Prediction, predict
@@ -112,7 +113,7 @@ def diagnose(
         remainder, before = Remainder(campaign, unseen, noise), searcher.standing(at.values)
         with ThreadPoolExecutor(workers) as pool:
             apart = distinguishability(base, options, library, pool.map)
-            selection = select(searcher, base, options, unseen, lambda fit: remainder.left(fit).anything, pool, stage)
+            selection = select(searcher, base, options, unseen, remainder.left, pool, stage)
             stage("judge")
             family = rivals(searcher, selection, unseen)
             word, explained, left = verdict(

@@ -53,7 +53,8 @@ def distinguishability(
 
     def trace(candidate: Candidate) -> np.ndarray:
         effect = candidate.effect
-        simulator = Simulator(plant([*base.effects, effect.name], library))
+        # The looks ask for the same tangents: compiled once.
+        simulator = Simulator(plant([*base.effects, effect.name], library), candidate.sizes)
         off = {effect.full(n): v for n, v in effect.off.items()}
         on = {effect.full(n): v for n, v in effect.probe.items()}
         shown = about.rows(simulator, {**candidate.form, **on}) - about.rows(simulator, {**candidate.form, **off})

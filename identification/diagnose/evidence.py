@@ -150,10 +150,12 @@ class Evidence:
 
     def weigh(self, residual: np.ndarray) -> None:
         """Set the channels' scales from a residual under the present ones."""
-        at = 0
-        for channel in ("thrust", "omega"):
-            n = sum(e.sizes.get(channel, 0) for e in self.experiments)
-            if n:
-                part = residual[at : at + n]
-                self.scale[channel] *= float(np.sqrt(part @ part / n))
-                at += n
+        score = self.score_of(residual)
+        self.scale |= {c: float(np.sqrt(s / score.counts[c])) for c, s in score.squares.items()}
+
+    def score_of(self, residual: np.ndarray) -> Score:
+        """The score that a scaled residual, as `evaluate` gives it under the present scales, stands for."""
+        counts = {c: sum(e.sizes.get(c, 0) for e in self.experiments) for c in self.scale}
+        counts = {c: n for c, n in counts.items() if n}
+        parts = np.split(residual, np.cumsum(list(counts.values())))
+        return Score({c: self.scale[c] ** 2 * float(p @ p) for c, p in zip(counts, parts, strict=False)}, counts)

@@ -24,9 +24,12 @@ ALIKE = 10.0
 ENOUGH_HELD_OUT = 3.0
 """Log-likelihood that unseen records must gain in some channel, and may at most lose in none."""
 
-WORTH = 0.008
-"""Share of what a set explains that each of its effects must explain: a slightly wrong form of one leaves such a remainder,
-which a second, superfluous name would take."""
+WORTH, BESIDE = 0.008, 0.002
+"""Share of what a set explains that each of its effects must explain, in a channel where another of the set acts and in one of
+its own: a slightly wrong form of one leaves such a remainder, which a second, superfluous name would take."""
+
+CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
+"""The channel between whose lags an effect may stand, by the words of its name."""
 
 SPILL = 0.5
 """Share of a gain in thrust that speed may lose: a thrust that fits weighs more, and the shared constants move towards it."""
@@ -34,6 +37,11 @@ SPILL = 0.5
 
 NUISANCE = {"rotor_vibration": 0.05}
 """Effects that every rig has a little of, and the share of the noise's power from which one is worth a name."""
+
+
+def channels(name: str) -> set[str]:
+    """The channels whose lags an effect of this name may stand between; those of no such word change the thrust."""
+    return {CHANNEL[word] for word in name.split("_") if word in CHANNEL} or {"thrust"}
 
 
 @dataclass(frozen=True)
@@ -131,8 +139,9 @@ def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without
         refused.append(
             f"thrust error on unseen data rises from {held_without.rmse_thrust:.4g} to {held_with.rmse_thrust:.4g} N"
         )
-    if (share := _share(with_it, without, base)) < WORTH:
-        refused.append(f"explains {share:.1%} of what the set does, {WORTH:.0%} is asked for: another's form may leave as much")
+    shared = any(channels(effect) & channels(other) for other in with_it.effects if other != effect)
+    if (share := _share(with_it, without, base)) < (worth := WORTH if shared else BESIDE):
+        refused.append(f"explains {share:.1%} of what the set does, {worth:.1%} is asked for: another's form may leave as much")
     refused += [f"{name} ended on its bound" for name in with_it.at_bound if name.startswith(f"{effect}.")]
     return Judgement(effect, float(delta), gain, tuple(refused))
 

@@ -30,6 +30,9 @@ PROPORTIONAL = 0.03
 SHARP = 0.7
 """Squared cosine of the traces of two sizes a factor of 2 apart below which a grid of such steps may miss the right one."""
 
+CLOSER = 3
+"""Steps along the tangents from the best point of a grid of several sizes: what binds in one corner only is between points."""
+
 BENT = 1.5
 """Mean square of the whitened thrust residual from which a fit counts as bent by what is missing."""
 
@@ -97,12 +100,27 @@ class _Look:
             axes = {n: candidate.fine_axis(n) for n in axes}
         if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
-            return max((self._best(trace, shape | point) for point in points), key=lambda pair: pair[0])
+            # Alone, a limit on speed is sharp, for speed is measured well.
+            points += [candidate.off | {n: v} for n in axes if n in candidate.levels for v in candidate.fine_axis(n)]
+            best = max((self._best(trace, shape | point) for point in points), key=lambda pair: pair[0])
+            return best if len(axes) == 1 else self._closer(trace, best)
         best = -np.inf, shape | candidate.off
         for _ in range(2):
             for name, values in axes.items():
                 best = max([best, *(self._best(trace, best[1] | {name: v}) for v in values)], key=lambda pair: pair[0])
-        return best
+        return self._closer(trace, best)
+
+    def _closer(self, trace: "_Trace", best: tuple[float, dict[str, float]]) -> tuple[float, dict[str, float]]:
+        """From the best point of a grid of several sizes, some way down along their tangents."""
+        candidate, (fall, point) = trace.candidate, best
+        for _ in range(CLOSER):
+            left = self._about.residual + trace.at(point)
+            step, *_ = np.linalg.lstsq(trace.tangents(point), -left, rcond=1e-9)
+            there = point | candidate.within({n: point[n] + d for n, d in zip(candidate.sizes, step, strict=True)})
+            if (gained := self._fall(trace.at(there))) <= fall:
+                break
+            fall, point = gained, there
+        return fall, point
 
     def _best(self, trace: "_Trace", point) -> tuple[float, dict[str, float]]:
         """The fall at a point, its sizes stretched a little where that helps."""

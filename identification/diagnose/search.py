@@ -6,7 +6,6 @@ already bent towards what is missing.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -50,13 +49,16 @@ class Fit:
 
     @property
     def places(self) -> list[dict[str, float]]:
-        """Values of the thresholds about their intervals, the fit's own first: the fitted records can't tell where they are
-        between commands, and unseen commands may. One empty place where there is no threshold."""
-        axes = []
+        """Values of the thresholds about their intervals, one at a time, the fit's own first.
+
+        The fitted records can't tell where they are between commands, and unseen commands may.
+        """
+        own = {name: self.values[name] for name in self.thresholds}
+        found = [own]
         for name, (low, high) in self.thresholds.items():
             beyond = WIDENED * (high - low)
-            axes.append([self.values[name], *np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES).tolist()])
-        return [dict(zip(self.thresholds, point, strict=True)) for point in product(*axes)]
+            found += [own | {name: v} for v in np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES).tolist()]
+        return found
 
     @property
     def deviance(self) -> float:
@@ -110,7 +112,7 @@ class Searcher:
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
             solution, intervals[name] = scan(evidence, solution, name, WHOLE if thorough else NEAR)
         found = evidence.values | evidence.coordinates.values(solution.value)
-        score = evidence.score(found, Simulator(model))
+        score = evidence.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
         return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, bool(idle))
 
@@ -123,7 +125,7 @@ class Searcher:
         residual, jacobian = evidence.evaluate(x)
         cost = 0.5 * float(residual @ residual)
         solution = Solution(x, residual, jacobian, (cost,), 1, True, np.zeros(len(x), bool))
-        return Fit((), {}, (), {}, values, evidence, solution, evidence.score(values, Simulator(model)), {}, False)
+        return Fit((), {}, (), {}, values, evidence, solution, evidence.score_of(residual), {}, False)
 
     def _unreached(self, model, values, name) -> bool:
         """Whether the fitted records come out the same to the bit with the parameter at off."""

@@ -5,14 +5,20 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import numpy as np
+
 from identification.diagnose.candidates import Candidate
 from identification.diagnose.evidence import Experiment
+from identification.diagnose.explainable import Left
 from identification.diagnose.judge import (
     ALIKE,
+    BESIDE,
+    CHANNEL,
     ENOUGH_BIC,
     ENOUGH_HELD_OUT,
     NUISANCE,
     Judgement,
+    channels,
     judge,
     placed,
     seen_at_best,
@@ -33,18 +39,22 @@ REFITTED = 8
 REORDERED = 3
 """Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
 
+SOME = 0.1
+"""Share of what the best candidate promises that others must promise to be refitted where none of the first ones stands."""
+
+START = 0.2
+"""Share of the explainable error, of thrust or of speed, that the first effect must remove for more to be looked for beside it:
+the best comes first, and where it is not much the rest are surrogates too."""
+
 RECONSIDERED = 2
 """Refused effects, the best first, that are looked at once more at the end."""
 
-FURTHER, BESIDE = 10.0, 0.002
-"""Log-likelihood that one more candidate must gain for a set to be near the truth only; and at least so much of what the set
-itself gained, since no form is exact."""
+FURTHER = 10.0
+"""Log-likelihood that one more candidate must gain for a set to be near the truth only; and at least the share BESIDE of what
+the set itself gained, since no form is exact."""
 
 CONFIRMED = 3
 """Candidates beside a final set, the most promising ones, that are refitted to see whether they gain so much."""
-
-CHANNEL = {"pitch": "beta", "speed": "omega", "supply": "omega"}
-"""The channel between whose lags an effect may stand, by the words of its name."""
 
 
 @dataclass(frozen=True)
@@ -78,28 +88,30 @@ def select(
     base: Fit,
     options: Iterable[Candidate],
     held: Sequence[Experiment],
-    left: Callable[[Fit], bool],
+    left: Callable[[Fit], Left],
     pool: ThreadPoolExecutor,
     stage: Callable[[str], None] = lambda text: None,
 ) -> Selection:
-    """Search up to MOST effects. `held`: experiments that no fit sees. `left(fit)`: is there anything left to explain?
+    """Search up to MOST effects. `held`: experiments that no fit sees. `left(fit)`: what it leaves to explain.
 
-    Where nothing is, a candidate may still promise much beside the fit: noise hides a small effect's power, not its shape.
-    An effect that does not stand is banned and the search repeated without it, so that a surrogate does not hide the
-    effect behind it. The result does not depend on the number of workers in `pool`.
+    Where that is nothing, a candidate may still promise much beside the fit: noise hides a small effect's power, not its shape.
+    An effect that the presence of others makes superfluous is banned and the search repeated without it, so that a surrogate
+    does not hide the effect behind it. The result does not depend on the number of workers in `pool`.
     """
     options = list(options)
     found = Selection(base, base)
     known: dict[tuple, list[Tried]] = {}
+    banned: dict[str, Judgement] = {}
     while len(known) < ROUNDS:
-        usable = [c for c in options if c.name not in found.refused]
-        path = _forward(searcher, base, usable, held, left, pool, known, stage)
+        usable = [c for c in options if c.name not in banned]
+        path, refused = _forward(searcher, base, usable, held, left, pool, known, stage)
         found.rounds = [known[_key(fit)] for fit in path if _key(fit) in known]
         stage("judge")
-        final, judgements, dropped = _backward(searcher, path[-1], held, base, pool)
-        found.final, found.judgements = final, judgements
+        found.final, found.judgements, dropped = _backward(searcher, path[-1], held, base, pool)
+        found.refused = {n: j for n, j in {**refused, **banned}.items() if n not in found.final.effects}
         if not dropped:
             break
+        banned.update(dropped)
         found.refused.update(dropped)
     _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left, pool)
     told = placed(found.final, held)
@@ -111,7 +123,7 @@ def select(
 def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], held, left, pool) -> None:
     """Once more what was refused before the others were there: what hid behind them may stand beside them."""
     for name in sorted(found.refused, key=lambda n: -found.refused[n].delta_bic)[:RECONSIDERED]:
-        if not 0 < len(found.final.effects) < MOST or not left(found.final):
+        if not 0 < len(found.final.effects) < MOST or not left(found.final).anything:
             return
         fitted = [t for t in tried if t.candidate.name == name and t.fit is not None]
         best = max(fitted, key=lambda t: t.delta_bic)
@@ -128,14 +140,14 @@ def _key(fit: Fit) -> tuple:
     return tuple(sorted(fit.effects)), tuple(sorted(fit.forms.items()))
 
 
-def _forward(searcher, base, options, held, left, pool, known, stage) -> list[Fit]:
-    """Fits along the way, the base first.
+def _forward(searcher, base, options, held, left, pool, known, stage) -> tuple[list[Fit], dict[str, Judgement]]:
+    """(fits along the way, the base first; what did not stand where it was best).
 
     The base is always tried: the gates are stricter than any look at its residual, and see what is below its noise.
     """
-    path = [base]
+    path, refused = [base], {}
     while len(path) <= MOST:
-        anything = len(path) == 1 or left(path[-1])
+        anything = len(path) == 1 or left(path[-1]).anything
         usable = options if anything else _elsewhere(searcher, base, path[-1], options, pool)
         if not usable:
             break
@@ -143,22 +155,40 @@ def _forward(searcher, base, options, held, left, pool, known, stage) -> list[Fi
         if key not in known:
             stage(f"try {len(usable)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
             known[key] = _round(searcher, path[-1], usable, pool)
-        fitted = [t for t in known[key] if t.fit is not None and t.candidate in usable and t.delta_bic > ENOUGH_BIC]
-        fitted = [t for t in fitted if not trifling(t.fit)]
-        if not fitted:
+        best, failed = _best([t for t in known[key] if t.candidate in usable], path[-1], held, base)
+        if best is None and failed:  # what hides behind surrogates may promise less than they do
+            known[key] = _deeper(searcher, path[-1], known[key], pool)
+            best, failed = _best([t for t in known[key] if t.candidate in usable], path[-1], held, base)
+        refused |= failed
+        if best is None:
             break
-        top = max(t.delta_bic for t in fitted)
-        path.append(max(_best_held([t for t in fitted if t.delta_bic > top - ALIKE], held), key=_simplest).fit)
-    return path
+        path.append(best.fit)
+        if len(path) == 2 and left(best.fit).gone(left(base)) < START:
+            break
+    return path, refused
 
 
-def _best_held(alike: list[Tried], held) -> list[Tried]:
-    """Of candidates that fit alike those that do on unseen thrust as the best of them does."""
-    if len(alike) == 1:
-        return alike
-    scores = [seen_at_best(t.fit, held).score for t in alike]
-    best = min(scores, key=lambda score: score.squares["thrust"])
-    return [t for t, own in zip(alike, scores, strict=True) if best.gain(own)["thrust"] < ENOUGH_HELD_OUT]
+def _best(tried: Sequence[Tried], beside: Fit, held, base: Fit) -> tuple[Tried | None, dict[str, Judgement]]:
+    """(of the refitted candidates that stand beside a fit the best, what is better and does not stand).
+
+    Of those that fit alike, unseen thrust decides, then simplicity.
+    """
+    fitted = [t for t in tried if t.fit is not None and t.delta_bic > ENOUGH_BIC and not trifling(t.fit)]
+    without_it, standing, refused = seen_at_best(beside, held), [], {}
+    for t in sorted(fitted, key=lambda t: -t.delta_bic):
+        if standing and t.delta_bic <= standing[0][0].delta_bic - ALIKE:
+            break
+        with_it = seen_at_best(t.fit, held)
+        judged = judge(t.candidate.name, t.fit, beside, with_it, without_it, base)
+        if judged.refused:
+            refused.setdefault(t.candidate.name, judged)
+        else:
+            standing.append((t, with_it.score))
+    if not standing:
+        return None, refused
+    least = min((score for _, score in standing), key=lambda score: score.squares["thrust"])
+    alike = [t for t, score in standing if least.gain(score)["thrust"] < ENOUGH_HELD_OUT]
+    return max(alike, key=_simplest), refused
 
 
 def _simplest(tried: Tried) -> tuple:
@@ -168,14 +198,23 @@ def _simplest(tried: Tried) -> tuple:
 
 
 def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
-    ranked = _looks(searcher, fit, options, pool)
-    first = ranked[:REFITTED]
-    refits = list(pool.map(lambda pair: _refit(searcher, fit, *pair), first))
-    best = sorted(range(len(first)), key=lambda k: refits[k].bic())[:REORDERED]
-    for k, better in zip(best, pool.map(lambda k: _improved(searcher, fit, first[k][0], refits[k]), best), strict=True):
-        refits[k] = better
-    tried = [Tried(c, fit.effects, at.fall, new, fit.bic() - new.bic()) for (c, at), new in zip(first, refits, strict=True)]
-    return tried + [Tried(c, fit.effects, at.fall) for c, at in ranked[REFITTED:]]
+    """All candidates beside a fit, those that promise most refitted."""
+    looked = [Tried(c, fit.effects, at.fall) for c, at in _looks(searcher, fit, options, pool)]
+    return _deeper(searcher, fit, looked, pool)
+
+
+def _deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[Tried]:
+    """The same with REFITTED more of them refitted, as long as they promise something beside the best."""
+    enough = max(SOME * tried[0].fall, ENOUGH_BIC) if tried and tried[0].fit else -np.inf
+    chosen = [t for t in tried if t.fit is None and t.fall > enough][:REFITTED]
+    at = {c.label: seen for c, seen in _looks(searcher, fit, [t.candidate for t in chosen], pool)}
+    refits = list(pool.map(lambda t: _refit(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
+    best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
+    for k, new in zip(best, pool.map(lambda k: _improved(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
+        refits[k] = new
+    fresh = [replace(t, fit=new, delta_bic=fit.bic() - new.bic()) for t, new in zip(chosen, refits, strict=True)]
+    done = {t.candidate.label: t for t in fresh}
+    return [done.get(t.candidate.label, t) for t in tried]
 
 
 def _looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
@@ -193,15 +232,10 @@ def _elsewhere(searcher: Searcher, base: Fit, fit: Fit, options: Sequence[Candid
 
     What a slightly wrong form leaves shows in its own channel: there, a second effect would mend the first.
     """
-    touched = set().union(*map(_channels, fit.effects))
-    apart = [c for c in options if touched.isdisjoint(_channels(c.name))]
+    touched = set().union(*map(channels, fit.effects))
+    apart = [c for c in options if touched.isdisjoint(channels(c.name))]
     further = _promising(searcher, base, fit, options, pool)
     return apart if further and further[0][0] in apart else []
-
-
-def _channels(name: str) -> set[str]:
-    """The channels whose lags an effect of this name may stand between; those of no such word change the thrust."""
-    return {CHANNEL[word] for word in name.split("_") if word in CHANNEL} or {"thrust"}
 
 
 def gains_further(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> bool:
@@ -239,8 +273,8 @@ def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
 
 def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
     """The candidate's refit, or a better one with a channel's lags in the other order."""
-    channels = sorted(_channels(candidate.name) & set(CHANNEL.values()))
-    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in channels]
+    lagged = sorted(channels(candidate.name) & set(CHANNEL.values()))
+    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in lagged]
     if candidate.effect.delays:  # they act before both lags
         orders = []
     starts = [*orders, refit.slow_first] if refit.thresholds else orders

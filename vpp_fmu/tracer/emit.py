@@ -7,7 +7,15 @@ from math import isinf
 from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed_by
 from vpp_fmu.tracer.program import Program, Write
 
-C_CALLS = {name: name for name in CALLS}
+ONCE = """#if defined(__clang__)
+#define ONCE __attribute__((optnone, noinline))
+#elif defined(__GNUC__)
+#define ONCE __attribute__((optimize("O0")))
+#else
+#define ONCE
+#endif
+"""
+"""Marks what runs once a simulation: to optimise it takes longer than it ever saves."""
 
 
 def python_source(program: Program) -> str:
@@ -70,13 +78,13 @@ def c_source(program: Program) -> str:
         "SAMPLED": int(bool(model.sample_time)),
         "SAMPLE_TIME": sample_time,
     }
-    parts = ["#include <math.h>\n", *(f"#define {k} {n}\n" for k, n in sizes.items())]
+    parts = ["#include <math.h>\n", ONCE, *(f"#define {k} {n}\n" for k, n in sizes.items())]
     parts.append(f"static const int DELAYED_INPUT[] = {{{', '.join(map(str, delayed))}}};\n")
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
     columns = [program.wrt.index(p) if p in program.wrt else -1 for _, p in model.delays] or [-1]
     parts.append(f"static const int DELAY_COLUMN[] = {{{', '.join(map(str, columns))}}};\n")
     for head, writes in (
-        ("void start(double *v, double *d)", program.start),
+        ("ONCE void start(double *v, double *d)", program.start),
         ("void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
         ("void step(double *v, const double *c, double *d)", program.step),
         ("double largest_step(const double *v)", program.largest_step),
