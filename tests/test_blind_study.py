@@ -67,6 +67,14 @@ def test_a_small_effect_stands_beside_a_large_one_of_another_channel():
     assert all(good for *_, good in found["parameters"].values())
 
 
+def test_what_the_fitted_records_show_at_one_point_only_is_named_by_the_unseen_ones_and_not_sized():
+    case = Case("singles", ("supply_sag",), 83)  # the limit that falls with pitch is met at one pitch only
+    found = outcome(case, library=library("supply_sag", "speed_saturation", "speed_dependent_lag"))
+    assert scores.hit(found)
+    assert found["removed"] > 0.9
+    assert not found["parameters"]  # limit and slope at that pitch go together: neither is claimed to be known
+
+
 def test_what_only_the_fitted_records_like_is_not_built_upon():
     case = Case("deleted", ("pitch_asymmetry",), 80, "pitch_asymmetry")
     found = outcome(case, library=library("pitch_asymmetry", "map_terms", "pitch_rate_limit", "thrust_gain_drift"))

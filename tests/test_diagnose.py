@@ -146,6 +146,16 @@ def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
     assert "Nothing is missing" in diagnosis_page(nothing_missing).html()
 
 
+def test_what_no_name_takes_up_is_seen_to_follow_the_commands(nothing_missing):
+    assert not nothing_missing.following.significant
+    for missing in ({"pitch_backlash.half_gap": 0.3}, {"pitch_rate_limit.rate": 12.0}, {"speed_asymmetry.asymmetry": 0.3}):
+        found = diagnose(rig(**missing), some("sensor_drift"))
+        assert not found.final.effects
+        assert found.following.significant
+        assert found.following.gain > 10.0
+        assert summary(found)["unexplained"]["follows_commands"]["significant"]
+
+
 def test_one_record_is_enough_and_its_end_is_kept_unseen():
     record = rig().open_loop
     record = record.with_columns(thrust=np.where(np.arange(len(record)) % 3 > 0, record["thrust"], np.nan))

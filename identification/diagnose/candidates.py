@@ -81,7 +81,7 @@ class Candidate:
         inside = [v for s in signs for m in (SIZES if size else SHAPES) if p.minimum < (v := s * m * probe) < p.maximum]
         return inside or [probe]
 
-    def fine_axis(self, name: str, count: int = 32) -> list[float]:
+    def fine_axis(self, name: str, count: int = 24) -> list[float]:
         """Values of a size all over its range, for a search that must meet the right one."""
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
         highest = max(self.levels.get(name, (p.maximum,)))

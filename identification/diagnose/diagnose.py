@@ -12,14 +12,15 @@ from identification.diagnose.distinguish import Distinguishability, distinguisha
 from identification.diagnose.evidence import Experiment
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.explainable import Explained, Left, Remainder
+from identification.diagnose.following import Following, following
 from identification.diagnose.judge import Seen, seen
 from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
-from identification.diagnose.stepwise import Selection, gains_further, select
+from identification.diagnose.stepwise import Selection, gains_further, much, select
 from identification.diagnose.verdict import rivals, verdict
-from identification.fit.uncertainty import Uncertainty
+from identification.fit.uncertainty import NORMAL_95
 from identification.identify import Identification
 from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
@@ -32,6 +33,9 @@ from vpp_fmu.record import Record
 CHANGED = ("attributed", "family", "partly")
 """Verdicts that put effects into the model."""
 
+UNTOLD = 1e-10
+"""Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
+
 HELD_SHARE = 1.0 / 3.0
 """Of the open-loop record, its end, kept from the fits where a campaign has no validation record."""
 
@@ -40,6 +44,7 @@ HELD_SHARE = 1.0 / 3.0
 class Diagnosis:
     """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data.
 
+    `following`: whether what the search's final set leaves follows the commands still.
     `base`: the model without any further effect, as identified; whitened and bent towards what is missing, the search's own
     base does worse on unseen data and would flatter what is found. `given`: the model that was brought, as it was brought; None
     where the campaign was identified first.
@@ -55,6 +60,7 @@ class Diagnosis:
     explained: Explained | None
     left: Left
     before_left: Left
+    following: Following
     family: Mapping[str, list[str]]
     doubt: Mapping[str, float | None]
     apart: Distinguishability
@@ -116,9 +122,13 @@ def diagnose(
             selection = select(searcher, base, options, unseen, remainder.left, pool, stage)
             stage("judge")
             family = rivals(searcher, selection, unseen)
-            word, explained, left = verdict(
-                selection, before, remainder, family, lambda fit: gains_further(searcher, base, fit, options, pool)
-            )
+            rest = following(selection.final)
+
+            def further(fit: Fit) -> bool:
+                follows = rest.significant and rest.gain > much(base, fit)
+                return follows or gains_further(searcher, base, fit, options, pool)
+
+            word, explained, left = verdict(selection, before, remainder, family, further)
         final = selection.final if word in CHANGED else before
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(
@@ -132,6 +142,7 @@ def diagnose(
             explained=explained,
             left=left,
             before_left=remainder.left(before),
+            following=rest,
             family=family,
             doubt=_doubt(final),
             apart=apart,
@@ -166,12 +177,19 @@ def _noise(campaign: Campaign, at: Starting) -> Noise:
 
 
 def _doubt(fit: Fit) -> dict[str, float | None]:
-    """Standard deviations of all fitted parameters, for whitened residuals; a threshold's from its interval."""
+    """Standard deviations of all fitted parameters, for whitened residuals; a threshold's from its interval; None where the
+    records leave open where a parameter is."""
     free = np.flatnonzero(~fit.solution.active)
-    j = fit.solution.jacobian[:, free]
-    to_values = fit.evidence.coordinates.jacobian(fit.solution.value)[:, free]
-    covariance = to_values @ np.linalg.pinv(j.T @ j, rcond=1e-13, hermitian=True) @ to_values.T
-    names = fit.evidence.coordinates.names
-    std = Uncertainty(names, np.array([fit.values[n] for n in names]), covariance, np.ones(len(names))).std
-    found = dict(zip(names, std.tolist(), strict=True))
-    return found | {n: (high - low) / (2 * 1.96) for n, (low, high) in fit.thresholds.items()}
+    columns = fit.solution.jacobian[:, free]
+    size = np.linalg.norm(columns, axis=0)
+    columns, size = columns / np.where(size > 0.0, size, 1.0), np.where(size > 0.0, size, 1.0)
+    told, axes = np.linalg.eigh(columns.T @ columns)
+    known = told > UNTOLD * told[-1]
+    to_values = fit.evidence.coordinates.jacobian(fit.solution.value)[:, free] / size
+    std = np.linalg.norm(to_values @ (axes[:, known] / np.sqrt(told[known])), axis=1)
+    left_open = np.linalg.norm(to_values @ axes[:, ~known], axis=1) > np.sqrt(UNTOLD) * np.linalg.norm(to_values, axis=1)
+    found = {
+        name: None if untold else float(s)
+        for name, s, untold in zip(fit.evidence.coordinates.names, std, left_open, strict=True)
+    }
+    return found | {n: (high - low) / (2 * NORMAL_95) for n, (low, high) in fit.thresholds.items()}

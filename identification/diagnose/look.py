@@ -98,10 +98,10 @@ class _Look:
         axes = {n: candidate.axis(n) for n in candidate.sizes}
         if len(axes) == 1 and trace.sharp(shape, axes):
             axes = {n: candidate.fine_axis(n) for n in axes}
+        if len(axes) == 2:  # a limit on speed is sharp, for speed is measured well
+            axes |= {n: candidate.fine_axis(n) for n in axes if trace.limited(shape, n)}
         if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
-            # Alone, a limit on speed is sharp, for speed is measured well.
-            points += [candidate.off | {n: v} for n in axes if n in candidate.levels for v in candidate.fine_axis(n)]
             best = max((self._best(trace, shape | point) for point in points), key=lambda pair: pair[0])
             return best if len(axes) == 1 else self._closer(trace, best)
         best = -np.inf, shape | candidate.off
@@ -153,6 +153,11 @@ class _Trace:
         powers = [float(t @ t) for t in traces]
         alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
         return not all(alike)
+
+    def limited(self, shape, name: str) -> bool:
+        """Whether a size is a level that these records reach, in this form."""
+        levels, others, off = self.candidate.levels.get(name), shape | self.candidate.probe, self.candidate.off[name]
+        return levels is not None and not np.array_equal(self.at(others | {name: min(levels)}), self.at(others | {name: off}))
 
     def followed(self, point) -> dict[str, float]:
         """Where the fitted parameters go with the candidate at `point`."""

@@ -20,6 +20,8 @@ SURE = {
     "none": "nothing above the noise is missing",
 }
 
+UNTOLD = "not told by these records"
+
 ZOOM, SMOOTHED = 3.0, 0.2
 """s to both sides of a worst moment; it is the worst mean over so many s."""
 
@@ -50,7 +52,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         for name, p in effect["parameters"].items():
             if name == "form":
                 continue
-            doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else "held"
+            doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else UNTOLD
             doubt += ", its place told by the unseen record" if name in effect["placed_by_unseen_data"] else ""
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
             figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g}{unit}", doubt))
@@ -172,6 +174,12 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
     page.figure(figure, "Thrust error by what is commanded, unseen data.")
 
 
+def _followed(found: Diagnosis) -> str:
+    rest = found.following
+    yes = "yes" if rest.significant else "no more than noise would"
+    return f"{yes}: log-likelihood {rest.gain:+.1f} of {rest.count} plays, bounds and rates of both channels"
+
+
 def _commanded(section: str) -> str:
     return {"both": "both are commanded", "steady": "nothing is commanded"}.get(section, f"{section} is commanded")
 
@@ -184,6 +192,7 @@ def _add_location(page: Page, found: Diagnosis) -> None:
         [
             ("goes most with", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
             ("input", where["input"]),
+            ("follows the commands still", _followed(found)),
             ("largest", f"{largest['thrust']:+.2f} N at {largest['time']:.1f} s"),
             *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
             *((f"mean square, {name}", f"{max(power, 0.0):.2g} N²") for name, power in where["mean_square_by_section"].items()),

@@ -129,7 +129,7 @@ def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], he
         best = max(fitted, key=lambda t: t.delta_bic)
         start = {**found.final.values, **{n: best.fit.values[n] for n in best.candidate.free}}
         fuller = _with(searcher, found.final, best.candidate, start, found.final.slow_first)
-        fuller = _simplified(searcher, best.candidate, fuller)
+        fuller = _simplified(searcher, best.candidate, fuller, held)
         kept, judgements, dropped = _backward(searcher, fuller, held, found.base, pool)
         if not dropped:
             found.final, found.judgements = kept, judgements
@@ -154,10 +154,10 @@ def _forward(searcher, base, options, held, left, pool, known, stage) -> tuple[l
         key = _key(path[-1])
         if key not in known:
             stage(f"try {len(usable)} candidates" + "".join(f" + {name}" for name in path[-1].effects))
-            known[key] = _round(searcher, path[-1], usable, pool)
+            known[key] = _round(searcher, path[-1], usable, held, pool)
         best, failed = _best([t for t in known[key] if t.candidate in usable], path[-1], held, base)
         if best is None and failed:  # what hides behind surrogates may promise less than they do
-            known[key] = _deeper(searcher, path[-1], known[key], pool)
+            known[key] = _deeper(searcher, path[-1], known[key], held, pool)
             best, failed = _best([t for t in known[key] if t.candidate in usable], path[-1], held, base)
         refused |= failed
         if best is None:
@@ -197,20 +197,22 @@ def _simplest(tried: Tried) -> tuple:
     return not tried.fit.idle, -len(tried.fit.free), not shed, tried.delta_bic
 
 
-def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
+def _round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], held, pool) -> list[Tried]:
     """All candidates beside a fit, those that promise most refitted."""
     looked = [Tried(c, fit.effects, at.fall) for c, at in _looks(searcher, fit, options, pool)]
-    return _deeper(searcher, fit, looked, pool)
+    return _deeper(searcher, fit, looked, held, pool)
 
 
-def _deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[Tried]:
+def _deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], held, pool) -> list[Tried]:
     """The same with REFITTED more of them refitted, as long as they promise something beside the best."""
     enough = max(SOME * tried[0].fall, ENOUGH_BIC) if tried and tried[0].fit else -np.inf
     chosen = [t for t in tried if t.fit is None and t.fall > enough][:REFITTED]
     at = {c.label: seen for c, seen in _looks(searcher, fit, [t.candidate for t in chosen], pool)}
     refits = list(pool.map(lambda t: _refit(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
     best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
-    for k, new in zip(best, pool.map(lambda k: _improved(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
+    for k, new in zip(
+        best, pool.map(lambda k: _improved(searcher, fit, chosen[k].candidate, refits[k], held), best), strict=True
+    ):
         refits[k] = new
     fresh = [replace(t, fit=new, delta_bic=fit.bic() - new.bic()) for t, new in zip(chosen, refits, strict=True)]
     done = {t.candidate.label: t for t in fresh}
@@ -245,17 +247,17 @@ def gains_further(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Can
     """
     first = _promising(searcher, base, fit, options, pool)[:CONFIRMED]
     fuller = pool.map(lambda pair: _refit(searcher, fit, *pair), first)
-    return any(fit.deviance - new.deviance > 2.0 * _much(base, fit) for new in fuller)
+    return any(fit.deviance - new.deviance > 2.0 * much(base, fit) for new in fuller)
 
 
 def _promising(searcher: Searcher, base: Fit, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
     """The candidates that promise much beside a fit, the best first; without what every rig has a little of."""
     looks = _looks(searcher, fit, options, pool)
-    return [(c, at) for c, at in looks if c.name not in NUISANCE and at.fall > _much(base, fit)]
+    return [(c, at) for c, at in looks if c.name not in NUISANCE and at.fall > much(base, fit)]
 
 
-def _much(base: Fit, fit: Fit) -> float:
-    """Log-likelihood that is more than what forms that are nearly right leave beside a fit."""
+def much(base: Fit, fit: Fit) -> float:
+    """Log-likelihood that is more than what the right forms leave beside a fit, which are never exact."""
     return max(FURTHER, 0.5 * BESIDE * (base.deviance - fit.deviance))
 
 
@@ -271,7 +273,7 @@ def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
     return min(found, _with(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
 
 
-def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
+def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, held) -> Fit:
     """The candidate's refit, or a better one with a channel's lags in the other order."""
     lagged = sorted(channels(candidate.name) & set(CHANNEL.values()))
     orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in lagged]
@@ -279,11 +281,14 @@ def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) ->
         orders = []
     starts = [*orders, refit.slow_first] if refit.thresholds else orders
     best = min([refit, *(_with(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
-    return _simplified(searcher, candidate, best)
+    return _simplified(searcher, candidate, best, held)
 
 
-def _simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
-    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands."""
+def _simplified(searcher: Searcher, candidate: Candidate, fit: Fit, held) -> Fit:
+    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands.
+
+    Unless unseen commands miss one: a limit that falls with pitch looks constant where it was met at one pitch only.
+    """
     while True:
         sizes = [n for n in candidate.sizes if n in fit.free]
         fewer = []
@@ -291,7 +296,7 @@ def _simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
             start, free = {**fit.values, name: candidate.off[name]}, [n for n in fit.free if n != name]
             fewer.append(searcher.fit(fit.effects, fit.forms, free, start, fit.slow_first, thorough=False))
         best = min([fit, *fewer], key=Fit.bic)
-        if best is fit:
+        if best is fit or seen_at_best(fit, held).score.gain(seen_at_best(best, held).score)["thrust"] >= ENOUGH_HELD_OUT:
             return fit
         fit = replace(best, idle=fit.idle)
 

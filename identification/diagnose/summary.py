@@ -25,7 +25,11 @@ def summary(found: Diagnosis) -> dict:
         "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
         "cannot_be_seen": found.apart.invisible(),
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],
-        "unexplained": {"share_left": found.explained and 1.0 - found.explained.share, **found.location},
+        "unexplained": {
+            "share_left": found.explained and 1.0 - found.explained.share,
+            "follows_commands": {"log_likelihood": found.following.gain, "significant": found.following.significant},
+            **found.location,
+        },
     }
 
 

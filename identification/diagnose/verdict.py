@@ -82,11 +82,11 @@ def verdict(
     base: Fit,
     remainder: Remainder,
     family: Mapping[str, list[str]],
-    near: Callable[[Fit], bool],
+    further: Callable[[Fit], bool],
 ) -> tuple[str, Explained | None, Left]:
     """(verdict, share of the explainable error of `base` removed on unseen data, what is left on the fitted records).
 
-    `near(fit)`: whether one of the remaining candidates gains much beside a fit.
+    `further(fit)`: whether much is gained beside a fit, by one of the remaining candidates or by what has no name.
     """
     final = selection.final
     left = remainder.left(final)
@@ -96,7 +96,7 @@ def verdict(
     named = "family" if any(family.values()) else "attributed"
     if not _whole(explained, left, remainder.left(base)):
         return ("partly" if explained is None or explained.share >= PARTLY else "unexplained"), explained, left
-    return ("partly" if near(final) else named), explained, left
+    return ("partly" if further(final) else named), explained, left
 
 
 def _whole(explained: Explained | None, left: Left, before: Left) -> bool:

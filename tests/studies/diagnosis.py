@@ -97,13 +97,14 @@ def removed(found: Diagnosis, measured: Campaign, rig: Rig) -> float | None:
 
 
 def _parameters(found: Diagnosis, truth: dict[str, float]) -> dict:
-    """Of each parameter with a true value: [true, found, std, whether within 10 % or the 95 % interval]."""
+    """Of each parameter with a true value that the diagnosis claims to know: [true, found, std, whether within 10 % or the 95 %
+    interval]."""
     compared = {}
     for name, true in truth.items():
-        if name not in found.final.free:
+        if name not in found.final.free or (std := found.doubt.get(name)) is None:
             continue
-        value, std = found.final.values[name], found.doubt.get(name)
-        low, high = found.final.thresholds.get(name, (value - 1.96 * (std or 0.0), value + 1.96 * (std or 0.0)))
+        value = found.final.values[name]
+        low, high = found.final.thresholds.get(name, (value - 1.96 * std, value + 1.96 * std))
         good = abs(value - true) <= 0.1 * abs(true) or low <= true <= high
         compared[name] = [true, value, std, bool(good)]
     return compared
