@@ -75,6 +75,16 @@ def test_what_the_fitted_records_show_at_one_point_only_is_named_by_the_unseen_o
     assert not found["parameters"]  # limit and slope at that pitch go together: neither is claimed to be known
 
 
+def test_an_effect_is_found_from_its_special_case():
+    case = Case("singles", ("pitch_speed_limits",), 82)  # from anywhere else the fit ends where the least speed is none
+    found = outcome(case, library=library("pitch_speed_limits", "pitch_rate_limit"))
+    assert found["verdict"] == "attributed"
+    assert found["effects"] == ["pitch_speed_limits"]
+    assert found["removed"] > 0.99
+    assert found["parameters"]["pitch_speed_limits.slowest"][-1]
+    assert found["parameters"]["pitch_speed_limits.full"][-1]
+
+
 def test_what_only_the_fitted_records_like_is_not_built_upon():
     case = Case("deleted", ("pitch_asymmetry",), 80, "pitch_asymmetry")
     found = outcome(case, library=library("pitch_asymmetry", "map_terms", "pitch_rate_limit", "thrust_gain_drift"))

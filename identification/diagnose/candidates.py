@@ -69,7 +69,10 @@ class Candidate:
         return [dict(point) for point in product(*axes)]
 
     def axis(self, name: str) -> list[float]:
-        """Values of a free parameter to look at first, around the probe; a size's of both signs where both are allowed."""
+        """Values of a free parameter to look at first, around the probe; a size's of both signs where both are allowed.
+
+        What is no size may also have no part in it, where that is a form of its own.
+        """
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
         size = p.name in self.effect.off
         if name in self.levels:
@@ -79,6 +82,7 @@ class Candidate:
             return [p.default]
         signs = (1.0, -1.0) if p.minimum < 0.0 < p.maximum and size else (1.0,)
         inside = [v for s in signs for m in (SIZES if size else SHAPES) if p.minimum < (v := s * m * probe) < p.maximum]
+        inside += [p.default] if p.limit_form and not size else []
         return inside or [probe]
 
     def fine_axis(self, name: str, count: int = 24) -> list[float]:

@@ -1,9 +1,10 @@
 """Which effects are missing: add the best, refit all, repeat; then every effect must stand in the presence of the others."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -24,8 +25,10 @@ from identification.diagnose.judge import (
     seen_at_best,
     trifling,
 )
+from identification.diagnose.linearised import Linearised
 from identification.diagnose.look import Looks, Seen
 from identification.diagnose.search import Fit, Searcher
+from vpp_fmu.native import Simulator
 
 MOST = 3
 """Effects that one diagnosis may name; with more, the data of one campaign cannot tell sets apart."""
@@ -210,9 +213,11 @@ def _deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], held, pool) ->
     at = {c.label: seen for c, seen in _looks(searcher, fit, [t.candidate for t in chosen], pool)}
     refits = list(pool.map(lambda t: _refit(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
     best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
-    for k, new in zip(
-        best, pool.map(lambda k: _improved(searcher, fit, chosen[k].candidate, refits[k], held), best), strict=True
-    ):
+    for k, new in zip(best, pool.map(lambda k: _reordered(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
+        refits[k] = new
+    leaders = {chosen[k].candidate.name: refits[k] for k in sorted(best, key=lambda k: -refits[k].bic())}
+    widened = pool.map(lambda k: _widened(searcher, fit, chosen[k].candidate, refits[k], leaders, held), best)
+    for k, new in zip(best, widened, strict=True):
         refits[k] = new
     fresh = [replace(t, fit=new, delta_bic=fit.bic() - new.bic()) for t, new in zip(chosen, refits, strict=True)]
     done = {t.candidate.label: t for t in fresh}
@@ -273,15 +278,43 @@ def _refit(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
     return min(found, _with(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
 
 
-def _improved(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, held) -> Fit:
+def _reordered(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
     """The candidate's refit, or a better one with a channel's lags in the other order."""
     lagged = sorted(channels(candidate.name) & set(CHANNEL.values()))
     orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in lagged]
     if candidate.effect.delays:  # they act before both lags
         orders = []
     starts = [*orders, refit.slow_first] if refit.thresholds else orders
-    best = min([refit, *(_with(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
-    return _simplified(searcher, candidate, best, held)
+    return min([refit, *(_with(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+
+
+def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit], held) -> Fit:
+    """The candidate's refit, or a better one from a special case's fit or with a size on that was left off; without idle sizes.
+
+    `others`: fits of other effects in its place.
+    """
+    fits = [refit]
+    for name, shared in candidate.effect.contains.items():
+        if special := others.get(name):
+            same = {candidate.effect.full(own): special.values[f"{name}.{its}"] for own, its in shared.items()}
+            fits.append(_with(searcher, fit, candidate, {**special.values, **candidate.off, **same}, special.slow_first))
+    return _simplified(searcher, candidate, _revived(searcher, candidate, min(fits, key=Fit.bic)), held)
+
+
+def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
+    """The fit, or a better one in which the last effect's sizes that it left off are on: off may be a minimum of its own."""
+    axes = {n: [candidate.off[n], *candidate.axis(n)] for n in candidate.sizes if fit.values[n] == candidate.off[n]}
+    if not axes or len(candidate.sizes) == 1:
+        return fit
+    about, simulator = Linearised.of(fit.evidence, fit.solution), Simulator(fit.evidence.model)
+    points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    costs = [about.cost(simulator, point) for point in points]
+    if costs[0] - min(costs) < 1.0:  # the first is the fit as it is
+        return fit
+    start = {**fit.values, **points[int(np.argmin(costs))]}
+    free = dict.fromkeys([*fit.free, *candidate.free])
+    revived = searcher.fit(fit.effects, fit.forms, list(free), start, fit.slow_first, thorough=False)
+    return min(fit, revived, key=Fit.bic)
 
 
 def _simplified(searcher: Searcher, candidate: Candidate, fit: Fit, held) -> Fit:

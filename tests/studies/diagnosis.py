@@ -69,13 +69,17 @@ def main(arguments: list[str]) -> None:
 def outcome(case: Case, log: Path | None = None, library: Iterable[Effect] = LIBRARY) -> dict:
     """Build the case, diagnose it, compare with the truth: all that the tables need. `log`: folder of progress.jsonl."""
     measured, rig, sizes = case.build()
-    library = tuple(e for e in library if e.name != case.deleted)
+    whole = tuple(library)
+    library = tuple(e for e in whole if e.name != case.deleted)
     began = time.perf_counter()
     found = diagnose(measured, library, workers=1, seed=0)
     seconds = time.perf_counter() - began
     entry = {"kind": case.kind, "hidden": list(case.hidden), "seed": case.seed, "deleted": case.deleted, "sizes": sizes}
     entry |= {"evidence": case.evidence(measured, rig), "equal": case.equals(measured, rig)}
     entry |= {"seconds": seconds, "verdict": found.verdict}
+    entry |= {
+        "own_name_gains": _own_name_gains(found, measured, whole) if case.deleted and found.verdict in scores.NAMED else None
+    }
     entry |= {"effects": list(found.final.effects), "family": {n: list(o) for n, o in found.family.items()}}
     entry |= {"explained": found.explained and found.explained.share, "removed": removed(found, measured, rig)}
     entry |= {"left": [found.before_left.share, found.left.share, found.left.error]}
@@ -85,6 +89,11 @@ def outcome(case: Case, log: Path | None = None, library: Iterable[Effect] = LIB
         with (log / "progress.jsonl").open("a") as file:
             file.write(json.dumps(entry) + "\n")
     return entry
+
+
+def _own_name_gains(found: Diagnosis, measured: Campaign, library: Iterable[Effect]) -> float:
+    """Log-likelihood that the effects found with the whole library have over a diagnosis that lacked the one that is hidden."""
+    return 0.5 * (found.final.deviance - diagnose(measured, library, workers=1, seed=0).final.deviance)
 
 
 def removed(found: Diagnosis, measured: Campaign, rig: Rig) -> float | None:

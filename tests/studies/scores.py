@@ -94,6 +94,9 @@ def figures(found: Sequence[dict]) -> list[str]:
     for kind in ("outside", "deleted"):
         shown = [c for c in of[kind] if c["evidence"] >= LIMIT]
         lines.append(share(f"confident wrong name, {kind}", wrong, shown))
+        if kind == "deleted":
+            told = lambda c: wrong(c) and c["own_name_gains"] >= LIMIT  # noqa: E731
+            lines.append(share("  where its own name would fit detectably better", told, shown))
         if kind == "outside":
             lines.append(share("  any confident name", lambda c: c["verdict"] in NAMED, shown))
     for low, high in ((20.0, 60.0), (60.0, 200.0)):

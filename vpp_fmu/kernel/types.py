@@ -79,6 +79,8 @@ class Effect:
     `inputs` are measured quantities that the effect needs beside the commands; a model with the effect has them as inputs.
     `delays` maps an input's name to the parameter that holds it back [s]; the schedule does it, between steps, exactly.
     `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
+    `contains` maps the name of an effect that is a special case of this one to the parameters that they share, own name to its:
+    a search for this one starts at what was found for that one, too.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Effect:
     inputs: tuple[Signal, ...] = ()
     delays: Mapping[str, str] = field(default_factory=dict)
     largest_step: float | None = None
+    contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def full(self, name: str) -> str:
         """The name outside the effect: bare for what is always present, else `<effect>.<name>`."""

@@ -47,4 +47,5 @@ EFFECT = Effect(
     off={"limit": UNLIMITED, "sag": 0.0},
     probe={"limit": 6200.0, "sag": 60.0},
     largest_step=0.002,
+    contains={"speed_saturation": {"limit": "maximum"}},
 )
