@@ -44,6 +44,18 @@ def test_it_declares_itself(effect):
         assert x.description
 
 
+@pytest.mark.parametrize("effect", [e for e in OPTIONAL if e.contains], ids=lambda e: e.name)
+def test_what_it_contains_is_a_special_case_of_it(effect):
+    for name, shared in effect.contains.items():
+        (special,) = (e for e in OPTIONAL if e.name == name)
+        values = named(special, special.probe)
+        same = {effect.full(own): values[special.full(its)] for own, its in shared.items()}
+        inputs, steps = random_steps(3000, 200), np.full(2999, STEP)
+        shown, without = (simulator(plant(e)).simulate(v, inputs, steps) for e, v in (([name], values), ([], {})))
+        wider = simulator(plant([effect.name])).simulate(named(effect, effect.off) | same, inputs, steps)
+        assert np.abs(wider - shown)[:, 0].max() < 0.02 * np.abs(shown - without)[:, 0].max()
+
+
 @each_effect
 @pytest.mark.parametrize("dt", [0.001, 0.002, STEP, 0.0073, 0.05])
 def test_off_is_the_model_without_it_to_the_bit(effect, dt):

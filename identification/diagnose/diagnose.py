@@ -13,12 +13,13 @@ from identification.diagnose.evidence import Experiment
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.explainable import Explained, Left, Remainder
 from identification.diagnose.following import Following, following
+from identification.diagnose.further import gains_further, much
 from identification.diagnose.judge import Seen, seen
 from identification.diagnose.locate import locate
 from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
 from identification.diagnose.search import Fit, Searcher
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
-from identification.diagnose.stepwise import Selection, gains_further, much, select
+from identification.diagnose.stepwise import Selection, select
 from identification.diagnose.verdict import rivals, verdict
 from identification.fit.uncertainty import NORMAL_95
 from identification.identify import Identification

@@ -56,5 +56,5 @@ EFFECT = Effect(
     off={"stop": 0.0, "restart": 0.0},
     probe={"stop": 0.15, "restart": 0.9},
     largest_step=0.002,
-    contains={"pitch_stop_band": {"stop": "half_width"}},
+    contains={"pitch_stop_band": {"stop": "half_width", "restart": "half_width"}},
 )

@@ -1,0 +1,147 @@
+"""One round: all candidates beside a fit looked at, those that promise most refitted, the best of these as well as can be."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from identification.diagnose.candidates import Candidate
+from identification.diagnose.judge import CHANNEL, ENOUGH_BIC, ENOUGH_HELD_OUT, channels, seen_at_best
+from identification.diagnose.linearised import Linearised
+from identification.diagnose.look import Looks, Seen
+from identification.diagnose.search import Fit, Searcher
+from vpp_fmu.native import Simulator
+
+REFITTED = 8
+"""Candidates of a round that are refitted in full; the look before ranks the right one among the first few."""
+
+REORDERED = 3
+"""Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
+
+SOME = 0.1
+"""Share of what the best candidate promises that others must promise to be refitted where none of the first ones stands."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate in one round: what the look promised and, where it was refitted, what came of it."""
+
+    candidate: Candidate
+    beside: tuple[str, ...]
+    fall: float
+    fit: Fit | None = None
+    delta_bic: float | None = None
+
+
+def key(fit: Fit) -> tuple:
+    """What tells one set of effects from another: their names and forms."""
+    return tuple(sorted(fit.effects)), tuple(sorted(fit.forms.items()))
+
+
+def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], held, pool) -> list[Tried]:
+    """All candidates beside a fit, those that promise most refitted."""
+    looked = [Tried(c, fit.effects, at.fall) for c, at in looks(searcher, fit, options, pool)]
+    return deeper(searcher, fit, looked, held, pool)
+
+
+def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], held, pool) -> list[Tried]:
+    """The same with REFITTED more of them refitted, as long as they promise something beside the best."""
+    enough = max(SOME * tried[0].fall, ENOUGH_BIC) if tried and tried[0].fit else -np.inf
+    chosen = [t for t in tried if t.fit is None and t.fall > enough][:REFITTED]
+    at = {c.label: seen for c, seen in looks(searcher, fit, [t.candidate for t in chosen], pool)}
+    refits = list(pool.map(lambda t: refitted(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
+    best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
+    for k, new in zip(best, pool.map(lambda k: _reordered(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
+        refits[k] = new
+    leaders = {chosen[k].candidate.name: refits[k] for k in sorted(best, key=lambda k: -refits[k].bic())}
+    widened = pool.map(lambda k: _widened(searcher, fit, chosen[k].candidate, refits[k], leaders, held), best)
+    for k, new in zip(best, widened, strict=True):
+        refits[k] = new
+    fresh = [replace(t, fit=new, delta_bic=fit.bic() - new.bic()) for t, new in zip(chosen, refits, strict=True)]
+    done = {t.candidate.label: t for t in fresh}
+    return [done.get(t.candidate.label, t) for t in tried]
+
+
+def looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
+    """The candidates that are not in a fit, by what a look promises; one look a candidate and fit."""
+    fresh = [c for c in options if c.name not in fit.effects]
+    seen_there = searcher.looks.setdefault((key(fit), fit.deviance), {})
+    if new := [c for c in fresh if c.label not in seen_there]:
+        at = Looks(fit, searcher.start, searcher.library).at
+        seen_there.update(zip((c.label for c in new), pool.map(at, new), strict=True))
+    return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
+
+
+def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
+    """The candidate beside what is there already."""
+    # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
+    thorough = not fit.thresholds
+    found = added(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough)
+    if found.bic() < fit.bic():
+        return found
+    # The fitted parameters can't have followed as far as a straight line would have it: from where they stand, then.
+    own = {n: at.values[n] for n in candidate.free}
+    return min(found, added(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
+
+
+def _reordered(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
+    """The candidate's refit, or a better one with a channel's lags in the other order."""
+    lagged = sorted(channels(candidate.name) & set(CHANNEL.values()))
+    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in lagged]
+    if candidate.effect.delays:  # they act before both lags
+        orders = []
+    starts = [*orders, refit.slow_first] if refit.thresholds else orders
+    return min([refit, *(added(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+
+
+def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit], held) -> Fit:
+    """The candidate's refit, or a better one from a special case's fit or with a size on that was left off; without idle sizes.
+
+    `others`: fits of other effects in its place.
+    """
+    fits = [refit]
+    for name, shared in candidate.effect.contains.items():
+        if special := others.get(name):
+            same = {candidate.effect.full(own): special.values[f"{name}.{its}"] for own, its in shared.items()}
+            fits.append(added(searcher, fit, candidate, {**special.values, **candidate.off, **same}, special.slow_first))
+    return simplified(searcher, candidate, _revived(searcher, candidate, min(fits, key=Fit.bic)), held)
+
+
+def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
+    """The fit, or a better one in which the last effect's sizes that it left off are on: off may be a minimum of its own."""
+    axes = {n: [candidate.off[n], *candidate.axis(n)] for n in candidate.sizes if fit.values[n] == candidate.off[n]}
+    if not axes or len(candidate.sizes) == 1:
+        return fit
+    about, simulator = Linearised.of(fit.evidence, fit.solution), Simulator(fit.evidence.model)
+    points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    costs = [about.cost(simulator, point) for point in points]
+    if costs[0] - min(costs) < 1.0:  # the first is the fit as it is
+        return fit
+    start = {**fit.values, **points[int(np.argmin(costs))]}
+    free = dict.fromkeys([*fit.free, *candidate.free])
+    revived = searcher.fit(fit.effects, fit.forms, list(free), start, fit.slow_first, thorough=False)
+    return min(fit, revived, key=Fit.bic)
+
+
+def simplified(searcher: Searcher, candidate: Candidate, fit: Fit, held) -> Fit:
+    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands.
+
+    Unless unseen commands miss one: a limit that falls with pitch looks constant where it was met at one pitch only.
+    """
+    while True:
+        sizes = [n for n in candidate.sizes if n in fit.free]
+        fewer = []
+        for name in sizes if len(sizes) > 1 else ():
+            start, free = {**fit.values, name: candidate.off[name]}, [n for n in fit.free if n != name]
+            fewer.append(searcher.fit(fit.effects, fit.forms, free, start, fit.slow_first, thorough=False))
+        best = min([fit, *fewer], key=Fit.bic)
+        if best is fit or seen_at_best(fit, held).score.gain(seen_at_best(best, held).score)["thrust"] >= ENOUGH_HELD_OUT:
+            return fit
+        fit = replace(best, idle=fit.idle)
+
+
+def added(searcher: Searcher, fit: Fit, candidate: Candidate, start, order, thorough: bool = True) -> Fit:
+    """The fit with a candidate more, from the values `start` and with the lags in this `order`."""
+    effects, forms = [*fit.effects, candidate.name], {**fit.forms, **candidate.form}
+    return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough)
