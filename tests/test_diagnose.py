@@ -11,13 +11,13 @@ from studies.synthetic import STEP, TRUTH, commands
 
 from identification.demo import example_folder
 from identification.diagnose.diagnose import HELD_SHARE, diagnose
-from identification.diagnose.effect_report import at_rest
 from identification.diagnose.empirical import correct, corrected, empirical
-from identification.diagnose.evidence import Experiment
-from identification.diagnose.noise import noise_of
-from identification.diagnose.report import diagnosis_page, key_figures
-from identification.diagnose.residual_report import moves
-from identification.diagnose.summary import summary
+from identification.diagnose.evidence.noise import noise_of
+from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.report.effect import at_rest
+from identification.diagnose.report.page import diagnosis_page, key_figures
+from identification.diagnose.report.residual import moves
+from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis

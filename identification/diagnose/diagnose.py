@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identification.diagnose.candidates import candidates
 from identification.diagnose.distinguish import Distinguishability, distinguishability
-from identification.diagnose.evidence import Experiment
+from identification.diagnose.evidence.noise import Noise, noise_at_rest, noise_from_residual, noise_of
+from identification.diagnose.evidence.whitened import Experiment
 from identification.diagnose.experiment import discriminating_experiment
-from identification.diagnose.explainable import Explained, Left, Remainder
 from identification.diagnose.following import Following, following
-from identification.diagnose.further import gains_further, much
-from identification.diagnose.judge import Seen, seen
 from identification.diagnose.locate import locate
-from identification.diagnose.noise import Noise, noise_at_rest, noise_from_residual, noise_of
-from identification.diagnose.search import Fit, Searcher
+from identification.diagnose.search.candidates import candidates
+from identification.diagnose.search.explainable import Explained, Left, Remainder
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.further import gains_further, much
+from identification.diagnose.search.judge import Seen, seen
+from identification.diagnose.search.stepwise import Selection, select
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
-from identification.diagnose.stepwise import Selection, select
 from identification.diagnose.verdict import rivals, verdict
 from identification.fit.uncertainty import NORMAL_95
 from identification.identify import Identification

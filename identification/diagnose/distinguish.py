@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnose.candidates import Candidate
-from identification.diagnose.linearised import Linearised
-from identification.diagnose.search import Fit
+from identification.diagnose.evidence.linearised import Linearised
+from identification.diagnose.search.candidates import Candidate
+from identification.diagnose.search.fits import Fit
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator

@@ -16,9 +16,9 @@ from itertools import pairwise
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ENOUGH_HELD_OUT
-from identification.diagnose.noise import blocks
+from identification.diagnose.evidence.noise import blocks
+from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.search.judge import ENOUGH_HELD_OUT
 from identification.worth.quality import rmse
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from identification.diagnose.linearised import Linearised
-from identification.diagnose.search import Fit
+from identification.diagnose.evidence.linearised import Linearised
+from identification.diagnose.search.fits import Fit
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record

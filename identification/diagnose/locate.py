@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import csd
 
-from identification.diagnose.noise import blocks
+from identification.diagnose.evidence.noise import blocks
 from identification.worth.sections import sections
 from vpp_fmu.campaign import Campaign
 

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 
 from scipy.stats import chi2
 
-from identification.diagnose.explainable import ATTRIBUTED, NOTHING_IN_SPEED, Explained, Left, Remainder
-from identification.diagnose.judge import ALIKE, ENOUGH_HELD_OUT, judge, seen_at_best
-from identification.diagnose.rounds import Tried
-from identification.diagnose.search import Fit, Searcher
-from identification.diagnose.stepwise import Selection, without
+from identification.diagnose.search.explainable import ATTRIBUTED, NOTHING_IN_SPEED, Explained, Left, Remainder
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.judge import ALIKE, ENOUGH_HELD_OUT, judge, seen_at_best
+from identification.diagnose.search.rounds import Tried
+from identification.diagnose.search.stepwise import Selection, without
 
 CONTRADICTED = 2.0
 """Standard errors of the share by which it must fall short of that where the fitted records hold nothing more: the noise of

@@ -5,8 +5,8 @@ import time
 from tqdm import tqdm
 
 from identification.demo import Demo, demo, example_folder, step_profile
-from identification.diagnose.report import add_diagnosis
-from identification.diagnose.report import key_figures as diagnosed
+from identification.diagnose.report.page import add_diagnosis
+from identification.diagnose.report.page import key_figures as diagnosed
 from identification.found_report import add_found
 from identification.identify import Identification
 from identification.static.report import add_static

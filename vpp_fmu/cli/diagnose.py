@@ -6,8 +6,8 @@ from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.empirical import Empirical, corrected, empirical
-from identification.diagnose.report import diagnosis_page, headline, key_figures
-from identification.diagnose.summary import summary
+from identification.diagnose.report.page import diagnosis_page, headline, key_figures
+from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput

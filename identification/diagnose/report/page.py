@@ -3,12 +3,12 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.effect_report import add_effects
 from identification.diagnose.empirical import Empirical, corrected
-from identification.diagnose.evidence_report import add_apart, add_evidence, add_shift
-from identification.diagnose.noise import blocks
-from identification.diagnose.residual_report import add_residual
-from identification.diagnose.summary import summary
+from identification.diagnose.evidence.noise import blocks
+from identification.diagnose.report.effect import add_effects
+from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
+from identification.diagnose.report.residual import add_residual
+from identification.diagnose.report.summary import summary
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.noise import blocks
-from identification.diagnose.search import Fit
+from identification.diagnose.evidence.noise import blocks
+from identification.diagnose.search.fits import Fit
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, behind_against_before, reached_against_commanded, stacked

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnose.noise import Noise, blocks
+from identification.diagnose.evidence.noise import Noise, blocks
 from identification.fit.coordinates import Coordinates
 from identification.fit.least_squares import Solution, solve
 from identification.fit.problem import Prior

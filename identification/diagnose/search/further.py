@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 
-from identification.diagnose.candidates import Candidate
-from identification.diagnose.judge import BESIDE, NUISANCE, channels
-from identification.diagnose.look import Seen
-from identification.diagnose.rounds import looks, refitted
-from identification.diagnose.search import Fit, Searcher
+from identification.diagnose.search.candidates import Candidate
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.judge import BESIDE, NUISANCE, channels
+from identification.diagnose.search.look import Seen
+from identification.diagnose.search.rounds import looks, refitted
 
 FURTHER = 10.0
 """Log-likelihood that one more candidate must gain for a set to be near the truth only; and at least the share BESIDE of what

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnose.evidence import Evidence, Experiment, Score
-from identification.diagnose.threshold import NEAR, WHOLE, piecewise_constant, scan
+from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
+from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Prior
 from vpp_fmu.kernel.plant import plant

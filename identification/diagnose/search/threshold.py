@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identification.diagnose.evidence import Evidence
-from identification.diagnose.linearised import Linearised
+from identification.diagnose.evidence.linearised import Linearised
+from identification.diagnose.evidence.whitened import Evidence
 from identification.fit.least_squares import Solution
 from vpp_fmu.native import Simulator
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identification.diagnose.evidence import Evidence
+from identification.diagnose.evidence.whitened import Evidence
 from identification.fit.least_squares import Solution
 from vpp_fmu.native import Simulator
 

@@ -3,11 +3,11 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.evidence import Experiment
-from identification.diagnose.judge import ALIKE, ENOUGH_BIC, Seen, judge, seen_at_best
-from identification.diagnose.rounds import Tried
-from identification.diagnose.search import Fit
-from identification.diagnose.summary import summary
+from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.report.summary import summary
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.judge import ALIKE, ENOUGH_BIC, Seen, judge, seen_at_best
+from identification.diagnose.search.rounds import Tried
 from vpp_fmu.report import Page, evidence_bars, overlap_heatmap, parameter_change
 from vpp_fmu.report.evidence import FAILED, PASSED, TAKEN, Bar
 

@@ -5,11 +5,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 
-from identification.diagnose.candidates import Candidate
-from identification.diagnose.evidence import Experiment
-from identification.diagnose.explainable import Left
-from identification.diagnose.further import elsewhere
-from identification.diagnose.judge import (
+from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.search.candidates import Candidate
+from identification.diagnose.search.explainable import Left
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.further import elsewhere
+from identification.diagnose.search.judge import (
     ALIKE,
     ENOUGH_BIC,
     ENOUGH_HELD_OUT,
@@ -19,8 +20,7 @@ from identification.diagnose.judge import (
     seen_at_best,
     trifling,
 )
-from identification.diagnose.rounds import Tried, added, deeper, first_round, key, simplified
-from identification.diagnose.search import Fit, Searcher
+from identification.diagnose.search.rounds import Tried, added, deeper, first_round, key, simplified
 
 MOST = 3
 """Effects that one diagnosis may name; with more, the data of one campaign cannot tell sets apart."""

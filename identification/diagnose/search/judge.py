@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnose.evidence import Evidence, Experiment, Score
-from identification.diagnose.search import Fit
+from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
+from identification.diagnose.search.fits import Fit
 from identification.worth.quality import rmse
 from vpp_fmu.native import Simulator
 

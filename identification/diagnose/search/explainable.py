@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnose.evidence import Experiment
-from identification.diagnose.noise import BAND, Blocks, Noise, blocks
-from identification.diagnose.search import Fit
+from identification.diagnose.evidence.noise import BAND, Blocks, Noise, blocks
+from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.search.fits import Fit
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.native import Simulator

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.signal import csd
 
 from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.evidence.noise import Noise, blocks
 from identification.diagnose.locate import RATE
-from identification.diagnose.noise import Noise, blocks
 from identification.worth.residual_tests import NORMAL_95
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, correlations, residual_by_move, residual_spectrum

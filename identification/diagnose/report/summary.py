@@ -1,8 +1,8 @@
 """The content of diagnosis.json."""
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.rounds import Tried
-from identification.diagnose.search import Fit
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.rounds import Tried
 from identification.worth.prediction import predict
 
 

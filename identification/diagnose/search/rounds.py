@@ -6,11 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from identification.diagnose.candidates import Candidate
-from identification.diagnose.judge import CHANNEL, ENOUGH_BIC, ENOUGH_HELD_OUT, channels, seen_at_best
-from identification.diagnose.linearised import Linearised
-from identification.diagnose.look import Looks, Seen
-from identification.diagnose.search import Fit, Searcher
+from identification.diagnose.evidence.linearised import Linearised
+from identification.diagnose.search.candidates import Candidate
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.judge import CHANNEL, ENOUGH_BIC, ENOUGH_HELD_OUT, channels, seen_at_best
+from identification.diagnose.search.look import Looks, Seen
 from vpp_fmu.native import Simulator
 
 REFITTED = 8
