@@ -67,12 +67,14 @@ def test_a_small_effect_stands_beside_a_large_one_of_another_channel():
     assert all(good for *_, good in found["parameters"].values())
 
 
-def test_what_the_fitted_records_show_at_one_point_only_is_named_by_the_unseen_ones_and_not_sized():
+def test_what_the_fitted_records_show_at_one_point_only_is_placed_by_the_unseen_ones():
     case = Case("singles", ("supply_sag",), 83)  # the limit that falls with pitch is met at one pitch only
     found = outcome(case, library=library("supply_sag", "speed_saturation", "speed_dependent_lag"))
     assert scores.hit(found)
-    assert found["removed"] > 0.9
-    assert not found["parameters"]  # limit and slope at that pitch go together: neither is claimed to be known
+    assert found["removed"] > 0.99
+    assert not found["parameters"]  # limit and slope at that pitch go together: no interval of either is claimed
+    for name, true in case.truth(found["sizes"]).items():
+        assert found["values"][name] == pytest.approx(true, rel=0.05)
 
 
 def test_an_effect_is_found_from_its_special_case():

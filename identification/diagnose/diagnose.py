@@ -15,7 +15,7 @@ from identification.diagnose.following import Following, following
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.explainable import Explained, Left, Remainder
-from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.fits import UNTOLD, Fit, Searcher
 from identification.diagnose.search.further import gains_further, much
 from identification.diagnose.search.judge import Seen, seen
 from identification.diagnose.search.stepwise import Selection, select
@@ -33,9 +33,6 @@ from vpp_fmu.record import Record
 
 CHANGED = ("attributed", "family", "partly")
 """Verdicts that put effects into the model."""
-
-UNTOLD = 1e-10
-"""Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
 
 HELD_SHARE = 1.0 / 3.0
 """Of the open-loop record, its end, kept from the fits where a campaign has no validation record."""

@@ -6,11 +6,12 @@ already bent towards what is missing.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
-from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
+from identification.diagnose.search.threshold import CHI2_95, HALVINGS, NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Prior
 from vpp_fmu.kernel.plant import plant
@@ -19,6 +20,12 @@ from vpp_fmu.native import Simulator
 
 PLACES, WIDENED = 13, 0.5
 """Points at which a threshold is tried on unseen data, and the share of its 95 % interval by which they go beyond each end."""
+
+PLACES_ALONG = 24
+"""The same for sizes that only go together."""
+
+UNTOLD = 1e-10
+"""Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
 
 
 @dataclass(frozen=True)
@@ -41,24 +48,68 @@ class Fit:
     idle: bool
 
     @property
-    def at_bound(self) -> tuple[str, ...]:
-        """Effects' parameters that ended on a bound where that is no form of its own."""
+    def at_limit(self) -> tuple[str, ...]:
+        """Effects' parameters that ended on a bound."""
         active = dict(zip(self.evidence.coordinates.names, self.solution.active, strict=True))
-        meant = {p.name for p in self.evidence.model.parameters if p.limit_form}
-        return tuple(n for n in self.free if active.get(n, False) and n not in meant)
+        return tuple(n for n in self.free if active.get(n, False))
 
     @property
-    def places(self) -> list[dict[str, float]]:
-        """Values of the thresholds about their intervals, one at a time, the fit's own first.
+    def at_bound(self) -> tuple[str, ...]:
+        """Of these, those whose bound is no form of its own."""
+        meant = {p.name for p in self.evidence.model.parameters if p.limit_form}
+        return tuple(n for n in self.at_limit if n not in meant)
 
-        The fitted records can't tell where they are between commands, and unseen commands may.
+    @cached_property
+    def places(self) -> list[dict[str, float]]:
+        """Values of what the fitted records leave open, one thing at a time, the fit's own first; unseen commands may tell.
+
+        Thresholds about their intervals, for between commands nothing tells where they are; sizes along `left_open`.
         """
         own = {name: self.values[name] for name in self.thresholds}
         found = [own]
         for name, (low, high) in self.thresholds.items():
             beyond = WIDENED * (high - low)
             found += [own | {name: v} for v in np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES).tolist()]
+        for along, (low, high) in self.left_open:
+            found += [own | self.moved(along, t) for t in np.linspace(low, high, PLACES_ALONG).tolist()]
         return found
+
+    @cached_property
+    def left_open(self) -> list[tuple[dict[str, float], tuple[float, float]]]:
+        """Directions of the effects' sizes in which the fitted records don't change, each with how far down and up it may go: a
+        limit that falls with pitch, met at one pitch only."""
+        names = [n for n in self.free if n in self.evidence.coordinates.names and n not in self.at_limit]
+        columns = self.solution.jacobian[:, [self.evidence.coordinates.names.index(n) for n in names]]
+        size = np.linalg.norm(columns, axis=0)
+        if len(names) < 2 or not np.all(size > 0.0):
+            return []
+        told, axes = np.linalg.eigh((columns / size).T @ (columns / size))
+        bounds = {p.name: (p.minimum, p.maximum) for p in self.evidence.model.parameters}
+        found = []
+        for axis in (axes[:, told < UNTOLD] / size[:, None]).T:
+            along = {n: float(v) for n, v in zip(names, axis, strict=True) if v != 0.0}
+            ends = [sorted((b - self.values[n]) / v for b in bounds[n]) for n, v in along.items()]
+            low, high = (self._unchanged(along, end) for end in (max(e[0] for e in ends), min(e[1] for e in ends)))
+            found.append((along, (low, high)))
+        return found
+
+    def moved(self, along: Mapping[str, float], t: float) -> dict[str, float]:
+        """Values `t` along a direction."""
+        return {n: self.values[n] + t * v for n, v in along.items()}
+
+    def _unchanged(self, along: Mapping[str, float], end: float) -> float:
+        """How far towards `end` the fitted records say no more than here: beyond, what was met once is met elsewhere too."""
+        simulator, counts = Simulator(self.evidence.model), self.score.counts
+
+        def same(t: float) -> bool:
+            squares = self.evidence.score({**self.values, **self.moved(along, t)}, simulator).squares
+            return sum(n * np.log(squares[c] / self.score.squares[c]) for c, n in counts.items()) < CHI2_95
+
+        inside, beyond = (end, end) if same(end) else (0.0, end)
+        for _ in range(HALVINGS if inside != beyond else 0):
+            middle = 0.5 * (inside + beyond)
+            inside, beyond = (middle, beyond) if same(middle) else (inside, middle)
+        return inside
 
     @property
     def deviance(self) -> float:

@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
-from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.fits import PLACES_ALONG, Fit
 from identification.worth.quality import rmse
 from vpp_fmu.native import Simulator
 
@@ -72,19 +73,36 @@ def best_place(fit: Fit, experiments: Sequence[Experiment]) -> tuple[dict[str, f
 
 
 def seen_at_best(fit: Fit, experiments: Sequence[Experiment]) -> Seen:
-    """How a fit does on unseen experiments where its thresholds do best."""
+    """How a fit does on unseen experiments where what it leaves open does best."""
     return best_place(fit, experiments)[1]
 
 
 def placed(fit: Fit, experiments: Sequence[Experiment]) -> Fit:
-    """The fit with its thresholds where unseen experiments want them, if they do: within what the fitted ones leave open."""
+    """The fit with what the fitted records leave open where unseen experiments want it, if they do."""
     place, there = best_place(fit, experiments)
     if there.score.gain(seen(fit, experiments).score)["thrust"] < ENOUGH_HELD_OUT:
         return fit
+    for along, (low, high) in fit.left_open:
+        if any(place.get(n, fit.values[n]) != fit.values[n] for n in along):
+            place = place | _closest(fit, experiments, along, low, high)
     ends = {n: (min(low, place[n]), max(high, place[n])) for n, (low, high) in fit.thresholds.items()}
     values = {**fit.values, **place}
     score = fit.evidence.score(values, Simulator(fit.evidence.model))
     return replace(fit, values=values, score=score, thresholds=ends)
+
+
+def _closest(
+    fit: Fit, experiments: Sequence[Experiment], along: Mapping[str, float], low: float, high: float
+) -> dict[str, float]:
+    """Where along a direction unseen thrust is met best; searched about the best of some places."""
+
+    def squares(t: float) -> float:
+        return seen(fit, experiments, fit.moved(along, t)).score.squares["thrust"]
+
+    steps = np.linspace(low, high, PLACES_ALONG)
+    at = int(np.argmin([squares(t) for t in steps]))
+    ends = steps[max(at - 1, 0)], steps[min(at + 1, len(steps) - 1)]
+    return fit.moved(along, float(minimize_scalar(squares, bounds=ends, method="bounded").x))
 
 
 @dataclass(frozen=True)

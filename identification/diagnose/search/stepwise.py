@@ -40,7 +40,7 @@ RECONSIDERED = 2
 class Selection:
     """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round.
 
-    `placed`: thresholds that the fitted records left open and an unseen record told.
+    `placed`: parameters that the fitted records left open and an unseen record told.
     """
 
     base: Fit
@@ -83,7 +83,7 @@ def select(
         found.refused.update(dropped)
     _reconsider(searcher, found, [t for tried in known.values() for t in tried], held, left, pool)
     told = placed(found.final, held)
-    found.placed = tuple(n for n in told.thresholds if told.values[n] != found.final.values[n])
+    found.placed = tuple(n for n in told.free if told.values[n] != found.final.values[n])
     found.final = told
     return found
 
