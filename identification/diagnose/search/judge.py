@@ -140,28 +140,40 @@ def trifling(fit: Fit) -> bool:
     return rmse(shown - quiet) ** 2 < NUISANCE[effect] * evidence.experiments[0].noise.floor ** 2
 
 
-def judge(effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without: Seen, base: Fit) -> Judgement:
-    """Judge one effect. A bound counts only for the effect's own parameters; `base`: the fit without any effect."""
+def judge(
+    effect: str, with_it: Fit, without: Fit, held_with: Seen, held_without: Seen, base: Fit, complete: bool = True
+) -> Judgement:
+    """Judge one effect. A bound counts only for the effect's own parameters; `base`: the fit without any effect.
+
+    `complete`: the set is the whole explanation. Where more may be missing, a right effect may lose in one channel what another
+    one will give back, and only has to gain in all together.
+    """
     delta = without.bic() - with_it.bic()
     gain = held_with.score.gain(held_without.score)
     refused = []
     if delta <= ENOUGH_BIC:
         refused.append(f"evidence too weak: BIC falls by {delta:.1f}, {ENOUGH_BIC:g} is asked for")
-    if max(gain.values()) < ENOUGH_HELD_OUT:
-        refused.append(f"unseen data gain nothing: log-likelihood {max(gain.values()):.1f}, {ENOUGH_HELD_OUT:g} is asked for")
-    if gain["thrust"] < -ENOUGH_HELD_OUT:
-        refused.append(f"worsens thrust on unseen data: log-likelihood {gain['thrust']:.1f}")
-    if gain.get("omega", 0.0) < -max(ENOUGH_HELD_OUT, SPILL * gain["thrust"]):
-        refused.append(f"worsens speed on unseen data: log-likelihood {gain['omega']:.1f}")
-    if held_with.rmse_thrust > 1.005 * held_without.rmse_thrust:
-        refused.append(
-            f"thrust error on unseen data rises from {held_without.rmse_thrust:.4g} to {held_with.rmse_thrust:.4g} N"
-        )
+    if complete or sum(gain.values()) < ENOUGH_HELD_OUT:
+        refused += _unseen(gain, held_with, held_without)
     shared = any(channels(effect) & channels(other) for other in with_it.effects if other != effect)
     if (share := _share(with_it, without, base)) < (worth := WORTH if shared else BESIDE):
         refused.append(f"explains {share:.1%} of what the set does, {worth:.1%} is asked for: another's form may leave as much")
     refused += [f"{name} ended on its bound" for name in with_it.at_bound if name.startswith(f"{effect}.")]
     return Judgement(effect, float(delta), gain, tuple(refused))
+
+
+def _unseen(gain: Mapping[str, float], held_with: Seen, held_without: Seen) -> list[str]:
+    """What unseen data have against an effect."""
+    found = []
+    if max(gain.values()) < ENOUGH_HELD_OUT:
+        found.append(f"unseen data gain nothing: log-likelihood {max(gain.values()):.1f}, {ENOUGH_HELD_OUT:g} is asked for")
+    if gain["thrust"] < -ENOUGH_HELD_OUT:
+        found.append(f"worsens thrust on unseen data: log-likelihood {gain['thrust']:.1f}")
+    if gain.get("omega", 0.0) < -max(ENOUGH_HELD_OUT, SPILL * gain["thrust"]):
+        found.append(f"worsens speed on unseen data: log-likelihood {gain['omega']:.1f}")
+    if held_with.rmse_thrust > 1.005 * held_without.rmse_thrust:
+        found.append(f"thrust error on unseen data rises from {held_without.rmse_thrust:.4g} to {held_with.rmse_thrust:.4g} N")
+    return found
 
 
 def _share(with_it: Fit, without: Fit, base: Fit) -> float:

@@ -58,6 +58,11 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], held, pool) -> 
     widened = pool.map(lambda k: _widened(searcher, fit, chosen[k].candidate, refits[k], leaders, held), best)
     for k, new in zip(best, widened, strict=True):
         refits[k] = new
+    for k in best:
+        for m, special in enumerate(chosen):
+            if start := _narrowed(chosen[k].candidate, refits[k], special.candidate):
+                new = added(searcher, fit, special.candidate, start, refits[k].slow_first, thorough=False)
+                refits[m] = min(refits[m], new, key=Fit.bic)
     fresh = [replace(t, fit=new, delta_bic=fit.bic() - new.bic()) for t, new in zip(chosen, refits, strict=True)]
     done = {t.candidate.label: t for t in fresh}
     return [done.get(t.candidate.label, t) for t in tried]
@@ -106,6 +111,14 @@ def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, oth
             same = {candidate.effect.full(own): special.values[f"{name}.{its}"] for own, its in shared.items()}
             fits.append(added(searcher, fit, candidate, {**special.values, **candidate.off, **same}, special.slow_first))
     return simplified(searcher, candidate, _revived(searcher, candidate, min(fits, key=Fit.bic)), held)
+
+
+def _narrowed(candidate: Candidate, fit: Fit, special: Candidate) -> dict[str, float] | None:
+    """Where a special case of a candidate is the same as the candidate's fit; None where it isn't."""
+    shared = candidate.effect.contains.get(special.name)
+    if shared is None or not {n for n in candidate.free if n in fit.free} <= {candidate.effect.full(own) for own in shared}:
+        return None
+    return fit.values | {special.effect.full(its): fit.values[candidate.effect.full(own)] for own, its in shared.items()}
 
 
 def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:

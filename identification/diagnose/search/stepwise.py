@@ -28,6 +28,9 @@ MOST = 3
 ROUNDS = 5
 """Rounds of refits after which the search takes what stands: where nothing fits, more of them only take time."""
 
+SETTLED = 1.0
+"""BIC that a set may gain when it is refitted without the latest candidate, from where that had brought it."""
+
 START = 0.2
 """Share of the explainable error, of thrust or of speed, that the first effect must remove for more to be looked for beside it:
 the best comes first, and where it is not much the rest are surrogates too."""
@@ -126,10 +129,21 @@ def _forward(searcher, base, options, held, left, pool, known, stage) -> tuple[l
         refused |= failed
         if best is None:
             break
+        rest = without(searcher, best.fit, best.candidate.name) if len(path) > 1 else path[-1]
+        if rest.bic() < path[-1].bic() - SETTLED:  # what was gained is not the candidate's: the set itself was not at its best
+            path[-1] = rest
+            del known[here]
+            continue
         path.append(best.fit)
-        if len(path) == 2 and left(best.fit).gone(left(base)) < START:
+        if len(path) == 2 and max(left(best.fit).gone(left(base)), _gone_of_speed(base, best.fit)) < START:
             break
     return path, refused
+
+
+def _gone_of_speed(base: Fit, fit: Fit) -> float:
+    """Share of the squares in speed that a fit takes off; where no repeat tells what of them is noise, the least it can be."""
+    before, now = (f.score.squares.get("omega") for f in (base, fit))
+    return 1.0 - now / before if before else 0.0
 
 
 def _best(tried: Sequence[Tried], beside: Fit, held, base: Fit) -> tuple[Tried | None, dict[str, Judgement]]:
@@ -143,7 +157,7 @@ def _best(tried: Sequence[Tried], beside: Fit, held, base: Fit) -> tuple[Tried |
         if standing and t.delta_bic <= standing[0][0].delta_bic - ALIKE:
             break
         with_it = seen_at_best(t.fit, held)
-        judged = judge(t.candidate.name, t.fit, beside, with_it, without_it, base)
+        judged = judge(t.candidate.name, t.fit, beside, with_it, without_it, base, complete=False)
         if judged.refused:
             refused.setdefault(t.candidate.name, judged)
         else:
@@ -183,7 +197,10 @@ def without(searcher: Searcher, fit: Fit, effect: str) -> Fit:
     effects = tuple(e for e in fit.effects if e != effect)
     forms = {n: v for n, v in fit.forms.items() if not n.startswith(own)}
     free = tuple(n for n in fit.free if not n.startswith(own))
-    key = effects, tuple(forms.items()), free, tuple(fit.slow_first.items())
-    if key not in searcher.subsets:
-        searcher.subsets[key] = searcher.fit(effects, forms, free, fit.values, fit.slow_first)
-    return searcher.subsets[key]
+    here = effects, tuple(forms.items()), free, tuple(fit.slow_first.items())
+    if here not in searcher.subsets:
+        found = searcher.fit(effects, forms, free, fit.values, fit.slow_first)
+        if found.thresholds:  # over their whole range the search may leave the place that the others brought them to
+            found = min(found, searcher.fit(effects, forms, free, fit.values, fit.slow_first, thorough=False), key=Fit.bic)
+        searcher.subsets[here] = found
+    return searcher.subsets[here]

@@ -41,5 +41,5 @@ EFFECT = Effect(
     off={"slowest": 0.0, "full": UNLIMITED, "accuracy": 0.0},
     probe={"slowest": 2.0, "full": 9.0, "threshold": 3.0, "accuracy": 0.15},
     largest_step=0.002,
-    contains={"pitch_rate_limit": {"full": "rate"}},
+    contains={"pitch_rate_limit": {"full": "rate"}, "pitch_stop_band": {"accuracy": "half_width"}},
 )
