@@ -97,6 +97,8 @@ def _reconsider(searcher: Searcher, found: Selection, tried: Sequence[Tried], he
         if not 0 < len(found.final.effects) < MOST or not left(found.final).anything:
             return
         fitted = [t for t in tried if t.candidate.name == name and t.fit is not None]
+        if not fitted:  # beside a set that has been settled since
+            continue
         best = max(fitted, key=lambda t: t.delta_bic)
         start = {**found.final.values, **{n: best.fit.values[n] for n in best.candidate.free}}
         fuller = added(searcher, found.final, best.candidate, start, found.final.slow_first)
@@ -126,14 +128,15 @@ def _forward(searcher, base, options, held, left, pool, known, stage) -> tuple[l
         if best is None and failed:  # what hides behind surrogates may promise less than they do
             known[here] = deeper(searcher, path[-1], known[here], held, pool)
             best, failed = _best([t for t in known[here] if t.candidate in usable], path[-1], held, base)
-        refused |= failed
         if best is None:
+            refused |= failed
             break
         rest = without(searcher, best.fit, best.candidate.name) if len(path) > 1 else path[-1]
         if rest.bic() < path[-1].bic() - SETTLED:  # what was gained is not the candidate's: the set itself was not at its best
             path[-1] = rest
             del known[here]
             continue
+        refused |= failed
         path.append(best.fit)
         if len(path) == 2 and max(left(best.fit).gone(left(base)), _gone_of_speed(base, best.fit)) < START:
             break
