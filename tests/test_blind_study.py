@@ -87,6 +87,21 @@ def test_an_effect_is_found_from_its_special_case():
     assert found["parameters"]["pitch_speed_limits.full"][-1]
 
 
+def test_what_a_better_start_gains_is_not_another_effect_s():
+    # Beside a dead band that stopped at the second best place, any candidate's refit would gain what the best place does.
+    case = Case("singles", ("pitch_command_deadband",), 92)
+    found = outcome(case, library=library("pitch_command_deadband", "inflow_lag", "map_terms"))
+    assert scores.hit(found)
+    assert found["effects"] == ["pitch_command_deadband"]
+
+
+def test_a_wider_effect_that_comes_down_to_a_simple_one_goes_by_its_name():
+    case = Case("singles", ("pitch_stop_band",), 92)
+    found = outcome(case, library=library("pitch_stop_band", "pitch_speed_limits", "pitch_stop_restart"))
+    assert scores.hit(found)
+    assert found["effects"] == ["pitch_stop_band"]
+
+
 def test_what_only_the_fitted_records_like_is_not_built_upon():
     case = Case("deleted", ("pitch_asymmetry",), 80, "pitch_asymmetry")
     found = outcome(case, library=library("pitch_asymmetry", "map_terms", "pitch_rate_limit", "thrust_gain_drift"))
