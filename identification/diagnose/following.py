@@ -26,7 +26,7 @@ WIDTHS = (0.012, 0.03, 0.08, 0.2)
 LAGS = (0.0, 0.06, 0.2)
 """s; about those of the actuators."""
 
-ALIKE = 0.05
+DEPENDENT = 0.05
 """Size of a direction, over that of the strongest, below which columns count as the same one."""
 
 CERTAIN = 0.999
@@ -59,7 +59,7 @@ def following(fit: Fit) -> Following:
     columns = np.column_stack([about.apart(c) for c in columns.T])
     columns /= np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     directions, size, _ = np.linalg.svd(columns, full_matrices=False)
-    directions = directions[:, size > ALIKE * size[0]]
+    directions = directions[:, size > DEPENDENT * size[0]]
     return Following(0.5 * float(np.sum((directions.T @ about.residual) ** 2 - 1.0)), directions.shape[1])
 
 

@@ -40,7 +40,7 @@ def headline(found: Diagnosis) -> str:
 
 
 def _unseen(found: Diagnosis) -> str:
-    """What the errors are of. A record that told where a threshold lies is no longer unseen in that."""
+    """What the errors are of. A record that told where a parameter is, is no longer unseen in that."""
     told = " and ".join(n for n in found.selection.placed if n in found.final.values)
     return f"data that no fit saw, but that placed {told}," if told else "unseen data"
 

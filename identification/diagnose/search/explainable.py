@@ -1,7 +1,7 @@
 """How much of an error could be explained at all, and how much of that is.
 
 What two records of the same commands share beyond the model is the model's error, whatever the noise is: the mean product
-of their residuals needs no noise level. It is taken from means over EXPLAINABLE seconds: above that band the rotor's own
+of their residuals needs no noise level. It is taken from means over BAND seconds: above that band the rotor's own
 vibration repeats too. On a record without a repeat the noise's power is taken off instead.
 """
 
@@ -81,7 +81,7 @@ class Remainder:
     def explained(self, base: Fit, final: Fit) -> Explained | None:
         """What `final` removes of the error of `base`; None where there is none to speak of.
 
-        A threshold counts where it does best of `Fit.places`.
+        What the fitted records leave open counts where it does best of `Fit.places`.
         """
         slow, before = self._noise.slow, self._unseen(base)
         after = min((self._unseen(final, place) for place in final.places), key=lambda residual: np.mean(residual**2))
