@@ -83,26 +83,23 @@ def placed(fit: Fit, experiments: Sequence[Experiment]) -> Fit:
     if there.score.gain(seen(fit, experiments).score)["thrust"] < ENOUGH_HELD_OUT:
         return fit
     for along, (low, high) in fit.left_open:
-        if any(place.get(n, fit.values[n]) != fit.values[n] for n in along):
-            place = place | _closest(fit, experiments, along, low, high)
+        name, rate = next(iter(along.items()))
+        if at := (place.get(name, fit.values[name]) - fit.values[name]) / rate:
+            step = (high - low) / (PLACES_ALONG - 1)
+            place = place | _closest(fit, experiments, along, max(low, at - step), min(high, at + step))
     ends = {n: (min(low, place[n]), max(high, place[n])) for n, (low, high) in fit.thresholds.items()}
     values = {**fit.values, **place}
     score = fit.evidence.score(values, Simulator(fit.evidence.model))
     return replace(fit, values=values, score=score, thresholds=ends)
 
 
-def _closest(
-    fit: Fit, experiments: Sequence[Experiment], along: Mapping[str, float], low: float, high: float
-) -> dict[str, float]:
-    """Where along a direction unseen thrust is met best; searched about the best of some places."""
+def _closest(fit: Fit, experiments: Sequence[Experiment], along: Mapping[str, float], low: float, high: float) -> dict:
+    """Where along a direction, between two ends, unseen thrust is met best."""
 
     def squares(t: float) -> float:
         return seen(fit, experiments, fit.moved(along, t)).score.squares["thrust"]
 
-    steps = np.linspace(low, high, PLACES_ALONG)
-    at = int(np.argmin([squares(t) for t in steps]))
-    ends = steps[max(at - 1, 0)], steps[min(at + 1, len(steps) - 1)]
-    return fit.moved(along, float(minimize_scalar(squares, bounds=ends, method="bounded").x))
+    return fit.moved(along, float(minimize_scalar(squares, bounds=(low, high), method="bounded").x))
 
 
 @dataclass(frozen=True)
