@@ -1,14 +1,15 @@
 """A campaign becomes parameters, and a measure of how far to trust them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.fit.coordinates import CHANNELS
 from identification.fit.problem import Prior
 from identification.fit.refine import Refinement, refine
 from identification.screening import screen
-from identification.static.static_map import StaticFit, fit_static_map
+from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
 from identification.worth.bootstrap import Bootstrap, bootstrap
@@ -116,9 +117,10 @@ def identify(
     screened = {name: screen(record) for name, record in _to_fit(campaign, records or {}).items()}
     if campaign.static is None and campaign.static_raw is not None:
         campaign = replace(campaign, static=steady_points(campaign.static_raw))
+    model = model.sized(campaign.rig.scales)
     values = model.values()
     stage("static map and steps")
-    static = fit_static_map(campaign.static, values) if campaign.static is not None else None
+    static = static_fit(campaign, values)
     coefficients = dict(static.coefficients) if static else {}
     steps = fit_steps(campaign.steps, values, coefficients or None) if campaign.steps else None
     start = slow_first(AVERAGED) | coefficients | (dict(steps.start) if steps else {})
@@ -131,10 +133,12 @@ def identify(
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(screened))]
+    rig = campaign.rig.timed(slowest(found.values, found.names))
     source = {"made_by": "vpp identify", "campaign": campaign.folder.name, "record_seconds": float(first.record.time[-1])}
+    source |= {"rig": rig.summary()}
     return Identification(
         campaign=campaign,
-        parameters=ParameterSet(model, source=source).replaced(found.values, found.std),
+        parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, found.std),
         start=start,
         static=static,
         steps=steps,
@@ -147,6 +151,13 @@ def identify(
         left_out=tuple(f"{name}: {note}" for name, s in screened.items() for note in s.notes),
         bootstrap=bootstrap(found, resamples, seed, workers, scheduler) if resamples else None,
     )
+
+
+def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
+    """s: the sum of the lags of the channel that takes longest, of those whose lags are `known`; of both where none is."""
+    sums = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in CHANNELS}
+    told = [total for u, total in sums.items() if f"tau_{u}_1" in set(known)]
+    return max(told or sums.values())
 
 
 def _to_fit(campaign: Campaign, more: Mapping[str, Record]) -> dict[str, Record]:

@@ -77,10 +77,6 @@ def _refuse(record: Record) -> None:
         ratio = float(np.median(record["omega"][moving] / record["omega_ref"][moving])) if moving.any() else 1.0
         if RADIANS[0] < ratio < RADIANS[1]:
             raise BadInput(record.source, "omega", f"{ratio:.3f} of omega_ref, as rad/s would be", "rpm, as omega_ref")
-    size = float(np.quantile(np.abs(thrust), 0.95))
-    most = float(np.quantile(record["omega_ref"], 0.95)) ** 2 * 1e-5
-    if size > max(20.0, most):
-        raise BadInput(record.source, "thrust", f"{size:.4g} at {record['omega_ref'].max():g} rpm", "N, not gf or g")
 
 
 def _clipped(time: np.ndarray, thrust: np.ndarray):

@@ -2,7 +2,8 @@
 
 import os
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import Table, read_table
 from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record
+from vpp_fmu.rig import FILE, Rig, infer_rig, read_rig
 
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
 RAW = "static_raw"
@@ -37,7 +39,10 @@ class StaticMap:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What a campaign's folder holds; None, or no steps, where a file is missing. Every record has `thrust`."""
+    """What a campaign's folder holds; None, or no steps, where a file is missing. Every record has `thrust`.
+
+    `rig`: as its rig.json says; what that leaves open is inferred from the files.
+    """
 
     folder: Path
     static: StaticMap | None
@@ -46,6 +51,7 @@ class Campaign:
     repeat: Record | None
     validation: Record | None
     static_raw: Record | None = None
+    rig: Rig = field(default_factory=Rig)
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -65,7 +71,17 @@ def read_campaign(folder: str | os.PathLike) -> Campaign:
         _check_repeat(records["open_loop"], records["repeat"])
     static = read_static(paths["static"]) if "static" in paths else None
     steps = read_steps(paths["steps"]) if "steps" in paths else ()
-    return Campaign(folder, static, steps, **records)
+    declared = read_rig(folder / FILE) if (folder / FILE).exists() else {}
+    return Campaign(folder, static, steps, **records, rig=_rig(records, static, steps, declared))
+
+
+def _rig(records: Mapping[str, Record | None], static: StaticMap | None, steps: Sequence[Record], declared: Mapping) -> Rig:
+    """Of all that is fitted; of the validation record where there is nothing else."""
+    fitted = [r for n, r in records.items() if r is not None and n != "validation"] + list(steps)
+    if not fitted and static is None:
+        fitted = [r for r in records.values() if r is not None]
+    grid = None if static is None else {name: getattr(static, name) for name in ("omega_ref", "beta_ref", "thrust")}
+    return infer_rig(fitted, grid, declared)
 
 
 def _measured(path: Path) -> Record:

@@ -10,7 +10,9 @@ from xml.etree import ElementTree
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
 from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import Model, Parameter
+from vpp_fmu.rig import Rig, rig_of
 from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
@@ -41,6 +43,11 @@ class ParameterSet:
         """All of the model's parameter values by full name, defaults where none was set."""
         return self.model.values({name: estimate.value for name, estimate in self.estimates.items()})
 
+    @property
+    def rig(self) -> Rig:
+        """The rig that the set is for: as `source` tells, else what the model's scales span."""
+        return rig_of(_scales(self.source, self.values), self.source)
+
     def replaced(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> "ParameterSet":
         """This set with other values, in the model's units, and their standard deviations where known. KeyError: unknown."""
         units = {p.name: p.unit for p in self.model.parameters}
@@ -56,6 +63,8 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
     content = _content(path)
     model = _model(path, content.get("effects", []), build)
     entries = _mapping(path, "parameters", content.get("parameters", {}))
+    source = _source(path, content.get("source", {}))
+    model = _sized(model, entries, source)
     known = {p.name: p for p in model.parameters}
     estimates = {}
     for name, entry in entries.items():
@@ -65,7 +74,21 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
             allowed = f"{near}, or {_shown(owner)} among the effects" if dot and owner not in model.optional else near
             raise BadInput(path, f"parameters, {_shown(name)}", f"a name that {model.name} does not have", allowed)
         estimates[name] = _estimate(path, known[name], entry)
-    return ParameterSet(model, estimates, _source(path, content.get("source", {})))
+    return ParameterSet(model, estimates, source)
+
+
+def _sized(model: Model, entries: Mapping, source: Mapping) -> Model:
+    """The model for the rig whose scales the file names; as it is where they are the ones it has."""
+    scales = _scales(source, {name: entry.get("value") for name, entry in entries.items() if isinstance(entry, dict)})
+    return model if scales == PAPER else model.sized(scales)
+
+
+def _scales(source: Mapping, values: Mapping) -> Scales:
+    """The scales among `values`, else those of the rig that `source` tells of, else the paper's."""
+    rig = source.get("rig")
+    told = rig.get("scales") if isinstance(rig, dict) else None
+    named = {**(told if isinstance(told, dict) else {}), **values}
+    return PAPER.following({n: v for n, v in named.items() if _is_number(v) and (v > 0.0 or n == "beta_offset")})
 
 
 def _content(path: str | os.PathLike) -> dict:

@@ -30,6 +30,7 @@ from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig
 
 CHANGED = ("attributed", "family", "partly")
 """Verdicts that put effects into the model."""
@@ -51,6 +52,7 @@ class Diagnosis:
     campaign: Campaign
     identification: Identification | None
     given: ParameterSet | None
+    rig: Rig
     base: Fit
     noise: Noise
     selection: Selection
@@ -81,7 +83,7 @@ class Diagnosis:
     def parameters(self, fit: Fit) -> ParameterSet:
         """A fit's parameters as a set that exports."""
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
-        source["record_seconds"] = float(self.campaign.open_loop.time[-1])
+        source |= {"record_seconds": float(self.campaign.open_loop.time[-1]), "rig": self.rig.summary()}
         doubt = {n: s for n, s in self.doubt.items() if n in fit.values} if fit is self.final else {}
         return ParameterSet(exportable(fit.evidence.model), source=source).replaced(fit.values, doubt)
 
@@ -133,6 +135,7 @@ def diagnose(
             campaign=campaign,
             identification=at.identification,
             given=given,
+            rig=at.rig,
             base=before,
             noise=noise,
             selection=selection,
@@ -145,7 +148,7 @@ def diagnose(
             doubt=_doubt(final),
             apart=apart,
             location=locate(campaign, shown.thrust, shown.omega, shown.beta),
-            experiment=discriminating_experiment(seed),
+            experiment=discriminating_experiment(seed, at.rig.speed, at.rig.pitch),
             held=tuple(held),
             held_before=seen(before, unseen),
             held_after=seen(final, unseen),

@@ -13,13 +13,14 @@ import numpy as np
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.identify import Identification, identify
-from identification.static.static_map import StaticFit, fit_static_map
+from identification.static.static_map import StaticFit, static_fit
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.plant import plant, sized
 from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig
 
 LOOSE = 100.0
 """How much wider the static map's knowledge is taken than its own scatter: a missing effect bends the steady points too."""
@@ -49,14 +50,15 @@ def exportable(model: Model) -> Model:
 
 @dataclass(frozen=True)
 class Starting:
-    """Library and free base parameters of a search, `values` to start from and those before any fit (`first`), what the static
-    map tells; `identification` where that is where the values come from."""
+    """Library, sized for the `rig`, and free base parameters of a search, `values` to start from and those before any fit
+    (`first`), what the static map tells; `identification` where that is where the values come from."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
     values: Mapping[str, float]
     first: Mapping[str, float]
     knowledge: Prior | None
+    rig: Rig
     identification: Identification | None = None
 
 
@@ -64,7 +66,8 @@ def from_identification(campaign: Campaign, library: Iterable[Effect], seed: int
     """Start at what an identification of the campaign finds."""
     found = identify(campaign, seed=seed)
     names = tuple(found.refinement.names)
-    return Starting(tuple(library), names, found.refinement.values, found.start, _knowledge(found.static, names), found)
+    rig, knowledge = found.parameters.rig, _knowledge(found.static, names)
+    return Starting(sized(library, rig.scales), names, found.refinement.values, found.start, knowledge, rig, found)
 
 
 def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect], fitted: Sequence[Record]) -> Starting:
@@ -74,12 +77,13 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
         for record in (campaign.open_loop, campaign.repeat, campaign.validation):
             if record is not None and name not in record:
                 raise BadInput(record.source, f"column {name}", "no such column", f"what {', '.join(kept)} of the model needs")
-    library = tuple(always_on(e) if e.name in kept else e for e in library)
+    library = tuple(always_on(e) if e.name in kept else e for e in sized(library, given.rig.scales))
     model = plant((), library)
     own = [e.full(p.name) for e in model.effects if e.name in kept for p in e.parameters if not p.choices]
     found = refine(model, fitted, given.values, [*BASE_PARAMETERS, *own])
-    static = fit_static_map(campaign.static, given.values) if campaign.static is not None else None
-    return Starting(library, found.names, found.values, given.values, _knowledge(static, found.names))
+    static = static_fit(campaign, given.values)
+    rig = replace(campaign.rig, scales=given.rig.scales)
+    return Starting(library, found.names, found.values, given.values, _knowledge(static, found.names), rig)
 
 
 def _knowledge(static: StaticFit | None, names: Sequence[str]) -> Prior | None:

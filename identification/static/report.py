@@ -4,7 +4,7 @@ import numpy as np
 
 from identification.identify import Identification
 from identification.static.selection import Selection, select_terms
-from identification.static.static_map import OPERATING_PITCH, coefficient_grid, design
+from identification.static.static_map import coefficient_grid, design
 from identification.static.steady import noise, samples_needed, stretches
 from vpp_fmu.report import Page, map_residuals, map_surface
 from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
@@ -18,7 +18,7 @@ def add_static(page: Page, found: Identification) -> None:
     static, points = found.static, found.campaign.static
     page.section("The static map")
     scales = found.refinement.values
-    omega, beta = np.linspace(2000, 6000, 41), np.linspace(*OPERATING_PITCH, 31)
+    omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
     grid_omega, grid_beta = np.meshgrid(omega, beta)
     thrust = design(grid_omega.ravel(), grid_beta.ravel(), scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
     used = points.omega[static.used], points.beta_ref[static.used], points.thrust[static.used]
@@ -28,7 +28,7 @@ def add_static(page: Page, found: Identification) -> None:
     commanded = points.omega_ref[static.used], used[1]
     page.figure(map_residuals(*commanded, static.residual, left), "Measured less fitted.")
     speeds, pitches, ct = coefficient_grid(points)
-    page.figure(thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct)), _COEFFICIENT)
+    page.figure(thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch)), _COEFFICIENT)
     doubt = static.uncertainty(omega, beta[:, None], scales)
     title = f"The map is known to {doubt.max():.3f} N or better where it was measured"
     page.figure(map_uncertainty(omega, beta, doubt, title), "Standard deviation from the coefficients' covariance.")
@@ -39,9 +39,9 @@ def add_static(page: Page, found: Identification) -> None:
 _COEFFICIENT = "C_T = T / (ρ n² D⁴), 10 inch propeller, air at sea level; blades in their linear range draw one line."
 
 
-def _coefficients_say(pitches: np.ndarray, ct: np.ndarray) -> str:
-    """What C_T (speeds, pitches) depends on, inside the operating region."""
-    inside = ct[:, (pitches >= OPERATING_PITCH[0]) & (pitches <= OPERATING_PITCH[1])]
+def _coefficients_say(pitches: np.ndarray, ct: np.ndarray, fitted: tuple[float, float]) -> str:
+    """What C_T (speeds, pitches) depends on, inside the `fitted` range [deg]."""
+    inside = ct[:, (pitches >= fitted[0]) & (pitches <= fitted[1])]
     with_pitch = float(np.ptp(np.nanmean(inside, axis=0)))
     with_speed = float(np.sqrt(np.nanmean(np.nanvar(inside, axis=0))))
     return f"C_T moves by {with_pitch:.2f} with pitch, and by {with_speed:.3f} rms with speed"

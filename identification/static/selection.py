@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from identification.static.static_map import OPERATING_PITCH, TERMS, Regression, check_enough, regression
+from identification.static.static_map import TERMS, Regression, check_enough, regression
 from vpp_fmu.campaign import StaticMap
 
 CANDIDATES = tuple((i, j) for degree in range(1, 5) for j in range(degree) for i in (degree - j,))
@@ -76,8 +76,8 @@ class Selection:
         return [(len(c.terms), name, c.bic, c.r2_adjusted, c.loo) for c, name in shown]
 
 
-def select_terms(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] = OPERATING_PITCH) -> Selection:
-    """Fit every subset of CANDIDATES to the steady points inside `pitch` [deg], weighted as `fit_static_map` does.
+def select_terms(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] | None = None) -> Selection:
+    """Fit every subset of CANDIDATES to the steady points inside `pitch` [deg] (None: all), weighted as `fit_static_map` does.
 
     BIC = n ln(S / n) + k ln n, S the weighted sum of squares left (Schwarz, 1978; variance unknown); adjusted R^2 as
     `StaticFit`; leave-one-out errors are e / (1 - h), exactly, with h the point's leverage (Allen's PRESS, 1974).
@@ -94,7 +94,7 @@ def select_terms(static: StaticMap, scales: Mapping[str, float], pitch: tuple[fl
         if (choice := _fitted(whole, list(columns), scales["thrust_scale"])) is not None
     ]
     largest = max((len(c.terms) for c in tried), default=0)
-    check_enough(static, pitch, points, len(PAPER), largest)
+    check_enough(static, points, len(PAPER), largest)
     return Selection(tuple(tried), points)
 
 

@@ -4,15 +4,24 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
-from vpp_fmu.campaign import StaticMap
+from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import FINE_TUNED
 
 TERMS = {"c20": (2, 0), "c11": (1, 1), "c21": (2, 1), "c12": (1, 2), "c30": (3, 0)}
 """Powers of w and b of each term of the paper's polynomial."""
 
-OPERATING_PITCH = (-5.0, 10.0)
-"""The paper's operating region, deg: below it the blades stall and the cubic no longer fits."""
+ALIKE = 0.01
+"""Level of the F test that takes the map over all measured pitch for worse than over the pitch that records use: so often a map
+that fits everywhere is cut down to these."""
+
+WIDE = 10.0
+"""Standard deviation of a normalised coefficient before anything was measured: the bounds of the thrust map's parameters."""
+
+FINEST = 1e-4
+"""Share of the thrust scale that the mean of a steady point is never known better than."""
 
 DIAMETER = 0.254
 """m: the 1045 propeller's 10 in."""
@@ -25,7 +34,8 @@ DENSITY = 1.225
 class StaticFit:
     """A fitted map: coefficients by name (normalised), covariance (terms, terms), what it leaves, and how well it fits.
 
-    `used` (n,): the points of the campaign within the operating region; `residual` (points used,) N, measured less fitted.
+    `used` (n,): the points of the campaign with pitch inside `pitch` [deg]; `residual` (points used,) N, measured less fitted.
+    `untold`: coefficients that the points do not tell by themselves, such as the pitch's at a single pitch.
     """
 
     coefficients: Mapping[str, float]
@@ -34,6 +44,8 @@ class StaticFit:
     used: np.ndarray
     r2_adjusted: float
     rmse: float
+    pitch: tuple[float, float]
+    untold: tuple[str, ...] = ()
 
     @property
     def std(self) -> dict[str, float]:
@@ -48,6 +60,8 @@ class StaticFit:
             "r2_adjusted": self.r2_adjusted,
             "rmse": self.rmse,
             "points": int(self.used.sum()),
+            "pitch": list(self.pitch),
+            "not_identifiable": list(self.untold),
         }
 
     def uncertainty(self, omega: np.ndarray, beta: np.ndarray, scales: Mapping[str, float]) -> np.ndarray:
@@ -90,46 +104,103 @@ def design(
 def regression(
     static: StaticMap,
     scales: Mapping[str, float],
-    pitch: tuple[float, float] = OPERATING_PITCH,
+    pitch: tuple[float, float] | None = None,
     terms: Iterable[tuple[int, int]] = tuple(TERMS.values()),
 ) -> Regression:
-    """The points with pitch inside `pitch` [deg], each weighing by how well its mean is known (`thrust_std`, `samples`)."""
-    used = (static.beta_ref >= pitch[0]) & (static.beta_ref <= pitch[1])
+    """The points with pitch inside `pitch` [deg] (None: all), each weighing by how well its mean is known (`thrust_std`,
+    `samples`)."""
+    low, high = pitch or (-np.inf, np.inf)
+    used = (static.beta_ref >= low) & (static.beta_ref <= high)
     a = design(static.omega[used], static.beta_ref[used], scales, terms)
-    error = np.maximum(static.thrust_std[used], 1e-3) / np.sqrt(static.samples[used])
+    error = np.maximum(static.thrust_std[used], FINEST * scales["thrust_scale"]) / np.sqrt(static.samples[used])
     return Regression(used, a, static.thrust[used] / scales["thrust_scale"], scales["thrust_scale"] / error)
 
 
-def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] = OPERATING_PITCH) -> StaticFit:
-    """Fit the paper's map to steady points with pitch inside `pitch` [deg].
+def static_fit(campaign: Campaign, scales: Mapping[str, float]) -> StaticFit | None:
+    """The map of a campaign's steady points; None where it has none.
+
+    Over all measured pitch, unless there the polynomial leaves more than over the pitch that the campaign's records use (F test
+    of the two fits' scatter at the level ALIKE): blades that stall beyond it are then no matter of this map.
+    """
+    static = campaign.static
+    if static is None:
+        return None
+    whole, commanded = fit_static_map(static, scales), _commanded_pitch(campaign)
+    if commanded is None:
+        return whole
+    inside = (static.beta_ref >= commanded[0]) & (static.beta_ref <= commanded[1])
+    spare = int(inside.sum()) - len(TERMS)
+    if inside.all() or spare < 1 or whole.untold:
+        return whole
+    part = fit_static_map(static, scales, commanded)
+    more = _scatter(static, scales, whole) / _scatter(static, scales, part)
+    return part if f_distribution.sf(more, len(whole.residual) - len(TERMS), spare) < ALIKE and not part.untold else whole
+
+
+def _commanded_pitch(campaign: Campaign) -> tuple[float, float] | None:
+    """Least and greatest pitch [deg] that the campaign's fitted records command."""
+    records = [r for r in (campaign.open_loop, campaign.repeat, *campaign.steps) if r is not None]
+    if not records:
+        return None
+    return min(float(r["beta_ref"].min()) for r in records), max(float(r["beta_ref"].max()) for r in records)
+
+
+def _scatter(static: StaticMap, scales: Mapping[str, float], fit: StaticFit) -> float:
+    """Mean square of what a fit leaves at its points, in their standard deviations, per degree of freedom."""
+    weight = regression(static, scales, fit.pitch).weight / scales["thrust_scale"]
+    return float((fit.residual * weight) @ (fit.residual * weight)) / (len(fit.residual) - len(TERMS))
+
+
+def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] | None = None) -> StaticFit:
+    """Fit the paper's map to steady points with pitch inside `pitch` [deg]; None: all of them.
 
     Each point weighs by how well its mean is known (`thrust_std`, `samples`). The points scatter around the polynomial by
     more than that, so the covariance is scaled to what they leave. `scales`: the parameters of the normalisation, by name.
     Adjusted R^2 is 1 - (sum of squares left / (n - k)) / (variance of the thrust), every point counting the same, as the
-    paper's. BadInput where the points cannot tell the terms apart.
+    paper's. Points that cannot tell all terms apart tell what they can: the coefficients are then those nearest to the paper's,
+    and the covariance is as wide as their bounds where nothing was told. BadInput without any point.
     """
     r = regression(static, scales, pitch)
     weighted = r.terms * r.weight[:, None]
     n, k = weighted.shape
-    check_enough(static, pitch, n, k, int(np.linalg.matrix_rank(weighted)) if n else 0)
-    c, *_ = np.linalg.lstsq(weighted, r.thrust * r.weight, rcond=None)
+    if n == 0:
+        raise BadInput(static.source, "steady points", f"none from {pitch[0]:g} to {pitch[1]:g} deg", "at least one point")
+    rank = int(np.linalg.matrix_rank(weighted))
+    c, covariance = (_determined if n > k == rank else _nearest)(weighted, r.thrust * r.weight, n - rank)
     left = r.thrust - r.terms @ c
-    scatter = float((left * r.weight) @ (left * r.weight)) / (n - k)
-    covariance = np.linalg.inv(weighted.T @ weighted) * scatter
+    spread = np.sqrt(np.diag(covariance))
     return StaticFit(
         coefficients=dict(zip(TERMS, c.tolist(), strict=True)),
         covariance=covariance,
         residual=left * scales["thrust_scale"],
         used=r.used,
-        r2_adjusted=1.0 - float(left @ left) / (n - k) / r.total,
+        r2_adjusted=1.0 - float(left @ left) / max(n - rank, 1) / r.total if n > 1 and r.total > 0.0 else 0.0,
         rmse=float(np.sqrt(np.mean(left**2))) * scales["thrust_scale"],
+        pitch=(float(static.beta_ref[r.used].min()), float(static.beta_ref[r.used].max())),
+        untold=tuple(name for name, std in zip(TERMS, spread, strict=True) if std > 0.5 * WIDE),
     )
 
 
-def check_enough(static: StaticMap, pitch: tuple[float, float], points: int, terms: int, rank: int) -> None:
-    """BadInput where the points inside `pitch` [deg] are no more than the terms, or lie so that these cannot be told apart."""
+def _determined(weighted: np.ndarray, thrust: np.ndarray, spare: int) -> tuple[np.ndarray, np.ndarray]:
+    """(coefficients, covariance) where the points tell all of them."""
+    c, *_ = np.linalg.lstsq(weighted, thrust, rcond=None)
+    left = thrust - weighted @ c
+    return c, np.linalg.inv(weighted.T @ weighted) * float(left @ left) / spare
+
+
+def _nearest(weighted: np.ndarray, thrust: np.ndarray, spare: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same where they do not: from coefficients like the paper's, known to WIDE beforehand."""
+    usual = np.array([FINE_TUNED[name] for name in TERMS])
+    c, *_ = np.linalg.lstsq(weighted, thrust - weighted @ usual, rcond=1e-10)
+    left = thrust - weighted @ (usual + c)
+    scatter = max(1.0, float(left @ left) / spare) if spare > 0 else 1.0
+    return usual + c, np.linalg.inv(weighted.T @ weighted / scatter + np.eye(len(c)) / WIDE**2)
+
+
+def check_enough(static: StaticMap, points: int, terms: int, rank: int) -> None:
+    """BadInput where the points are no more than the terms, or lie so that these cannot be told apart."""
     if points <= terms or rank < terms:
-        found = f"{points} points from {pitch[0]:g} to {pitch[1]:g} deg that tell {rank} terms apart"
+        found = f"{points} points that tell {rank} terms apart"
         allowed = f"more than {terms} points on a grid that tells {terms} terms apart"
         raise BadInput(static.source, "steady points", found, allowed)
 

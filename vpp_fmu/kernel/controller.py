@@ -2,6 +2,7 @@
 
 from vpp_fmu.kernel.effects.dual_pid import DUAL_PID
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Model, Signal
 
 DUAL = {"kp_omega": 9.82, "ki_omega": 115.3, "kd_omega": 0.318, "kp_beta": 9.0, "ki_beta": 70.44, "kd_beta": 0.25}
@@ -13,9 +14,9 @@ SPEED_ONLY = {"kp_omega": 7.47, "ki_omega": 67.7, "kd_omega": 0.15, "speed_only"
 CONTROLLER = Model(
     "VppController",
     "Dual PID: thrust error to speed and pitch commands",
-    inputs=(Signal("thrust_set", "N", "wanted thrust", -500.0, 500.0, 15.0), THRUST),
+    inputs=(Signal("thrust_set", "N", "wanted thrust", THRUST.minimum, THRUST.maximum, 15.0, scale="thrust"), THRUST),
     outputs=(OMEGA_REF, BETA_REF),
     effects=(DUAL_PID,),
     sample_time="sample_time",
     sets={"dual": DUAL, "speed_only": SPEED_ONLY},
-)
+).sized(PAPER)

@@ -13,8 +13,8 @@ RESOLUTION = 98.07 / 2**15
 MEASUREMENT = Model(
     "ThrustMeasurement",
     "Thrust to the reading that the controller is given",
-    inputs=(THRUST, Signal("noise", "N", "noise of the reading", -500.0, 500.0, 0.1)),
-    outputs=(Signal("reading", "N", "thrust as it is read", -500.0, 500.0, 15.0),),
+    inputs=(THRUST, Signal("noise", "N", "noise of the reading", -1e5, 1e5, 0.1)),
+    outputs=(Signal("reading", "N", "thrust as it is read", THRUST.minimum, THRUST.maximum, 15.0),),
     effects=(THRUST_READING,),
     sample_time="sample_time",
 )

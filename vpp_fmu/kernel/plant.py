@@ -7,6 +7,7 @@ from vpp_fmu.kernel.effects import (
     actuator,
     inflow_lag,
     map_terms,
+    normalisation,
     pitch_asymmetry,
     pitch_backlash,
     pitch_command_deadband,
@@ -36,12 +37,14 @@ from vpp_fmu.kernel.effects import (
     thrust_gain_drift,
     thrust_map,
 )
+from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import Effect, Model, Signal, compose
 
 _PITCH_DRIVE, _PITCH_FIRST, _PITCH_SECOND, _PITCH_REACH = actuator.PITCH
 _SPEED_DRIVE, _SPEED_FIRST, _SPEED_SECOND, _SPEED_REACH = actuator.SPEED
 
-LIBRARY: tuple[Effect, ...] = (
+_DECLARED: tuple[Effect, ...] = (
+    normalisation.EFFECT,
     speed_delay.EFFECT,
     pitch_delay.EFFECT,
     pitch_command_deadband.EFFECT,
@@ -83,11 +86,20 @@ LIBRARY: tuple[Effect, ...] = (
 )
 """Every effect there is, each where it acts between command and reading. A new effect is one file and one line here."""
 
-OMEGA_REF = Signal("omega_ref", "rpm", "commanded rotor speed", 0.0, 60000.0, 6000.0)
-BETA_REF = Signal("beta_ref", "deg", "commanded blade pitch", -45.0, 45.0, 10.0)
-THRUST = Signal("thrust", "N", "measured thrust", -500.0, 500.0, 15.0)
-OMEGA = Signal("omega", "rpm", "rotor speed", 0.0, 60000.0, 6000.0)
-BETA = Signal("beta", "deg", "blade pitch", -45.0, 45.0, 10.0)
+
+def sized(library: Iterable[Effect], scales: Scales) -> tuple[Effect, ...]:
+    """The effects with absolute numbers for a rig of these scales."""
+    return tuple(e.sized(scales) for e in library)
+
+
+LIBRARY = sized(_DECLARED, PAPER)
+"""Every effect there is, as it is on the paper's rig; `sized` makes it another's."""
+
+OMEGA_REF = Signal("omega_ref", "rpm", "commanded rotor speed", 0.0, 2e5, 6000.0, scale="speed")
+BETA_REF = Signal("beta_ref", "deg", "commanded blade pitch", -90.0, 90.0, 15.0, scale="pitch")
+THRUST = Signal("thrust", "N", "measured thrust", -1e5, 1e5, 15.0, scale="thrust")
+OMEGA = Signal("omega", "rpm", "rotor speed", 0.0, 2e5, 6000.0, scale="speed")
+BETA = Signal("beta", "deg", "blade pitch", -90.0, 90.0, 15.0, scale="pitch")
 
 FINE_TUNED = {
     "tau_omega_1": 0.172,
@@ -138,15 +150,21 @@ BASE = Model(
 )
 
 
-def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY) -> Model:
-    """The Wiener plant with the named effects on. KeyError names an effect that the library doesn't have."""
+def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, scales: Scales | None = None) -> Model:
+    """The Wiener plant with the named effects on. KeyError names an effect that the library doesn't have.
+
+    `scales`: of the rig it is for; None: as the library's effects stand, the paper's.
+    """
     names, library = frozenset(effects), tuple(library)
     for unknown in names - {e.name for e in library if e.off is not None}:
         raise KeyError(unknown)
-    return _own(names) if library is LIBRARY else compose(BASE, library, names)
+    if library is LIBRARY:
+        return _own(names, scales or PAPER)
+    model = compose(BASE, library, names)
+    return model if scales is None else model.sized(scales)
 
 
 @cache
-def _own(names: frozenset[str]) -> Model:
-    """One model for one set of names: what was derived from it need not be derived again."""
-    return compose(BASE, LIBRARY, names)
+def _own(names: frozenset[str], scales: Scales) -> Model:
+    """One model for one set of names and scales: what was derived from it need not be derived again."""
+    return compose(BASE, LIBRARY, names).sized(scales)

@@ -11,13 +11,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import SimpleNamespace
 
+from vpp_fmu.kernel.scales import Scales
+
 INSTANT = 1e-9
 """The shortest time the kernel tells apart, s. Two events closer than this are one; settling takes one such step."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A quantity that runs along the chain; as a model's input or output also an FMU variable."""
+    """A quantity that runs along the chain; as a model's input or output also an FMU variable.
+
+    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute.
+    """
 
     name: str
     unit: str
@@ -26,6 +31,11 @@ class Signal:
     maximum: float
     nominal: float = 1.0
     start: float = 0.0
+    scale: str = ""
+
+    def sized(self, scales: Scales) -> "Signal":
+        """The signal on a rig of these scales."""
+        return replace(self, nominal=scales.absolute(1.0, self.scale)) if self.scale else self
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,8 @@ class Parameter:
 
     `choices`: the only values that mean something, where the parameter picks a form of the effect; a search tries each.
     `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
+    `scale`: the rig's scale (`Scales.absolute`) that default, bounds and nominal are shares of, as the effect declares them;
+    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all.
     """
 
     name: str
@@ -45,6 +57,19 @@ class Parameter:
     nominal: float = 1.0
     choices: tuple[float, ...] = ()
     limit_form: str = ""
+    scale: str = ""
+    unlimited: float | None = None
+
+    def absolute(self, share: float, scales: Scales) -> float:
+        """A declared share as a value on a rig of these scales."""
+        return share if share == self.unlimited else scales.absolute(share, self.scale)
+
+    def sized(self, scales: Scales) -> "Parameter":
+        """The parameter, as declared, on a rig of these scales."""
+        default, minimum, maximum = (self.absolute(share, scales) for share in (self.default, self.minimum, self.maximum))
+        distance = "pitch" if self.scale in ("position", "offset") else self.scale
+        nominal = scales.absolute(self.nominal, distance)
+        return replace(self, default=default, minimum=minimum, maximum=maximum, nominal=nominal)
 
 
 @dataclass(frozen=True)
@@ -81,6 +106,7 @@ class Effect:
     `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
     `contains` maps the name of an effect that is a special case of this one to the parameters that they share, own name to its:
     a search for this one starts at what was found for that one, too.
+    `declared`: of an effect that was sized for a rig, the effect as its file declares it, in shares of the rig's scales.
     """
 
     name: str
@@ -94,6 +120,23 @@ class Effect:
     delays: Mapping[str, str] = field(default_factory=dict)
     largest_step: float | None = None
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    declared: "Effect | None" = None
+
+    def sized(self, scales: Scales) -> "Effect":
+        """The effect with absolute numbers for a rig of these scales, whatever rig it was sized for before."""
+        own = self.declared or self
+        by_name = {p.name: p for p in own.parameters}
+
+        def absolute(shares: Mapping[str, float]) -> dict[str, float]:
+            return {name: by_name[name].absolute(share, scales) for name, share in shares.items()}
+
+        return replace(
+            self,
+            parameters=tuple(p.sized(scales) for p in own.parameters),
+            off=None if self.off is None else absolute(own.off or {}),
+            probe=absolute(own.probe),
+            declared=own,
+        )
 
     def full(self, name: str) -> str:
         """The name outside the effect: bare for what is always present, else `<effect>.<name>`."""
@@ -145,6 +188,11 @@ class Model:
     def optional(self) -> tuple[str, ...]:
         """Names of the effects in this model that it could do without."""
         return tuple(e.name for e in self.effects if e.off is not None)
+
+    def sized(self, scales: Scales) -> "Model":
+        """The model for a rig of these scales: bounds, nominal values, and defaults where the rig decides them."""
+        inputs, outputs = (tuple(s.sized(scales) for s in signals) for signals in (self.inputs, self.outputs))
+        return replace(self, inputs=inputs, outputs=outputs, effects=tuple(e.sized(scales) for e in self.effects))
 
     def values(self, changes: Mapping[str, float] | None = None) -> dict[str, float]:
         """Parameter values by full name: the defaults with `changes` laid over. KeyError names an unknown parameter."""

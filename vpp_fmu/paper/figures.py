@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from plotly import graph_objects as go
 
-from identification.static.static_map import OPERATING_PITCH, coefficient_grid, design, thrust_coefficient
+from identification.static.static_map import coefficient_grid, design, thrust_coefficient
 from identification.steps.lag_fit import two_lags
 from identification.steps.run import StepRun
 from vpp_fmu.paper.fine_tuning import FineTuning
 from vpp_fmu.paper.published import COST_END, COST_START, ITERATIONS
-from vpp_fmu.paper.static import PAPER_UNITS, Statics, paper_thrust
+from vpp_fmu.paper.static import OPERATING_PITCH, PAPER_UNITS, Statics, paper_thrust
 from vpp_fmu.report import map_surface, style
 from vpp_fmu.report.coefficients import thrust_coefficients
 from vpp_fmu.report.steps import step_responses

@@ -9,6 +9,9 @@ from identification.static.static_map import StaticFit, design, fit_static_map, 
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.paper.published import R2_ADJUSTED, STATIC_MAP
 
+OPERATING_PITCH = (-5.0, 10.0)
+"""The paper's operating region, deg: below it the blades stall and the cubic no longer fits."""
+
 PAPER_UNITS = {"omega_scale": 1.0, "beta_offset": 0.0, "beta_scale": 1.0, "thrust_scale": 1.0}
 """A map in rpm, deg and N."""
 
@@ -49,7 +52,7 @@ def statics(points: StaticMap, seed: int) -> Statics:
     """Hold the steady points of a campaign against the paper's static map."""
     rng, error = np.random.default_rng([seed, 3]), points.thrust_std / np.sqrt(points.samples)
     on_paper = paper_thrust(points.omega, points.beta_ref)
-    fit = fit_static_map(points, PAPER_UNITS)
+    fit = fit_static_map(points, PAPER_UNITS, OPERATING_PITCH)
     used, n, k = fit.used, int(fit.used.sum()), len(STATIC_MAP)
     measured, papers = points.thrust[used], on_paper[used]
     squares = float(np.sum((measured - papers) ** 2))
@@ -58,7 +61,7 @@ def statics(points: StaticMap, seed: int) -> Statics:
     return Statics(
         points=points,
         rig=fit,
-        model=fit_static_map(noisy, PAPER_UNITS),
+        model=fit_static_map(noisy, PAPER_UNITS, OPERATING_PITCH),
         apart=measured - papers,
         r2_of_paper=1.0 - squares / (n - k) / float(np.var(measured, ddof=1)),
         scatter=float(np.sqrt((1.0 - R2_ADJUSTED) * np.var(papers, ddof=1))),

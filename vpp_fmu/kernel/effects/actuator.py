@@ -11,6 +11,9 @@ changes.
 
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
+TIME_CONSTANTS = (0.001, 30.0)
+"""s, on any rig: below the one no logger sees a lag, beyond the other nobody waits for one."""
+
 
 def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[Effect, ...]:
     """The stages of channel `u` ("omega" or "beta"), commanded by the signal `<u>_ref`.
@@ -50,7 +53,7 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
 
     def constant(name, default, stage):
         text = f"time constant of the {stage} lag between commanded and reached {title}"
-        return Parameter(name, "s", default, 0.001, 3.0, text, nominal=0.1)
+        return Parameter(name, "s", default, *TIME_CONSTANTS, text, nominal=0.1)
 
     def at_command(ops, s, p):
         return getattr(s, ref)

@@ -10,7 +10,7 @@ take it further out. With one shared integral, or one shared test, the channel t
 Departs from the paper: delta is held to 1 where t_filter < dt, since the form is unstable there.
 """
 
-from vpp_fmu.kernel.effects.thrust_map import scales
+from vpp_fmu.kernel.effects.normalisation import scales
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
@@ -63,12 +63,12 @@ DUAL_PID = Effect(
         _gain("kd_beta", 0.25, "s", "derivative pitch"),
         Parameter("t_filter", "s", 0.02, 0.0, 10.0, "time constant of the derivative's filter", 0.02),
         Parameter("sample_time", "s", 0.004, 1e-5, 10.0, "period at which the controller samples", 0.004),
-        Parameter("omega_min", "rpm", 2000.0, 0.0, 30000.0, "lowest speed that is commanded", 6000.0),
-        Parameter("omega_max", "rpm", 6000.0, 0.0, 30000.0, "highest speed that is commanded", 6000.0),
-        Parameter("beta_min", "deg", -5.0, -45.0, 45.0, "lowest pitch that is commanded", 10.0),
-        Parameter("beta_max", "deg", 10.0, -45.0, 45.0, "highest pitch that is commanded", 10.0),
+        Parameter("omega_min", "rpm", 1.0 / 3.0, 0.0, 5.0, "lowest speed that is commanded", 1.0, scale="speed"),
+        Parameter("omega_max", "rpm", 1.0, 0.0, 5.0, "highest speed that is commanded", 1.0, scale="speed"),
+        Parameter("beta_min", "deg", 0.0, -5.0, 5.0, "lowest pitch that is commanded", 1.0, scale="position"),
+        Parameter("beta_max", "deg", 1.0, -5.0, 5.0, "highest pitch that is commanded", 1.0, scale="position"),
         Parameter("speed_only", "1", 0.0, 0.0, 1.0, "1: only speed is controlled, pitch stays at beta_fixed"),
-        Parameter("beta_fixed", "deg", 10.0, -45.0, 45.0, "pitch in speed-only mode", 10.0),
+        Parameter("beta_fixed", "deg", 1.0, -5.0, 5.0, "pitch in speed-only mode", 1.0, scale="position"),
         *scales(),
     ),
     states=(

@@ -3,7 +3,7 @@
     thrust += thrust_scale (c10 w + c22 w^2 b^2 + stall term)
     form 1: stall term = stall w b^3,   form 2: stall term = stall w^2 max(b - knee, 0)
 
-w alone is what the shift of pitch by 5 deg leaves of the map in physical units; the higher powers of b bend the map where
+w alone is what the shift of pitch leaves of the map in physical units; the higher powers of b bend the map where
 the blades begin to stall, the knee does so from one pitch on.
 """
 
@@ -30,7 +30,7 @@ EFFECT = Effect(
         _coefficient("c10", "w"),
         _coefficient("c22", "w^2 b^2"),
         _coefficient("stall", "the stall term (below 0: thrust is lost)"),
-        Parameter("knee", "deg", 5.0, -5.0, 10.0, "form 2: pitch from which the blades stall"),
+        Parameter("knee", "deg", 2.0 / 3.0, 0.0, 1.0, "form 2: pitch from which the blades stall", scale="position"),
         Parameter("form", "1", 1.0, 1.0, 2.0, "stall term: 1 in w b^3, 2 in w^2 beyond a knee", choices=(1.0, 2.0)),
     ),
     off={"c10": 0.0, "c22": 0.0, "stall": 0.0},

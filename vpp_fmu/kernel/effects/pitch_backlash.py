@@ -29,11 +29,13 @@ EFFECT = Effect(
     "play in the pitch linkage",
     _step,
     parameters=(
-        Parameter("half_gap", "deg", 0.0, 0.0, 2.2, "half of the pitch that is lost when the drive turns round"),
+        Parameter(
+            "half_gap", "deg", 0.0, 0.0, 0.15, "half of the pitch that is lost when the drive turns round", scale="pitch"
+        ),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 play behind the lags, 2 between them", choices=(1.0, 2.0)),
     ),
     states=(State("driven", "deg", "pitch behind the play", lambda ops, s, p: _drive(ops, p, s.beta, s.beta_inner)),),
     off={"half_gap": 0.0},
-    probe={"half_gap": 0.6},
+    probe={"half_gap": 0.04},
     largest_step=0.002,
 )

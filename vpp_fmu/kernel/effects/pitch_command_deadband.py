@@ -18,8 +18,10 @@ EFFECT = Effect(
     "pitch_command_deadband",
     "small changes of the pitch command are ignored",
     _step,
-    parameters=(Parameter("half_width", "deg", 0.0, 0.0, 4.5, "largest change of the pitch command that is ignored"),),
+    parameters=(
+        Parameter("half_width", "deg", 0.0, 0.0, 0.3, "largest change of the pitch command that is ignored", scale="pitch"),
+    ),
     states=(State("held", "deg", "pitch command that the actuator holds", lambda ops, s, p: s.beta_ref),),
     off={"half_width": 0.0},
-    probe={"half_width": 1.5},
+    probe={"half_width": 0.1},
 )

@@ -8,8 +8,8 @@ from vpp_fmu.kernel.types import Effect, Parameter
 EFFECT = Effect(
     "pitch_delay",
     "dead time between the pitch command and the actuator",
-    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.3, "time by which the pitch command acts late", 0.05),),
+    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.6, "time by which the pitch command acts late", 0.1, scale="time"),),
     off={"delay": 0.0},
-    probe={"delay": 0.04},
+    probe={"delay": 0.08},
     delays={"beta_ref": "delay"},
 )

@@ -22,10 +22,10 @@ EFFECT = Effect(
     "small pitch errors do not move the actuator",
     _step,
     parameters=(
-        Parameter("half_width", "deg", 0.0, 0.0, 2.2, "pitch error at which the actuator begins to move"),
+        Parameter("half_width", "deg", 0.0, 0.0, 0.15, "pitch error at which the actuator begins to move", scale="pitch"),
         WHICH_LAG,
     ),
     off={"half_width": 0.0},
-    probe={"half_width": 0.6},
+    probe={"half_width": 0.04},
     largest_step=0.002,
 )

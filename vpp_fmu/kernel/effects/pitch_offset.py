@@ -14,7 +14,7 @@ EFFECT = Effect(
     "pitch_offset",
     "blade pitch is off by a constant",
     _step,
-    parameters=(Parameter("offset", "deg", 0.0, -4.5, 4.5, "reached pitch less commanded pitch, at rest"),),
+    parameters=(Parameter("offset", "deg", 0.0, -0.3, 0.3, "reached pitch less commanded pitch, at rest", scale="pitch"),),
     off={"offset": 0.0},
-    probe={"offset": 1.0},
+    probe={"offset": 0.07},
 )

@@ -21,8 +21,12 @@ EFFECT = Effect(
     "pitch_rate_feedthrough",
     "thrust while the blades turn",
     _step,
-    parameters=(Parameter("gain", "N.s/deg", 0.0, -0.2, 0.2, "thrust per rate of pitch, at full speed (w = 1)", 0.05),),
+    parameters=(
+        Parameter(
+            "gain", "N.s/deg", 0.0, -0.4, 0.4, "thrust per rate of pitch, at full speed (w = 1)", 0.1, scale="thrust.time/pitch"
+        ),
+    ),
     states=(State("beta_before", "deg", "blade pitch at the start of the step", lambda ops, s, p: s.beta),),
     off={"gain": 0.0},
-    probe={"gain": 0.04},
+    probe={"gain": 0.08},
 )

@@ -10,7 +10,7 @@ takes the response to what the led command lacks off the lags, which are linear 
 from vpp_fmu.kernel.effects.stage import INNER, bent, stage
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
-UNLIMITED = 1000.0  # deg/s
+UNLIMITED = 10000.0  # deg/s; no blade turns 30 times a second
 
 
 def _step(ops, s, x, p, dt):
@@ -36,13 +36,23 @@ EFFECT = Effect(
     "blade pitch moves no faster than a limit",
     _step,
     parameters=(
-        Parameter("rate", "deg/s", UNLIMITED, 1.5, UNLIMITED, "greatest rate of pitch; 1000: no limit", 10.0),
+        Parameter(
+            "rate",
+            "deg/s",
+            UNLIMITED,
+            0.05,
+            UNLIMITED,
+            "greatest rate of pitch; 10000: no limit",
+            0.3,
+            scale="pitch/time",
+            unlimited=UNLIMITED,
+        ),
         Parameter(
             "form", "1", 1.0, 1.0, 3.0, "1 limits the inner lag, 2 the outer lag, 3 the command", choices=(1.0, 2.0, 3.0)
         ),
     ),
     states=(State("led", "deg", "pitch command as the limit lets it through", lambda ops, s, p: s.beta_ref),),
     off={"rate": UNLIMITED},
-    probe={"rate": 10.0},
+    probe={"rate": 1.0 / 3.0},
     largest_step=0.002,
 )

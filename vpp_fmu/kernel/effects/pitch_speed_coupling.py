@@ -29,7 +29,7 @@ EFFECT = Effect(
     "rotor speed dips while the pitch rises",
     _step,
     parameters=(
-        Parameter("gain", "rpm.s/deg", 0.0, -120.0, 120.0, "speed lost per rate of pitch", 20.0),
+        Parameter("gain", "rpm.s/deg", 0.0, -0.6, 0.6, "speed lost per rate of pitch", 0.1, scale="speed.time/pitch"),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 through both lags of the speed loop, 2 through one", choices=(1.0, 2.0)),
     ),
     states=(
@@ -38,6 +38,6 @@ EFFECT = Effect(
         State("rate", "deg/s", "rate of pitch as the speed loop passes it", lambda ops, s, p: 0.0),
     ),
     off={"gain": 0.0},
-    probe={"gain": 25.0},
+    probe={"gain": 0.125},
     largest_step=0.002,
 )

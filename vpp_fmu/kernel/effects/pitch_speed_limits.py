@@ -13,7 +13,7 @@ the farther of the two ways counts.
 from vpp_fmu.kernel.effects.stage import INNER, bent, stage
 from vpp_fmu.kernel.types import Effect, Parameter
 
-UNLIMITED = 1000.0  # deg/s
+UNLIMITED = 10000.0  # deg/s; no blade turns 30 times a second
 
 
 def _step(ops, s, x, p, dt):
@@ -33,13 +33,46 @@ EFFECT = Effect(
     "least and full speed of the pitch actuator",
     _step,
     parameters=(
-        Parameter("slowest", "deg/s", 0.0, 0.0, 15.0, "least speed on the way", 5.0, limit_form="no least speed"),
-        Parameter("full", "deg/s", UNLIMITED, 4.5, UNLIMITED, "greatest speed; 1000: any", 20.0, limit_form="no limit"),
-        Parameter("threshold", "deg", 60.0, 0.1, 60.0, "pitch error from which speed is full", 5.0, limit_form="no threshold"),
-        Parameter("accuracy", "deg", 0.0, 0.0, 1.5, "pitch error within which the motor is off", 0.1, limit_form="never off"),
+        Parameter(
+            "slowest", "deg/s", 0.0, 0.0, 0.5, "least speed on the way", 0.2, limit_form="no least speed", scale="pitch/time"
+        ),
+        Parameter(
+            "full",
+            "deg/s",
+            UNLIMITED,
+            0.15,
+            UNLIMITED,
+            "greatest speed; 10000: any",
+            0.6,
+            limit_form="no limit",
+            scale="pitch/time",
+            unlimited=UNLIMITED,
+        ),
+        Parameter(
+            "threshold",
+            "deg",
+            4.0,
+            1.0 / 150.0,
+            4.0,
+            "pitch error from which speed is full",
+            0.3,
+            limit_form="no threshold",
+            scale="pitch",
+        ),
+        Parameter(
+            "accuracy",
+            "deg",
+            0.0,
+            0.0,
+            0.1,
+            "pitch error within which the motor is off",
+            0.01,
+            limit_form="never off",
+            scale="pitch",
+        ),
     ),
     off={"slowest": 0.0, "full": UNLIMITED, "accuracy": 0.0},
-    probe={"slowest": 2.0, "full": 9.0, "threshold": 3.0, "accuracy": 0.15},
+    probe={"slowest": 1.0 / 15.0, "full": 0.3, "threshold": 0.2, "accuracy": 0.01},
     largest_step=0.002,
     contains={"pitch_rate_limit": {"full": "rate"}, "pitch_stop_band": {"accuracy": "half_width"}},
 )

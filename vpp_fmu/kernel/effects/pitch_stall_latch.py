@@ -40,17 +40,34 @@ EFFECT = Effect(
     "the pitch motor turns off when it is slow for too long",
     _step,
     parameters=(
-        Parameter("speed", "deg/s", 0.0, 0.0, 15.0, "rate of pitch below which the motor counts as stalled"),
+        Parameter("speed", "deg/s", 0.0, 0.0, 0.5, "rate of pitch below which the motor counts as stalled", scale="pitch/time"),
         Parameter(
-            "time", "s", 0.3, 0.0, 2.0, "time for which it must be stalled before it turns off", 0.1, limit_form="at once"
+            "time",
+            "s",
+            0.6,
+            0.0,
+            4.0,
+            "time for which it must be stalled before it turns off",
+            0.2,
+            limit_form="at once",
+            scale="time",
         ),
-        Parameter("accuracy", "deg", 0.1, 0.0, 1.5, "pitch error within which it is at its goal and not stalled", 0.1),
+        Parameter(
+            "accuracy",
+            "deg",
+            1.0 / 150.0,
+            0.0,
+            0.1,
+            "pitch error within which it is at its goal and not stalled",
+            0.01,
+            scale="pitch",
+        ),
     ),
     states=(
         State("slow_for", "s", "time for which the motor has been slow", _nothing),
         State("latched", "1", "direction in which the motor is turned off: 1 up, -1 down, 0 none", _nothing),
     ),
     off={"speed": 0.0},
-    probe={"speed": 3.0, "time": 0.125},
+    probe={"speed": 0.1, "time": 0.25},
     largest_step=0.002,
 )

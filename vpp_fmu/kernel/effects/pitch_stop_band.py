@@ -23,10 +23,10 @@ EFFECT = Effect(
     "the pitch motor is off near its goal",
     _step,
     parameters=(
-        Parameter("half_width", "deg", 0.0, 0.0, 1.5, "pitch error within which the motor is off"),
+        Parameter("half_width", "deg", 0.0, 0.0, 0.1, "pitch error within which the motor is off", scale="pitch"),
         WHICH_LAG,
     ),
     off={"half_width": 0.0},
-    probe={"half_width": 0.45},
+    probe={"half_width": 0.03},
     largest_step=0.002,
 )

@@ -48,13 +48,13 @@ EFFECT = Effect(
     "the pitch motor stops near its goal and restarts farther off",
     _step,
     parameters=(
-        Parameter("stop", "deg", 0.0, 0.0, 0.75, "pitch error at which the running motor stops", 0.1),
-        Parameter("restart", "deg", 0.0, 0.0, 4.5, "pitch error at which the stopped motor starts"),
+        Parameter("stop", "deg", 0.0, 0.0, 0.05, "pitch error at which the running motor stops", 0.01, scale="pitch"),
+        Parameter("restart", "deg", 0.0, 0.0, 0.3, "pitch error at which the stopped motor starts", scale="pitch"),
         WHICH_LAG,
     ),
     states=(State("running", "1", "1 while the motor runs, else 0", lambda ops, s, p: 0.0),),
     off={"stop": 0.0, "restart": 0.0},
-    probe={"stop": 0.15, "restart": 0.9},
+    probe={"stop": 0.01, "restart": 0.06},
     largest_step=0.002,
     contains={"pitch_stop_band": {"stop": "half_width", "restart": "half_width"}},
 )

@@ -8,6 +8,8 @@ In form 2 the command and the inner lag go on beyond the stop; the blades leave 
 
 from vpp_fmu.kernel.types import Effect, Parameter
 
+ANY = 180.0  # deg; half a turn
+
 
 def _step(ops, s, x, p, dt):
     command = ops.where(p.form < 1.5, ops.clip(s.beta_ref, p.minimum, p.maximum), s.beta_ref)
@@ -19,11 +21,33 @@ EFFECT = Effect(
     "blade pitch can't leave a range",
     _step,
     parameters=(
-        Parameter("minimum", "deg", -60.0, -60.0, 0.5, "least pitch of the blades; -60: any", 10.0, limit_form="no limit"),
-        Parameter("maximum", "deg", 60.0, 1.0, 60.0, "greatest pitch of the blades; 60: any", 10.0, limit_form="no limit"),
+        Parameter(
+            "minimum",
+            "deg",
+            -ANY,
+            -ANY,
+            0.4,
+            "least pitch of the blades; -180: any",
+            0.7,
+            limit_form="no limit",
+            scale="position",
+            unlimited=-ANY,
+        ),
+        Parameter(
+            "maximum",
+            "deg",
+            ANY,
+            0.4,
+            ANY,
+            "greatest pitch of the blades; 180: any",
+            0.7,
+            limit_form="no limit",
+            scale="position",
+            unlimited=ANY,
+        ),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 limits the command, 2 stops the blades on their way", choices=(1.0, 2.0)),
     ),
-    off={"minimum": -60.0, "maximum": 60.0},
-    probe={"minimum": -3.0, "maximum": 7.0},
+    off={"minimum": -ANY, "maximum": ANY},
+    probe={"minimum": 2.0 / 15.0, "maximum": 0.8},
     largest_step=0.002,
 )

@@ -23,7 +23,7 @@ EFFECT = Effect(
     _step,
     parameters=(
         Parameter("share", "1", 0.0, -0.4, 0.4, "share of thrust that is lost in the end; below 0: gained (ground)", 0.1),
-        Parameter("time_constant", "s", 2.0, 0.8, 15.0, "time constant of the circulation"),
+        Parameter("time_constant", "s", 4.0, 1.6, 30.0, "time constant of the circulation", 4.0, scale="time"),
     ),
     states=(
         State("wake", "N", "thrust that has set air in motion", _at_thrust),

@@ -23,7 +23,16 @@ EFFECT = Effect(
     "the rotor shakes the load cell once a revolution",
     _step,
     parameters=(
-        Parameter("amplitude", "N", 0.0, 0.0, 0.3, "amplitude of the vibration in the reading, at full speed (w = 1)", 0.1),
+        Parameter(
+            "amplitude",
+            "N",
+            0.0,
+            0.0,
+            0.1,
+            "amplitude of the vibration in the reading, at full speed (w = 1)",
+            0.01,
+            scale="thrust",
+        ),
         Parameter("phase", "deg", 0.0, -180.0, 180.0, "phase of the vibration at the start", 90.0),
     ),
     states=(
@@ -31,6 +40,6 @@ EFFECT = Effect(
         State("omega_before", "rpm", "rotor speed at the start of the step", lambda ops, s, p: s.omega),
     ),
     off={"amplitude": 0.0},
-    probe={"amplitude": 0.1},
+    probe={"amplitude": 0.1 / 15.0},
     largest_step=0.002,
 )

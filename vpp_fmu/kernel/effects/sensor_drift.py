@@ -18,11 +18,11 @@ EFFECT = Effect(
     "offset and warm-up drift of the thrust reading",
     _step,
     parameters=(
-        Parameter("offset", "N", 0.0, -1.5, 1.5, "thrust reading without thrust, at the start", 0.1),
-        Parameter("rate", "N/s", 0.0, -0.03, 0.03, "drift of the thrust reading at the start", 0.003),
+        Parameter("offset", "N", 0.0, -0.1, 0.1, "thrust reading without thrust, at the start", 0.01, scale="thrust"),
+        Parameter("rate", "N/s", 0.0, -0.002, 0.002, "drift of the thrust reading at the start", 0.0002, scale="thrust"),
         Parameter("time_constant", "s", 1000.0, 10.0, 1000.0, "time constant of the warm-up", 100.0, limit_form="a line"),
     ),
     states=(State("drift", "N", "drift of the thrust reading so far", lambda ops, s, p: 0.0),),
     off={"offset": 0.0, "rate": 0.0},
-    probe={"offset": 0.1, "rate": 0.003},
+    probe={"offset": 0.1 / 15.0, "rate": 0.0002},
 )

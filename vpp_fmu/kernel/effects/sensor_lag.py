@@ -23,12 +23,14 @@ EFFECT = Effect(
     "sensor_lag",
     "the thrust reading lags behind the thrust",
     _step,
-    parameters=(Parameter("time_constant", "s", 0.0, 0.0, 0.3, "time constant of the thrust reading; 0: none", 0.05),),
+    parameters=(
+        Parameter("time_constant", "s", 0.0, 0.0, 0.6, "time constant of the thrust reading; 0: none", 0.1, scale="time"),
+    ),
     states=(
         State("reading", "N", "thrust reading", _at_thrust),
         State("thrust_before", "N", "thrust at the start of the step", _at_thrust),
     ),
     off={"time_constant": 0.0},
-    probe={"time_constant": 0.05},
+    probe={"time_constant": 0.1},
     largest_step=0.002,
 )

@@ -9,8 +9,8 @@ from vpp_fmu.kernel.types import Effect, Parameter
 EFFECT = Effect(
     "speed_delay",
     "dead time between the speed command and the motor",
-    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.3, "time by which the speed command acts late", 0.05),),
+    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.6, "time by which the speed command acts late", 0.1, scale="time"),),
     off={"delay": 0.0},
-    probe={"delay": 0.04},
+    probe={"delay": 0.08},
     delays={"omega_ref": "delay"},
 )

@@ -1,6 +1,6 @@
 """The rotor answers faster at high speed: its drag, and with it its damping, grows with speed.
 
-    tau / f(x) dx/dt = input - x,   f(x) = max(1 + sensitivity (x - 4000 rpm), 0.2)
+    tau / f(x) dx/dt = input - x,   f(x) = max(1 + sensitivity (x - 2/3 omega_scale), 0.2)
 
 Quadratic drag linearised at the present speed (paper, below eq. 10: tau = J / (k_omega + C_Q)). With f linear in x this is a
 logistic equation with a closed form: with f before (at x) and ahead (at the input), g = 1 - exp(-ahead dt / tau),
@@ -13,15 +13,15 @@ Exact for a held input as long as both are above the floor of 0.2, which keeps t
 from vpp_fmu.kernel.effects.stage import WHICH_LAG, bent, stage
 from vpp_fmu.kernel.types import Effect, Parameter
 
-PIVOT = 4000.0  # rpm, two thirds of the paper's range
+PIVOT = 2.0 / 3.0  # of full speed: the middle of the paper's range
 FLOOR = 0.2
 
 
 def _step(ops, s, x, p, dt):
-    lag = stage(ops, s, "omega", p.form)
+    lag, pivot = stage(ops, s, "omega", p.form), PIVOT * s.omega_scale
     plain = ops.gain(lag.tau, dt)
-    before = ops.maximum(1.0 + p.sensitivity * (lag.value - PIVOT), FLOOR)
-    ahead = ops.maximum(1.0 + p.sensitivity * (lag.value + lag.distance / plain - PIVOT), FLOOR)
+    before = ops.maximum(1.0 + p.sensitivity * (lag.value - pivot), FLOOR)
+    ahead = ops.maximum(1.0 + p.sensitivity * (lag.value + lag.distance / plain - pivot), FLOOR)
     g = ops.gain(lag.tau / ahead, dt)
     factor = before * g / (ahead + (before - ahead) * g) / plain
     return bent(ops, s, "omega", p.form, lag.distance * factor, dt, lag.tau / before), {}
@@ -32,10 +32,19 @@ EFFECT = Effect(
     "the rotor's time constant changes with speed",
     _step,
     parameters=(
-        Parameter("sensitivity", "1/rpm", 0.0, -2.5e-4, 4.2e-4, "relative gain in quickness per speed over 4000 rpm", 1e-4),
+        Parameter(
+            "sensitivity",
+            "1/rpm",
+            0.0,
+            -1.5,
+            2.5,
+            "relative gain in quickness per speed over two thirds of full",
+            0.6,
+            scale="1/speed",
+        ),
         WHICH_LAG,
     ),
     off={"sensitivity": 0.0},
-    probe={"sensitivity": 1.5e-4},
+    probe={"sensitivity": 0.9},
     largest_step=0.002,
 )

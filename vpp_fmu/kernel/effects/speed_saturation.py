@@ -8,7 +8,7 @@ In form 2 the command and the inner lag go on beyond the limit; the rotor leaves
 
 from vpp_fmu.kernel.types import Effect, Parameter
 
-UNLIMITED = 60000.0  # rpm
+UNLIMITED = 1e6  # rpm; no rotor gets there
 
 
 def _step(ops, s, x, p, dt):
@@ -21,10 +21,20 @@ EFFECT = Effect(
     "rotor speed can't exceed a limit",
     _step,
     parameters=(
-        Parameter("maximum", "rpm", UNLIMITED, 3600.0, UNLIMITED, "greatest speed of the rotor; 60000: no limit", 6000.0),
+        Parameter(
+            "maximum",
+            "rpm",
+            UNLIMITED,
+            0.3,
+            UNLIMITED,
+            "greatest speed of the rotor; 1000000: no limit",
+            1.0,
+            scale="speed",
+            unlimited=UNLIMITED,
+        ),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 limits the command, 2 the rotor on its way", choices=(1.0, 2.0)),
     ),
     off={"maximum": UNLIMITED},
-    probe={"maximum": 5400.0},
+    probe={"maximum": 0.9},
     largest_step=0.002,
 )

@@ -19,9 +19,9 @@ EFFECT = Effect(
     _step,
     parameters=(
         Parameter("share", "1", 0.0, 0.0, 2.0, "relative change of speed over relative change of voltage"),
-        Parameter("nominal", "V", 24.0, 5.0, 100.0, "voltage at which speed is as commanded", 24.0),
+        Parameter("nominal", "V", 24.0, 1.0, 1000.0, "voltage at which speed is as commanded", 24.0),
     ),
     off={"share": 0.0},
     probe={"share": 0.5},
-    inputs=(Signal("voltage", "V", "supply voltage", 0.0, 100.0, 24.0, start=24.0),),
+    inputs=(Signal("voltage", "V", "supply voltage", 0.0, 1000.0, 24.0, start=24.0),),
 )

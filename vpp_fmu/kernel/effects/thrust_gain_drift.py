@@ -25,7 +25,7 @@ EFFECT = Effect(
     "thrust changes as the rig warms up",
     _step,
     parameters=(
-        Parameter("rate", "1/s", 0.0, -0.005, 0.005, "relative drift of thrust per time, at the start", 0.0005),
+        Parameter("rate", "1/s", 0.0, -0.05, 0.05, "relative drift of thrust per time, at the start", 0.0005),
         Parameter("time_constant", "s", 1000.0, 10.0, 1000.0, "time constant of the warm-up", 100.0, limit_form="a line"),
         Parameter("form", "1", 1.0, 1.0, 2.0, "1 warms up with time, 2 with load", choices=(1.0, 2.0)),
     ),

@@ -1,0 +1,56 @@
+"""The sizes by which a rig's quantities are measured: what an effect declares in shares becomes absolute for one rig.
+
+A threshold of a tenth of the pitch's span means the same for a micro rotor and for one of two metres. A parameter that goes
+with the rig names its scale, a product of the words speed, pitch, thrust and time such as "speed.time/pitch"; its default,
+bounds and nominal are shares of that. Two words stand alone: a "position" of pitch counts from the pitch that is 0 when
+normalised; an "offset" is what is added to a pitch before it is normalised.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+
+WORDS = {"speed": "omega_scale", "pitch": "beta_scale", "thrust": "thrust_scale", "time": "time_scale"}
+"""What each word of a declared scale stands for."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of a rig. The paper's are the defaults.
+
+    `omega_scale` [rpm], `beta_scale` [deg], `beta_offset` [deg] and `thrust_scale` [N] normalise the thrust map and are
+    parameters of plant and controller; `time_scale` [s], about how long a step takes, only sizes bounds and searches.
+    """
+
+    omega_scale: float = 6000.0
+    beta_scale: float = 15.0
+    beta_offset: float = 5.0
+    thrust_scale: float = 15.0
+    time_scale: float = 0.5
+
+    def absolute(self, share: float, scale: str) -> float:
+        """A share of a declared scale in the quantity's own unit; "" leaves it as it is. KeyError names a word not known."""
+        if scale == "":
+            return share
+        if scale == "position":
+            return share * self.beta_scale - self.beta_offset
+        if scale == "offset":
+            return share * self.beta_scale + self.beta_offset
+        return share * self._factor(scale)
+
+    def _factor(self, scale: str) -> float:
+        factor = 1.0
+        above, *below = scale.split("/")
+        for power, product in ((1, above), *((-1, words) for words in below)):
+            for word in product.split("."):
+                size = 1.0 if word == "1" else getattr(self, WORDS[word])
+                factor = factor * size if power > 0 else factor / size
+        return factor
+
+    def following(self, values: Mapping[str, float]) -> "Scales":
+        """These scales with those among parameter `values` in their place."""
+        own = asdict(self)
+        return replace(self, **{name: float(values[name]) for name in own if name in values})
+
+
+PAPER = Scales()
+"""The paper's rig: 6000 rpm, -5 to 10 deg, 15 N; its pitch takes half a second."""

@@ -1,0 +1,201 @@
+"""The rig: what it may do, and the scales of its normalised quantities; declared in `rig.json` or inferred from a campaign."""
+
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
+from vpp_fmu.kernel.scales import PAPER, Scales
+from vpp_fmu.record import Record
+
+FORMAT = "vpp-rig/1"
+FILE = "rig.json"
+
+RANGES = {"speed": OMEGA_REF, "pitch": BETA_REF, "thrust": THRUST}
+SLEWS = {"speed": "rpm/s", "pitch": "deg/s"}
+
+ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""Leading digits of a round number."""
+
+PAPERS_SIZE = 2.0
+"""A rig is of the paper's size, and keeps the paper's scales, while no quantity is this many times larger or smaller."""
+
+NEUTRAL = 0.25
+"""Share of the whole measured pitch below the pitch that is 0 when normalised; the rest is 1. The paper's -5 of -10..10 deg."""
+
+DECLARED, MEASURED, ASSUMED = "rig.json", "the campaign", "the model's scales"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a rig may do: ranges (least, greatest) of commanded `speed` [rpm], `pitch` [deg] and of `thrust` [N]; the steepest
+    commands, `speed_slew` [rpm/s] and `pitch_slew` [deg/s], infinite where steps are allowed.
+
+    A range of one value (a fixed pitch) has equal ends. `origin`: by entry, where it comes from.
+    """
+
+    name: str = ""
+    speed: tuple[float, float] = (PAPER.omega_scale / 3.0, PAPER.omega_scale)
+    pitch: tuple[float, float] = (PAPER.absolute(0.0, "position"), PAPER.absolute(1.0, "position"))
+    thrust: tuple[float, float] = (0.0, PAPER.thrust_scale)
+    speed_slew: float = math.inf
+    pitch_slew: float = math.inf
+    scales: Scales = PAPER
+    origin: Mapping[str, str] = field(default_factory=dict)
+
+    def summary(self) -> dict:
+        """The content of a rig.json, with `origin` beside it: for parameters.json and the reports."""
+        ranges = {n: {"min": getattr(self, n)[0], "max": getattr(self, n)[1], "unit": s.unit} for n, s in RANGES.items()}
+        slews = {n: getattr(self, f"{n}_slew") for n in SLEWS}
+        return {
+            "format": FORMAT,
+            **({"name": self.name} if self.name else {}),
+            **ranges,
+            "slew": {n: v for n, v in slews.items() if math.isfinite(v)},
+            "scales": asdict(self.scales),
+            "origin": dict(self.origin),
+        }
+
+    def lines(self) -> list[str]:
+        """In words, entry by entry, with where each comes from."""
+        found = []
+        for name, signal in RANGES.items():
+            low, high = getattr(self, name)
+            found.append(f"{name} {low:.6g} to {high:.6g} {signal.unit} ({self.origin.get(name, ASSUMED)})")
+        for name, unit in SLEWS.items():
+            if math.isfinite(slew := getattr(self, f"{name}_slew")):
+                found.append(f"slew of {name} {slew:.6g} {unit} ({self.origin.get(f'{name}_slew', ASSUMED)})")
+        s = self.scales
+        text = f"w = omega / {s.omega_scale:g} rpm, b = (beta {s.beta_offset:+g} deg) / {s.beta_scale:g} deg, "
+        return [*found, f"{text}T = thrust / {s.thrust_scale:g} N ({self.origin.get('scales', ASSUMED)})"]
+
+    def timed(self, seconds: float) -> "Rig":
+        """The rig with its `time_scale` [s], rounded."""
+        return replace(self, scales=replace(self.scales, time_scale=rounded(seconds)))
+
+
+def rounded(size: float) -> float:
+    """The round number nearest to a positive size, by ratio."""
+    power = 10.0 ** math.floor(math.log10(size))
+    return min((d * power for d in ROUND), key=lambda r: abs(math.log(r / size)))
+
+
+def rounded_up(size: float) -> float:
+    """The least round number that is no smaller than a positive size."""
+    power = 10.0 ** math.floor(math.log10(size))
+    return next(d * power for d in ROUND if d * power >= size * (1.0 - 1e-9))
+
+
+def rig_of(scales: Scales, source: Mapping) -> Rig:
+    """The rig that a parameter file speaks of: what its `source` tells of it, else what the model's scales span."""
+    if isinstance(told := source.get("rig"), dict) and told.get("format") == FORMAT:
+        content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
+        declared = _entries("parameters.json, source, rig", content)
+        return replace(Rig(scales=scales, origin=dict(told.get("origin", {}))), **declared)
+    speed, pitch = (scales.omega_scale / 3.0, scales.omega_scale), tuple(scales.absolute(x, "position") for x in (0.0, 1.0))
+    return Rig(speed=speed, pitch=pitch, thrust=(0.0, scales.thrust_scale), scales=scales)
+
+
+def read_rig(path: str | os.PathLike) -> dict:
+    """The entries of a rig.json as fields of a `Rig`, those of its scales under `scales`. BadInput names the field."""
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as error:
+        raise BadInput(path, "file", f"no JSON ({error})", "an object as the contract's rig.json") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else content
+        raise BadInput(path, "format", json.dumps(found), json.dumps(FORMAT))
+    return _entries(path, content)
+
+
+def _entries(path: str | os.PathLike, content: Mapping) -> dict:
+    known = ("format", "name", *RANGES, "slew", "scales")
+    for name in content:
+        if name not in known:
+            raise BadInput(path, name, "a field that is not known", ", ".join(known))
+    found: dict = {}
+    if "name" in content:
+        found["name"] = str(content["name"])
+    for name, signal in RANGES.items():
+        if name in content:
+            entry = _object(path, name, content[name], ("min", "max", "unit"))
+            if entry.get("unit", signal.unit) != signal.unit:
+                raise BadInput(path, f"{name}, unit", json.dumps(entry["unit"]), f'"{signal.unit}"')
+            ends = [_number(path, f"{name}, {end}", entry.get(end), signal.minimum, signal.maximum) for end in ("min", "max")]
+            if ends[0] > ends[1]:
+                raise BadInput(path, f"{name}, max", f"{ends[1]:g}", f"at least its min, {ends[0]:g} {signal.unit}")
+            found[name] = tuple(ends)
+    slews = _object(path, "slew", content.get("slew", {}), tuple(SLEWS))
+    found |= {f"{n}_slew": _number(path, f"slew, {n}", v, 1e-6, 1e9) for n, v in slews.items()}
+    scales = _object(path, "scales", content.get("scales", {}), tuple(asdict(PAPER)))
+    positive = {
+        n: _number(path, f"scales, {n}", v, *((-1e3, 1e3) if n == "beta_offset" else (1e-6, 1e6))) for n, v in scales.items()
+    }
+    return found | ({"scales": positive} if positive else {})
+
+
+def _object(path, name: str, found: object, known: tuple[str, ...]) -> dict:
+    if not isinstance(found, dict):
+        raise BadInput(path, name, json.dumps(found), "an object in braces { }")
+    for key in found:
+        if key not in known:
+            raise BadInput(path, f"{name}, {key}", "a field that is not known", ", ".join(known))
+    return found
+
+
+def _number(path, name: str, found: object, low: float, high: float) -> float:
+    if isinstance(found, bool) or not isinstance(found, int | float) or not low <= found <= high:
+        raise BadInput(path, name, json.dumps(found), f"a number from {low:g} to {high:g}")
+    return float(found)
+
+
+def infer_rig(records: Iterable[Record], grid: Mapping[str, np.ndarray] | None, declared: Mapping) -> Rig:
+    """The rig that `records` and a `grid` of steady points (columns by name; None) were measured on.
+
+    `declared`: what a rig.json says (`read_rig`), which goes first. At least one record or the grid must be there.
+    """
+    records = list(records)
+    columns = [r.columns for r in records] + ([grid] if grid is not None else [])
+    speed, pitch = (_span(c[f"{u}_ref"] for c in columns) for u in ("omega", "beta"))
+    thrust = _span((c["thrust"] for c in columns if "thrust" in c), cut=0.001)
+    measured = {"speed": speed, "pitch": pitch, "thrust": thrust}
+    given = {n: v for n, v in declared.items() if n != "scales"}
+    scales, kind = _inferred(speed, pitch, thrust)
+    own = dict(declared.get("scales", {}))
+    origin = {**dict.fromkeys(measured, MEASURED), **dict.fromkeys(given, DECLARED), "scales": kind}
+    if own:
+        origin["scales"] = f"{', '.join(own)}: {DECLARED}" + ("" if set(asdict(PAPER)) <= {*own, "time_scale"} else f"; {kind}")
+    return Rig(**{**measured, **given}, scales=replace(scales, **own), origin=origin)
+
+
+def _span(columns: Iterable[np.ndarray], cut: float = 0.0) -> tuple[float, float]:
+    """Least and greatest of the finite values, without a share `cut` at each end."""
+    values = np.concatenate([np.asarray(c, float)[np.isfinite(np.asarray(c, float))] for c in columns] or [np.zeros(1)])
+    low, high = np.quantile(values, [cut, 1.0 - cut]) if len(values) else (0.0, 0.0)
+    return float(low), float(high)
+
+
+def _inferred(speed: tuple[float, float], pitch: tuple[float, float], thrust: tuple[float, float]) -> tuple[Scales, str]:
+    """(scales, in words where they come from)."""
+    top, force = max(speed[1], 1e-3), max(abs(thrust[0]), abs(thrust[1]), 1e-6)
+    low, high = ((beta + PAPER.beta_offset) / PAPER.beta_scale for beta in pitch)
+    half = PAPERS_SIZE / 4.0
+    fits = -half <= low <= high <= 1.0 + half
+    sizes = (top / PAPER.omega_scale, force / PAPER.thrust_scale)
+    if fits and all(1.0 / PAPERS_SIZE <= size <= PAPERS_SIZE for size in sizes):
+        return PAPER, "the paper's, whose size it has"
+    span = pitch[1] - pitch[0]
+    if span > 0.0:
+        beta_scale = rounded_up((1.0 - NEUTRAL) * span)
+        neutral = float(round(pitch[0] + NEUTRAL * span)) if span > 4.0 else pitch[0] + NEUTRAL * span
+    else:
+        beta_scale = PAPER.beta_scale
+        neutral = -PAPER.beta_offset if fits else float(round(pitch[0])) - 0.5 * beta_scale
+    scales = Scales(rounded_up(top), beta_scale, 0.0 - neutral, rounded_up(force))
+    return scales, "round numbers for what was measured"
