@@ -88,6 +88,11 @@ class Diagnosis:
         """The record to show: the unseen one where there is one, else the first that was fitted."""
         return self.unseen.record if self.unseen is not None else self.fitted[0].record
 
+    @property
+    def shown_name(self) -> str:
+        """Of the record to show."""
+        return self.unseen.name if self.unseen is not None else self.fitted[0].name
+
     def parameters(self, fit: Fit) -> ParameterSet:
         """A fit's parameters as a set that exports; a channel's lags that nothing tells apart stand with the slower first."""
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}

@@ -1,16 +1,15 @@
 """Lack of fit: whether a model leaves more than noise, tested in two ways that need no name for what is missing.
 
-Pure error: what two records of the same commands share beyond the model is the model's error, whatever the noise is. Their
-cross-spectrum is summed in bands below 10 Hz; the sum's variance follows from their own periodograms. Score test: generic
+Pure error: what records of the same commands share beyond the model is the model's error, whatever the noise is. Their
+mean's power is held against that of their differences in bands below 10 Hz (analysis of variance). Score test: generic
 shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
 left is larger than the least size of interest.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import f as f_distribution
 
 from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.following import Following, following
@@ -22,7 +21,7 @@ EDGES = (0.0, 0.1, 0.3, 1.0, 3.0, SLOW)
 """Hz: bands of half a decade."""
 
 FEWEST = 12
-"""Ordinates of a band, at least: their sum is then near enough to normal."""
+"""Ordinates of a band, at least: a band with less says little."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def _score_size(fit: Fit, score: Following) -> float:
 
 
 def pure_error(fit: Fit) -> tuple[Band, ...]:
-    """Pure error of the thrust in bands, over all experiments with a repeat; of more than two records every pair counts."""
+    """Pure error of the thrust in bands, over all experiments with a repeat."""
     simulator, found = Simulator(fit.evidence.model), {}
     for e in fit.evidence.experiments:
         if len(e.records) < 2:
@@ -97,23 +96,19 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
         shown = simulator.simulate(fit.values, e.record.columns, e.record.steps)[:, 0]
         at = blocks(e.record, 0.5 / SLOW)
         kept = at.time >= e.skip
-        errors = [_filled(at.mean(shown - r.record["thrust"])[kept]) for r in e.records]
-        step = float(np.median(np.diff(at.time)))
-        for first, second in _pairs(errors):
-            products, powers = _cross(first, second)
-            frequency = np.fft.rfftfreq(len(first), step)
-            for low, high, inside in _bands(frequency):
-                total = found.setdefault((low, high), [0.0, 0.0])
-                total[0] += float(products[inside].sum())
-                total[1] += float(powers[inside].sum())
-    return tuple(
-        Band(low, high, power, float(np.sqrt(variance)), float(norm.sf(power / np.sqrt(variance))) if variance > 0.0 else 1.0)
-        for (low, high), (power, variance) in found.items()
-    )
+        errors = np.stack([_filled(at.mean(shown - r.record["thrust"])[kept]) for r in e.records])
+        between, within = spectra(errors)
+        for low, high, inside in _bands(np.fft.rfftfreq(errors.shape[1], float(np.median(np.diff(at.time))))):
+            degrees, count = 2.0 * inside.sum(), len(errors)
+            total = found.setdefault((low, high, count), np.zeros(4))
+            total += between[inside].sum(), within[inside].sum(), degrees, degrees * (count - 1)
+    return tuple(_band(low, high, count, *total) for (low, high, count), total in found.items())
 
 
-def _pairs(errors: Sequence[np.ndarray]):
-    return [(errors[i], errors[k]) for i in range(len(errors)) for k in range(i)]
+def _band(low: float, high: float, count: int, between: float, within: float, degrees: float, within_degrees: float) -> Band:
+    power, error = (between - within) / count, within * np.sqrt(2.0 / degrees + 2.0 / within_degrees) / count
+    p = float(f_distribution.sf(between / within, degrees, within_degrees)) if within > 0.0 else 1.0
+    return Band(low, high, float(power), float(error), p)
 
 
 def _filled(means: np.ndarray) -> np.ndarray:
@@ -121,15 +116,21 @@ def _filled(means: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(means), means - np.nanmean(means), 0.0)
 
 
-def _cross(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(power [N^2] that two residuals share, its variance where they share none), by frequency; they sum to the mean product."""
-    one, other, n = np.fft.rfft(first), np.fft.rfft(second), len(first)
-    twice = np.full(len(one), 2.0)
+def spectra(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(power of the mean of records times their number, power about the mean), each (frequencies,) N^2, of `errors` (records, n).
+
+    The analysis of variance, frequency by frequency: of noise alone both are the noise's power, and independent; sums over M
+    ordinates have a ratio with the distribution F(2 M, 2 M (records - 1)). Over all frequencies they sum to mean squares.
+    """
+    count, n = errors.shape
+    x = np.fft.rfft(errors, axis=1)
+    twice = np.full(x.shape[1], 2.0)
     twice[0] = 1.0
     if n % 2 == 0:
         twice[-1] = 1.0
-    products = twice * (one * other.conj()).real / n**2
-    return products, (twice / n**2) ** 2 * np.abs(one) ** 2 * np.abs(other) ** 2 / np.where(twice == 1.0, 1.0, 2.0)
+    mean = x.mean(axis=0)
+    within = np.sum(np.abs(x - mean) ** 2, axis=0) / (count - 1)
+    return twice * count * np.abs(mean) ** 2 / n**2, twice * within / n**2
 
 
 def _bands(frequency: np.ndarray):

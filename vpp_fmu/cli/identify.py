@@ -34,7 +34,7 @@ def run(options):
     folder = OutputFolder(options.output)
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         bar.set_description("read")
-        campaign, records = read_campaign(options.campaign), _records(options.record)
+        campaign, records = read_campaign(options.campaign), named_records(options.record)
         found = identify(
             campaign,
             method=options.method,
@@ -58,7 +58,7 @@ def run(options):
     say_written(folder)
 
 
-def _records(paths: list[str]) -> dict[str, Record]:
+def named_records(paths: list[str]) -> dict[str, Record]:
     """Records by the file's name; by its whole path where the name is taken."""
     records = {}
     for path in paths:
