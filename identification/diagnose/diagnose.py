@@ -23,9 +23,11 @@ from identification.diagnose.search.refits import evidence_over, looks, refitted
 from identification.diagnose.selection import Judge, Selection, select
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.verdict import verdict
+from identification.fit.coordinates import CHANNELS
 from identification.fit.tachometer import Tachometer
 from identification.fit.uncertainty import NORMAL_95
 from identification.identify import Identification, slowest
+from identification.worth.pairs import agreed_order, exchangeable
 from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY, plant
@@ -98,7 +100,16 @@ class Diagnosis:
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
         source |= {"record_seconds": float(self.fitted[0].record.time[-1]), "rig": self.rig.summary()}
         doubt = {n: s for n, s in self.doubt.items() if n in fit.values} if fit is self.final else {}
-        return ParameterSet(exportable(fit.evidence.model), source=source).replaced(fit.values, doubt)
+        renamed = agreed_order(fit.evidence.model, fit.values, self.fitted[0].record)
+        values, doubt = ({renamed.get(n, n): v for n, v in each.items()} for each in (fit.values, doubt))
+        return ParameterSet(exportable(fit.evidence.model), source=source).replaced(values, doubt)
+
+    @property
+    def lag_order(self) -> dict[str, str]:
+        """For each channel, in words, what the order of its two lags rests on in the model that ships."""
+        fit, record = self.final, self.fitted[0].record
+        free = {u: exchangeable(fit.evidence.model, fit.values, record, u) for u in CHANNELS}
+        return {u: "exchangeable, the slower first" if same else "told by the data" for u, same in free.items()}
 
     def prediction(self, fit: Fit, record: Record) -> Prediction:
         """A fit's open-loop response to a record."""

@@ -46,6 +46,7 @@ def summary(found: Diagnosis) -> dict:
         "noise_floor_verified": found.noise.verified,
         "explained_fraction": found.explained,
         "base_parameters": _shift(found),
+        "lag_order": found.lag_order,
         "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
         "cannot_be_seen": found.apart.invisible(),
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],

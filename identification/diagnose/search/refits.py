@@ -13,6 +13,9 @@ from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.look import Looks, Seen
 from vpp_fmu.native import Simulator
 
+SAME_RESPONSE = 1e-6
+"""Standard deviations of noise by which two responses may differ by rounding."""
+
 REORDERED = 3
 """Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
 
@@ -93,10 +96,20 @@ def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fi
 def _reordered(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
     """The candidate's refit, or a better one with a channel's lags in the other order."""
     orders = [{**refit.slow_first, u: not refit.slow_first.get(u, True)} for u in candidate.effect.channels]
-    if candidate.effect.delays:  # they act before both lags
+    if _exchangeable(refit, candidate.effect.channels):
         orders = []
-    starts = [*orders, refit.slow_first] if refit.thresholds else orders
+    # Beside a threshold that stood already it was scanned nearby only.
+    starts = [*orders, refit.slow_first] if fit.thresholds else orders
     return min([refit, *(added(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+
+
+def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
+    """Whether the two lags of each channel may change places: nothing stands between them that would tell."""
+    swapped = dict(fit.values)
+    for u in channels:
+        swapped |= {f"tau_{u}_1": fit.values[f"tau_{u}_2"], f"tau_{u}_2": fit.values[f"tau_{u}_1"]}
+    there = fit.evidence.residual_at(swapped) - fit.evidence.residual_at(fit.values)
+    return bool(np.max(np.abs(there[: fit.evidence.size]), initial=0.0) < SAME_RESPONSE)
 
 
 def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit]) -> Fit:
