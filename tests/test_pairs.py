@@ -27,7 +27,8 @@ SWAPPED = {"tau_beta_1": "tau_beta_2", "tau_beta_2": "tau_beta_1"}  # the paper'
         ("pitch_delay", {"delay": 0.05}, True),
         ("pitch_backlash", {"half_gap": 0.5, "form": 1.0}, True),  # behind both
         ("pitch_backlash", {"half_gap": 0.5, "form": 2.0}, False),  # between them
-        ("pitch_rate_limit", {"rate": 15.0, "form": 2.0}, False),  # in the outer one
+        ("pitch_rate_limit", {"rate": 6.0, "form": 2.0}, False),  # in the outer one
+        ("pitch_rate_limit", {"rate": 900.0, "form": 2.0}, True),  # which nothing here runs into
         ("pitch_asymmetry", {"asymmetry": 0.3}, False),
     ],
 )
