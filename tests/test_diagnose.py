@@ -229,7 +229,7 @@ def test_command_starts_from_a_given_model_and_chosen_candidates(tmp_path, capsy
 BAD_CALLS = {
     "unknown effect": (["--effects", "pitch_gremlin"], ("--effects", "pitch_gremlin", "pitch_backlash")),
     "no effect": (["--effects", ","], ("--effects", "none")),
-    "no workers": (["--workers", "0"], ("--workers", "1 or more")),
+    "no workers": (["--workers", "0"], ("--workers", "a whole number from 1")),
     "no parameter file": (["--parameters", "nowhere.json"], ("nowhere.json",)),
 }
 

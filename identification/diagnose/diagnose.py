@@ -18,14 +18,14 @@ from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.locate import locate
 from identification.diagnose.roles import Fitted, Unseen, roles
 from identification.diagnose.search.candidates import Candidate, candidates
-from identification.diagnose.search.fits import UNTOLD, Fit, Searcher
+from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, looks, refitted
 from identification.diagnose.selection import Judge, Selection, select
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
+from identification.diagnose.uncertainty import standard_deviations
 from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS
 from identification.fit.tachometer import Tachometer
-from identification.fit.uncertainty import NORMAL_95
 from identification.identify import Identification, slowest
 from identification.worth.pairs import agreed_order, exchangeable
 from identification.worth.prediction import Prediction, predict
@@ -66,7 +66,6 @@ class Diagnosis:
     verdict: str
     before: Lack
     after: Lack
-    doubt: Mapping[str, float | None]
     apart: Distinguishability
     location: Mapping
     experiment: Record
@@ -99,10 +98,19 @@ class Diagnosis:
         """A fit's parameters as a set that exports; a channel's lags that nothing tells apart stand with the slower first."""
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
         source |= {"record_seconds": float(self.fitted[0].record.time[-1]), "rig": self.rig.summary()}
-        doubt = {n: s for n, s in self.doubt.items() if n in fit.values} if fit is self.final else {}
-        renamed = agreed_order(fit.evidence.model, fit.values, self.fitted[0].record)
-        values, doubt = ({renamed.get(n, n): v for n, v in each.items()} for each in (fit.values, doubt))
+        renamed = self.renamed(fit)
+        values = {renamed.get(n, n): v for n, v in fit.values.items()}
+        doubt = standard_deviations(fit, renamed)
         return ParameterSet(exportable(fit.evidence.model), source=source).replaced(values, doubt)
+
+    def renamed(self, fit: Fit) -> dict[str, str]:
+        """Names that a fit's lags are written under, where they are not its own."""
+        return agreed_order(fit.evidence.model, fit.values, self.fitted[0].record)
+
+    @property
+    def doubt(self) -> dict[str, float | None]:
+        """Standard deviations of the parameters of the model that ships, under the names that they are written under."""
+        return standard_deviations(self.final, self.renamed(self.final))
 
     @property
     def lag_order(self) -> dict[str, str]:
@@ -185,7 +193,6 @@ def diagnose(
             verdict=word,
             before=before,
             after=after,
-            doubt=_doubt(final),
             apart=apart,
             location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
             experiment=discriminating_experiment(seed, at.rig.speed, at.rig.pitch),
@@ -288,22 +295,3 @@ def _heard(record: Record, omega: np.ndarray) -> tuple[Tachometer | None, np.nda
 
 def _times(sensor: Tachometer) -> np.ndarray:
     return sensor.rows_time(0.0, 0)[1]
-
-
-def _doubt(fit: Fit) -> dict[str, float | None]:
-    """Standard deviations of all fitted parameters, for whitened residuals; a threshold's from its interval; None where the
-    records leave open where a parameter is."""
-    free = np.flatnonzero(~fit.solution.active)
-    columns = fit.solution.jacobian[:, free]
-    size = np.linalg.norm(columns, axis=0)
-    columns, size = columns / np.where(size > 0.0, size, 1.0), np.where(size > 0.0, size, 1.0)
-    told, axes = np.linalg.eigh(columns.T @ columns)
-    known = told > UNTOLD * told[-1]
-    to_values = fit.evidence.coordinates.jacobian(fit.solution.value)[:, free] / size
-    std = np.linalg.norm(to_values @ (axes[:, known] / np.sqrt(told[known])), axis=1)
-    left_open = np.linalg.norm(to_values @ axes[:, ~known], axis=1) > np.sqrt(UNTOLD) * np.linalg.norm(to_values, axis=1)
-    found = {
-        name: None if untold else float(s)
-        for name, s, untold in zip(fit.evidence.coordinates.names, std, left_open, strict=True)
-    }
-    return found | {n: (high - low) / (2 * NORMAL_95) for n, (low, high) in fit.thresholds.items()}

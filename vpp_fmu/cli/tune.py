@@ -11,36 +11,43 @@ from identification.tune.report import tuning_page
 from identification.tune.summary import key_figures, summary
 from identification.tune.tune import Task, Tuning, tune
 from identification.worth.information import read_knowledge
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
+from vpp_fmu.cli.output import add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.files import read_text
 from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import read_profile
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
 
 RANGES = {
-    "alpha": (0.0, 1.0),
-    "overshoot": (0.01, 100.0),
-    "sensitivity": (1.1, 100.0),
-    "noise": (0.0, 100.0),
-    "delay": (0.0, 10.0),
-    "lag": (0.0, 1.0),
-    "resolution": (0.0, 10.0),
-    "draws": (1, 10000),
-    "spread": (0.0, 1.0),
+    "alpha": Number(0.0, 1.0),
+    "overshoot": Number(0.01, 100.0, "%"),
+    "sensitivity": Number(1.1, 100.0),
+    "noise": Number(0.0, 100.0, "N"),
+    "delay": Number(0.0, 10.0, "s"),
+    "lag": Number(0.0, 1.0, "s"),
+    "resolution": Number(0.0, 10.0, "N"),
+    "draws": whole(1, 10000),
+    "spread": Number(0.0, 1.0),
+    "seed": SEED,
+    "workers": WORKERS,
 }
 """What the options may be."""
 
+PAPERS = "the paper's fine-tuned set"
+"""The parameters that stand where no file is named."""
+
 
 def configure(parser):
-    def number(name, default, text, metavar="X", kind=float):
+    def number(name, default, text, metavar="X"):
         shown = "" if default is None else " (default: %(default).4g)"
-        parser.add_argument(f"--{name}", type=kind, default=default, metavar=metavar, help=text + shown)
+        parser.add_argument(f"--{name}", type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
@@ -58,26 +65,24 @@ def configure(parser):
     number("lag", 0.0, "time constant of the thrust reading in s", "S")
     number("resolution", RESOLUTION, "step of the converter in N")
     parser.add_argument("--robust", choices=("worst", "mean"), help="tune over many plants as well")
-    number("draws", 200, "plants to tune over", "N", int)
+    number("draws", 200, "plants to tune over", "N")
     number("spread", 0.1, "standard deviation, as a share, of assumed parameters and of those whose file has none")
     parser.add_argument("--knowledge", metavar="F", help="identification.json: correlation of the parameters, noise of thrust")
-    number("seed", 0, "of plants and noise", "N", int)
-    number("workers", 1, "searches that run side by side", "N", int)
+    number("seed", 0, "of plants and noise", "N")
+    number("workers", 1, "searches that run side by side", "N")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the searches on instead")
     add_output(parser)
 
 
 def run(options):
-    for name, (low, high) in RANGES.items():
-        value = getattr(options, name)
-        if value is not None and not low <= value <= high:
-            raise BadInput("command line", f"--{name}", value, f"{low:g} to {high:g}")
-    task, starts = _task(options)
-    folder = OutputFolder(options.output)
+    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    task, starts = _task(options, parameters)
+    came = {"parameters": (options.parameters or PAPERS, parameters)}
+    folder = OutputSet(options.output, "tune")
     found = tune(task, starts, options.workers, options.scheduler)
     files = {
-        "gains.json": to_json(_gains(found, "dual", options)),
-        "gains_speed_only.json": to_json(_gains(found, "speed_only", options)),
+        "gains.json": to_json(dated(_gains(found, "dual", options), **came)),
+        "gains_speed_only.json": to_json(dated(_gains(found, "speed_only", options), **came)),
         "tuning.json": as_json(summary(found)),
         "report.html": tuning_page(found).html(),
     }
@@ -86,14 +91,15 @@ def run(options):
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     print(f"tuned in {found.seconds:.1f} s")
-    say_written(folder)
+    say_written(folder, parameters)
 
 
-def _task(options) -> tuple[Task, dict[str, dict[str, float]]]:
-    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+def _task(options, parameters: ParameterSet) -> tuple[Task, dict[str, dict[str, float]]]:
     base = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
     assumed = dict(_assumed(text, parameters) for text in options.assume)
     knowledge = read_knowledge(options.knowledge) if options.knowledge else None
+    if options.knowledge:
+        check_same_model(options.knowledge, parameters, options.parameters or PAPERS)
     period = base.values["sample_time"]
     if options.delay > LONGEST * period:
         raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
@@ -151,7 +157,6 @@ def _gains(found: Tuning, name: str, options) -> ParameterSet:
     tuned = found.tuned[name]
     source = {
         "made_by": "vpp tune",
-        "parameters": options.parameters,
         "assumed": {n: found.task.parameters.values[n] for n in found.task.assumed},
         "robust": options.robust,
         "cost": tuned.cost(list(tuned.gains)[-1]),

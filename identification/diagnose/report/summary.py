@@ -122,8 +122,10 @@ def _given(found: Diagnosis) -> dict:
 
 
 def _shift(found: Diagnosis) -> dict:
+    before, after = (found.parameters(fit).values for fit in (found.base, found.final))
+    doubt = found.doubt
     names = found.base.evidence.coordinates.names
-    return {n: {"before": found.base.values[n], "after": found.final.values[n], "std": found.doubt.get(n)} for n in names}
+    return {n: {"before": before[n], "after": after[n], "std": doubt.get(n)} for n in names}
 
 
 def _tried(found: Diagnosis, tried: Tried) -> dict:
