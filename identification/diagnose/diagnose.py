@@ -148,7 +148,7 @@ def diagnose(
             doubt=_doubt(final),
             apart=apart,
             location=locate(campaign, shown.thrust, shown.omega, shown.beta),
-            experiment=discriminating_experiment(seed, at.rig.speed, at.rig.pitch),
+            experiment=discriminating_experiment(at.rig, seed, campaign.open_loop.period),
             held=tuple(held),
             held_before=seen(before, unseen),
             held_after=seen(final, unseen),

@@ -48,6 +48,7 @@ def run(options):
     print(headline(found))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")
+    print(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     if options.empirical:
         print(correction.told if correction else "empirical: nothing to correct, an effect explains the error or there is none")
     say_written(folder)

@@ -28,7 +28,7 @@ def run(options):
         raise BadInput("command line", "--seconds", f"{options.seconds:g} s", "1 to 3600 s")
     if not 0 <= options.load <= 64:
         raise BadInput("command line", "--load", options.load, "0 to 64")
-    setup, folder = hil_options.setup_of(options), OutputFolder(options.output)
+    setup, folder = hil_options.setup_of(options, turning=False), OutputFolder(options.output)
     found = selftest(setup, options.seconds, folder.path, options.load)
     told = found.session.told()
     told |= {"load": options.load, "checks": [{"what": c.what, "good": c.good, "found": c.found} for c in found.checks]}
