@@ -99,13 +99,18 @@ class Rig:
 def rounded(size: float) -> float:
     """The round number nearest to a positive size, by ratio."""
     power = 10.0 ** math.floor(math.log10(size))
-    return min((d * power for d in ROUND), key=lambda r: abs(math.log(r / size)))
+    return _tidy(min((d * power for d in ROUND), key=lambda r: abs(math.log(r / size))))
 
 
 def rounded_up(size: float) -> float:
     """The least round number that is no smaller than a positive size."""
     power = 10.0 ** math.floor(math.log10(size))
-    return next(d * power for d in ROUND if d * power >= size * (1.0 - 1e-9))
+    return _tidy(next(d * power for d in ROUND if d * power >= size * (1.0 - 1e-9)))
+
+
+def _tidy(number: float) -> float:
+    """0.3 for 3 times a tenth."""
+    return float(f"{number:.6g}")
 
 
 def declared_rig(path: str | os.PathLike, rest: Rig | None = None) -> Rig:

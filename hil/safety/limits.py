@@ -163,10 +163,11 @@ class Limited(NamedTuple):
 
 
 class Limiter:
-    """Holds commands to the limits, one tick after another. It starts at `omega_ref` [rpm], `beta_ref` [deg]."""
+    """Holds commands to the limits, one tick after another. It starts at `omega_ref` [rpm], `beta_ref` [deg], from where it
+    comes into the ranges along the slopes: a rotor stands at first, and blades may rest where they never work."""
 
     def __init__(self, limits: Limits, omega_ref: float = 0.0, beta_ref: float = 0.0):
-        self.limits, self._omega, self._beta = limits, omega_ref, min(max(beta_ref, limits.beta_min), limits.beta_max)
+        self.limits, self._omega, self._beta = limits, omega_ref, beta_ref
 
     def apply(self, omega_ref: float, beta_ref: float, dt: float) -> Limited:
         """What of the controller's commands may go out for the next dt [s].

@@ -175,6 +175,19 @@ def test_wrong_options_are_told_in_one_line(profile, capsys, words, said, tmp_pa
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("time", "thrust", "said"),
+    [
+        ([0.0, 2.0], [1.5, 400.0], "thrust_set: found 400 N, allowed is less than 25 N"),
+        ([0.0, 9000.0], [1.5, 12.0], "time: found 9000 s, allowed is at most the run time, 3600 s"),
+    ],
+)
+def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tmp_path, capsys):
+    write_record(OutputFolder(tmp_path), "far.csv", Record({"time": np.array(time), "thrust_set": np.array(thrust)}, ""))
+    assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "far.csv"), "-o", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path):
     calibration = tmp_path / "calibration.json"
     calibration.write_text((__import__("pathlib").Path("hil/emulator/calibration.json")).read_text())

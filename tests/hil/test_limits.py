@@ -132,6 +132,16 @@ def test_spin_up_and_ramp_down_take_the_slow_slope_and_reach_standstill():
     assert out.omega_ref == 0.0
 
 
+def test_blades_that_rest_outside_their_range_come_into_it_along_the_slope():
+    limits = limits_of(Rig(pitch=(12.0, 25.0), pitch_slew=30.0))
+    limiter = Limiter(limits, 0.0, 0.0)
+    told = [limiter.ramp(2000.0, 14.0, DT).beta_ref for _ in range(600)]
+    steps = [b - a for a, b in zip([0.0, *told], told, strict=False)]
+    assert max(steps) <= limits.beta_ramp * DT * (1 + 1e-9)
+    assert limits.beta_ramp <= 30.0
+    assert told[-1] == 14.0
+
+
 @pytest.mark.parametrize("bad", [(math.nan, 0.0), (3000.0, math.nan), (math.inf, 0.0), (3000.0, -math.inf)])
 @pytest.mark.parametrize("move", ["apply", "ramp"])
 def test_no_number_never_passes(bad, move):

@@ -48,6 +48,7 @@ def run(options):
         _on_fmu(options, profile)
         return
     setup, controller = hil_options.setup_of(options), hil_options.controller_of(options)
+    _check_profile(profile, setup.limits)
     start = _start(options, setup.limits, setup.allowed)
     if options.parameters:
         setup = replace(setup, plant=hil_options.plant_of(options).values)
@@ -89,6 +90,7 @@ def _on_fmu(options, profile: Record) -> None:
 def _beside(path: str, options, profile: Record) -> Record:
     """The same loop with a plant FMU behind the same limits."""
     limits, allowed = hil_options.limits_for(options, hil_options.allowed_of(options))
+    _check_profile(profile, limits)
     start = _start(options, limits, allowed)
     plant, controller = LimitedPlant(FmuPlant(path), limits), hil_options.controller_of(options)
     record = run_loop(plant, controller, profile, start)
@@ -106,6 +108,16 @@ def _start(options, limits: Limits, allowed: Rig) -> tuple[float, float]:
         if not low <= value <= high:
             raise BadInput("command line", "--start", f"{value:g} {unit}", f"{low:g} to {high:g} {unit}, as the limits have it")
     return tuple(options.start)
+
+
+def _check_profile(profile: Record, limits: Limits) -> None:
+    """BadInput where the limits would end the run before the profile does."""
+    largest = float(np.max(np.abs(profile["thrust_set"])))
+    if largest >= limits.thrust_trip:
+        allowed = f"less than {limits.thrust_trip:g} N of either sign, which stops the rotor"
+        raise BadInput(profile.source, "thrust_set", f"{largest:g} N", allowed)
+    if profile.time[-1] > limits.run_time:
+        raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")
 
 
 def _twin(options) -> tuple[Twin | None, Band | None]:
