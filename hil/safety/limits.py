@@ -19,10 +19,10 @@ OVER_SPEED, OVER_THRUST = 1.15, 5.0 / 3.0
 """What stops the rotor at once, as multiples of the rig's highest speed and of its largest thrust of either sign: beyond what
 overshoot and noise reach, 6900 rpm and 25 N for the paper's rig."""
 
-SLEW = 2.5, 1.5
-"""Ranges of speed and of pitch in a time scale that a command may run through, where the rig declares no slew: 20 000 rpm/s and
-60 deg/s for the paper's rig. The steepest that its rotor answers a step of 4000 rpm is 13 800 rpm/s (two lags, 0.172 and
-0.053 s), its fastest pitch 46 deg/s (15 deg, 0.207 and 0.05 s): limits above that take nothing from a step."""
+SLEW = 5.0 / 3.0, 1.5
+"""Of the highest speed and of the pitch's range, what a command may run through in a time scale where the rig declares no slew:
+20 000 rpm/s and 60 deg/s for the paper's rig. The steepest that its rotor answers a step of 4000 rpm is 13 800 rpm/s (two lags,
+0.172 and 0.053 s), its fastest pitch 46 deg/s (15 deg, 0.207 and 0.05 s): limits above that take nothing from a step."""
 
 RAMP = 1.5, 1.0
 """s that spin-up to the highest speed, and the whole of the pitch, take along the slow slopes; longer for a rig that is slower
@@ -33,10 +33,10 @@ def _derived(rig: Rig) -> dict[str, float]:
     """The limits that follow from a rig, by name: its ranges, and margins over them."""
     unit, (low, high), (least, most) = rig.scales.time_scale, rig.speed, rig.pitch
     longer = max(unit / PAPER.time_scale, 1.0)
-    swept, turned = (high - low) or high, (most - least) or rig.scales.beta_scale
+    turned = max(most - least, PAPER.beta_scale)  # blades that stand, or nearly, still have to come from where they rest
     slews = [
         declared if math.isfinite(declared) else share * size / unit
-        for declared, share, size in zip((rig.speed_slew, rig.pitch_slew), SLEW, (swept, turned), strict=True)
+        for declared, share, size in zip((rig.speed_slew, rig.pitch_slew), SLEW, (high, turned), strict=True)
     ]
     return {
         "omega_min": low,
