@@ -136,7 +136,7 @@ def identify(
     first = predictions[next(iter(screened))]
     rig = campaign.rig.timed(slowest(found.values, found.names))
     source = {"made_by": "vpp identify", "campaign": campaign.folder.name, "record_seconds": float(first.record.time[-1])}
-    source |= {"rig": rig.summary()}
+    source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
         parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, found.std),

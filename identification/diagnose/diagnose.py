@@ -49,11 +49,10 @@ CLEARING = 3
 class Diagnosis:
     """What a campaign's residual was traced to.
 
-    `base`: the model without any further effect, on the same likelihood as all others. `given`: the model that was brought, as it
-    was brought; None where the campaign was identified first. `before`, `after`: what base and set lack. `held_before`,
-    `held_after`: cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the
-    model stood. `refuted`: why what was found does not ship, in words; "" where it does.
-    """
+    `base`: the model without any further effect, on the same likelihood as all others. `given`: the model that was brought, as
+    it was brought; None where the campaign was identified first. `before`, `after`: what base and set lack. `held_before`,
+    `held_after`: cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when
+    the model stood. `refuted`: why what was found does not ship, in words; "" where it does."""
 
     campaign: Campaign
     identification: Identification | None
@@ -195,7 +194,7 @@ def diagnose(
             after=after,
             apart=apart,
             location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
-            experiment=discriminating_experiment(seed, at.rig.speed, at.rig.pitch),
+            experiment=discriminating_experiment(at.rig, seed, fitted[0].record.period),
             held_before=judge.held(base),
             held_after=judge.held(final),
             unseen=unseen,
@@ -249,8 +248,8 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
 
 
 RUN_IN = 4.0
-"""Times by which the mean square of the whitened residual must be larger in the run-in than behind it for the record not to have
-started settled; of its 50 or more rows, noise reaches 2 in less than one case in 10^5."""
+"""Times by which the mean square of the whitened residual must be larger in the run-in than behind it for the record not to
+have started settled; of its 50 or more rows, noise reaches 2 in less than one case in 10^5."""
 
 
 def _unsettled(base: Fit, number: int, settled: float) -> bool:

@@ -1,4 +1,5 @@
-"""What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the end."""
+"""What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the
+end."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.demo import IDLE
 from identification.fit.problem import Prior
 from identification.tune.check import largest_difference, through_fmus
 from identification.tune.draws import doubt, draws
@@ -15,6 +14,7 @@ from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
 from identification.tune.rounds import rounds
 from identification.tune.search import Search
+from vpp_fmu.commands import idle
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.native.closed_loop import Course
@@ -62,7 +62,7 @@ class Task:
         """The cost of the gains in a controller with these settings, on the nominal plant."""
         settings, values = CONTROLLER.values(settings), self.parameters.values
         dt, speed_only = settings["sample_time"], settings["speed_only"] > 0.5
-        rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else IDLE
+        rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)
         course = Course.of(self.profile, dt, scale=values["thrust_scale"], rest=rest)
         noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))
         return Objective(

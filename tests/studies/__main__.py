@@ -5,9 +5,10 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, fmus, identification, long, measured, rigs, tuning
+from . import commands, diagnosis, fmus, identification, long, measured, rigs, tuning
 
 STUDIES = {
+    "commands": commands.main,
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
     "identification": identification.main,

@@ -58,6 +58,7 @@ def run(options):
     print(headline(found))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")
+    print(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     say_written(folder, found.parameters(found.final))
 
 

@@ -103,8 +103,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, dict[str, dict[str, 
     period = base.values["sample_time"]
     if options.delay > LONGEST * period:
         raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
-    scale = parameters.values["thrust_scale"]
-    profile = read_profile(options.profile) if options.profile else step_profile(scale)
+    profile = read_profile(options.profile) if options.profile else step_profile(parameters.rig)
     if profile.time[-1] < 10.0 * period:
         raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")
     task = Task(

@@ -126,7 +126,11 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
     page.section("What these commands can show")
     add_apart(page, found)
     if found.verdict not in ("none", "attributed"):
-        page.note("next_experiment.csv holds a record of commands that separates what these could not. Run it twice.")
+        range_told = ", ".join(found.rig.command_lines())
+        page.note(
+            "next_experiment.csv holds a record of commands that separates what these could not, within "
+            f"{range_told}. Run it twice."
+        )
 
 
 def _add_whole(page: Page, found: Diagnosis) -> None:
