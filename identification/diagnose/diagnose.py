@@ -22,6 +22,8 @@ from identification.diagnose.search.stepwise import Selection, select
 from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.verdict import rivals, verdict
 from identification.fit.uncertainty import NORMAL_95
+from identification.gate.finding import Finding
+from identification.gate.gate import passed
 from identification.identify import Identification
 from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
@@ -44,12 +46,14 @@ class Diagnosis:
     """What a campaign's residual was traced to. `explained`: share of the explainable error removed on unseen data.
 
     `following`: whether what the search's final set leaves follows the commands still.
+    `quality`: what the gate found in the files, and in the fit of the identification.
     `base`: the model without any further effect, as identified; whitened and bent towards what is missing, the search's own
     base does worse on unseen data and would flatter what is found. `given`: the model that was brought, as it was brought; None
     where the campaign was identified first.
     """
 
     campaign: Campaign
+    quality: tuple[Finding, ...]
     identification: Identification | None
     given: ParameterSet | None
     rig: Rig
@@ -99,6 +103,7 @@ def diagnose(
     seed: int = 0,
     stage: Callable[[str], None] = lambda text: None,
     given: ParameterSet | None = None,
+    accept: Iterable[str] = (),
 ) -> Diagnosis:
     """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
 
@@ -107,8 +112,10 @@ def diagnose(
     """
     with threadpool_limits(1):  # the fits run side by side: threads inside each would only fight
         stage("identify")
-        fitted, held = _split(campaign)
-        at = from_given(campaign, given, library, fitted) if given else from_identification(campaign, library, seed)
+        gate, accept = passed(campaign, accept=accept), tuple(accept)
+        fitted, held = _split(gate.campaign)
+        at = from_given(campaign, given, library, fitted) if given else from_identification(campaign, library, seed, accept)
+        campaign = gate.campaign
         library, noise = at.library, _noise(campaign, at)
         experiments = [Experiment(fitted, noise)]
         unseen = [Experiment([record], noise) for record in held]
@@ -133,6 +140,7 @@ def diagnose(
         shown = predict(final.evidence.model, final.values, campaign.open_loop)
         return Diagnosis(
             campaign=campaign,
+            quality=at.identification.quality if at.identification else gate.findings,
             identification=at.identification,
             given=given,
             rig=at.rig,

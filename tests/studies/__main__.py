@@ -5,11 +5,12 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, fmus, identification, measured, tuning
+from . import diagnosis, fmus, gate, identification, measured, tuning
 
 STUDIES = {
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
+    "gate": gate.main,
     "identification": identification.main,
     "measured": measured.main,
     "tuning": tuning.main,

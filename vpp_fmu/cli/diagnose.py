@@ -9,7 +9,7 @@ from identification.diagnose.empirical import Empirical, corrected, empirical
 from identification.diagnose.report.page import diagnosis_page, headline, key_figures
 from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_accept, add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY, plant
@@ -29,6 +29,7 @@ def configure(parser):
     parser.add_argument("--empirical", action="store_true", help=text)
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="fits that run side by side (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of random starts (default: %(default)s)")
+    add_accept(parser)
     add_output(parser)
 
 
@@ -40,11 +41,13 @@ def run(options):
     campaign = read_campaign(options.campaign)
     folder = OutputFolder(options.output)
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        found = diagnose(campaign, library, options.workers, options.seed, bar.set_description, given)
+        found = diagnose(campaign, library, options.workers, options.seed, bar.set_description, given, options.accept)
         bar.set_description("report")
         correction = empirical(found) if options.empirical else None
         write_diagnosis(folder, found, correction)
         folder.write("report.html", diagnosis_page(found, correction).html())
+    for finding in found.quality:
+        print(finding.text)
     print(headline(found))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")

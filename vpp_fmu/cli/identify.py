@@ -8,7 +8,7 @@ from identification.fit.refine import METHODS
 from identification.identify import identify
 from identification.report import identification_page, key_figures
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_accept, add_output, as_json, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.parameters import to_json, to_ssv
 from vpp_fmu.record import Record, read_record
@@ -27,6 +27,7 @@ def configure(parser):
         "--workers", type=int, default=1, metavar="N", help="processes for the bootstrap (default: %(default)s)"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the bootstrap on instead")
+    add_accept(parser)
     add_output(parser)
 
 
@@ -44,6 +45,7 @@ def run(options):
             workers=options.workers,
             scheduler=options.scheduler,
             records=records,
+            accept=options.accept,
             stage=bar.set_description,
         )
         bar.set_description("report")
@@ -51,8 +53,8 @@ def run(options):
         folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
         folder.write("identification.json", as_json(found.summary()))
         folder.write("report.html", identification_page(found).html())
-    for left_out in found.left_out:
-        print(left_out)
+    for finding in found.quality:
+        print(finding.text)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder)

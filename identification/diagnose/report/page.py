@@ -9,6 +9,7 @@ from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import summary
+from identification.gate.report import add_quality, quality_tile
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -68,6 +69,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on {_unseen(found)}"))
     rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.family.items() if others]
     figures.append(("verdict", found.verdict, "; ".join(rivals) or SURE[found.verdict]))
+    figures += [quality_tile(found.quality)] if found.quality else []
     return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures
 
 
@@ -88,6 +90,7 @@ def diagnosis_page(found: Diagnosis, correction: Empirical | None = None) -> Pag
     for effect, judged in found.selection.judgements.items():
         if effect in found.final.effects and judged.artefact:
             page.note(f"{effect}: {judged.artefact}.")
+    add_quality(page, found.quality)
     page.section("Before and after" if found.final.effects else "The model on unseen data")
     for record in found.held:
         _add_whole(page, found, record)

@@ -10,6 +10,7 @@ def summary(found: Diagnosis) -> dict:
     """As CONTRACT.md names it."""
     return {
         "verdict": found.verdict,
+        "quality": [finding.summary() for finding in found.quality],
         "effects": [_effect(found, name) for name in found.final.effects],
         "family": {name: others for name, others in found.family.items() if others},
         "next_experiment": "next_experiment.csv" if found.verdict != "none" else None,
