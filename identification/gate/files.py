@@ -238,7 +238,7 @@ def _forces(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
             continue
         first = Path(looked[0].where).name
         told = f"thrust is {gain:.4g} times that of {first} for the same commands"
-        if found := as_unit(abs(gain), FORCES):
+        if found := as_unit(max(abs(gain), 1e-9), FORCES):
             told_of.add(file.name)
             wrong = file if found[1] else looked[0]
             if wrong is not file:
@@ -284,6 +284,8 @@ def _most(file: File) -> float:
     """Largest thrust but for spikes, N."""
     thrust = file.column("thrust")
     thrust = np.abs(thrust[np.isfinite(thrust)])
+    if not len(thrust):
+        return 0.0
     return float(np.quantile(thrust, 0.999 if len(thrust) > 1000 else 1.0))
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from identification.fit.coordinates import CHANNELS
 from identification.fit.refine import Refinement
@@ -28,21 +29,30 @@ LAG_KNOWN, MAP_KNOWN = 0.1, 0.05
 """Relative standard deviation of a channel's whole lag, and standard deviation of the map anywhere in the commanded range as a
 share of the largest thrust, from which the commands told too little."""
 
+MOST = 0.5
+"""Share of what a fit leaves above the noise, that an offset takes if it is what is wrong."""
+
 SECOND = 1.0
 """s over which the score of an offset is summed: longer than thrust noise remembers."""
 
 
 def of_fit(
     found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float | None, rig: Rig
-) -> Iterator[Finding]:
+) -> tuple[Finding, ...]:
     """Everything that a fit shows. `predictions` by record, those `fitted` to among them; `noise` [N] of one reading, None: not
     known; `rig`: whose ranges the map should hold in."""
-    first = predictions[fitted[0]].record
-    yield from _bounds(found, first.source)
-    yield from _errors(predictions, fitted, noise)
-    yield from _thin(found, first.source, rig)
-    yield from _sampling(found, predictions, fitted)
-    yield from _offset(found, first.source, rig)
+    where = predictions[fitted[0]].record.source
+    with _BLAS.limit(limits=1):  # threads cost more than they bring on matrices this narrow
+        return (
+            *_bounds(found, where),
+            *_errors(predictions, fitted, noise),
+            *_thin(found, where, rig),
+            *_sampling(found, predictions, fitted),
+            *_offset(found, where, noise, rig),
+        )
+
+
+_BLAS = ThreadpoolController()
 
 
 def _bounds(found: Refinement, where: str) -> Iterator[Finding]:
@@ -116,24 +126,36 @@ def _from_commands(found: Refinement) -> Uncertainty:
 
 
 def _sampling(found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...]) -> Iterator[Finding]:
-    """Readings further apart than a fifth of the fastest lag, or than a tenth of both, whose sum is what is known best."""
+    """Readings further apart than a fifth of the fastest lag, or than a tenth of both, whose sum is what is known best.
+
+    A lag shorter than a row shows in nothing and may as well be none. Of records with equal rows, the first is told.
+    """
+    told_of: set[float] = set()
     for name in fitted:
         record = predictions[name].record
         row = float(np.median(np.diff(record.time[np.isfinite(record["thrust"])])))
+        if row in told_of:
+            continue
+        told_of.add(row)
         for channel in CHANNELS:
             pair = [f"tau_{channel}_1", f"tau_{channel}_2"]
             if not set(pair) <= set(found.names):
                 continue
-            fastest, both = min(found.values[n] for n in pair), sum(found.values[n] for n in pair)
+            fastest = min((found.values[n] for n in pair if found.values[n] > row), default=np.inf)
+            both = sum(found.values[n] for n in pair)
             if row > min(fastest / FIFTH, both / (2.0 * FIFTH)):
-                told = f"readings are {row:.3g} s apart, the lags of {'speed' if channel == 'omega' else 'pitch'} are "
-                told += f"{both - fastest:.3g} and {fastest:.3g} s"
-                cause = f"a logger that is slow, or that averages; every {fastest / FIFTH:.2g} s would do"
+                lags = " and ".join(f"{found.values[n]:.3g}" for n in pair)
+                told = f"readings are {row:.3g} s apart, the lags of {'speed' if channel == 'omega' else 'pitch'} are {lags} s"
+                enough = min(fastest, 0.5 * both) / FIFTH
+                cause = f"a logger that is slow or averages (every {enough:.2g} s would do), or one lag where the model has two"
                 yield Finding("slow_sampling", record.source, "time", row, "s", told, cause)
 
 
-def _offset(found: Refinement, where: str, rig: Rig) -> Iterator[Finding]:
-    """A constant in the thrust, by the score of one at the solution: what is left, along what no other parameter explains."""
+def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Iterator[Finding]:
+    """A constant in the thrust, by the score of one at the solution: what is left, along what no other parameter explains.
+
+    Where it takes less than MOST of what is left above the noise, the model lacks something else, of which this is a part.
+    """
     problem, solution = found.problem, found.solution
     constant = np.zeros(len(solution.residual))
     blocks = [b for b in problem.blocks if b.channel == "thrust"]
@@ -148,7 +170,10 @@ def _offset(found: Refinement, where: str, rig: Rig) -> Iterator[Finding]:
     parts = [p.sum() for b in blocks for p in np.array_split(score[b.at], _seconds(problem.records[b.record]))]
     offset = -float(score.sum()) / information
     std = float(np.sqrt(np.sum(np.square(parts)))) / information
-    if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std):
+    thrust = np.concatenate([solution.residual[b.at] for b in blocks]) * problem.std["thrust"]
+    above = float(np.sum(thrust**2)) - len(thrust) * (noise or 0.0) ** 2
+    taken = (problem.std["thrust"] * offset) ** 2 * information
+    if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and (noise is None or taken > MOST * above):
         told = f"the reading is {offset:+.3g} ± {std:.1g} N off the map, whatever is commanded"
         yield Finding("tare", where, "thrust", offset, "N", told, "the sensor was not tared")
 

@@ -16,8 +16,8 @@ FEWEST_ROWS = 200
 SHORTEST = 2.0
 """A record to fit needs this many rows and seconds: less than that shows no lag of a rig."""
 
-CHANCE = 1e-3
-"""How often a record without a fault may show a stretch of equal readings that is taken for one."""
+CHANCE = 1e-6
+"""How often a record without a fault may show a stretch of equal readings that is taken for one; a campaign has a hundred."""
 
 SPIKE = 8.0
 """Robust standard deviations from the median of the neighbours: Gaussian noise gets there once in 1e15 rows."""
@@ -179,7 +179,11 @@ def _spikes(record: Record, column: str, unit: str, at: np.ndarray) -> Iterator[
     values = np.unique(y)
     digit = float(np.min(np.diff(values))) if len(values) > 1 else 0.0
     limit = np.maximum(SPIKE * np.maximum(noise, digit), JUMP * np.quantile(np.abs(np.diff(y)), 0.98))
-    far = np.flatnonzero(np.abs(off) > limit)
+    far = np.abs(off) > limit
+    if column == "omega":  # a lost pulse spoils one value; a rotor that hunts has neighbours on its way
+        jump = np.abs(np.diff(y, prepend=y[0], append=y[-1]))
+        far &= np.minimum(jump[:-1], jump[1:]) > limit
+    far = np.flatnonzero(far)
     if not len(far):
         return
     ends, rows = np.append(at, len(record)), np.zeros(len(record), bool)

@@ -262,10 +262,11 @@ FAULTS = {
 }
 
 
-def good(size: str, seed: int) -> Campaign:
-    """A campaign of a rig drawn about a size."""
+def good(size: str, seed: int, section: float | None = None) -> Campaign:
+    """A campaign of a rig drawn about a size; `section` s of each kind of move, the size's own unless told."""
     rng = np.random.default_rng([seed, len(size)])
-    return varied(SIZES[size], rng, SPREAD).campaign(rng, Path(size))
+    maker = replace(SIZES[size], section=section or SIZES[size].section)
+    return varied(maker, rng, SPREAD).campaign(rng, Path(size))
 
 
 def written(campaign: Campaign, folder: Path, rig: Mapping | None = None) -> Campaign:
