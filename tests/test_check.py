@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.gate import FAULTS, SIZES, good, planted, said, written
+from studies.gate import FAULTS, good, planted, said, written
 
 from identification.gate.contents import contents
 from identification.gate.files import FORCES, SPEEDS, as_unit, files_of, least_diameter, turns_a_value
@@ -332,7 +332,3 @@ def test_warnings_stand_in_the_json_and_on_the_first_screen(short, tmp_path, cap
     assert "quality of the data" in tiles
     assert "clipped" in tiles
     assert page.index("Quality of the data") < page.index("How well the model predicts")
-
-
-def test_every_size_of_the_study_is_another_rig():
-    assert len({m.scales.thrust_scale for m in SIZES.values()}) == len({m.row for m in SIZES.values()}) == 3
