@@ -30,8 +30,8 @@ MOST = 3
 """Effects that one diagnosis may name."""
 
 REFITTED = (6, 3)
-"""Candidates that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none of
-them stands and a lack of fit says that something is missing, as many again are."""
+"""Candidates that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
+of them stands and a lack of fit says that something is missing, as many again are."""
 
 FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
@@ -69,8 +69,8 @@ def refusals(
 ) -> list[str]:
     """Why an effect does not stand, in words; empty where it does.
 
-    Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose what
-    free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more than that.
+    Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose
+    what free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more than that.
     """
     found = []
     if fall < needed:
