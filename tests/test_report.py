@@ -24,7 +24,6 @@ from vpp_fmu.report import (
     two_records,
 )
 from vpp_fmu.report.style import AFTER, BEFORE, MEASURED, colours
-from vpp_fmu.report.table import number
 from vpp_fmu.report.thinning import MOST, places
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'

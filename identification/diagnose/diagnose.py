@@ -107,6 +107,7 @@ def diagnose(
     """
     with threadpool_limits(1):  # the fits run side by side: threads inside each would only fight
         stage("identify")
+        campaign = campaign.leading()
         fitted, held = _split(campaign)
         at = from_given(campaign, given, library, fitted) if given else from_identification(campaign, library, seed)
         library, noise = at.library, _noise(campaign, at)

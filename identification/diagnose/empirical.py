@@ -20,6 +20,7 @@ from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.evidence.whitened import Experiment
 from identification.diagnose.search.judge import ENOUGH_HELD_OUT
 from identification.worth.quality import rmse
+from vpp_fmu.digits import number
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -61,7 +62,7 @@ class Empirical:
     @property
     def told(self) -> str:
         """The outcome in a sentence."""
-        change = f"thrust error on unseen data {self.before:.3f} -> {self.after:.3f} N, log-likelihood {self.gain:+.1f}"
+        change = f"thrust error on unseen data {number(self.before)} -> {number(self.after)} N, log-likelihood {self.gain:+.1f}"
         return f"empirical correction, no physics: {change}" if self.accepted else f"no empirical correction: {self.refused[0]}"
 
     def correction(self, time: np.ndarray, outputs: np.ndarray) -> np.ndarray:
@@ -168,7 +169,7 @@ def _judged(found: Empirical, simulator: Simulator, values, held: Sequence[Exper
     if gain < ENOUGH_HELD_OUT:
         refused.append(f"unseen data gain nothing: log-likelihood {gain:.1f}, {ENOUGH_HELD_OUT:g} is asked for")
     if rms["after"] > rms["before"]:
-        refused.append(f"thrust error on unseen data rises from {rms['before']:.4g} to {rms['after']:.4g} N")
+        refused.append(f"thrust error on unseen data rises from {number(rms['before'])} to {number(rms['after'])} N")
     return Empirical(found.offset, found.coefficients, found.penalty, gain, rms["before"], rms["after"], tuple(refused))
 
 

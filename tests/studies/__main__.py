@@ -5,9 +5,10 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, fmus, identification, measured, tuning
+from . import degenerate, diagnosis, fmus, identification, measured, tuning
 
 STUDIES = {
+    "degenerate": degenerate.main,
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
     "identification": identification.main,

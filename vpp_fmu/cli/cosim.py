@@ -3,6 +3,7 @@
 from tqdm import tqdm
 
 from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.loop import run as run_loop
@@ -55,6 +56,6 @@ def row(step: Step) -> tuple:
 
 def told(step: Step) -> str:
     """A step in words."""
-    when = "has not settled before the next" if step.settling is None else f"has settled after {step.settling:.3f} s"
-    change = f"The step from {step.before:.4g} to {step.after:.4g} N at {step.time:.4g} s"
+    when = "has not settled before the next" if step.settling is None else f"has settled after {number(step.settling, 3)} s"
+    change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s"
     return f"{change} {when}, overshoot {step.overshoot:.1f} %"

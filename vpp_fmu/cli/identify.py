@@ -5,8 +5,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from identification.fit.refine import METHODS
+from identification.found_report import untold
 from identification.identify import identify
-from identification.report import identification_page, key_figures
+from identification.report import identification_page, key_figures, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.files import OutputFolder
@@ -51,8 +52,8 @@ def run(options):
         folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
         folder.write("identification.json", as_json(found.summary()))
         folder.write("report.html", identification_page(found).html())
-    for left_out in found.left_out:
-        print(left_out)
+    for remark in (*remarks(found), *untold(found)):
+        print(remark)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder)

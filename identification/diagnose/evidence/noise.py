@@ -114,5 +114,13 @@ def _fitted(record: Record, e: np.ndarray, verified: bool) -> Noise:
     weights, *_ = np.linalg.lstsq(lagged[:, 1:], lagged[:, 0], rcond=None)
     left = lagged[:, 0] - lagged[:, 1:] @ weights
     floor = float(np.sqrt(np.nanmean((e - np.nanmean(e)) ** 2)))
-    slow = float(np.nanmean(blocks(record, BAND).mean(e) ** 2))
-    return Noise(floor, np.append(1.0, -weights), float(np.sqrt(np.mean(left**2))), slow, verified)
+    slow = blocks(record, BAND).mean(e) ** 2
+    least = _digit(record["thrust"])
+    innovation = max(float(np.sqrt(np.mean(left**2))), least)
+    return Noise(max(floor, least), np.append(1.0, -weights), innovation, max(float(np.nanmean(slow)), least**2), verified)
+
+
+def _digit(thrust: np.ndarray) -> float:
+    """What rounding to the last digit that a record shows leaves uncertain [N]: noise is never less."""
+    values = np.unique(thrust[np.isfinite(thrust)])
+    return float(np.min(np.diff(values))) / np.sqrt(12.0)

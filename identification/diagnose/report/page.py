@@ -1,5 +1,7 @@
 """The report of a diagnosis: its first screen says which effect, how large, the error before and after, and how sure."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
@@ -9,6 +11,7 @@ from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import summary
+from vpp_fmu.digits import interval, number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -29,14 +32,14 @@ ZOOM, SMOOTHED = 3.0, 0.2
 def headline(found: Diagnosis) -> str:
     """The finding in one or two sentences."""
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
-    noise = f"the noise is {found.noise.floor:.3f} N"
+    noise = f"the noise is {number(found.noise.floor)} N"
     if found.verdict == "none":
-        return f"Nothing is missing: the thrust error on unseen data is {before:.3f} N, {noise}."
+        return f"Nothing is missing: the thrust error on unseen data is {number(before)} N, {noise}."
     if found.verdict == "unexplained":
-        return f"Something is missing that no effect to choose from explains: {before:.3f} N on unseen data, {noise}."
+        return f"Something is missing that no effect to choose from explains: {number(before)} N on unseen data, {noise}."
     described = {e.name: e.description for e in found.final.evidence.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
-    return f"{effects}: thrust error on {_unseen(found)} {before:.3f} N before, {after:.3f} N after, {noise}."
+    return f"{effects}: thrust error on {_unseen(found)} {number(before)} N before, {number(after)} N after, {noise}."
 
 
 def _unseen(found: Diagnosis) -> str:
@@ -52,17 +55,17 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         for name, p in effect["parameters"].items():
             if name == "form":
                 continue
-            doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else UNTOLD
-            doubt += ", its place told by the unseen record" if name in effect["placed_by_unseen_data"] else ""
+            note = _known(p, effect["intervals"].get(name))
+            note += ", its place told by the unseen record" if name in effect["placed_by_unseen_data"] else ""
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
-            figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g}{unit}", doubt))
+            figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
     before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
-    change = f"{before:.3f} → {after:.3f} N" if found.final.effects else f"{before:.3f} N"
+    change = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
     checked = "" if found.noise.verified else ", not verified by a repeat"
-    figures.append((f"thrust error, {_unseen(found)}", change, f"noise of one reading {found.noise.floor:.3f} N{checked}"))
+    figures.append((f"thrust error, {_unseen(found)}", change, f"noise of one reading {number(found.noise.floor)} N{checked}"))
     if found.given is not None:
         as_given = summary(found)["given"][0]["rmse_thrust"]
-        figures.append(("the model as it was given", f"{as_given:.3f} N", "thrust error on unseen data, before any fit"))
+        figures.append(("the model as it was given", f"{number(as_given)} N", "thrust error on unseen data, before any fit"))
     if found.explained is not None:
         share, doubt = 100 * found.explained.share, 200 * found.explained.error
         figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on {_unseen(found)}"))
@@ -71,13 +74,26 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures
 
 
+def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
+    """How well a parameter is known: its interval where that was searched, else from its standard deviation, in its unit."""
+    unit = "" if parameter["unit"] == "1" else parameter["unit"]
+    if ends is not None:
+        return f"95 %: {interval(*ends, unit)}"
+    if parameter["std"] is None:
+        return UNTOLD
+    if parameter["std"] == 0.0:
+        return "on its bound"
+    half = 1.96 * parameter["std"]
+    return f"95 %: {interval(parameter['value'] - half, parameter['value'] + half, unit)}"
+
+
 def _where(found: Diagnosis) -> tuple[str, str, str]:
     """Where the error lives that nothing explains."""
     where = found.location
     band, section = (max(where[k], key=where[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
     strongest, largest = where["strongest_correlate"], where["largest"]
     note = f"most where {_commanded(section)}; goes with {strongest['signal']} ({strongest['correlation']:+.2f}); "
-    note += f"up to {abs(largest['thrust']):.2f} N; input: {where['input']}"
+    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {where['input']}"
     return "what is left", f"{band} Hz", note
 
 
@@ -126,16 +142,16 @@ def _add_empirical(page: Page, found: Diagnosis, correction: Empirical) -> None:
     record = found.held[0]
     shown = corrected(found, correction, record)
     lines = {"model": shown["thrust"], "empirical": shown["thrust_empirical"]}
-    change = f"{correction.before:.3f} to {correction.after:.3f} N"
+    change = f"{number(correction.before)} to {number(correction.after)} N"
     title = f"A linear filter of the model's own outputs brings the error from {change}"
     page.figure(_figure(found, record, lines, title), "Unseen data. The filter was fitted to the open-loop record.")
 
 
 def _add_whole(page: Page, found: Diagnosis, record: Record) -> None:
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    errors = [f"{p.rmse_thrust:.3f} N" for p in shown.values()]
+    errors = [f"{number(p.rmse_thrust)} N" for p in shown.values()]
     erred = f"{errors[0]} before, by {errors[1]} after" if len(errors) > 1 else errors[0]
-    title = f"On unseen data the model errs by {erred}; the noise alone is {found.noise.floor:.3f} N"
+    title = f"On unseen data the model errs by {erred}; the noise alone is {number(found.noise.floor)} N"
     lines = {name: p.thrust for name, p in shown.items()}
     page.figure(_figure(found, record, lines, title), f"{record.source.rsplit('/', 1)[-1]}. {thinning(len(record))}")
 
@@ -150,7 +166,7 @@ def _add_worst(page: Page, found: Diagnosis, record: Record) -> None:
         if name == "after" and abs(center - centers[0]) < ZOOM:
             continue  # in the same window
         block = int(np.argmin(np.abs(at.time - center)))
-        there = " and ".join(f"{mean[block]:.2f} N {other}" for other, mean in means.items()).removesuffix(" model")
+        there = " and ".join(f"{number(mean[block], 3)} N {other}" for other, mean in means.items()).removesuffix(" model")
         near = np.abs(record.time - center) <= ZOOM
         when = "" if name == "model" else f" {name}"
         title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
@@ -169,7 +185,7 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
     names = list(before)
     values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
     k = int(np.argmax(values[0] - values[1]))
-    title = f"The error fell most where {_commanded(names[k])}: from {values[0][k]:.3f} to {values[1][k]:.3f} N"
+    title = f"The error fell most where {_commanded(names[k])}: from {number(values[0][k])} to {number(values[1][k])} N"
     figure = residual_by_section(names, *values, found.noise.floor, title)
     page.figure(figure, "Thrust error by what is commanded, unseen data.")
 
@@ -193,9 +209,9 @@ def _add_location(page: Page, found: Diagnosis) -> None:
             ("goes most with", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
             ("input", where["input"]),
             ("follows the commands still", _followed(found)),
-            ("largest", f"{largest['thrust']:+.2f} N at {largest['time']:.1f} s"),
+            ("largest", f"{signed(largest['thrust'], 3)} N at {largest['time']:.1f} s"),
             *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
-            *((f"mean square, {name}", f"{max(power, 0.0):.2g} N²") for name, power in where["mean_square_by_section"].items()),
+            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in where["mean_square_by_section"].items()),
         ],
         f"Where the {what} lives, so far as it repeats.",
     )

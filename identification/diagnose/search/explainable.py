@@ -116,7 +116,7 @@ def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> float:
     """Mean product of two records' speed residuals below 10 Hz, over the power of their noise.
 
     `predicted` speed (rows,) rpm. Residuals are in units of what the tachometer can tell; where both records show the same
-    to the last digit, that is all the noise there is.
+    to the last digit, that is all the noise there is. 0 where they never show it at the same time.
     """
     edges = np.arange(0.0, first.time[-1] + BAND, BAND)
     means = []
@@ -128,6 +128,8 @@ def shared_speed(first: Record, second: Record, predicted: np.ndarray) -> float:
         with np.errstate(invalid="ignore"):
             means.append(np.bincount(block, residual, len(edges)) / count)
     one, other = means
+    if not np.isfinite(one * other).any():
+        return 0.0  # nowhere did both show the speed
     noise = 0.5 * float(np.nanmean((one - other) ** 2)) * float(count[count > 0].mean())
     return float(np.nanmean(one * other)) / (noise or 1.0)
 
