@@ -7,6 +7,7 @@ from plotly import graph_objects as go
 
 from hil.timing import EDGES, Timing
 from vpp_fmu.comparison import compare
+from vpp_fmu.digits import number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, closed_loop, style, thinning, two_records
 from vpp_fmu.report.panels import add_band, add_line, panels
@@ -38,10 +39,10 @@ def add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Rec
     difference = both.second["thrust"] - both.first["thrust"]
     rms, mean = float(np.sqrt(np.mean(difference**2))), float(difference.mean())
     slow = smoothed(Record({"time": both.time, "thrust": difference}, "difference"))["thrust"]
-    title = f"{name_b} and {name_a} differ by {rms:.2f} N rms, {mean:+.2f} N on average"
+    title = f"{name_b} and {name_a} differ by {number(rms)} N rms, {signed(mean)} N on average"
     fig = two_records(a.time, a["thrust"], b.time, b["thrust"], name_a, name_b, title, "thrust", "N")
     largest = float(np.max(np.abs(slow)))
-    page.figure(fig, f"Smoothed over 0.1 s the difference is {largest:.2f} N at most. {thinning(len(a))}")
+    page.figure(fig, f"Smoothed over 0.1 s the difference is {number(largest)} N at most. {thinning(len(a))}")
     return rms
 
 
@@ -72,7 +73,7 @@ def add_twin(page: Page, time: np.ndarray, residual: np.ndarray, alarm: np.ndarr
         else "the rig stayed within its twin's band"
     )
     fig = panels(f"Twin: {begin}", ["residual [N]"], [240])
-    add_band(fig, 0, 2 * band, f"± 2 noise ({2 * band:.2g} N)")
+    add_band(fig, 0, 2 * band, f"± 2 noise ({number(2 * band)} N)")
     kept = places([residual])
     add_line(fig, 0, time[kept], residual[kept], "rig − twin", {"color": style.MEASURED, "width": 1})
     if len(alarmed):
@@ -103,8 +104,8 @@ def smoothed(run: Record, span: float = SPAN) -> Record:
 
 def said(step: Step, name: str) -> str:
     """A step in words."""
-    when = "does not settle" if step.settling is None else f"settles within {step.settling:.2f} s"
-    return f"{name}: the step from {step.before:.4g} to {step.after:.4g} N at {step.time:.4g} s {when}"
+    when = "does not settle" if step.settling is None else f"settles within {number(step.settling, 3)} s"
+    return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"
 
 
 def _row(name: str, step: Step) -> tuple:

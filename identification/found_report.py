@@ -6,6 +6,7 @@ from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.identify import Identification
 from identification.worth.pairs import forms
+from vpp_fmu.digits import interval, number
 from vpp_fmu.report import Page, correlation_heatmap, learning_curve, parameter_change
 
 TELLING = 0.2
@@ -14,35 +15,65 @@ TELLING = 0.2
 
 def add_found(page: Page, found: Identification) -> None:
     """Figures and tables of what an identification found."""
-    r, doubt = found.refinement, found.refinement.uncertainty
+    doubt = found.uncertainty
     page.section("What was found")
-    start, (low, high) = np.array([found.start[n] for n in r.names]), doubt.intervals.T
-    moved = _most_moved(r.names, start, doubt)
-    change = "Change in % of the start, which steps and static map gave; 95 % intervals."
-    page.figure(parameter_change(r.names, start, doubt.values, low, high, moved), change)
-    kinds = [doubt.kind(n) for n in r.names]
-    rows = list(zip(r.names, start, doubt.values, doubt.std, low, high, kinds, doubt.inflation, strict=True))
-    columns = ("parameter", "start", "final", "std", "95 % from", "to", "by", "std over white")
-    page.table(columns, rows, "Time constants in s, coefficients normalised; std accounts for the residuals' colour.")
+    if found.refinement is not None:
+        _add_change(page, found)
+    _add_values(page, found)
+    for line in untold(found):
+        page.note(f"{line}.")
     if doubt.profiled:
         page.note(
             f"The cost is no parabola in {', '.join(doubt.profiled)}: their intervals end where the cost, all other parameters "
             "refitted, has risen by what 95 % allow."
         )
-    for name, why in r.held.items():
-        page.note(f"{name} is held at {r.values[name]:.4g}: {why}.")
     _add_bootstrap(page, found)
     _add_forms(page, doubt)
-    _add_curve(page, r)
-    correlation = doubt.correlation
-    page.figure(correlation_heatmap(r.names, correlation, _strongest(r.names, correlation)), _weakest(doubt))
+    if found.refinement is not None:
+        _add_curve(page, found.refinement)
+    if len(doubt.names) > 1:
+        figure = correlation_heatmap(doubt.names, doubt.correlation, _strongest(doubt.names, doubt.correlation))
+        page.figure(figure, _weakest(doubt))
+
+
+def untold(found: Identification) -> list[str]:
+    """In sentences without their stop: parameters that the data do not tell, or that ended on a bound."""
+    values = found.parameters.values
+    lines = []
+    for name, why in found.not_identifiable.items():
+        stands = "was fitted to" if name in found.uncertainty.names else "stays at"
+        lines.append(f"{name} is not told by these data and {stands} {number(values[name])}: {why}")
+    return lines + [f"{name} stands on its bound, {number(bound)}" for name, bound in found.at_bounds.items()]
+
+
+def _add_change(page: Page, found: Identification) -> None:
+    """From the start to the end of the fit."""
+    doubt = found.uncertainty
+    start, (low, high) = np.array([found.start[n] for n in doubt.names]), doubt.intervals.T
+    moved = _most_moved(doubt.names, start, doubt)
+    change = "Change in % of the start, which steps and static map gave; 95 % intervals."
+    page.figure(parameter_change(doubt.names, start, doubt.values, low, high, moved), change)
+
+
+def _add_values(page: Page, found: Identification) -> None:
+    """Each value to the digit that its standard deviation is known to."""
+    doubt, start = found.uncertainty, found.start if found.refinement is not None else {}
+    rows = []
+    for k, name in enumerate(doubt.names):
+        bound = "on its bound" if name in found.at_bounds else doubt.kind(name)
+        ends = interval(*doubt.intervals[k].tolist())
+        value, std = float(doubt.values[k]), float(doubt.std[k])
+        rows.append((name, start.get(name), number(value), std, ends, bound, doubt.inflation[k]))
+    columns = ("parameter", "start", "final", "std", "95 % interval", "by", "std over white")
+    page.table(columns, rows, "Time constants in s, coefficients normalised; std accounts for the residuals' colour.")
 
 
 def _add_bootstrap(page: Page, found: Identification) -> None:
     if found.bootstrap is not None:
         b = found.bootstrap
-        rows = list(zip(b.names, b.std, *b.intervals.T, b.ratio, strict=True))
-        columns = ("parameter", "std", "95 % from", "to", "over the covariance's std")
+        ends = [interval(*each) for each in b.intervals.tolist()]
+        rows = list(zip(b.names, b.std, ends, b.ratio, strict=True))
+        columns = ("parameter", "std", "95 % interval", "over the covariance's std")
         page.table(columns, rows, f"Block bootstrap, {len(b.samples)} resamples: the same without any parabola.")
 
 
@@ -54,7 +85,7 @@ def _add_forms(page: Page, doubt: Uncertainty) -> None:
         for form, unit in (("sum", "s"), ("product", "s²"))
     ]
     if rows:
-        relative = [(*row, f"{100 * row[2] / row[1]:.2g}") for row in rows]
+        relative = [(*row, number(100 * row[2] / row[1], 2)) for row in rows]
         caption = "The lags of a channel do not tell which comes first: their sum and product are what is known best."
         page.table(("lags", "value", "std", "std [%]"), relative, caption)
 
@@ -63,8 +94,8 @@ def _weakest(doubt: Uncertainty) -> str:
     """The caption that names what is known least."""
     condition, direction, spread = doubt.directions()
     named = [f"{direction[k]:+.2f} {doubt.names[k]}" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) >= TELLING]
-    least = f"Least is known of the direction {', '.join(named)} (relative): ± {100 * NORMAL_95 * spread:.3g} %"
-    return f"Correlation of the estimates. {least}; condition number {condition:.0f}."
+    least = f"Least is known of the direction {', '.join(named)} (relative): ± {number(100 * NORMAL_95 * spread, 3)} %"
+    return f"Correlation of the estimates. {least}; condition number {number(condition, 3)}."
 
 
 def _add_curve(page: Page, r: Refinement) -> None:
@@ -72,7 +103,8 @@ def _add_curve(page: Page, r: Refinement) -> None:
     above = np.array(r.curve[:-1]) / r.curve[-1] - 1.0
     if len(above) < 2 or above.min() <= 0.0:
         return
-    title = f"In {len(above)} steps the cost falls from {100 * above[0]:.2g} % above its end to within {above[-1]:.0e} of it"
+    first, last = number(100 * above[0], 2), number(100 * above[-1], 2)
+    title = f"In {len(above)} steps the cost falls from {first} % above its end to within {last} % of it"
     caption = f"{r.method}: half the weighted sum of squares, under the first weights, over that of the end, less one."
     page.figure(learning_curve(np.arange(len(above)), above, title, "cost above its end [-]"), caption)
 
@@ -82,7 +114,7 @@ def _most_moved(names, start: np.ndarray, doubt: Uncertainty) -> str:
     with np.errstate(divide="ignore", invalid="ignore"):
         far = np.nan_to_num(np.abs(doubt.values - start) / doubt.std, posinf=0.0)
     k = int(np.argmax(far))
-    moved = f"by {far[k]:.1f} standard deviations, from {start[k]:.3g} to {doubt.values[k]:.3g}"
+    moved = f"by {number(far[k], 2)} standard deviations, from {number(start[k])} to {number(doubt.values[k])}"
     return f"Fine-tuning moves {names[k]} the most: {moved}"
 
 

@@ -2,18 +2,22 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from math import isclose
 
 import numpy as np
 
 from identification.fit.coordinates import CHANNELS
+from identification.fit.identifiability import hardly_told
 from identification.fit.problem import Prior
-from identification.fit.refine import Refinement, refine
+from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
+from identification.fit.uncertainty import Uncertainty
 from identification.gate.finding import Finding
 from identification.gate.fitted import of_fit
 from identification.gate.gate import passed
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
+from identification.unrefined import unrefined
 from identification.worth.bootstrap import Bootstrap, bootstrap
 from identification.worth.pairs import forms, slow_first
 from identification.worth.prediction import Prediction, band, predict
@@ -21,7 +25,6 @@ from identification.worth.profile import profiled
 from identification.worth.quality import noise_floor
 from identification.worth.residual_tests import ResidualTests, residual_tests
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.parameters import ParameterSet
@@ -32,6 +35,8 @@ from vpp_fmu.record import Record
 class Identification:
     """What a campaign gave: parameters, how they were found, and predictions of every long record by name.
 
+    `uncertainty` is of the parameters that the campaign tells, `not_identifiable` says by name why it does not tell the others.
+    `refinement` and `tests` are None where there is no record to fit: the parameters are then those of steady points and steps.
     `fitted`: names of the records that the parameters were fitted to; the other predictions are of records that no fit has
     seen. `bands`: standard deviation of a predicted reading (rows,) N by record, of parameters and noise together. `tests`: of
     the thrust residual of the first fitted record. `quality`: what the gate found in the files and in the fit. `bootstrap`
@@ -43,23 +48,37 @@ class Identification:
     start: Mapping[str, float]
     static: StaticFit | None
     steps: StepSummary | None
-    refinement: Refinement
+    refinement: Refinement | None
+    uncertainty: Uncertainty
+    not_identifiable: Mapping[str, str]
     fitted: tuple[str, ...]
     predictions: Mapping[str, Prediction]
     bands: Mapping[str, np.ndarray]
-    tests: ResidualTests
+    tests: ResidualTests | None
     noise_floor: float | None
     quality: tuple[Finding, ...]
     bootstrap: Bootstrap | None = None
 
     @property
-    def coverage(self) -> dict[str, float]:
+    def coverage(self) -> dict[str, float | None]:
         """Share of a record's readings within the prediction's 95 % band, by record."""
         return {name: p.within(self.bands[name]) for name, p in self.predictions.items()}
 
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Names of the records that no fit has seen."""
+        return tuple(name for name in self.predictions if name not in self.fitted)
+
+    @property
+    def at_bounds(self) -> dict[str, float]:
+        """The bound that a parameter ended on, by name."""
+        declared = {p.name: p for p in self.parameters.model.parameters}
+        found = zip(self.uncertainty.names, self.uncertainty.values.tolist(), strict=True)
+        return {n: bound for n, v in found for bound in (declared[n].minimum, declared[n].maximum) if isclose(v, bound)}
+
     def summary(self) -> dict:
         """The content of `identification.json`."""
-        r, doubt = self.refinement, self.refinement.uncertainty
+        doubt = self.uncertainty
         condition, weakest, spread = doubt.directions()
         entries = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
         static = self.static
@@ -73,20 +92,16 @@ class Identification:
             "condition_number": condition,
             "weakest_direction": dict(zip(doubt.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
             "inflation_by_coloured_residuals": dict(zip(doubt.names, doubt.inflation.tolist(), strict=True)),
-            "not_identifiable": dict(r.held),
-            "method": r.method,
-            "cost_start": r.cost_start,
-            "cost_final": r.cost_final,
-            "iterations": len(r.curve) - 1,
-            "evaluations": r.evaluations,
+            "at_bounds": self.at_bounds,
+            "not_identifiable": dict(self.not_identifiable),
+            **self._search(),
             "time_constants": forms(doubt),
             "bootstrap": self.bootstrap and self.bootstrap.summary(),
-            "residual_tests": {"share_of_lags_outside_95_percent_band": self.tests.outside},
+            "residual_tests": self.tests and {"share_of_lags_outside_95_percent_band": self.tests.outside},
             "prediction_band_coverage": self.coverage,
-            "starts": {"tried": r.starts, "reached_the_optimum": r.reached},
-            "seconds": r.seconds,
             "noise_floor_thrust": self.noise_floor,
             "fitted": list(self.fitted),
+            "unseen": list(self.unseen),
             "records": {name: p.summary() for name, p in self.predictions.items()},
             "rmse_thrust": {name: p.rmse_thrust for name, p in self.predictions.items()},
             "rmse_omega": {name: p.rmse_omega for name, p in self.predictions.items()},
@@ -95,6 +110,19 @@ class Identification:
             "static_map": static and static.summary(),
             "missing": list(self.campaign.missing),
             "quality": [finding.summary() for finding in self.quality],
+        }
+
+    def _search(self) -> dict:
+        """How the fit went; null where there was nothing to fit to."""
+        r = self.refinement
+        return {
+            "method": r and r.method,
+            "cost_start": r and r.cost_start,
+            "cost_final": r and r.cost_final,
+            "iterations": r and len(r.curve) - 1,
+            "evaluations": r and r.evaluations,
+            "starts": r and {"tried": r.starts, "reached_the_optimum": r.reached},
+            "seconds": r and r.seconds,
         }
 
 
@@ -113,11 +141,12 @@ def identify(
 ) -> Identification:
     """Static map by least squares, lags by step responses, then all parameters on the fitted records, the map as prior.
 
-    Fitted are the campaign's open-loop record, its repeat, and further `records` by name, all together. What is missing of the
-    campaign is left out, down to one record to fit: BadInput without any. Without means of steady points these are taken from
-    their raw samples. `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. What the quality gate
-    finds wrong is BadInput, too, but for the codes that `accept` names. `stage` is told what begins. Other options as in
-    `refine`.
+    Fitted are the campaign's open-loop record, its repeat, and further `records` by name, all together; where there is none of
+    these, the validation record. What is missing of the campaign is left out, down to one file: without any record the result
+    is what map and steps tell by themselves. BadInput where nothing tells a parameter, and for what the quality gate finds
+    wrong but for the codes that `accept` names. Without means of steady points these are taken from their raw samples.
+    `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is told what begins. Other
+    options as in `refine`.
     """
     stage("quality")
     shown = _to_fit(campaign, records or {})
@@ -131,19 +160,22 @@ def identify(
     static = static_fit(campaign, values)
     coefficients = dict(static.coefficients) if static else {}
     steps = fit_steps(campaign.steps, values, coefficients or None) if campaign.steps else None
-    start = slow_first(AVERAGED) | coefficients | (dict(steps.start) if steps else {})
+    measured = coefficients | (steps.start if steps else {})
+    if not fitted:
+        return _without_record(campaign, model, measured, static, steps, gate.findings)
+    start = slow_first(AVERAGED) | measured
     prior = static and Prior(tuple(coefficients), np.array(list(coefficients.values())), static.covariance)
     stage("refine")
     found = refine(model, list(fitted.values()), start, prior=prior, method=method, starts=starts, seed=seed)
     stage("intervals")
-    found = replace(found, uncertainty=profiled(found.problem, found.solution, found.uncertainty))
+    found = replace(found, uncertainty=profiled(found.problem, found.solution, found.uncertainty, found.others))
     shown |= {"validation": campaign.validation} if campaign.validation is not None else {}
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
     noise = noise_floor(campaign.open_loop, campaign.repeat) if {"open_loop", "repeat"} <= set(fitted) else None
     rig = campaign.rig.timed(slowest(found.values, found.names))
-    source = {"made_by": "vpp identify", "campaign": campaign.folder.name, "record_seconds": float(first.record.time[-1])}
+    source = {**_made(campaign), "record_seconds": float(first.record.time[-1])}
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
@@ -152,6 +184,8 @@ def identify(
         static=static,
         steps=steps,
         refinement=found,
+        uncertainty=found.uncertainty,
+        not_identifiable={**found.held, **hardly_told(found.uncertainty)},
         fitted=tuple(fitted),
         predictions=predictions,
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},
@@ -160,6 +194,42 @@ def identify(
         quality=(*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig)),
         bootstrap=bootstrap(found, resamples, seed, workers, scheduler) if resamples else None,
     )
+
+
+def _without_record(
+    campaign: Campaign,
+    model: Model,
+    measured: Mapping[str, float],
+    static: StaticFit | None,
+    steps: StepSummary | None,
+    quality: tuple[Finding, ...],
+) -> Identification:
+    """What the map and the steps tell by themselves, `measured` by name; the model's defaults for the rest."""
+    values = model.values() | slow_first(model.values() | measured)
+    told = unrefined(campaign, BASE_PARAMETERS, values, static, steps)
+    known = dict(zip(told.uncertainty.names, told.uncertainty.std.tolist(), strict=True))
+    rig = campaign.rig.timed(slowest(values, known))
+    parameters = ParameterSet(model.sized(rig.scales), source={**_made(campaign), "rig": rig.summary()})
+    return Identification(
+        campaign=campaign,
+        parameters=parameters.replaced(values, known),
+        start=values,
+        static=static,
+        steps=steps,
+        refinement=None,
+        uncertainty=told.uncertainty,
+        not_identifiable={**told.not_identifiable, **hardly_told(told.uncertainty)},
+        fitted=(),
+        predictions={},
+        bands={},
+        tests=None,
+        noise_floor=None,
+        quality=quality,
+    )
+
+
+def _made(campaign: Campaign) -> dict[str, str]:
+    return {"made_by": "vpp identify", "campaign": campaign.folder.name}
 
 
 def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
@@ -175,9 +245,7 @@ def _steady_noise(campaign: Campaign) -> float | None:
 
 
 def _to_fit(campaign: Campaign, more: Mapping[str, Record]) -> dict[str, Record]:
-    """The records to fit by name, those of the campaign first."""
+    """The records to fit by name, those of the campaign first; a validation record only where it is all there is."""
     own = {"open_loop": campaign.open_loop, "repeat": campaign.repeat}
     found = {name: record for name, record in own.items() if record is not None} | dict(more)
-    if not found:
-        raise BadInput(campaign.folder, "open_loop.csv", "no such file", "a record with time, omega_ref, beta_ref, thrust")
-    return found
+    return found or ({"validation": campaign.validation} if campaign.validation is not None else {})

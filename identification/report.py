@@ -4,6 +4,7 @@ from identification.found_report import add_found
 from identification.gate.report import add_quality, quality_tile
 from identification.identify import Identification
 from identification.static.report import add_static
+from vpp_fmu.digits import number
 from vpp_fmu.report import (
     Page,
     autocorrelation,
@@ -19,20 +20,37 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
     figures = [quality_tile(found.quality)] if found.quality else []
     for name in _shown(found):
         p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
-        figures.append((f"thrust error, {name}", f"{p.rmse_thrust:.3f} N", f"rmse, fit {p.fit_thrust:.1f} %, {role}"))
+        fit = "" if p.fit_thrust is None else f", fit {p.fit_thrust:.1f} %"
+        figures.append((f"thrust error, {name}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
     if found.noise_floor is not None:
-        figures.append(("noise of one reading", f"{found.noise_floor:.3f} N", "from the repeated record"))
-    r = found.refinement
-    figures.append(
-        (
-            "cost",
-            f"{r.cost_start:.3g} → {r.cost_final:.3g}",
-            f"mean(e²)/2, {r.evaluations} evaluations, {r.starts} starts, {r.seconds:.2f} s",
-        )
-    )
+        figures.append(("noise of one reading", _newton(found.noise_floor), "from the repeated record"))
+    if (r := found.refinement) is not None:
+        spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
+        figures.append(("cost", f"{number(r.cost_start)} → {number(r.cost_final)}", f"mean(e²)/2, {spent}"))
     if found.static is not None:
-        figures.append(("static map", f"{found.static.r2_adjusted:.6f}", f"adjusted R², {found.static.rmse:.3f} N rms"))
-    return figures
+        note = f"adjusted R², {_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
+        known = found.static.r2_adjusted
+        figures.append(("static map", "–" if known is None else f"{known:.6f}", note))
+    untold = found.not_identifiable
+    names = {*found.uncertainty.names, *untold}
+    left_open = f"not: {', '.join(untold)}" if untold else "all that were asked for"
+    return [*figures, ("parameters told by the data", f"{len(names) - len(untold)} of {len(names)}", left_open)]
+
+
+def _newton(value: float | None) -> str:
+    return "–" if value is None else f"{number(value)} N"
+
+
+def remarks(found: Identification) -> list[str]:
+    """In sentences without their stop, what a reader must know of how far the result goes."""
+    lines = [f"{missing} is missing: what it would have told is left out" for missing in found.campaign.missing]
+    if not found.predictions:
+        lines.append("there is no record to fit or to judge by: the parameters are those of steady points and steps alone")
+        if found.steps is not None and found.static is None:
+            lines.append("without steady points the lags are those of the thrust, not of speed and pitch behind it")
+    elif not found.unseen:
+        lines.append("every record was fitted: nothing is left unseen, and nothing tells how well the model does elsewhere")
+    return lines
 
 
 def _shown(found: Identification) -> list[str]:
@@ -50,14 +68,15 @@ def identification_page(found: Identification) -> Page:
 def add_identification(page: Page, found: Identification) -> None:
     """Tiles, figures and tables of an identification, onto a page."""
     page.tiles(key_figures(found))
-    for missing in found.campaign.missing:
-        page.note(f"{missing} is missing: what it would have told is left out.")
     add_quality(page, found.quality)
-    page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
-    for name in _shown(found):
-        page.figure(*_record_figure(found, name))
-    _add_sections(page, found)
-    _add_tests(page, found)
+    for remark in remarks(found):
+        page.note(f"{remark[0].upper()}{remark[1:]}.")
+    if found.predictions:
+        page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
+        for name in _shown(found):
+            page.figure(*_record_figure(found, name))
+        _add_sections(page, found)
+        _add_tests(page, found)
     add_found(page, found)
     if found.static is not None:
         add_static(page, found)
@@ -86,7 +105,7 @@ def _add_steps(page: Page, found: Identification) -> None:
         if runs:
             slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
             kept = sum(not run.reason for run in runs)
-            lags = "" if slow is None else f": lags of {slow:.3f} and {fast:.3f} s on average"
+            lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
             title = f"{kept} of {len(runs)} steps of {'speed' if channel == 'omega' else 'pitch'} count{lags}"
             figure = step_responses(runs, title, unit, level, steps.delayed(channel))
             page.figure(figure, "Thrust as a share of the step; black: two lags through the static map.")
@@ -98,9 +117,11 @@ def _add_steps(page: Page, found: Identification) -> None:
 def _record_figure(found: Identification, name: str):
     """(figure, caption) of a record beside its prediction."""
     p, noise = found.predictions[name], found.noise_floor
-    beside = "" if noise is None else f"; the noise alone is {noise:.3f} N"
+    beside = "" if noise is None else f"; the noise alone is {_newton(noise)}"
     used = "which it was fitted to" if name in found.fitted else "which it has never seen"
-    title = f"The model errs by {p.rmse_thrust:.3f} N on {name}, {used}{beside}"
+    title = f"The model errs by {_newton(p.rmse_thrust)} on {name}, {used}{beside}"
+    if p.rmse_thrust is None:
+        title = f"What the model predicts for {name}, which holds no thrust"
     commands = {n: p.record[n] for n in ("omega_ref", "beta_ref")}
     figure = measured_against_predicted(
         *(p.record.time, p.record["thrust"], {"model": p.thrust}, title),
@@ -108,7 +129,9 @@ def _record_figure(found: Identification, name: str):
         noise=noise,
         band=found.bands[name],
     )
-    held = f"{100 * found.coverage[name]:.1f} % of the readings of {name} lie in the band that is to hold 95 % of them"
+    share = found.coverage[name]
+    within = "Of" if share is None else f"{100 * share:.1f} % of"
+    held = f"{within} the readings of {name} lie in the band that is to hold 95 % of them"
     return figure, f"{held}: what the parameters leave open, and what the fit left. {thinning(len(p.record))}"
 
 
@@ -117,7 +140,8 @@ def _add_sections(page: Page, found: Identification) -> None:
     for name, p in found.predictions.items():
         used, summary = "fitted" if name in found.fitted else "unseen", p.summary()
         for section, figures in ({"all": summary} | summary["sections"]).items():
-            within = f"{100 * found.coverage[name]:.1f}" if section == "all" else ""
-            rows.append((name, used, section, figures["rmse_thrust"], figures["fit_thrust"], within))
+            share, fit = found.coverage[name], figures["fit_thrust"]
+            within = f"{100 * share:.1f}" if section == "all" and share is not None else ""
+            rows.append((name, used, section, figures["rmse_thrust"], None if fit is None else f"{fit:.1f}", within))
     columns = ("record", "used", "section", "rmse [N]", "fit [%]", "readings in the 95 % band [%]")
     page.table(columns, rows, "Thrust error by what is commanded.")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
+from vpp_fmu.digits import number
 from vpp_fmu.report import (
     Page,
     autocorrelation,
@@ -24,7 +25,6 @@ from vpp_fmu.report import (
     two_records,
 )
 from vpp_fmu.report.style import AFTER, BEFORE, MEASURED, colours
-from vpp_fmu.report.table import number
 from vpp_fmu.report.thinning import MOST, places
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'

@@ -3,7 +3,7 @@
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +53,15 @@ class Campaign:
     static_raw: Record | None = None
     rig: Rig = field(default_factory=Rig)
 
+    def leading(self) -> "Campaign":
+        """This campaign with a record in the open loop's place where there is one: a repeat that has nothing to repeat, else
+        the validation record."""
+        if self.open_loop is not None:
+            return self
+        if self.repeat is not None:
+            return replace(self, open_loop=self.repeat, repeat=None)
+        return replace(self, open_loop=self.validation, validation=None)
+
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the files that are not there."""
@@ -85,11 +94,14 @@ def _rig(records: Mapping[str, Record | None], static: StaticMap | None, steps: 
 
 
 def _measured(path: Path) -> Record:
-    """A record whose thrust holds something; single cells may be empty."""
+    """A record whose thrust holds something; single cells may be empty. Another column without any value is none."""
     record = read_record(path, NEED, holes=("thrust",))
     if np.isfinite(record["thrust"]).sum() < 2:
         raise BadInput(path, "thrust", "no two numbers", "a column of numbers, some cells of which may be empty")
-    return record
+    empty = [n for n, c in record.columns.items() if c.dtype.kind == "f" and not np.isfinite(c).any()]
+    if empty:
+        warnings.warn(f"{path}: columns without a single value, left out: {', '.join(empty)}", RecordWarning, stacklevel=2)
+    return Record({n: c for n, c in record.columns.items() if n not in empty}, record.source)
 
 
 def _paths(folder: Path) -> dict[str, Path]:

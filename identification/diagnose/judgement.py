@@ -70,7 +70,7 @@ def refusals(
     """Why an effect does not stand, in words; empty where it does.
 
     Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose
-    what free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more than that.
+    what free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more.
     """
     found = []
     if fall < needed:

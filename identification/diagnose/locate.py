@@ -25,9 +25,10 @@ def locate(records: Sequence[Record], thrust: np.ndarray, omega: np.ndarray, bet
     error = at.mean(record["thrust"] - thrust)
     other = at.mean(repeat["thrust"] - thrust) if repeat is not None else error
     both = 0.5 * (error + other)
+    worst = int(np.nanargmax(np.abs(both)))
     by_section = {}
     for name, mask in sections(record).items():
-        chosen = at.mean(mask.astype(float)) > 0.5
+        chosen = (at.mean(mask.astype(float)) > 0.5) & np.isfinite(both)
         if chosen.any():
             by_section[name] = float(np.mean((error * other)[chosen]))
     signals = _signals(record, thrust, omega, beta)
@@ -36,9 +37,9 @@ def locate(records: Sequence[Record], thrust: np.ndarray, omega: np.ndarray, bet
     strongest = ranked[0]
     speed, pitch = (max(abs(correlates[n]) for n in names) for names in (SPEED, PITCH))
     return {
-        "share_by_band_hz": _bands(error, other),
+        "share_by_band_hz": _bands(error, other, float(np.median(np.diff(at.time)))),
         "mean_square_by_section": by_section,
-        "largest": {"time": float(at.time[np.argmax(np.abs(both))]), "thrust": float(both[np.argmax(np.abs(both))])},
+        "largest": {"time": float(at.time[worst]), "thrust": float(both[worst])},
         "strongest_correlate": {"signal": strongest[0], "correlation": strongest[1]},
         "correlates": dict(ranked),
         "input": _input(speed, pitch),
@@ -46,8 +47,10 @@ def locate(records: Sequence[Record], thrust: np.ndarray, omega: np.ndarray, bet
 
 
 def _correlation(error: np.ndarray, signal: np.ndarray) -> float:
-    """0 with a signal that stands still: a fixed pitch explains nothing."""
-    return float(np.corrcoef(error, signal)[0, 1]) if np.ptp(signal) > 0.0 else 0.0
+    """Where there is an error; 0 with a signal that stands still: a fixed pitch explains nothing."""
+    seen = np.isfinite(error)
+    error, signal = error[seen], signal[seen]
+    return float(np.corrcoef(error, signal)[0, 1]) if np.ptp(signal) > 0.0 and np.ptp(error) > 0.0 else 0.0
 
 
 def _input(speed: float, pitch: float) -> str:
@@ -80,9 +83,14 @@ def _rate(signal: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.gradient(signal - signal[0], time)  # exactly 0 where it stands still
 
 
-def _bands(error: np.ndarray, other: np.ndarray) -> dict[str, float]:
-    """Share of the power that two records' errors have in common, by frequency band."""
-    frequency, shared = csd(error, other, fs=1.0 / RATE, nperseg=min(1024, len(error)), detrend=False)
+def _bands(error: np.ndarray, other: np.ndarray, step: float) -> dict[str, float]:
+    """Share of the power that two records' errors, a value every `step` s, have in common, by frequency band.
+
+    Where either has none, nothing adds to it.
+    """
+    seen = np.isfinite(error) & np.isfinite(other)
+    error, other = (np.where(seen, e, 0.0) for e in (error, other))
+    frequency, shared = csd(error, other, fs=1.0 / step, nperseg=min(1024, len(error)), detrend=False)
     power = np.maximum(shared.real, 0.0)
     total = power.sum() or 1.0
     return {f"{a:g}-{b:g}": float(power[(frequency >= a) & (frequency < b)].sum() / total) for a, b in BANDS}

@@ -21,14 +21,14 @@ class Coordinates:
 
     A channel counts as a pair when both its time constants are free. `slow_first`: which of the pair is the slower,
     `tau_<channel>_1` or the other; it only matters to effects that stand between the lags. `lower`, `upper` bound the
-    coordinates, `floor` the values.
+    coordinates, `floor`, `ceiling` the values.
     """
 
     def __init__(self, model: Model, names: Sequence[str], slow_first: Mapping[str, bool] | None = None):
         self.names, self.slow_first = tuple(names), dict(slow_first or {})
         bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters}
         lower, upper = np.array([bounds[n] for n in self.names]).reshape(-1, 2).T.copy()
-        self.floor = lower.copy()
+        self.floor, self.ceiling = lower.copy(), upper.copy()
         self.pairs = []
         for channel in CHANNELS:
             pair = [f"tau_{channel}_1", f"tau_{channel}_2"]
@@ -51,7 +51,7 @@ class Coordinates:
         p = np.array(x, float)
         for i, j in self.pairs:
             total, spread = np.exp(x[i]), np.sqrt(x[j])
-            p[i], p[j] = total * (1 + spread) / 2, max(total * (1 - spread) / 2, self.floor[j])
+            p[i], p[j] = min(total * (1 + spread) / 2, self.ceiling[i]), max(total * (1 - spread) / 2, self.floor[j])
         return dict(zip(self.names, p.tolist(), strict=True))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
@@ -63,4 +63,6 @@ class Coordinates:
             d[i, j], d[j, j] = total / (4 * spread), -total / (4 * spread)
             if total * (1 - spread) / 2 < self.floor[j]:  # a lag too short to matter stays at its least
                 d[j] = 0.0
+            if total * (1 + spread) / 2 > self.ceiling[i]:  # and one too long to end at its greatest
+                d[i] = 0.0
         return d

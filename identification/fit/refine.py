@@ -37,7 +37,7 @@ class Refinement:
     `values`: every parameter of the model. `held`: parameters that the data do not tell, kept at their start: name -> why.
     `cost_start`, `cost_final`: the paper's cost, mean(e^2) / 2 of normalised thrust. `curve`: the search's own cost after
     each step of the first fit; `evaluations`: of all fits from the given start. `starts`, `reached`: how many starts were
-    tried, and how many ended at the best optimum.
+    tried, and how many ended at the best optimum; `others`: where the rest of them ended.
     """
 
     problem: Problem
@@ -53,6 +53,7 @@ class Refinement:
     starts: int
     reached: int
     seconds: float
+    others: tuple[Solution, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,6 +123,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
         starts=len(found),
         reached=sum(s.cost <= best.cost * (1 + SAME) for s in found),
         seconds=time.perf_counter() - began,
+        others=tuple(s for s in found if s.cost > best.cost * (1 + SAME)),
     )
 
 

@@ -27,6 +27,9 @@ ORDINATES = 12
 
 NORMAL_95 = 1.959963984540054
 
+SINGULAR = 1e-15
+"""Ratio of a covariance's least to its largest eigenvalue that is rounding."""
+
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -68,12 +71,16 @@ class Uncertainty:
         size = np.where(own > 0, own, np.inf)
         return self.covariance / np.outer(size, size) + np.diag(np.where(own > 0, 0.0, 1.0))
 
-    def directions(self) -> tuple[float, np.ndarray, float]:
-        """(condition number, weakest direction (n,) of unit length, its relative standard deviation), values as units."""
+    def directions(self) -> tuple[float | None, np.ndarray, float]:
+        """(condition number, weakest direction (n,) of unit length, its relative standard deviation), values as units.
+
+        The condition number is None where some direction has no variance: what stands on a bound.
+        """
         size = np.where(self.values == 0, 1.0, np.abs(self.values))
         spread, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
         weakest = vectors[:, -1] * np.sign(vectors[np.argmax(np.abs(vectors[:, -1])), -1])
-        return float(np.sqrt(spread[-1] / max(spread[0], 1e-300))), weakest, float(np.sqrt(spread[-1]))
+        singular = spread[0] <= SINGULAR * spread[-1]
+        return None if singular else float(np.sqrt(spread[-1] / spread[0])), weakest, float(np.sqrt(max(spread[-1], 0.0)))
 
     def of(self, gradient: np.ndarray) -> float:
         """Standard deviation of a quantity with the given gradient (n,) in the parameters."""
@@ -95,7 +102,7 @@ def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     tangent = coordinates.jacobian(found.value)[:, free]
     covariance, plain = (tangent @ c @ tangent.T for c in (coloured, plain))
     with np.errstate(invalid="ignore", divide="ignore"):
-        inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(plain)), nan=1.0)
+        inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(plain)), nan=1.0, posinf=1.0)
     values = np.array(list(coordinates.values(found.value).values()))
     sides = (slope[:, free] for slope in _secants(coordinates, found.value, NORMAL_95 * std))
     reach = NORMAL_95 * np.column_stack([np.sqrt(np.diag(side @ coloured @ side.T)) for side in sides])

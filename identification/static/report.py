@@ -4,69 +4,124 @@ import numpy as np
 
 from identification.identify import Identification
 from identification.static.selection import Selection, select_terms
-from identification.static.static_map import coefficient_grid, design
-from identification.static.steady import noise, samples_needed, stretches
-from vpp_fmu.report import Page, map_residuals, map_surface
+from identification.static.static_map import TERMS, StaticFit, coefficient_grid, design
+from identification.static.steady import FEWEST, noise, resting, samples_needed
+from vpp_fmu.campaign import StaticMap
+from vpp_fmu.digits import number
+from vpp_fmu.report import Page, map_residuals, map_section, map_surface
 from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
 
-MEAN_STD = 0.01
-"""N; how well a steady point's mean shall be known."""
+MEAN_STD = 1.0 / 1500.0
+"""How well a steady point's mean shall be known, in thrust scales: the paper's 0.01 N of 15 N."""
 
 
 def add_static(page: Page, found: Identification) -> None:
     """Figures and tables of the static map of an identification that has one."""
     static, points = found.static, found.campaign.static
     page.section("The static map")
-    scales = found.refinement.values
-    omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
-    grid_omega, grid_beta = np.meshgrid(omega, beta)
-    thrust = design(grid_omega.ravel(), grid_beta.ravel(), scales) @ list(static.coefficients.values()) * scales["thrust_scale"]
-    used = points.omega[static.used], points.beta_ref[static.used], points.thrust[static.used]
-    title = f"A cubic fits {static.used.sum()} steady points to {static.rmse:.3f} N (adjusted R² {static.r2_adjusted:.6f})"
-    page.figure(map_surface(omega, beta, thrust.reshape(grid_omega.shape), used, title), "Surface: fitted; points: measured.")
-    left = f"What the cubic leaves stays below {np.max(np.abs(static.residual)):.3f} N"
-    commanded = points.omega_ref[static.used], used[1]
-    page.figure(map_residuals(*commanded, static.residual, left), "Measured less fitted.")
-    speeds, pitches, ct = coefficient_grid(points)
-    page.figure(thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch)), _COEFFICIENT)
-    doubt = static.uncertainty(omega, beta[:, None], scales)
-    title = f"The map is known to {doubt.max():.3f} N or better where it was measured"
-    page.figure(map_uncertainty(omega, beta, doubt, title), "Standard deviation from the coefficients' covariance.")
-    _add_selection(page, select_terms(points, scales))
+    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
+    if np.ptp(speeds) > 0.0 and np.ptp(pitches) > 0.0:
+        _add_surface(page, static, points, found.parameters.values)
+    elif static.used.sum() > 1:
+        _add_line(page, static, points, found.parameters.values)
+    else:
+        _add_point(page, static, points)
+    if static.untold:
+        where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
+        page.note(f"{where} tell only combinations of {', '.join(static.untold)} with others: they stay near the paper's.")
+    elif static.used.sum() > len(TERMS):
+        _add_selection(page, select_terms(points, found.parameters.values))
     _add_samples(page, found)
 
 
-_COEFFICIENT = "C_T = T / (ρ n² D⁴), 10 inch propeller, air at sea level; blades in their linear range draw one line."
+def _count(values: np.ndarray, word: str) -> str:
+    count = len(np.unique(values))
+    return f"one {word}" if count == 1 else f"{count} {'pitches' if word == 'pitch' else 'speeds'}"
+
+
+def _quality(static: StaticFit) -> str:
+    return "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.6f})"
+
+
+def _add_surface(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
+    """The map over both commands."""
+    omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
+    thrust = _mapped(static, scales, *np.meshgrid(omega, beta))
+    used = points.omega[static.used], points.beta_ref[static.used], points.thrust[static.used]
+    title = f"A cubic fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
+    page.figure(map_surface(omega, beta, thrust, used, title), "Surface: fitted; points: measured.")
+    left = f"What the cubic leaves stays below {number(np.max(np.abs(static.residual)))} N"
+    commanded = points.omega_ref[static.used], used[1]
+    page.figure(map_residuals(*commanded, static.residual, left), "Measured less fitted.")
+    speeds, pitches, ct = coefficient_grid(points, 1.0, scales["thrust_scale"] / (scales["omega_scale"] / 60.0) ** 2)
+    figure = thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch), _COEFFICIENT)
+    page.figure(figure, "Normalised; blades in their linear range draw one line.")
+    doubt = static.uncertainty(omega, beta[:, None], scales)
+    title = f"The map is known to {number(doubt.max())} N or better where it was measured"
+    page.figure(map_uncertainty(omega, beta, doubt, title), "Standard deviation from the coefficients' covariance.")
+
+
+_COEFFICIENT = "thrust over speed squared, T / w² [-]"
+
+
+def _mapped(static: StaticFit, scales, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Thrust [N] of the map at speeds [rpm] and pitches [deg] of one shape."""
+    normalised = design(omega.ravel(), beta.ravel(), scales) @ list(static.coefficients.values())
+    return normalised.reshape(omega.shape) * scales["thrust_scale"]
+
+
+def _add_line(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
+    """The map along the one command that was varied."""
+    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
+    along_speed = np.ptp(speeds) > 0.0
+    at = np.linspace(*((speeds.min(), speeds.max()) if along_speed else (pitches.min(), pitches.max())), 61)
+    omega, beta = (at, np.full(61, pitches[0])) if along_speed else (np.full(61, speeds[0]), at)
+    label, held = ("speed [rpm]", f"{number(pitches[0])} deg") if along_speed else ("pitch [deg]", f"{number(speeds[0])} rpm")
+    title = f"At {held} the map fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
+    measured = (speeds if along_speed else pitches), points.thrust[static.used]
+    band = static.uncertainty(omega, beta, scales)
+    figure = map_section(at, _mapped(static, scales, omega, beta), measured, title, label, band)
+    page.figure(figure, f"All steady points are at {held}: how thrust goes with the other command they can't tell.")
+
+
+def _add_point(page: Page, static: StaticFit, points: StaticMap) -> None:
+    k = int(np.flatnonzero(static.used)[0])
+    row = (points.omega_ref[k], points.beta_ref[k], points.thrust[k], points.thrust_std[k])
+    columns = ("speed [rpm]", "pitch [deg]", "thrust [N]", "std of a reading [N]")
+    page.table(columns, [row], "The one steady point: it tells a level, and no map.")
 
 
 def _coefficients_say(pitches: np.ndarray, ct: np.ndarray, fitted: tuple[float, float]) -> str:
-    """What C_T (speeds, pitches) depends on, inside the `fitted` range [deg]."""
-    inside = ct[:, (pitches >= fitted[0]) & (pitches <= fitted[1])]
+    """What thrust over speed squared (speeds, pitches) depends on, inside the `fitted` range [deg]."""
+    inside = ct[:, (pitches >= fitted[0]) & (pitches <= fitted[1]) & np.isfinite(ct).any(axis=0)]
     with_pitch = float(np.ptp(np.nanmean(inside, axis=0)))
     with_speed = float(np.sqrt(np.nanmean(np.nanvar(inside, axis=0))))
-    return f"C_T moves by {with_pitch:.2f} with pitch, and by {with_speed:.3f} rms with speed"
+    return f"Thrust over speed squared moves by {number(with_pitch)} with pitch, and by {number(with_speed)} rms with speed"
 
 
 def _add_selection(page: Page, chosen: Selection) -> None:
     rank = chosen.rank(chosen.of(), "bic") if chosen.of() else None
     papers = "these points cannot tell the paper's apart" if rank is None else f"the paper's are number {rank} of their size"
-    rows = [(size, name, bic, f"{r2:.6f}", loo) for size, name, bic, r2, loo in chosen.rows()]
+    rows = [(size, name, f"{bic:.1f}", f"{r2:.6f}", loo) for size, name, bic, r2, loo in chosen.rows()]
     columns = ("terms", "best set", "BIC", "adjusted R²", "leave-one-out rmse [N]")
     page.table(columns, rows, f"The best of each number of terms w^i b^j; {papers}.")
 
 
 def _add_samples(page: Page, found: Identification) -> None:
     record, repeat, raw = found.campaign.open_loop, found.campaign.repeat, found.campaign.static_raw
-    if raw is not None:
-        readings, source = noise(stretches(raw)), "the raw samples of the steady points, each less its point's mean"
+    if raw is not None and (still := resting(raw)):
+        readings, source = noise(still), "the raw samples of the steady points, each less its point's mean"
     elif record is not None and repeat is not None:
         readings, source = (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0), "the difference of the repeated records"
     else:
         return
-    need = samples_needed(readings, MEAN_STD)
-    title = f"A steady point needs {need.number} readings for a mean that is good to {MEAN_STD} N"
-    worth = f"One reading in {max(1.0, need.inflation):.1f} counts, since neighbours share noise"
+    readings, wanted = readings[np.isfinite(readings)], MEAN_STD * found.parameters.values["thrust_scale"]
+    if len(readings) < FEWEST or np.ptp(readings) == 0.0:
+        return  # too few, or without any noise: there is nothing to average
+    need = samples_needed(readings, wanted)
+    title = f"A steady point needs {need.number} readings for a mean that is good to {number(wanted, 2)} N"
+    worth = f"One reading in {number(max(1.0, need.inflation), 2)} counts, since neighbours share noise"
     if not need.settled:
         worth = "The readings wander more slowly than their record is long: the number is too small"
     caption = f"Standard deviation of a mean over m readings, from {source}. {worth}."
-    page.figure(mean_convergence(need.m, need.std, need.white, title, (need.number, MEAN_STD)), caption)
+    page.figure(mean_convergence(need.m, need.std, need.white, title, (need.number, wanted)), caption)

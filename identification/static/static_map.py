@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from identification.fit.identifiability import UNKNOWN
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import FINE_TUNED
@@ -42,7 +43,7 @@ class StaticFit:
     covariance: np.ndarray
     residual: np.ndarray
     used: np.ndarray
-    r2_adjusted: float
+    r2_adjusted: float | None
     rmse: float
     pitch: tuple[float, float]
     untold: tuple[str, ...] = ()
@@ -174,10 +175,10 @@ def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[
         covariance=covariance,
         residual=left * scales["thrust_scale"],
         used=r.used,
-        r2_adjusted=1.0 - float(left @ left) / max(n - rank, 1) / r.total if n > 1 and r.total > 0.0 else 0.0,
+        r2_adjusted=1.0 - float(left @ left) / (n - rank) / r.total if n > max(rank, 1) and r.total > 0.0 else None,
         rmse=float(np.sqrt(np.mean(left**2))) * scales["thrust_scale"],
         pitch=(float(static.beta_ref[r.used].min()), float(static.beta_ref[r.used].max())),
-        untold=tuple(name for name, std in zip(TERMS, spread, strict=True) if std > 0.5 * WIDE),
+        untold=tuple(name for name, std in zip(TERMS, spread, strict=True) if std > UNKNOWN),
     )
 
 
@@ -217,10 +218,12 @@ def coefficient_grid(
     static: StaticMap, diameter: float = DIAMETER, density: float = DENSITY
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Commanded speeds (m,) [rpm], pitches (k,) [deg] and C_T (m, k) of all steady points; the mean where a point was
-    measured more than once, NaN where never. C_T is that at the measured speed."""
+    measured more than once, NaN where never or at standstill. C_T is that at the measured speed."""
     speeds, row = np.unique(static.omega_ref, return_inverse=True)
     pitches, column = np.unique(static.beta_ref, return_inverse=True)
     total, count = np.zeros((2, len(speeds), len(pitches)))
-    np.add.at(total, (row, column), thrust_coefficient(static.thrust, static.omega, diameter, density))
-    np.add.at(count, (row, column), 1.0)
+    turns = static.omega > 0.0
+    cell = row[turns], column[turns]
+    np.add.at(total, cell, thrust_coefficient(static.thrust[turns], static.omega[turns], diameter, density))
+    np.add.at(count, cell, 1.0)
     return speeds, pitches, np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

@@ -32,10 +32,10 @@ class Stretch:
     omega: np.ndarray
 
 
-def stretches(record: Record, settle: float = SETTLE) -> list[Stretch]:
+def resting(record: Record, settle: float = SETTLE) -> list[Stretch]:
     """Where neither command of a record moves, without the first `settle` s, and without rows that have no value.
 
-    Those with less than two readings of thrust are left out. BadInput where none is left.
+    Those with less than two readings of thrust are left out.
     """
     moved = (np.diff(record["omega_ref"]) != 0) | (np.diff(record["beta_ref"]) != 0)
     starts = np.append(0, np.flatnonzero(moved) + 1)
@@ -47,9 +47,6 @@ def stretches(record: Record, settle: float = SETTLE) -> list[Stretch]:
         if len(thrust) >= 2:
             commands = float(record["omega_ref"][first]), float(record["beta_ref"][first])
             found.append(Stretch(*commands, thrust, _seen(speed[settled:end])))
-    if not found:
-        allowed = f"both commands still for longer than {settle:g} s somewhere"
-        raise BadInput(record.source, "steady stretches", "none", allowed)
     return found
 
 
@@ -59,13 +56,16 @@ def noise(found: Sequence[Stretch]) -> np.ndarray:
 
 
 def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
-    """The static map of a record with thrust: a point for each of its `stretches`, with their errors.
+    """The static map of a record with thrust: a point for each stretch `resting`, with their errors. BadInput without any.
 
     Means, and the spread of single readings, are over what is settled. `samples` is the number of independent readings that
     such a mean is worth: neighbours share noise, by an inflation that all stretches tell together (1 where all of them have
     too few readings for one). `omega` is the command where no speed was measured. A point measured twice is two points.
     """
-    found = stretches(record, settle)
+    found = resting(record, settle)
+    if not found:
+        allowed = f"both commands still for longer than {settle:g} s somewhere"
+        raise BadInput(record.source, "steady stretches", "none", allowed)
     shared = np.concatenate([(s.thrust - s.thrust.mean()) / (s.thrust.std() or 1.0) for s in found])
     enough = len(shared) >= FEWEST and np.ptp(shared) > 0.0
     inflation = max(1.0, samples_needed(shared, 1.0).inflation) if enough else 1.0

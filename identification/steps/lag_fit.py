@@ -8,8 +8,8 @@ import numpy as np
 from identification.fit.coordinates import CLOSEST, WIDEST
 from identification.fit.least_squares import solve
 
-LONGEST_DELAY = 0.3
-"""s, as far as the model's effects reach."""
+LONGEST_DELAY = 0.12
+"""Share of a run after its step. The model's effects reach 0.6 of a rig's time scale, and a run that settles lasts five."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,16 @@ class Response:
     def double_pole(self) -> bool:
         """Whether both lags came out the same: often the sign of a rate limit."""
         return self.slow - self.fast < 0.01 * self.slow
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(2, 2) of slow and fast; where only their sum is told, that of lags which keep their share of it."""
+        sum_, slow, fast = (self.std[name] for name in ("sum", "slow", "fast"))
+        if slow is None or fast is None:
+            share = np.array([self.slow, self.fast]) / (self.slow + self.fast)
+            return sum_**2 * np.outer(share, share)
+        both = 0.5 * (sum_**2 - slow**2 - fast**2)
+        return np.array([[slow**2, both], [both, fast**2]])
 
     def summary(self) -> dict:
         """For identification.json."""
@@ -100,7 +110,7 @@ class LagFit:
     def solve(self, delay: bool) -> Response:
         """The best fit."""
         lower = np.array([-np.inf, -np.inf, np.log(0.002), CLOSEST, *[0.0] * delay])
-        upper = np.array([np.inf, np.inf, np.log(2.0 * self.time[-1]), WIDEST, *[LONGEST_DELAY] * delay])
+        upper = np.array([np.inf, np.inf, np.log(2.0 * self.time[-1]), WIDEST, *[LONGEST_DELAY * self.time[-1]] * delay])
         found = solve(self.evaluate, self.start(delay), lower, upper)
         x, total, apart = found.value, np.exp(found.value[2]), np.sqrt(found.value[3])
         degrees = max(len(self.at) - len(x), 1)

@@ -6,6 +6,7 @@ import numpy as np
 
 from identification.fit.coordinates import CHANNELS
 from identification.steps.run import UNSETTLED, StepRun
+from vpp_fmu.digits import number
 
 NOISY = 0.2
 """Noise over step from which a run tells nothing that the others don't tell better."""
@@ -56,7 +57,7 @@ def _unfit(run: StepRun) -> str:
     fit = run.fits["thrust"].plain
     size = abs(fit.gain)
     if size <= SEEN * fit.std["gain"]:
-        return f"step too small: the thrust moves by {size:.2g} N, known to {fit.std['gain']:.2g} N"
+        return f"step too small: the thrust moves by {number(size, 2)} N, known to {number(fit.std['gain'], 2)} N"
     if run.noise > NOISY * size:
         return f"noise is {run.noise / size:.0%} of the step"
     missing = 1.0 - (fit.predicted[-1] - fit.offset) / fit.gain

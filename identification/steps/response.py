@@ -19,7 +19,9 @@ class Average:
     """Weighted mean over the runs of a channel and direction ("up", "down", "both"), of what was fitted to `signal`.
 
     Each run weighs by (gain / rms)^2, the inverse variance of what it tells. `spread`: weighted standard deviation from run to
-    run. `delayed`: whether the fits have a delay.
+    run. `delayed`: whether the fits have a delay. `covariance` (2, 2) of the means (slow, fast): what each run leaves open, and
+    by how much more than that the runs differ (random effects: DerSimonian and Laird, 1986). `apart`: whether any run tells
+    the two lags apart.
     """
 
     channel: str
@@ -32,20 +34,36 @@ class Average:
     spread: Mapping[str, float]
     runs: int
     double_poles: int
+    covariance: np.ndarray
+    apart: bool
+
+    @property
+    def std(self) -> dict[str, float | None]:
+        """Of the means, and of their sum; None where only the sum is told."""
+        (slow, both), (_, fast) = self.covariance
+        known = {"slow": float(np.sqrt(slow)), "fast": float(np.sqrt(fast))} if self.apart else {"slow": None, "fast": None}
+        return known | {"sum": float(np.sqrt(max(slow + fast + 2.0 * both, 0.0)))}
 
     def summary(self) -> dict:
         """For identification.json."""
-        return dict(vars(self)) | {"spread": dict(self.spread)}
+        names = ("channel", "signal", "direction", "delayed", "slow", "fast", "delay", "runs", "double_poles")
+        return {name: getattr(self, name) for name in names} | {"spread": dict(self.spread), "std": self.std}
 
 
 @dataclass(frozen=True, eq=False)
 class StepSummary:
-    """All runs, and their averages; `unreadable`: runs without a single step, by source, and why."""
+    """All runs, and their averages; `lags`: by channel, the one without delay that a model starts from; `unreadable`: runs
+    without a single step, by source, and why."""
 
     runs: tuple[StepRun, ...]
     averages: tuple[Average, ...]
-    start: Mapping[str, float]
+    lags: Mapping[str, Average]
     unreadable: Mapping[str, str]
+
+    @property
+    def start(self) -> dict[str, float]:
+        """Time constants by name of each channel that has a run to average."""
+        return {name: value for u, a in self.lags.items() for name, value in zip(pair(u), (a.slow, a.fast), strict=True)}
 
     @property
     def outliers(self) -> tuple[StepRun, ...]:
@@ -69,9 +87,8 @@ class StepSummary:
 def fit_steps(steps: Sequence[Record], scales: Mapping, coefficients: Mapping | None = None) -> StepSummary:
     """Fit every run and average the time constants, slow first.
 
-    `scales`: the parameters of the normalisation, `coefficients`: the static map's, both by name. `start` holds the time
-    constants of each channel that has a run to average, without delay: the model that starts from them has none. The
-    speed's are those of the measured speed where there is one.
+    `scales`: the parameters of the normalisation, `coefficients`: the static map's, both by name. `lags` are without delay:
+    the model that starts from them has none. The speed's are those of the measured speed where there is one.
     """
     runs, unreadable = [], {}
     for record in steps:
@@ -81,16 +98,20 @@ def fit_steps(steps: Sequence[Record], scales: Mapping, coefficients: Mapping | 
         else:
             runs.append(fit_run(record, *found, scales, coefficients))
     runs = [replace(run, reason=reason) for run, reason in zip(runs, reasons(runs), strict=True)]
-    averages, start = [], {}
+    averages, lags = [], {}
     for channel in CHANNELS:
         for signal in ("thrust", "omega"):
             used = [run for run in runs if run.channel == channel and not run.reason and signal in run.fits]
             if used:
                 delayed = sum(run.fits[signal].evidence for run in used) > EVIDENCE
                 averages += _averages(used, channel, signal, delayed)
-                plain = _average(used, channel, signal, "both", False)
-                start |= {f"tau_{channel}_1": plain.slow, f"tau_{channel}_2": plain.fast}
-    return StepSummary(tuple(runs), tuple(averages), start, unreadable)
+                lags[channel] = _average(used, channel, signal, "both", False)
+    return StepSummary(tuple(runs), tuple(averages), lags, unreadable)
+
+
+def pair(channel: str) -> tuple[str, str]:
+    """Names of a channel's time constants."""
+    return f"tau_{channel}_1", f"tau_{channel}_2"
 
 
 def _averages(used: Sequence[StepRun], channel: str, signal: str, delayed: bool) -> list[Average]:
@@ -110,4 +131,16 @@ def _average(used: Sequence[StepRun], channel: str, signal: str, direction: str,
         spread=dict(zip(("slow", "fast", "delay"), spread.tolist(), strict=True)),
         runs=len(fits),
         double_poles=sum(fit.double_pole for fit in fits),
+        covariance=_covariance(values[:, :2], np.array([fit.covariance for fit in fits]), weight / weight.sum()),
+        apart=any(fit.std["slow"] is not None for fit in fits),
     )
+
+
+def _covariance(values: np.ndarray, own: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(2, 2) of the mean, weighted by `share` (runs,), of values (runs, 2) that are each known to `own` (runs, 2, 2)."""
+    expected = np.einsum("n,nij->ij", share * (1.0 - share), own)
+    away = values - share @ values
+    # Scatter about a weighted mean of alike values is what their own doubt makes expect; more of it is from run to run.
+    excess, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", share, away, away) - expected)
+    between = (axes * np.maximum(excess, 0.0)) @ axes.T / max(1.0 - share @ share, 1e-12)
+    return np.einsum("n,nij->ij", share**2, own) + (share @ share) * between

@@ -23,6 +23,7 @@ from identification.fit.coordinates import CHANNELS
 from identification.fit.tachometer import Tachometer
 from identification.static.static_map import TERMS, design
 from identification.steps.lag_fit import LagFit, Response, settled_from
+from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 
 UNSETTLED = 0.05
@@ -185,4 +186,4 @@ def _missed(record: Record, channel: str, start: float, end: float, tail: np.nda
     shown = shown[np.isfinite(shown)]
     if not len(shown) or abs(shown.mean() - end) <= UNSETTLED * abs(end - start):
         return ""
-    return f"command not reached: {channel} ends at {shown.mean():.4g} instead of {end:.4g}"
+    return f"command not reached: {channel} ends at {number(shown.mean())} instead of {number(end)}"

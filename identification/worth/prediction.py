@@ -23,8 +23,8 @@ class Prediction:
     beta: np.ndarray
 
     @property
-    def rmse_thrust(self) -> float:
-        """N."""
+    def rmse_thrust(self) -> float | None:
+        """N; None where no thrust was read."""
         return rmse(self.thrust - self.record["thrust"])
 
     @property
@@ -33,18 +33,18 @@ class Prediction:
         return rmse(self.omega - self.record["omega"]) if "omega" in self.record else None
 
     @property
-    def fit_thrust(self) -> float:
+    def fit_thrust(self) -> float | None:
         """%, as `fit_percent`."""
         return fit_percent(self.record["thrust"], self.thrust)
 
-    def within(self, std: np.ndarray) -> float:
-        """Share of the readings that lie within 1.96 `std` (rows,) N of what was predicted."""
+    def within(self, std: np.ndarray) -> float | None:
+        """Share of the readings that lie within 1.96 `std` (rows,) N of what was predicted; None without a reading."""
         error = self.thrust - self.record["thrust"]
         seen = np.isfinite(error)
-        return float(np.mean(np.abs(error[seen]) <= NORMAL_95 * std[seen]))
+        return float(np.mean(np.abs(error[seen]) <= NORMAL_95 * std[seen])) if seen.any() else None
 
     def summary(self) -> dict:
-        """The figures of CONTRACT.md's `identification.json` for this record, whole and by section."""
+        """The figures of CONTRACT.md's `identification.json` for this record, whole and by section with a reading."""
         measured = self.record["thrust"]
         by_section = {
             name: {
@@ -52,6 +52,7 @@ class Prediction:
                 "fit_thrust": fit_percent(measured[mask], self.thrust[mask]),
             }
             for name, mask in sections(self.record).items()
+            if np.isfinite(measured[mask]).any()
         }
         return {
             "rmse_thrust": self.rmse_thrust,

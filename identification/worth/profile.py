@@ -9,7 +9,7 @@ Each end of a linear interval is tried: where the root of the cost's rise is wit
 stays; else it is searched. Trying takes one evaluation, as a Gauss-Newton step tells what refitting the others would bring.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,10 +38,12 @@ NOTHING = 1e-20
 _BLAS = ThreadpoolController()
 
 
-def profiled(problem: Problem, found: Solution, doubt: Uncertainty) -> Uncertainty:
+def profiled(problem: Problem, found: Solution, doubt: Uncertainty, others: Sequence[Solution] = ()) -> Uncertainty:
     """`doubt` of a solution, with the ends of its 95 % intervals from the profile wherever the linear ones are wrong.
 
-    An interval ends at a parameter's bound where the cost has not risen enough before. Data without noise leave it as it is.
+    An interval ends at a parameter's bound where the cost has not risen enough before. It reaches `others`, the ends of other
+    searches, as far as their cost is within it: a profile is followed from one optimum, and few data have several. Data
+    without noise leave it as it is.
     """
     if found.cost <= NOTHING * len(found.residual):
         return doubt
@@ -51,6 +53,10 @@ def profiled(problem: Problem, found: Solution, doubt: Uncertainty) -> Uncertain
         for k, name in enumerate(doubt.names):
             profile = Profile(optimum, k)
             ends = [profile.end(side, linear) for side, linear in zip((-1.0, 1.0), reach[k], strict=True)]
+            for other in others:
+                if profile.root(other.cost) <= profile.target:
+                    away = problem.coordinates.values(other.value)[name] - profile.at
+                    ends[away > 0.0] = max(ends[away > 0.0], abs(away))
             if not np.array_equal(ends, reach[k]):
                 reach[k] = ends
                 names.append(name)
@@ -73,7 +79,10 @@ class _Optimum:
 def _optimum(problem: Problem, found: Solution, doubt: Uncertainty) -> _Optimum:
     values = dict(zip(doubt.names, doubt.values.tolist(), strict=True))
     jacobian = problem.rows(values)[1]
-    variance, unit = np.diag(doubt.covariance), np.diag(_inverse(jacobian))
+    variance, unit = np.diag(doubt.covariance), np.zeros(len(doubt.values))
+    # What stands on a bound has no part in the covariance, and must have none in what that is compared with.
+    free = np.flatnonzero(variance > 0)
+    unit[free] = np.diag(_inverse(jacobian[:, free]))
     told = (variance > 0) & (unit > 0)
     scale = np.sqrt(np.divide(variance, unit, out=np.ones(len(unit)), where=told))
     # At a bound nothing was said of the colour: the worst of the others, and not below the residual's own size.
@@ -115,7 +124,7 @@ class Profile:
         for _ in range(TRIALS):
             away = min(away, room)
             found = self._refitted(side * away, slope)
-            root, slope = self._root(found.cost), (found.value - self.start) / (side * away)
+            root, slope = self.root(found.cost), (found.value - self.start) / (side * away)
             if abs(root / self.target - 1.0) <= CLOSE or (away == room and root < self.target):
                 break
             if root < self.target:
@@ -134,7 +143,8 @@ class Profile:
         share = (target - below) / (above - below)
         return low + (high - low) * float(np.clip(share, 0.05, 0.95))
 
-    def _root(self, cost: float) -> float:
+    def root(self, cost: float) -> float:
+        """Of twice the cost's rise above the optimum."""
         return float(np.sqrt(max(0.0, 2.0 * (cost - self.optimum.cost))))
 
     def _expected(self, away: float) -> float:
@@ -145,7 +155,7 @@ class Profile:
         gradient = jacobian.T @ residual
         free = ~((x <= lower) & (gradient > 0)) & ~((x >= upper) & (gradient < 0))
         fall = gradient[free] @ _inverse(jacobian[:, free]) @ gradient[free]
-        return self._root(0.5 * float(residual @ residual - fall))
+        return self.root(0.5 * float(residual @ residual - fall))
 
     def _refitted(self, away: float, slope: np.ndarray) -> Solution:
         lower, upper = self._bounds(away)

@@ -5,20 +5,24 @@ import numpy as np
 from vpp_fmu.record import Record
 
 
-def rmse(error: np.ndarray) -> float:
-    """Root mean square of an error (rows,), rows without a value left out; its unit."""
+def rmse(error: np.ndarray) -> float | None:
+    """Root mean square of an error (rows,), rows without a value left out; its unit. None where no row has one."""
     seen = error[np.isfinite(error)]
-    return float(np.sqrt(np.mean(seen**2)))
+    return float(np.sqrt(np.mean(seen**2))) if len(seen) else None
 
 
-def fit_percent(measured: np.ndarray, predicted: np.ndarray) -> float:
-    """100 (1 - |measured - predicted| / |measured - its mean|) in %, as MATLAB's `compare`; NaN for a constant."""
+def fit_percent(measured: np.ndarray, predicted: np.ndarray) -> float | None:
+    """100 (1 - |measured - predicted| / |measured - its mean|) in %, as MATLAB's `compare`; None for what does not vary."""
     seen = np.isfinite(measured)
     y = measured[seen]
-    spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-    return 100.0 * (1.0 - rmse(y - predicted[seen]) / spread) if spread > 0 else float("nan")
+    spread = float(np.sqrt(np.mean((y - y.mean()) ** 2))) if len(y) else 0.0
+    return 100.0 * (1.0 - rmse(y - predicted[seen]) / spread) if spread > 0 else None
 
 
-def noise_floor(record: Record, repeat: Record, name: str = "thrust") -> float:
-    """Standard deviation of one reading's noise, from two records of the same commands: their difference over sqrt 2."""
-    return rmse(record[name] - repeat[name]) / np.sqrt(2.0)
+def noise_floor(record: Record, repeat: Record, name: str = "thrust") -> float | None:
+    """Standard deviation of one reading's noise, from two records of the same commands: their difference over sqrt 2.
+
+    None where no row has a reading in both.
+    """
+    apart = rmse(record[name] - repeat[name])
+    return None if apart is None else apart / float(np.sqrt(2.0))

@@ -37,10 +37,10 @@ class ResidualTests:
 
 def residual_tests(record: Record, residual: np.ndarray) -> ResidualTests:
     """Tests of a thrust residual (rows,) N, NaN where nothing was measured. Steps of the record must be about even."""
-    rows = max(1, round(STEP / float(np.median(record.steps))))
+    rows = max(1, round(max(STEP, _renewed(record)) / float(np.median(record.steps))))
     n = len(record) // rows
     e = _means(residual, rows, n)
-    count = min(round(LONGEST / (rows * float(np.median(record.steps)))), n // 4)
+    count = max(1, min(round(LONGEST / (rows * float(np.median(record.steps)))), n // 4))
     lags = np.arange(1, count + 1) * rows * float(np.median(record.steps))
     crossed = {}
     for name in ("omega_ref", "beta_ref"):
@@ -51,6 +51,12 @@ def residual_tests(record: Record, residual: np.ndarray) -> ResidualTests:
     return ResidualTests(lags, own, crossed, NORMAL_95 / np.sqrt(np.isfinite(e).sum()))
 
 
+def _renewed(record: Record) -> float:
+    """s that a mean must span to hold a reading each time, where thrust renews more slowly than the rows; else 0."""
+    renewed = record.time[np.isfinite(record["thrust"])]
+    return 1.5 * float(np.median(np.diff(renewed))) if 1 < len(renewed) < len(record) else 0.0
+
+
 def _means(values: np.ndarray, rows: int, n: int) -> np.ndarray:
     blocks = values[: n * rows].reshape(n, rows)
     seen = np.isfinite(blocks)
@@ -59,6 +65,9 @@ def _means(values: np.ndarray, rows: int, n: int) -> np.ndarray:
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """0 where nothing varies, or no two values stand side by side: there is no evidence of any."""
     both = np.isfinite(a) & np.isfinite(b)
+    if not both.any():
+        return 0.0
     a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
     return float(a @ b / (np.sqrt((a @ a) * (b @ b)) or 1.0))

@@ -5,10 +5,11 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import commands, diagnosis, fmus, gate, identification, long, measured, rigs, tuning
+from . import commands, degenerate, diagnosis, fmus, gate, identification, long, measured, rigs, tuning
 
 STUDIES = {
     "commands": commands.main,
+    "degenerate": degenerate.main,
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
     "gate": gate.main,

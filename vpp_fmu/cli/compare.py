@@ -2,6 +2,7 @@
 
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.comparison import compare
+from vpp_fmu.digits import number
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.record import QUANTITIES, read_record
 from vpp_fmu.report import Page, two_records
@@ -24,7 +25,7 @@ def run(options):
     for name, figures in summary["columns"].items():
         unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
         rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
-        title = f"{name} differs by {figures['rms']:.3g} {unit} rms, at most {figures['largest']:.3g} {unit}"
+        title = f"{name} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}"
         pair = (held.time, held.first[name], held.time, held.second[name])
         page.figure(two_records(*pair, options.first, options.second, title, name, unit), "Second less first below.")
         print(title)

@@ -4,8 +4,9 @@ from contextlib import closing
 
 from tqdm import tqdm
 
-from vpp_fmu.cli.options import number
+from vpp_fmu.cli.options import real
 from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.digits import number
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import FmuController, FmuPlant
@@ -21,7 +22,7 @@ def configure(parser):
     parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
     text = "communication step in s (default: %(default)s)"
-    parser.add_argument("--step", type=number(1e-6, 1.0, "s"), default=0.004, metavar="S", help=text)
+    parser.add_argument("--step", type=real(1e-6, 1.0, "s"), default=0.004, metavar="S", help=text)
     add_output(parser)
 
 
@@ -57,6 +58,6 @@ def row(step: Step) -> tuple:
 
 def told(step: Step) -> str:
     """A step in words."""
-    when = "has not settled before the next" if step.settling is None else f"has settled after {step.settling:.3f} s"
-    change = f"The step from {step.before:.4g} to {step.after:.4g} N at {step.time:.4g} s"
+    when = "has not settled before the next" if step.settling is None else f"has settled after {number(step.settling, 3)} s"
+    change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s"
     return f"{change} {when}, overshoot {step.overshoot:.1f} %"

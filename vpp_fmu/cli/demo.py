@@ -16,6 +16,7 @@ from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.cli.export import exported
 from vpp_fmu.cli.options import WORKERS
 from vpp_fmu.cli.output import add_output, dated, say_written
+from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.outputs import OutputSet
@@ -75,8 +76,8 @@ def _write(folder: OutputFolder, done: Demo) -> None:
 def key_figures(done: Demo) -> list[tuple[str, str, str]]:
     """(label, value, note): as of the diagnosis, with the errors through the FMUs."""
     before, after = done.rmse["before"], done.rmse["after"]
-    note = f"unseen record, noise of one reading {done.diagnosis.noise.floor:.3f} N"
-    through = ("thrust error, FMU in fmpy", f"{before:.3f} → {after:.3f} N", note)
+    note = f"unseen record, noise of one reading {number(done.diagnosis.noise.floor)} N"
+    through = ("thrust error, FMU in fmpy", f"{number(before)} → {number(after)} N", note)
     return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in diagnosed(done.diagnosis)]
 
 
@@ -89,13 +90,14 @@ def demo_page(done: Demo) -> Page:
     page = Page(
         "From rig data to FMUs",
         f"A measured campaign becomes a plant model; its residual tells what the model lacks: {effects}. The model before and "
-        f"after is exported as FMUs, and fmpy runs them on a record that no fit has seen: {before:.3f} N before, {after:.3f} N "
-        f"after; the noise alone is {found.noise.floor:.3f} N.",
+        f"after is exported as FMUs, and fmpy runs them on a record that no fit has seen: {number(before)} N before, "
+        f"{number(after)} N after; the noise alone is {number(found.noise.floor)} N.",
     )
     page.tiles(key_figures(done))
     page.section("The plant FMUs against measurement")
     title = (
-        f"On an unseen record the FMU errs by {before:.3f} N before and {after:.3f} N after; noise is {found.noise.floor:.3f} N"
+        f"On an unseen record the FMU errs by {number(before)} N before and {number(after)} N after; "
+        f"noise is {number(found.noise.floor)} N"
     )
     lines = {f"FMU {name}": thrust for name, thrust in done.thrust.items()}
     figure = measured_against_predicted(
@@ -126,7 +128,7 @@ def _add_loops(page: Page, done: Demo) -> None:
     page.section("The closed loop of both FMUs")
     found = {name: steps(loop) for name, loop in done.loops.items()}
     settling = {name: each[-1].settling for name, each in found.items()}
-    words = {name: "not in time" if s is None else f"in {s:.2f} s" for name, s in settling.items()}
+    words = {name: "not in time" if s is None else f"in {number(s, 3)} s" for name, s in settling.items()}
     title = f"Step down: both actuators settle {words['dual']}, speed alone {words['speed only']}"
     caption = "The paper's gains on the augmented plant."
     page.figure(closed_loop({name: loop.columns for name, loop in done.loops.items()}, title), caption)

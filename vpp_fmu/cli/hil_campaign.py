@@ -14,7 +14,7 @@ from hil.cycle import PERIOD
 from hil.rig import ENDINGS
 from hil.session import Setup, session
 from vpp_fmu.cli import hil_options
-from vpp_fmu.cli.options import SEED, number, whole
+from vpp_fmu.cli.options import SEED, real, whole
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
@@ -35,10 +35,10 @@ def configure(parser):
     for name, kind, text in (
         ("points", whole(2, 100), "a side of the static grid"),
         ("samples", whole(2, 10**6), "readings a point of the grid"),
-        ("settle", number(0.1, 60.0, "s"), "before a point or a step counts"),
+        ("settle", real(0.1, 60.0, "s"), "before a point or a step counts"),
         ("levels", whole(1, 20), "of the other command for the steps"),
-        ("section", number(5.0, 3600.0, "s"), "each of the three of the open loop"),
-        ("validation", number(5.0, 3600.0, "s"), "of the validation record"),
+        ("section", real(5.0, 3600.0, "s"), "each of the three of the open loop"),
+        ("validation", real(5.0, 3600.0, "s"), "of the validation record"),
         ("commands-seed", SEED, "of the open-loop and validation commands"),
     ):
         default = getattr(plan, "seed" if name == "commands-seed" else name)

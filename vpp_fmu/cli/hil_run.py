@@ -18,6 +18,7 @@ from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.options import Number
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.commands import idle
+from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
@@ -166,7 +167,7 @@ def _write(folder: OutputFolder, done: Run, beside: Record | None, options, twin
 def _told_of_twin(page: Page, done: Run, twin: Twin, band: Band) -> dict:
     log = done.log.part(np.isfinite(done.log["residual"]))
     text = (
-        f"At most {twin.false_alarms:g} false alarms an hour; a constant {twin.smallest:.2f} N is found after "
+        f"At most {twin.false_alarms:g} false alarms an hour; a constant {number(twin.smallest, 3)} N is found after "
         f"{twin.delay:.1f} s in the mean."
     )
     if len(log):
@@ -197,7 +198,7 @@ def _tiles(page: Page, told: dict, done: Run) -> None:
         page.tiles([("late, p99.9", f"{1e6 * timing.late[2]:.0f} us", f"{timing.missed} slots missed")])
     if told["tares"]:
         tare = told["tares"][-1]
-        page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {tare['noise_N']:.3f} N")])
+        page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {number(tare['noise_N'])} N")])
     healed = sum(n for device in told["counters"].values() for name, n in device.items() if name != "pulses")
     page.tiles([("healed", f"{healed}", "transfers and frames that failed once")])
 
@@ -210,11 +211,11 @@ def _say(loops: dict[str, Record]) -> None:
 
 def _say_rest(told: dict, done: Run) -> None:
     if "beside" in told:
-        print(f"rig and {told['beside']['plant']} differ by {told['beside']['rms_thrust']:.3f} N rms")
+        print(f"rig and {told['beside']['plant']} differ by {number(told['beside']['rms_thrust'])} N rms")
     if "twin" in told:
         twin = told["twin"]
         said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
-        print(f"twin: {said_so}; residual {twin['residual_rms'] or float('nan'):.3f} N rms")
+        print(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
     log = told["log"]
     print(
         f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{'; ' + log['failure'] if log['failure'] else ''}"

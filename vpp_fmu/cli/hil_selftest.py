@@ -3,7 +3,7 @@
 from hil.report import add_counts, add_timing
 from hil.selftest import selftest
 from vpp_fmu.cli import hil_options
-from vpp_fmu.cli.options import number, whole
+from vpp_fmu.cli.options import real, whole
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import VppError
 from vpp_fmu.files import OutputFolder
@@ -19,7 +19,7 @@ class SelfTestFailed(VppError):
 def configure(parser):
     hil_options.add_rig(parser)
     parser.add_argument(
-        "--seconds", type=number(1.0, 3600.0, "s"), default=10.0, metavar="S", help="how long the loop runs (default: 10)"
+        "--seconds", type=real(1.0, 3600.0, "s"), default=10.0, metavar="S", help="how long the loop runs (default: 10)"
     )
     text = "so many busy processes beside the loop (2 without a number)"
     parser.add_argument("--load", nargs="?", type=whole(0, 64), const=2, default=0, metavar="N", help=text)

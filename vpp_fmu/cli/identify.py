@@ -5,8 +5,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from identification.fit.refine import METHODS
+from identification.found_report import untold
 from identification.identify import identify
-from identification.report import identification_page, key_figures
+from identification.report import identification_page, key_figures, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.options import SEED, WORKERS, whole
 from vpp_fmu.cli.output import add_accept, add_output, as_json, dated, say_written
@@ -58,6 +59,8 @@ def run(options):
         folder.write("report.html", identification_page(found).html())
     for finding in found.quality:
         print(finding.text)
+    for remark in (*remarks(found), *untold(found)):
+        print(remark)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder, found.parameters)

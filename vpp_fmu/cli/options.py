@@ -39,7 +39,7 @@ class Number:
         return f"{kind} {span} {self.unit}".rstrip() + others
 
 
-def number(low: float, high: float, unit: str = "", above: bool = False) -> Number:
+def real(low: float, high: float, unit: str = "", above: bool = False) -> Number:
     """A real number within a range."""
     return Number(low, high, unit, above=above)
 

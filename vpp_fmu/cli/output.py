@@ -28,8 +28,8 @@ def add_accept(parser) -> None:
 
 
 def as_json(content: dict) -> str:
-    """JSON as this project writes it."""
-    return json.dumps(content, indent=2) + "\n"
+    """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
 def dated(parameters: ParameterSet, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:

@@ -2,6 +2,7 @@
 
 from identification.identify import predict
 from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.digits import number
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import read_parameters
@@ -23,6 +24,6 @@ def run(options):
     columns = {name: record[name] for name in ("time", "omega_ref", "beta_ref")}
     columns |= {"thrust": shown.thrust, "omega": shown.omega, "beta": shown.beta}
     write_record(folder, "prediction.csv", Record(columns, "vpp simulate"))
-    if "thrust" in record:
-        print(f"thrust: rmse {shown.rmse_thrust:.4g} N against {options.record}")
+    if "thrust" in record and shown.rmse_thrust is not None:
+        print(f"thrust: rmse {number(shown.rmse_thrust)} N against {options.record}")
     say_written(folder, parameters)

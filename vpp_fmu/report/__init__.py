@@ -3,7 +3,7 @@
 from vpp_fmu.report.curves import behind_against_before, reached_against_commanded, stacked
 from vpp_fmu.report.evidence import evidence_bars
 from vpp_fmu.report.fits import correlation_heatmap, learning_curve, parameter_change
-from vpp_fmu.report.maps import map_residuals, map_surface
+from vpp_fmu.report.maps import map_residuals, map_section, map_surface
 from vpp_fmu.report.page import Page
 from vpp_fmu.report.records import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.report.remainders import correlations, overlap_heatmap, residual_by_move, residual_spectrum
@@ -21,6 +21,7 @@ __all__ = [
     "evidence_bars",
     "learning_curve",
     "map_residuals",
+    "map_section",
     "map_surface",
     "measured_against_predicted",
     "overlap_heatmap",

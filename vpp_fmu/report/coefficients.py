@@ -4,13 +4,16 @@ import numpy as np
 from plotly import graph_objects as go
 from plotly.colors import sample_colorscale
 
+from vpp_fmu.digits import number as digits
 from vpp_fmu.report import style
 
 
-def thrust_coefficients(speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray, title: str) -> go.Figure:
-    """C_T over pitch, a line a speed: ct (m, k) over speeds (m,) [rpm] and pitches (k,) [deg]; NaN where not measured.
+def thrust_coefficients(
+    speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray, title: str, label: str = "C_T [-]"
+) -> go.Figure:
+    """A coefficient of thrust over pitch, a line a speed: ct (m, k) over speeds (m,) [rpm] and pitches (k,) [deg].
 
-    Colours go from slow to fast.
+    NaN where not measured. Colours go from slow to fast. `label`: of its axis.
     """
     fig = style.figure(title, 460)
     shades = sample_colorscale("Viridis", np.linspace(0.0, 0.92, len(speeds)).tolist())
@@ -22,13 +25,13 @@ def thrust_coefficients(speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray,
             name=f"{speed:.0f} rpm",
             line={"color": shade, "width": 1.8},
             marker={"size": 5},
-            hovertemplate=f"%{{y:.4f}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>",
+            hovertemplate=f"%{{y:{style.SHOWN}}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>",
         )
     # Ten speeds are more than a row of a legend holds.
     side = {"orientation": "v", "x": 1.01, "xref": "paper", "y": 1.0, "yref": "paper", "traceorder": "reversed"}
     fig.update_layout(legend=side, margin_r=120, margin_t=fig.layout.margin.t - 24)
     fig.update_xaxes(title_text="blade pitch [deg]")
-    fig.update_yaxes(title_text="C_T [-]")
+    fig.update_yaxes(title_text=label)
     return fig
 
 
@@ -47,7 +50,7 @@ def mean_convergence(
     fig.add_scatter(x=m, y=white, mode="lines", name="independent readings", line=line, **hover)
     if wanted is not None:
         number, good = wanted
-        name, dotted = f"{good:g} N at {number} readings", {"color": style.MEASURED, "width": 1.2, "dash": "dot"}
+        name, dotted = f"{digits(good)} N at {number} readings", {"color": style.MEASURED, "width": 1.2, "dash": "dot"}
         far = number > m[-1]
         line = {"mode": "lines", "line": dotted, "showlegend": False, "hoverinfo": "skip"}
         fig.add_scatter(x=[m[-1], number] if far else [number], y=[std[-1], good] if far else [good], **line)
@@ -69,7 +72,7 @@ def map_uncertainty(omega: np.ndarray, beta: np.ndarray, std_grid: np.ndarray, t
         zmax=float(np.max(std_grid)),  # plotly heeds the one with the other only
         colorscale="Viridis",
         colorbar={"title": {"text": "standard deviation [N]", "side": "right"}},
-        hovertemplate="%{z:.4f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+        hovertemplate=f"%{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
     )
     fig.update_xaxes(title_text="speed [rpm]", showgrid=False)
     fig.update_yaxes(title_text="pitch [deg]", showgrid=False)

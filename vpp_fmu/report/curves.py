@@ -40,7 +40,7 @@ def behind_against_before(before: np.ndarray, change: np.ndarray, time: np.ndarr
             "showscale": True,
             "colorbar": {"title": {"text": "time [s]", "side": "right"}, "thickness": 14},
         },
-        hovertemplate="%{y:+.3f} N at %{x:.2f} N<extra></extra>",
+        hovertemplate=f"%{{y:+{style.SHOWN}}} N at %{{x:{style.SHOWN}}} N<extra></extra>",
     )
     fig.update_xaxes(title_text="thrust without the effect [N]")
     fig.update_yaxes(title_text="change by the effect [N]", zeroline=True, zerolinecolor="#9aa5b1")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from plotly import graph_objects as go
 
+from vpp_fmu.digits import interval, number
 from vpp_fmu.report import style
 
 
@@ -36,7 +37,7 @@ def parameter_change(
             "thickness": 1.6,
             "width": 4,
         },
-        hovertemplate="%{x:+.2f} %<extra></extra>",
+        hovertemplate=f"%{{x:+{style.SHOWN}}} %<extra></extra>",
     )
     fig.update_xaxes(title_text="change from the start [%]", ticksuffix=" ", range=_reach(change, (high - low) / scale))
     fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
@@ -81,8 +82,8 @@ def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quanti
 
 def _row(name: str, start: float, final: float, low: float, high: float) -> str:
     """The label of a parameter: its values, and its interval below."""
-    interval = f"{low:.3g} … {high:.3g}" if np.isfinite(high - low) else "interval unknown"
-    return f"<b>{style.escaped(name)}</b>  {start:.3g} → {final:.3g}<br>{interval}"
+    ends = interval(low, high) if np.isfinite(high - low) else "interval unknown"
+    return f"<b>{style.escaped(name)}</b>  {number(start)} → {number(final)}<br>{ends}"
 
 
 def _ticks(cost: np.ndarray) -> str | int:

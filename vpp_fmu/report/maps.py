@@ -22,7 +22,7 @@ def map_surface(
         opacity=0.85,
         colorbar={"title": {"text": "thrust [N]"}, "len": 0.7},
         contours={"z": {"show": True, "color": "rgba(255,255,255,0.6)", "width": 1}},
-        hovertemplate="model %{z:.2f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+        hovertemplate=f"model %{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
     )
     x, y, z = points
     fig.add_scatter3d(
@@ -31,7 +31,7 @@ def map_surface(
         z=z,
         mode="markers",
         marker={"size": 3.5, "color": "#111111"},
-        hovertemplate="measured %{z:.2f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+        hovertemplate=f"measured %{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
         name="measured",
         showlegend=True,
     )
@@ -40,6 +40,31 @@ def map_surface(
     camera = {"eye": {"x": -1.4, "y": -1.4, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.2}}
     fig.update_layout(scene=scene | {"camera": camera, "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8}})
     fig.update_layout(margin={"l": 0, "r": 0, "b": 0})
+    return fig
+
+
+def map_section(
+    at: np.ndarray,
+    thrust: np.ndarray,
+    points: tuple[np.ndarray, np.ndarray],
+    title: str,
+    label: str,
+    std: np.ndarray,
+) -> go.Figure:
+    """The map along one command `at` (n,), whose axis is named `label`: thrust (n,) [N], with 1.96 `std` (n,) [N] as a band.
+
+    `points`: (command, thrust [N]) as measured, each (k,).
+    """
+    fig = style.figure(title, 440)
+    for side, more in ((-1.0, {}), (1.0, {"fill": "tonexty", "fillcolor": style.NOISE, "name": "95 % interval of the map"})):
+        shared = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": bool(more)}
+        fig.add_scatter(x=at, y=thrust + side * 1.96 * std, **shared, **more)
+    fig.add_scatter(x=at, y=thrust, mode="lines", name="fitted", line={"color": style.AFTER, "width": 1.8})
+    marker = {"size": 7, "color": style.MEASURED}
+    hover = f"%{{y:{style.SHOWN}}} N at %{{x:{style.SHOWN}}}<extra></extra>"
+    fig.add_scatter(x=points[0], y=points[1], mode="markers", name="measured", marker=marker, hovertemplate=hover)
+    fig.update_xaxes(title_text=label)
+    fig.update_yaxes(title_text="thrust [N]")
     return fig
 
 
@@ -67,7 +92,7 @@ def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, tit
         textfont={"size": 11},
         xgap=1,
         ygap=1,
-        hovertemplate="%{z:+.3f} N<br>%{x:.0f} rpm, %{y:.1f} deg<extra></extra>",
+        hovertemplate=f"%{{z:+{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
     )
     fig.update_xaxes(title_text="speed [rpm]", showgrid=False)
     fig.update_yaxes(title_text="pitch [deg]", showgrid=False)

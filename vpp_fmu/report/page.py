@@ -7,8 +7,9 @@ from importlib.metadata import version
 from plotly import graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from vpp_fmu.digits import number
 from vpp_fmu.report.sheet import DRAW, SHEET
-from vpp_fmu.report.table import number, table
+from vpp_fmu.report.table import table
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 """Forbids the browser to fetch anything; images may be made by the page itself."""

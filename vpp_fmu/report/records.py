@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from plotly import graph_objects as go
 
+from vpp_fmu.digits import number
 from vpp_fmu.report import style
 from vpp_fmu.report.panels import add_band, add_envelope, add_line, panels
 from vpp_fmu.report.thinning import places
@@ -49,10 +50,13 @@ def measured_against_predicted(
             add_envelope(fig, panel, time, centre - reach, centre + reach, "95 % of readings expected", _BAND)
     add_line(fig, 0, time, measured[kept], "measured", {"color": style.MEASURED, "width": 1})
     if noise is not None:
-        add_band(fig, 1, 2 * noise, f"± 2 noise ({2 * noise:.2g} {unit})")
+        add_band(fig, 1, 2 * noise, f"± 2 noise ({number(2 * noise)} {unit})")
     colours = style.colours(predictions)
     for name, residual in residuals.items():
-        shown = f"{name}, rmse {np.sqrt(np.nanmean(residual**2)):.3g} {unit}"
+        seen = residual[np.isfinite(residual)]
+        shown = (
+            f"{name}, rmse {number(np.sqrt(np.mean(seen**2)))} {unit}" if len(seen) else f"{name}, nothing measured beside it"
+        )
         add_line(fig, 0, time, np.asarray(predictions[name])[kept], shown, {"color": colours[name], "width": 1.6})
         add_line(fig, 1, time, residual[kept], f"{name}, residual", {"color": colours[name], "width": 1}, group=shown)
     for k, (name, values) in enumerate(commands.items(), start=2):

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from plotly import graph_objects as go
 
+from vpp_fmu.digits import number
 from vpp_fmu.report import style
 from vpp_fmu.report.panels import add_band, add_line, panels
 
@@ -70,11 +71,11 @@ def residual_by_move(
                 name=f"{style.escaped(name)}, {kind}",
                 marker={"color": colours[name], "symbol": symbol, "size": 7, "line": {"width": 1.4}},
                 opacity=0.8,
-                hovertemplate="%{y:+.3f} N after a move of %{x:+.3~g}",
+                hovertemplate=f"%{{y:+{style.SHOWN}}} N after a move of %{{x:+{style.SHOWN}}}",
             )
     if noise is not None:
         shape = {"fillcolor": style.NOISE, "line_width": 0, "layer": "below", "showlegend": True}
-        fig.add_hrect(-2 * noise, 2 * noise, name=f"± 2 noise ({2 * noise:.2g} N)", **shape)
+        fig.add_hrect(-2 * noise, 2 * noise, name=f"± 2 noise ({number(2 * noise)} N)", **shape)
     fig.update_xaxes(title_text=label, zeroline=True, zerolinecolor="#9aa5b1")
     fig.update_yaxes(title_text="mean residual after it [N]", zeroline=True, zerolinecolor="#9aa5b1")
     fig.update_layout(hovermode="closest")

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from plotly import graph_objects as go
 
+from vpp_fmu.digits import number
 from vpp_fmu.report import style
 
 
@@ -20,16 +21,16 @@ def residual_by_section(
             y=values,
             name=name,
             marker_color=colour,
-            texttemplate="%{y:.2f}",
+            texttemplate="%{y:.3r}",
             textposition="outside",
             cliponaxis=False,
-            hovertemplate="%{y:.3f} N",
+            hovertemplate=f"%{{y:{style.SHOWN}}} N",
         )
     if noise is not None:
         fig.add_hline(
             y=noise,
             line={"color": style.MEASURED, "width": 1.6, "dash": "dash"},
-            name=f"noise alone, {noise:.2g} N",
+            name=f"noise alone, {number(noise)} N",
             showlegend=True,
         )
     fig.update_xaxes(title_text="section [-]", type="category")
@@ -54,14 +55,18 @@ def residual_histogram(
         x=centres,
         y=density,
         width=width,
-        name=f"residual, std {residual.std():.3g} {unit}",
+        name=f"residual, std {number(residual.std())} {unit}",
         marker_color=style.AFTER,
         opacity=0.75,
     )
     x = np.linspace(-largest, largest, 401)
     bell = np.exp(-((x / noise_std) ** 2) / 2) / (noise_std * np.sqrt(2 * np.pi))
     fig.add_scatter(
-        x=x, y=bell, mode="lines", name=f"noise alone, std {noise_std:.3g} {unit}", line={"color": style.MEASURED, "width": 2}
+        x=x,
+        y=bell,
+        mode="lines",
+        name=f"noise alone, std {number(noise_std)} {unit}",
+        line={"color": style.MEASURED, "width": 2},
     )
     fig.update_xaxes(title_text=f"{quantity} [{unit}]")
     fig.update_yaxes(title_text=f"density [1/{unit}]", rangemode="tozero")

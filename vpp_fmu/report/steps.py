@@ -7,7 +7,7 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.report import style
-from vpp_fmu.report.thinning import places
+from vpp_fmu.report.thinning import places, to_the_eye
 
 FIT = "#111111"
 LEFT_OUT = "#b4bcc4"
@@ -19,8 +19,12 @@ _PANEL, _GAP, _HEADING = 150, 52, 22
 _RANKS = {"fitted": 2, "left out": 3}
 """Order in the legend, behind the measured ones."""
 
-_AFTER = 1.5
-"""s from the step that are drawn: what comes later is settled, or is told in the reasons."""
+_SETTLED, _ROOM = 0.02, 1.5
+"""Share of a step that a settled fit may miss, and how many times as long as that takes is drawn: what comes later is settled,
+or is told in the reasons."""
+
+_BEFORE = 0.13
+"""Share of the time after the step that is drawn before it."""
 
 _POINTS = 240
 """Points a line, as many as a panel is pixels wide."""
@@ -56,8 +60,9 @@ def step_responses(
     fig = style.figure(title, plot + margin.t + _HEADING + margin.b)
     fig.update_layout(hovermode="closest", margin_t=margin.t + _HEADING)
     panels = {step: row * columns + column for step, (row, column) in places_of.items()}
+    after = _after(runs, delayed)
     for step, (row, column) in places_of.items():
-        _add_axes(fig, panels[step], row, column, columns, _PANEL / plot, (_PANEL + _GAP) / plot, step, unit)
+        _add_axes(fig, panels[step], row, column, columns, _PANEL / plot, (_PANEL + _GAP) / plot, step, unit, after)
         if column == 0:
             fig.layout[_axis("yaxis", panels[step])].title = {"text": "thrust [share of step]", "font": {"size": 12}}
         if panels[step] + columns not in panels.values():
@@ -67,8 +72,19 @@ def step_responses(
     named: set[str] = set()
     for run in sorted(runs, key=lambda run: not run.reason):  # the grey ones first, under the others
         name = "left out" if run.reason else f"measured at {run.level:g} {level_unit}"
-        _add_run(fig, panels[run.direction, run.start, run.end], run, name, shades[run.level], delayed, named)
+        _add_run(fig, panels[run.direction, run.start, run.end], run, name, shades[run.level], delayed, named, after)
     return fig
+
+
+def _after(runs: Sequence[Run], delayed: bool) -> float:
+    """s from the step that are drawn of every run: until the slowest that counts has settled, and some more."""
+    longest = max(float(run.time[-1]) for run in runs)
+    times = [0.0]
+    for run in runs:
+        if not run.reason:
+            away = np.abs(run.normalised(delayed)[1] - 1.0) > _SETTLED
+            times.append(float(run.time[away].max(initial=0.0)))
+    return min(_ROOM * max(times), longest) or longest
 
 
 def _grid(runs: Sequence[Run]) -> dict[tuple[str, float, float], tuple[int, int]]:
@@ -82,7 +98,7 @@ def _grid(runs: Sequence[Run]) -> dict[tuple[str, float, float], tuple[int, int]
     return found
 
 
-def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit) -> None:
+def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit, after) -> None:
     """The axes of a panel and its heading; `tall` and `pitch` are shares of the plot's height."""
     width, top = 1.0 / columns, 1.0 - row * pitch
     x, y = _axis("xaxis", panel), _axis("yaxis", panel)
@@ -92,7 +108,7 @@ def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit) -> None
             x: {
                 "domain": [left + 0.012, left + width - 0.012],
                 "anchor": _axis("y", panel),
-                "range": [-0.2, _AFTER],
+                "range": [-_BEFORE * after, after],
                 "tickfont": {"size": 11},
             },
             y: {
@@ -117,18 +133,18 @@ def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit) -> None
     )
 
 
-def _add_run(fig, panel, run, name, colour, delayed, named) -> None:
-    """The lines of one run; `named` are those that the legend has already."""
+def _add_run(fig, panel, run, name, colour, delayed, named, after) -> None:
+    """The lines of one run until `after` s; `named` are those that the legend has already."""
     measured, fitted = run.normalised(delayed)
-    near = np.flatnonzero((run.time >= -0.2) & (run.time <= _AFTER) & np.isfinite(measured))
+    near = np.flatnonzero((run.time >= -_BEFORE * after) & (run.time <= after) & np.isfinite(measured))
     kept = near[places([measured[near]], most=_POINTS)]
     lines = [(name, measured, {"color": LEFT_OUT if run.reason else colour, "width": 1})]
     if not run.reason:
         lines.append(("fitted", fitted, {"color": FIT, "width": 1.6}))
     for label, values, line in lines:
         fig.add_scatter(
-            x=np.round(run.time[kept], 4),
-            y=np.round(values[kept], 4),
+            x=to_the_eye(run.time[kept]),
+            y=to_the_eye(values[kept]),
             mode="lines",
             name=label,
             legendgroup=label,

@@ -64,6 +64,9 @@ _AXIS = {
     "hoverformat": ".5~g",
 }
 
+SHOWN = ".4~r"
+"""How d3 writes a measured quantity under the pointer: four significant digits, whatever the rig's size."""
+
 _WIDEST = 80
 """Letters in a line of a title: what A4 holds at its size."""
 

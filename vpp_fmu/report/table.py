@@ -1,27 +1,12 @@
-"""Numbers as text and tables as HTML."""
+"""Tables as HTML."""
 
-import math
 import re
 from collections.abc import Sequence
 from html import escape
-from numbers import Integral, Real
 
-_DIGITS = 4
+from vpp_fmu.digits import number
+
 _STARTS_AS_NUMBER = re.compile(r"[<>≈~±+\-−]?\s*\d")
-
-
-def number(value) -> str:
-    """A value as a reader wants it: reals with four significant digits, what is missing as a dash, text as it is."""
-    if value is None or (isinstance(value, Real) and math.isnan(value)):
-        return "–"
-    if isinstance(value, (bool, Integral)) or not isinstance(value, Real):
-        return str(value)
-    if value == 0 or math.isinf(value):
-        return {0.0: "0", math.inf: "∞"}.get(value, "−∞")
-    exponent = math.floor(math.log10(abs(value)))
-    if -4 <= exponent < 6:
-        return f"{value:.{max(0, _DIGITS - 1 - exponent)}f}"
-    return f"{value:.{_DIGITS - 1}e}"
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:

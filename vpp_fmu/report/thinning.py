@@ -1,5 +1,6 @@
 """Long records as lines that a browser draws at once, without losing a peak."""
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -32,6 +33,13 @@ def thinning(samples: int) -> str:
     if samples <= MOST:
         return ""
     return f"Drawn are at most {MOST} of the {samples} samples, the extremes of every line among them."
+
+
+def to_the_eye(values: np.ndarray) -> np.ndarray:
+    """Values to some hundred-thousandth of their span, far less than a pixel: the digits behind it only make a page large."""
+    seen = values[np.isfinite(values)]
+    span = float(np.ptp(seen)) if len(seen) else 0.0
+    return np.round(values, 5 - math.floor(math.log10(span))) if span > 0.0 else values
 
 
 def _lowest(lines: list[np.ndarray], size: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from plotly import graph_objects as go
 
 from vpp_fmu.report import style
 from vpp_fmu.report.panels import add_line, panels
+from vpp_fmu.report.thinning import to_the_eye
 
 REACH = 2.5
 """Half-width of the Nyquist plot: what happens near -1 must be seen."""
@@ -95,7 +96,7 @@ def response_clouds(time: np.ndarray, clouds: Sequence[Cloud], title: str, shown
     named: set[str] = set()
 
     def add(panel, values, name, line):
-        add_line(fig, panel, time, np.round(values, 4), name, line, name if name in named else None)
+        add_line(fig, panel, time, to_the_eye(values), name, line, name if name in named else None)
         named.add(name)
 
     for panel, cloud in enumerate(clouds):

@@ -8,7 +8,7 @@ the BIC finds worth their price (Corsi, 2009, for long memory by few terms).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -177,5 +177,14 @@ def noise_from(
     means = [m - np.nanmean(m) for m in means]
     rows = np.concatenate([e - np.nanmean(e) for e in error])
     below = np.concatenate([blocks(record, 0.5 / slow).mean(e - np.nanmean(e)) for e in error])
-    floor, power = float(np.sqrt(np.nanmean(rows**2))), float(np.nanmean(below**2))
-    return Noise(floor, colour_of(means), power, colour_of([s - s.mean() for s in speed if len(s)]), block, verified)
+    least = _rounding(record["thrust"])
+    floor, power = max(float(np.sqrt(np.nanmean(rows**2))), least), max(float(np.nanmean(below**2)), least**2)
+    colour = colour_of(means)
+    colour = replace(colour, innovation=max(colour.innovation, least))
+    return Noise(floor, colour, power, colour_of([s - s.mean() for s in speed if len(s)]), block, verified)
+
+
+def _rounding(thrust: np.ndarray) -> float:
+    """What rounding to the last digit that a record shows leaves uncertain [N]: noise is never less."""
+    values = np.unique(thrust[np.isfinite(thrust)])
+    return float(np.min(np.diff(values))) / np.sqrt(12.0)

@@ -5,6 +5,7 @@ import numpy as np
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.search.fits import Fit
+from vpp_fmu.digits import number
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, behind_against_before, reached_against_commanded, stacked
@@ -63,15 +64,15 @@ def _add_at_rest(page: Page, found: Diagnosis, effect: str, acts: str) -> None:
     reached, stairs = {}, _stairs(record[command])
     for level in levels:
         held = {beside: float(np.median(record[beside])) if level is None else level}
-        told = "" if level is None else f", pitch {level:.3g} deg"
+        told = "" if level is None else f", pitch {number(level, 3)} deg"
         fits = found.fits if level in (None, levels[-1]) else {"after": found.final}
         reached |= {f"{name}{told}": at_rest(fit, record, command, stairs, held)[acts] for name, fit in fits.items()}
     off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
     if off < AT_REST * np.ptp(stairs):
         return
-    title = f"{effect}: at rest the {word} ends up to {off:.3g} {unit} from its command"
+    title = f"{effect}: at rest the {word} ends up to {number(off, 3)} {unit} from its command"
     figure = reached_against_commanded(stairs, reached, title, word, unit)
-    page.figure(figure, f"The models at rest after stairs of {stairs[1] - stairs[0]:.2g} {unit}, up and down again.")
+    page.figure(figure, f"The models at rest after stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down again.")
 
 
 def _stairs(command: np.ndarray) -> np.ndarray:
@@ -93,7 +94,7 @@ def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) ->
 def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: Outputs) -> None:
     rows = slice(None, None, max(1, len(record) // 2000))
     largest = float(np.max(np.abs(change["thrust"])))
-    title = f"{effect}: the thrust changes by up to {largest:.2g} N"
+    title = f"{effect}: the thrust changes by up to {number(largest, 3)} N"
     figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
     page.figure(
         figure, "The augmented model with the effect, less the same without it, on the commands of the record shown above."
@@ -114,6 +115,6 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: O
         rows[f"{word} [{unit}]"] |= {name: getattr(p, acts)[near] for name, p in shown.items()}
     rows["thrust [N]"] = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
     size = float(np.max(np.abs(change["thrust"][near])))
-    moved = "" if acts == "thrust" else f"{np.max(np.abs(change[acts][near])):.3g} {unit} of {word}, "
-    title = f"{effect} does most around {center:.0f} s: {moved}{size:.2g} N of thrust"
+    moved = "" if acts == "thrust" else f"{number(np.max(np.abs(change[acts][near])), 3)} {unit} of {word}, "
+    title = f"{effect} does most around {center:.0f} s: {moved}{number(size, 3)} N of thrust"
     page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")

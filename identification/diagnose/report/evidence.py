@@ -6,6 +6,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import LEVEL, STRONG
 from identification.diagnose.report.summary import summary, why_not
 from identification.diagnose.search.refits import Tried
+from vpp_fmu.digits import number as digits
 from vpp_fmu.report import Page, evidence_bars, overlap_heatmap, parameter_change
 from vpp_fmu.report.evidence import FAILED, PASSED, TAKEN, Bar
 
@@ -31,7 +32,7 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
             continue
         beside = " + ".join(entry["beside"]) or "nothing"
         form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
-        size = ", ".join(f"{n.partition('.')[2]} {v:.3g}" for n, v in entry["parameters"].items())
+        size = ", ".join(f"{n.partition('.')[2]} {digits(v, 3)}" for n, v in entry["parameters"].items())
         rows.append((entry["name"], form, beside, 0.5 * entry["delta_bic"], size, entry["why_not"] or "taken"))
     columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
     page.table(columns, rows, "Candidates that were refitted in full.")
@@ -87,7 +88,7 @@ def add_shift(page: Page, found: Diagnosis) -> None:
     before, after = (np.array(list(values.values())) for values in (before, after))
     reach = 1.96 * np.array([shift[n]["std"] or np.nan for n in names], float)
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
-    title = f"Without the effect {names[k]} had bent to {before[k]:.3g}; with it, it is {after[k]:.3g}"
+    title = f"Without the effect {names[k]} had bent to {digits(before[k])}; with it, it is {digits(after[k])}"
     figure = parameter_change(names, before, after, after - reach, after + reach, title)
     caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the latter's order."
     page.figure(figure, caption)

@@ -1,5 +1,7 @@
 """The report of a diagnosis: its first screen says which effect, how large, the error before and after, and how sure."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
@@ -9,6 +11,7 @@ from identification.diagnose.report.evidence import add_apart, add_evidence, add
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import artefact, errors, summary
 from identification.gate.report import add_quality, quality_tile
+from vpp_fmu.digits import interval, number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -29,16 +32,16 @@ ZOOM, SMOOTHED = 3.0, 0.2
 def headline(found: Diagnosis) -> str:
     """The finding in one or two sentences."""
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    noise, where = f"the noise is {found.noise.floor:.3g} N", _where_judged(found)
+    noise, where = f"the noise is {number(found.noise.floor)} N", _where_judged(found)
     if found.refuted:
         return f"What fits these records best is refuted and does not ship: {found.refuted}. The base model stands, {noise}."
     if found.verdict == "none":
-        return f"Nothing is missing: the thrust error {where} is {before:.4g} N, {noise}."
+        return f"Nothing is missing: the thrust error {where} is {number(before)} N, {noise}."
     if found.verdict == "unexplained":
-        return f"Something is missing that no effect to choose from explains: {before:.4g} N {where}, {noise}."
+        return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
     described = {e.name: e.description for e in found.final.evidence.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
-    return f"{effects}: thrust error {where} {before:.4g} N before, {after:.4g} N after, {noise}."
+    return f"{effects}: thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
 
 
 def _where_judged(found: Diagnosis) -> str:
@@ -52,20 +55,18 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         for name, p in effect["parameters"].items():
             if name == "form":
                 continue
-            doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else UNTOLD
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
-            figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g}{unit}", doubt))
+            note = _known(p, effect["intervals"].get(name))
+            figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    change = f"{before:.4g} → {after:.4g} N" if found.final.effects else f"{before:.4g} N"
+    change = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
     checked = "" if found.noise.verified else ", not verified by a repeat"
-    figures.append(
-        (f"thrust error {_where_judged(found)}".rstrip(","), change, f"noise of one reading {found.noise.floor:.3g} N{checked}")
-    )
+    noise = f"noise of one reading {number(found.noise.floor)} N{checked}"
+    figures.append((f"thrust error {_where_judged(found)}".rstrip(","), change, noise))
     if found.given is not None:
         as_given = summary(found)["given"]["rmse_thrust"]
-        figures.append(
-            ("the model as it was given", f"{as_given:.4g} N", f"thrust error on {found.shown_name}, before any fit")
-        )
+        note = f"thrust error on {found.shown_name}, before any fit"
+        figures.append(("the model as it was given", f"{number(as_given)} N", note))
     if found.explained is not None:
         figures.append(
             ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
@@ -81,8 +82,21 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
 def _lack(found: Diagnosis) -> tuple[str, str, str]:
     """What the tests of lack of fit say."""
     lack = found.after
-    said = f"p = {lack.p:.2g}; from {lack.least:.2g} N below 10 Hz on it is of interest"
-    return "lack of fit", f"{lack.size:.2g} N" if lack.certain else "none seen", said
+    said = f"p = {number(lack.p, 2)}; from {number(lack.least, 2)} N below 10 Hz on it is of interest"
+    return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "none seen", said
+
+
+def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
+    """How well a parameter is known: its interval where that was searched, else from its standard deviation, in its unit."""
+    unit = "" if parameter["unit"] == "1" else parameter["unit"]
+    if ends is not None:
+        return f"95 %: {interval(*ends, unit)}"
+    if parameter["std"] is None:
+        return UNTOLD
+    if parameter["std"] == 0.0:
+        return "on its bound"
+    half = 1.96 * parameter["std"]
+    return f"95 %: {interval(parameter['value'] - half, parameter['value'] + half, unit)}"
 
 
 def _where(found: Diagnosis) -> tuple[str, str, str]:
@@ -91,7 +105,7 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
     band, section = (max(where[k], key=where[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
     strongest, largest = where["strongest_correlate"], where["largest"]
     note = f"most where {_commanded(section)}; goes with {strongest['signal']} ({strongest['correlation']:+.2f}); "
-    note += f"up to {abs(largest['thrust']):.2f} N; input: {where['input']}"
+    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {where['input']}"
     return "what is left", f"{band} Hz", note
 
 
@@ -139,10 +153,10 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
 def _add_whole(page: Page, found: Diagnosis) -> None:
     record = found.shown
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    left = [f"{p.rmse_thrust:.4g} N" for p in shown.values()]
+    left = [f"{number(p.rmse_thrust)} N" for p in shown.values()]
     erred = f"{left[0]} before, by {left[1]} after" if len(left) > 1 else left[0]
     seen = "no fit saw" if found.unseen is not None else "was fitted"
-    title = f"On a record that {seen} the model errs by {erred}; the noise alone is {found.noise.floor:.3g} N"
+    title = f"On a record that {seen} the model errs by {erred}; the noise alone is {number(found.noise.floor)} N"
     lines = {name: p.thrust for name, p in shown.items()}
     page.figure(_figure(found, record, lines, title), f"{found.shown_name}.csv. {thinning(len(record))}")
 
@@ -158,7 +172,7 @@ def _add_worst(page: Page, found: Diagnosis) -> None:
         if name == "after" and abs(center - centers[0]) < ZOOM:
             continue  # in the same window
         block = int(np.argmin(np.abs(at.time - center)))
-        there = " and ".join(f"{mean[block]:.2f} N {other}" for other, mean in means.items()).removesuffix(" model")
+        there = " and ".join(f"{number(mean[block], 3)} N {other}" for other, mean in means.items()).removesuffix(" model")
         near = np.abs(record.time - center) <= ZOOM
         when = "" if name == "model" else f" {name}"
         title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
@@ -176,7 +190,7 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
     names = list(before)
     values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
     k = int(np.argmax(values[0] - values[1]))
-    title = f"The error fell most where {_commanded(names[k])}: from {values[0][k]:.4g} to {values[1][k]:.4g} N"
+    title = f"The error fell most where {_commanded(names[k])}: from {number(values[0][k])} to {number(values[1][k])} N"
     figure = residual_by_section(names, *values, found.noise.floor, title)
     page.figure(figure, f"Thrust error by what is commanded, {_where_judged(found).rstrip(',')}.")
 
@@ -205,9 +219,9 @@ def _add_location(page: Page, found: Diagnosis) -> None:
         [
             ("goes most with", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
             ("input", where["input"]),
-            ("largest", f"{largest['thrust']:+.2f} N at {largest['time']:.1f} s"),
+            ("largest", f"{signed(largest['thrust'], 3)} N at {largest['time']:.1f} s"),
             *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
-            *((f"mean square, {name}", f"{max(power, 0.0):.2g} N²") for name, power in where["mean_square_by_section"].items()),
+            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in where["mean_square_by_section"].items()),
         ],
         f"Where the {what} lives, so far as it repeats.",
     )

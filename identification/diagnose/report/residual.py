@@ -7,11 +7,12 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.evidence.noise import Noise, blocks
 from identification.diagnose.locate import RATE
 from identification.worth.residual_tests import NORMAL_95
+from vpp_fmu.digits import number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, correlations, residual_by_move, residual_spectrum
 
 LAGS = 100
-"""Lags of RATE seconds that are looked at."""
+"""Lags of RATE seconds that are looked at, at most: a quarter of a record that is shorter."""
 
 BINS = np.geomspace(0.1, 25.0, 25)
 """Edges of the frequency bins of a spectrum, Hz."""
@@ -43,14 +44,15 @@ def _residuals(found: Diagnosis, record: Record) -> dict[str, np.ndarray]:
 def _add_correlations(page: Page, found: Diagnosis) -> None:
     record = _records(found)[0]
     at = blocks(record, RATE)
-    lags = np.arange(1, LAGS + 1) * float(np.median(np.diff(at.time)))
+    count = max(1, min(LAGS, len(at.time) // 4))
+    lags = np.arange(1, count + 1) * float(np.median(np.diff(at.time)))
     errors = {name: at.mean(error) for name, error in _residuals(found, record).items()}
-    rows = {"itself": {name: _correlated(e, e) for name, e in errors.items()}}
+    rows = {"itself": {name: _correlated(e, e, count) for name, e in errors.items()}}
     for command, (word, _) in WORDS.items():
         level = at.mean(record[command])
         if np.ptp(level) > 0.0:
-            rows[f"{word} command"] = {name: _correlated(e, level) for name, e in errors.items()}
-            rows[f"rate of {word} command"] = {name: _correlated(e, np.gradient(level)) for name, e in errors.items()}
+            rows[f"{word} command"] = {name: _correlated(e, level, count) for name, e in errors.items()}
+            rows[f"rate of {word} command"] = {name: _correlated(e, np.gradient(level), count) for name, e in errors.items()}
     band = NORMAL_95 / np.sqrt(np.isfinite(next(iter(errors.values()))).sum())
     outside = {row: [100.0 * np.mean(np.abs(v) > band) for v in lines.values()] for row, lines in rows.items()}
     worst = max(outside, key=lambda row: outside[row][0])
@@ -62,12 +64,15 @@ def _add_correlations(page: Page, found: Diagnosis) -> None:
     page.figure(correlations(lags, rows, band, title), caption)
 
 
-def _correlated(error: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    """Correlation (LAGS,) of an error (n,) with a signal (n,) that many blocks earlier; NaN left out."""
+def _correlated(error: np.ndarray, signal: np.ndarray, count: int) -> np.ndarray:
+    """Correlation (count,) of an error (n,) with a signal (n,) that many blocks earlier, NaN left out; 0 without any pair."""
     found = []
-    for k in range(1, LAGS + 1):
+    for k in range(1, count + 1):
         late, early = error[k:], signal[:-k]
         both = np.isfinite(late) & np.isfinite(early)
+        if not both.any():
+            found.append(0.0)
+            continue
         late, early = late[both] - late[both].mean(), early[both] - early[both].mean()
         found.append(late @ early / (np.sqrt((late @ late) * (early @ early)) or 1.0))
     return np.array(found)
@@ -81,8 +86,8 @@ def _add_spectrum(page: Page, found: Diagnosis) -> None:
     power = {name: _binned(at.mean(first[name]), at.mean(second[name]), float(np.median(np.diff(at.time)))) for name in first}
     centres = np.sqrt(BINS[1:] * BINS[:-1])
     before, after = found.before, found.after
-    now = f", now of {after.size:.2g} N (p = {after.p:.2g})" if len(first) > 1 else ""
-    title = f"Below 10 Hz the model lacked {before.size:.2g} N rms (p = {before.p:.2g}){now}"
+    now = f", now of {number(after.size, 2)} N (p = {number(after.p, 2)})" if len(first) > 1 else ""
+    title = f"Below 10 Hz the model lacked {number(before.size, 2)} N rms (p = {number(before.p, 2)}){now}"
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
     page.figure(residual_spectrum(centres, power, noise, title), f"{how}, averaged over bins; gaps: nothing there.")
@@ -140,7 +145,7 @@ def moves(time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _spans(time: np.ndarray, starts: np.ndarray) -> list[tuple[int, int]]:
     """Rows from each move to the next, at most LONGEST s; empty where that is less than SHORTEST s."""
-    ends = [*starts[1:], len(time)] if len(starts) else []
+    ends = [*starts, len(time)][1:]
     reach = np.searchsorted(time, time[starts] + LONGEST)
     found = [(int(a), int(min(b, c))) for a, b, c in zip(starts, ends, reach, strict=True)]
     return [(a, b if time[b - 1] - time[a] >= SHORTEST else a) for a, b in found]
@@ -154,12 +159,12 @@ def _worst_moves(size: np.ndarray, means, word: str, unit: str) -> str:
     """The kind of move, small or large, up or down, that was followed by the largest mean residual before."""
     middle = float(np.median(np.abs(size)))
     kinds = {}
-    for large, extent in ((False, f"less than {middle:.3g} {unit}"), (True, f"{middle:.3g} {unit} or more")):
+    for large, extent in ((False, f"less than {number(middle, 3)} {unit}"), (True, f"{number(middle, 3)} {unit} or more")):
         for sign, way in ((1.0, "up"), (-1.0, "down")):
             chosen = ((np.abs(size) >= middle) == large) & (np.sign(size) == sign)
             if chosen.any():
                 kinds[f"{word} moves {way} of {extent}"] = [float(np.nanmean(values[chosen])) for values in means.values()]
     worst = max(kinds, key=lambda kind: abs(kinds[kind][0]))
     before, after = kinds[worst][0], kinds[worst][-1]
-    now = f", now it is {after:+.3f} N" if len(means) > 1 else ""
-    return f"After {worst} the thrust was {before:+.3f} N off on average{now}"
+    now = f", now it is {signed(after, 3)} N" if len(means) > 1 else ""
+    return f"After {worst} the thrust was {signed(before, 3)} N off on average{now}"

@@ -1,0 +1,78 @@
+"""What a campaign without a record to fit tells: the map by its steady points, the lags by its step responses.
+
+Nothing is fitted to both, so neither knows of the other: their covariances stand side by side.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.fit.coordinates import CHANNELS
+from identification.fit.uncertainty import NORMAL_95, Uncertainty
+from identification.static.static_map import TERMS, StaticFit
+from identification.steps.response import StepSummary, pair
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.digits import with_doubt
+from vpp_fmu.errors import BadInput
+
+WORDS = {"omega": "speed", "beta": "pitch"}
+
+
+@dataclass(frozen=True)
+class Unrefined:
+    """`uncertainty` of what is told, and of all else why it is not: `not_identifiable`, by name."""
+
+    uncertainty: Uncertainty
+    not_identifiable: Mapping[str, str]
+
+
+def unrefined(
+    campaign: Campaign, names: Sequence[str], values: Mapping[str, float], static: StaticFit | None, steps: StepSummary | None
+) -> Unrefined:
+    """Of the parameters `names` at their `values`. BadInput where the campaign tells none of them."""
+    why = _untold_lags(steps) | _untold_coefficients(static)
+    told = tuple(name for name in names if name not in why)
+    if not told:
+        reasons = "; ".join(dict.fromkeys(why.values()))
+        raise BadInput(campaign.folder, "campaign", f"nothing that tells a parameter ({reasons})", _ENOUGH)
+    covariance = np.zeros((len(told), len(told)))
+    parts = [(pair(u), a.covariance) for u, a in (steps.lags if steps else {}).items()]
+    parts += [] if static is None else [(tuple(static.coefficients), static.covariance)]
+    for own, known in parts:
+        kept = [k for k, name in enumerate(own) if name in told]
+        at = [told.index(own[k]) for k in kept]
+        covariance[np.ix_(at, at)] = known[np.ix_(kept, kept)]
+    found = Uncertainty(told, np.array([values[n] for n in told]), covariance, np.ones(len(told)))
+    return Unrefined(found, {n: why[n] for n in names if n in why})
+
+
+_ENOUGH = "a record with time, omega_ref, beta_ref, thrust; or steady points; or steps"
+
+
+def _untold_lags(steps: StepSummary | None) -> dict[str, str]:
+    why = {}
+    for channel in CHANNELS:
+        average = steps.lags.get(channel) if steps else None
+        if average is None:
+            why |= dict.fromkeys(pair(channel), _no_lag(steps, channel))
+        elif not average.apart:
+            total = with_doubt(average.slow + average.fast, NORMAL_95 * average.std["sum"], "s")
+            why |= dict.fromkeys(pair(channel), f"the steps tell only the sum of both lags, {total}")
+    return why
+
+
+def _no_lag(steps: StepSummary | None, channel: str) -> str:
+    word = WORDS[channel]
+    runs = [run for run in steps.runs if run.channel == channel] if steps else []
+    if runs:
+        return f"no record to fit, and none of {len(runs)} steps of the {word} counts ({runs[0].reason})"
+    if steps and not steps.runs and steps.unreadable:
+        return f"no record to fit, and no run of steps is one ({next(iter(steps.unreadable.values()))})"
+    return f"no record to fit, and no step of the {word}"
+
+
+def _untold_coefficients(static: StaticFit | None) -> dict[str, str]:
+    if static is None:
+        return dict.fromkeys(TERMS, "no record to fit, and no steady points")
+    return dict.fromkeys(static.untold, f"the {static.used.sum()} steady points tell only its combinations with others")

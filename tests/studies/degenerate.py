@@ -1,0 +1,228 @@
+"""python -m tests.studies degenerate: every verb over campaigns that lack something or hold something odd (crippled.py).
+
+Each ends with its files, a report and strictly valid JSON, or with exit 2 and one line that says what is wrong; no traceback,
+no warning of numpy; no verb refuses what another wrote. What is not told by the data must be named, and what is told must be right: the truth is known here.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from identification.fit.refine import BASE_PARAMETERS
+from vpp_fmu.cli import VERBS
+from vpp_fmu.cli import main as vpp
+
+from .crippled import CASES, LONG, SIZES, Case, scale_parameters
+
+FAR = 5.0
+"""Standard deviations by which a parameter that counts as told may miss the truth: by chance one of two million does."""
+
+BENT = {
+    "steps only": "lags of the thrust, not of what is behind it",
+    "from standstill": "its record does not start settled",
+    "starts mid-flight": "its record does not start settled",
+    "huge offset": "no model of thrust has an offset of three times its scale",
+    "dead load cell": "nothing was measured",
+    "pitch 12 to 25 deg": "the truth in these scales has a term that the paper's map lacks",
+    "nothing missing, rig not declared": "the truth in these scales has a term that the paper's map lacks",
+}
+"""Campaigns whose parameters are not compared with the truth, and why not."""
+
+FIRST = ("check", "identify", "diagnose")
+"""Verbs that take the campaign; the others follow an identification."""
+
+FOLLOWED = ("fixed pitch", "fixed speed", "one move only", "static map only", "steps only", "validation only", "no noise")
+"""Campaigns from whose parameters a plan is made, FMUs and their closed loop."""
+
+TUNED = ("fixed pitch", "static map only", "fixed speed")
+"""Campaigns for whose parameters gains are sought: half a minute each."""
+
+NEEDED = {
+    "check": (),
+    "identify": ("parameters.json", "parameters.ssv", "identification.json", "report.html"),
+    "diagnose": ("diagnosis.json", "parameters.json", "parameters_base.json", "report.html"),
+    "simulate": ("prediction.csv",),
+    "compare": ("comparison.json", "report.html"),
+    "plan": ("plan.csv", "plan.json", "report.html"),
+    "export": ("VppPlant.fmu", "VppController.fmu"),
+    "cosim": ("run.csv", "report.html"),
+    "tune": ("gains.json", "gains_speed_only.json", "tuning.json", "report.html"),
+}
+"""Files without which a verb has not done its job."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a verb made of a campaign: in words, and what is wrong with that ("" where nothing is)."""
+
+    verb: str
+    campaign: str
+    outcome: str
+    fault: str
+    seconds: float
+
+
+def run(verb: str, arguments: Sequence[str], out: Path) -> tuple[int | None, list[str], str]:
+    """(exit code, or None after a traceback; lines on standard error but for notes; the traceback's last line) of a verb."""
+    said, told = io.StringIO(), io.StringIO()
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stderr(said), contextlib.redirect_stdout(told):
+            warnings.simplefilter("error")
+            code = vpp([verb, *arguments, "-o", str(out)])
+    except Exception as error:  # whatever it is, it is the finding
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return None, [], f"{type(error).__name__}: {error} ({Path(where.filename).name}, {where.name})"
+    lines = [line for line in said.getvalue().splitlines() if not line.startswith("vpp: note: ")]
+    return code, lines, ""
+
+
+def judged(verb: str, name: str, arguments: Sequence[str], out: Path) -> Row:
+    """Run a verb and look at what it left."""
+    began = time.perf_counter()
+    code, lines, broken = run(verb, arguments, out)
+    seconds = time.perf_counter() - began
+    if broken:
+        return Row(verb, name, broken, "traceback", seconds)
+    if code != 0:
+        fault = "" if code == 2 and len(lines) == 1 else f"exit {code} with {len(lines)} lines"
+        line = " ".join(lines).replace(f"{out.parent}/", "").replace(f"vpp {verb}: ", "")
+        return Row(verb, name, f"exit {code}: {line}", fault, seconds)
+    missing = [file for file in NEEDED[verb] if not (out / file).exists()]
+    invalid = [path.name for path in sorted(out.glob("*.json")) if not valid(path)]
+    fault = f"no {', '.join(missing)}" if missing else f"invalid JSON: {', '.join(invalid)}" if invalid else ""
+    fault = fault or ("said on standard error: " + lines[0] if lines else "")
+    return Row(verb, name, ", ".join(sorted(path.name for path in out.iterdir())), fault, seconds)
+
+
+def valid(path: Path) -> bool:
+    """Whether a file is JSON, without the NaN and Infinity that Python's reader lets pass."""
+
+    def refused(constant: str):
+        raise ValueError(constant)
+
+    try:
+        json.loads(path.read_text(), parse_constant=refused)
+    except ValueError:
+        return False
+    return True
+
+
+def identified(row: Row, case: Case, out: Path) -> Row:
+    """The same with what was found; a fault where a parameter is neither told nor named, or not where it says it is."""
+    found = json.loads((out / "identification.json").read_text())
+    values, untold = found["parameters"], found["not_identifiable"]
+    size = SIZES[case.size]
+    errors = [f"{error / size.noise:.2f}" for error in found["rmse_thrust"].values() if error is not None]
+    outcome = f"{len(set(values) - set(untold))} of {len(BASE_PARAMETERS)} told"
+    outcome += f", not {', '.join(untold)}" if untold else ""
+    outcome += f"; thrust error {', '.join(errors)} x noise" if errors else "; no record to judge by"
+    silent = [n for n in BASE_PARAMETERS if n not in values and n not in untold]
+    # What is held at some value bends what it only combines with: the reasons name it.
+    bent = " ".join(untold.values())
+    told = [n for n in values if n not in untold and n not in bent] if row.campaign not in BENT else []
+    off = {n: abs(values[n]["value"] - size.truth[n]) / values[n]["std"] for n in told if values[n]["std"]}
+    wrong = [f"{n} off by {pull:.0f} sd" for n, pull in off.items() if pull > FAR and not within(values[n], size.truth[n])]
+    fault = f"not named: {', '.join(silent)}" if silent else ", ".join(wrong)
+    return replace(row, outcome=outcome, fault=row.fault or fault)
+
+
+def within(entry: dict, truth: float) -> bool:
+    """Whether the interval holds the truth: it may be lopsided."""
+    low, high = entry["interval"]
+    return low <= truth <= high
+
+
+def diagnosed(row: Row, out: Path) -> Row:
+    """The same with the verdict."""
+    found = json.loads((out / "diagnosis.json").read_text())
+    effects = " + ".join(effect["name"] for effect in found["effects"])
+    before, after = (found[when][0]["rmse_thrust"] for when in ("before", "after"))
+    outcome = f"{found['verdict']}{f' ({effects})' if effects else ''}, {before:.4g} -> {after:.4g} N"
+    return replace(row, outcome=outcome)
+
+
+def rows(
+    names: Iterable[str], verbs: Sequence[str], folder: Path, options: Mapping[str, Sequence[str]] | None = None
+) -> Iterator[Row]:
+    """Each verb on each campaign by name, written below `folder`; `options`: further arguments by verb."""
+    for name in names:
+        case, home = CASES[name], folder / name.replace(" ", "_").replace(",", "")
+        case.write(home)
+        for verb in (v for v in FIRST if v in verbs):
+            row, out = judged(verb, name, [str(home), *(options or {}).get(verb, ())], home / verb), home / verb
+            if verb == "identify" and (out / "identification.json").exists() and not row.fault:
+                row = identified(row, case, out)
+            if verb == "diagnose" and (out / "diagnosis.json").exists() and not row.fault:
+                row = diagnosed(row, out)
+            yield row
+        if (home / "identify" / "parameters.json").exists():
+            yield from _following(name, case, verbs, home)
+
+
+def _following(name: str, case: Case, verbs: Sequence[str], home: Path) -> Iterator[Row]:
+    """What takes the parameters of an identification."""
+    given = ["--parameters", str(home / "identify" / "parameters.json")]
+    record = next((home / f"{n}.csv" for n in LONG if (home / f"{n}.csv").exists()), None)
+    calls: dict[str, list[str]] = {}
+    if record is not None:
+        calls["simulate"] = [str(record), *given]
+        calls["compare"] = [str(record), str(home / "simulate" / "prediction.csv")]
+    if name in FOLLOWED:
+        known = ["--knowledge", str(home / "identify" / "identification.json")]
+        calls["plan"] = [*given, *known, "--seconds", f"{5.0 * SIZES[case.size].slowness:g}"]
+        calls["export"] = given
+        fmus = [str(home / "export" / f"Vpp{part}.fmu") for part in ("Plant", "Controller")]
+        calls["cosim"] = [*fmus, "--profile", str(_profile(case, home)), "--step", "0.01"]
+    if name in TUNED:
+        calls["tune"] = given
+    for verb, arguments in calls.items():
+        if verb in verbs:
+            row = judged(verb, name, arguments, home / verb)
+            yield replace(row, fault=row.fault or "refuses what identify wrote") if row.outcome.startswith("exit") else row
+
+
+def _profile(case: Case, home: Path) -> Path:
+    """A step of the wanted thrust."""
+    full, path = scale_parameters(SIZES[case.size].scales)["thrust_scale"], home / "profile.csv"
+    path.write_text(f"time,thrust_set\n0,{0.2 * full}\n2,{0.5 * full}\n6,{0.5 * full}\n")
+    return path
+
+
+def show(found: Sequence[Row]) -> None:
+    """The table's foot: what must be 0."""
+    refused = sum(row.outcome.startswith("exit 2") for row in found)
+    print(f"\n{len(found)} rows: {len(found) - refused} with their files, {refused} refused in one line")
+    print(f"tracebacks {sum(row.fault == 'traceback' for row in found)}")
+    print(f"invalid JSON {sum(row.fault.startswith('invalid JSON') for row in found)}")
+    others = [row for row in found if row.fault and row.fault != "traceback" and not row.fault.startswith("invalid JSON")]
+    print(f"other faults {len(others)}")
+
+
+def line(row: Row) -> str:
+    """A row of the table."""
+    return f"{row.verb:9}| {row.campaign:37} | {row.outcome}" + (f" | FAULT: {row.fault}" if row.fault else "")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the table."""
+    known = [verb for verb in NEEDED if verb in VERBS]
+    parser = argparse.ArgumentParser(prog="python -m tests.studies degenerate", description=__doc__)
+    parser.add_argument("--verbs", default=",".join(known), metavar="A,B", help="of %(default)s")
+    parser.add_argument("--only", default="", metavar="WORD", help="campaigns whose name holds it")
+    parser.add_argument("-o", "--output", metavar="DIR", help="keep campaigns and results there")
+    options = parser.parse_args(arguments)
+    names = [name for name in CASES if options.only in name]
+    found = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for row in rows(names, options.verbs.split(","), Path(options.output or temporary)):
+            print(line(row), flush=True)
+            found.append(row)
+    show(found)

@@ -1,0 +1,75 @@
+"""Numbers as text, by significant digits: a rig of 1 N shows as much of itself as one of 200 N.
+
+Decimals suit what has one scale on every rig: a share, a percentage, a correlation, the time of an event in a record.
+"""
+
+import math
+from numbers import Integral, Real
+
+DIGITS = 4
+"""A thrust error is known to some per cent, a parameter to less: a fourth digit still says which of two is the smaller."""
+
+DOUBT = 2
+"""Digits of a standard deviation that mean something: from a hundred readings it is known to 7 %."""
+
+MOST = 7
+"""Digits of a value whose doubt is next to nothing, as in data without noise."""
+
+_MISSING = "–"
+
+
+def number(value, digits: int = DIGITS) -> str:
+    """A value with so many significant digits; what is missing as a dash, text as it is.
+
+    What a few digits tell exactly stays short (0.5, 6000). Below a thousandth, and from a million on, as a power of ten.
+    """
+    if value is None or (isinstance(value, Real) and math.isnan(value)):
+        return _MISSING
+    if isinstance(value, (bool, Integral)) or not isinstance(value, Real):
+        return str(value)
+    if value == 0 or math.isinf(value):
+        return {0.0: "0", math.inf: "∞"}.get(value, "−∞")
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if not -3 <= exponent < 6:
+        text = f"{rounded:.{digits - 1}e}"
+        return _short(text, value)
+    return _short(f"{rounded:.{max(0, digits - 1 - exponent)}f}", value)
+
+
+def signed(value, digits: int = DIGITS) -> str:
+    """The same with a plus where it is one."""
+    return f"{'+' if isinstance(value, Real) and value > 0 else ''}{number(value, digits)}"
+
+
+def with_doubt(value: float, half: float, unit: str = "") -> str:
+    """A value and half of its interval, both to the last digit that the latter is known to."""
+    unit = unit and f" {unit}"
+    if not 0.0 < half < math.inf or math.isnan(value):
+        return f"{number(value)}{unit}"
+    return f"{_to(value, half)} ± {_to(half, half)}{unit}"
+
+
+def interval(low: float, high: float, unit: str = "") -> str:
+    """Two ends, to the digit that their distance is known to."""
+    unit = unit and f" {unit}"
+    if not 0.0 < high - low < math.inf:
+        return f"{number(low)}{unit}" if low == high else f"{number(low)} to {number(high)}{unit}"
+    return f"{_to(low, high - low)} to {_to(high, high - low)}{unit}"
+
+
+def _to(value: float, doubt: float) -> str:
+    """The value to the last of DOUBT digits of its doubt, MOST digits in all."""
+    last = math.floor(math.log10(float(f"{doubt:.{DOUBT - 1}e}"))) - DOUBT + 1
+    size = math.floor(math.log10(abs(value))) if value else last
+    last = max(last, size - MOST + 1)
+    if -3 <= max(size, last) < 6 and last >= -6:
+        return f"{value:.{max(0, -last)}f}"
+    return f"{value:.{max(0, size - last)}e}"
+
+
+def _short(text: str, value: float) -> str:
+    """Without zeros at the end where the text tells the value exactly: they would claim digits that were asked of nobody."""
+    head, e, tail = text.partition("e")
+    trimmed = head.rstrip("0").rstrip(".") if "." in head else head
+    return f"{trimmed}{e}{tail}" if float(text) == float(value) else text
