@@ -223,7 +223,16 @@ def test_scores_of_outcomes(change, said):
 
 def done(case, **change):
     """A row as `outcome` makes it."""
-    more = {"failed": None, "verdict": "none", "effects": [], "family": {}, "equal": [], "evidence": 50.0, "seconds": 9.0}
+    more = {
+        "failed": None,
+        "verdict": "none",
+        "effects": [],
+        "family": {},
+        "equal": [],
+        "evidence": 50.0,
+        "seconds": 9.0,
+        "cpu": 8.0,
+    }
     more |= {"mb": 200.0, "readings": 20000, "parameters": {}, "true_error": [0.2, 0.2], "lack_of_fit": None}
     return case.summary() | more | change
 
@@ -258,7 +267,7 @@ def test_tables_tell_what_came_out_by_factor():
     rows += [done(draw(s, "single", hidden=("pitch_backlash",), size="micro"), **ROW, lack_of_fit=p) for s in range(10)]
     text = scores.tables(rows)
     lines = {line.split("  ")[0]: line.split()[-6:] for line in text.splitlines()}
-    assert lines["size big"][-2:] == ["0/20", "3/20"]
+    assert lines["size: big"][-2:] == ["0/20", "3/20"]
     assert "detectable single effects named (aim >= 95 %): 10 of 10" in text
     assert sum(line.startswith("missing") for line in text.splitlines()) == 3
     rows.append(draw(1, "none").summary() | {"failed": "not done in 900 s", "seconds": 900.0})

@@ -174,7 +174,7 @@ def show_diagnoses(wanted: Sequence[Case], workers: int, limit: float) -> None:
     """Diagnose and print a line each, as they are done, and what came of all."""
     print("\nDiagnosis: full size, open loop, repeat, validation, static map and steps. Error in N on a record nobody saw.")
     heads = f"{'rig':6} {'Hz':>5} {'s':>4} {'hidden':24} {'verdict':12} {'named':32} {'true':>9} {'found':>20}"
-    print(f"{heads} {'before':>8} {'after':>8} {'s':>5} {'MB':>5}")
+    print(f"{heads} {'before':>8} {'after':>8} {'s':>5} {'CPU':>5} {'MB':>5}")
     found = []
     for c in diagnosed(wanted, workers, 1, limit):
         found.append(c)
@@ -196,5 +196,5 @@ def _line(c: dict) -> str:
     names = "+".join(c["effects"]) + (f" ~ {', '.join(rivals)}" if rivals else "")
     true, value = next(((f"{p[0]:.4g}", f"{p[1]:.4g} ± {p[2]:.2g}") for p in c["parameters"].values()), ("", ""))
     before, after = c["true_error"]
-    tail = f"{before:8.3g} {after:8.3g} {c['seconds']:5.0f} {c['mb']:5.0f}"
+    tail = f"{before:8.3g} {after:8.3g} {c['seconds']:5.0f} {c['cpu']:5.0f} {c['mb']:5.0f}"
     return f"{head} {c['verdict']:12} {names[:32]:32} {true:>9} {value:>20} {tail}"
