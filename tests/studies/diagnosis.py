@@ -139,9 +139,10 @@ def rows(cases: Sequence[Case], workers: int, threads: int, limit: float, cold: 
 def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -> dict:
     """Measure the case, diagnose it, compare with the truth: all that the tables need."""
     measured, whole = case.measured(), tuple(library)
-    began = time.perf_counter()
+    began, worked = time.perf_counter(), time.process_time()
     content, before, after = told(measured, [e for e in whole if e.name != case.deleted], threads)
-    row = case.summary() | {"failed": None, "seconds": time.perf_counter() - began, "mb": peak()}
+    costs = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "mb": peak()}
+    row = case.summary() | {"failed": None} | costs
     row |= {"readings": sum(len(r) for r in (measured.open_loop, measured.repeat) if r is not None)}
     row |= {"evidence": case.evidence(measured.open_loop), "equal": case.equals(measured.open_loop)}
     row |= {"verdict": content["verdict"], "effects": [e["name"] for e in content["effects"]]}

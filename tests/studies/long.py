@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> None:
     like = {"size": options.size, "rate": options.rate, "noise": "AR", "level": 1.0, "strength": 1.0} | WHOLE
     print(__doc__.split("\n\n")[1])
     print(f"{options.hidden} on a {options.size} rig, {options.rate} Hz, full size, open loop and repeat\n")
-    print(f"{'record':>8} {'readings':>9} {'verdict':>12} {'effects':32} {'seconds':>8} {'MB':>6} {'us a reading':>13}")
+    print(f"{'record':>8} {'readings':>9} {'verdict':>12} {'effects':32} {'seconds':>8} {'CPU s':>6} {'MB':>6}")
     costs = []
     for seconds in options.seconds:
         case = draw(options.seed, "single", hidden=(options.hidden,), seconds=seconds, **like)
@@ -36,13 +36,12 @@ def main(arguments: list[str]) -> None:
         except Failed as failed:
             print(f"{seconds:6.0f} s  {failed}", flush=True)
             continue
-        each = 1e6 * c["seconds"] / c["readings"]
-        told = f"{c['verdict']:>12} {'+'.join(c['effects']):32} {c['seconds']:8.1f} {c['mb']:6.0f} {each:13.0f}"
+        told = f"{c['verdict']:>12} {'+'.join(c['effects']):32} {c['seconds']:8.1f} {c['cpu']:6.1f} {c['mb']:6.0f}"
         print(f"{seconds:6.0f} s {c['readings']:9} {told}", flush=True)
         costs.append(c)
     for a, b in pairwise(costs):
-        ratio = b["seconds"] / a["seconds"], b["readings"] / a["readings"], b["mb"] / a["mb"]
-        print(f"{ratio[1]:.1f} times the readings: {ratio[0]:.1f} times the seconds, {ratio[2]:.1f} times the memory")
+        more, seconds, cpu, mb = (b[n] / a[n] for n in ("readings", "seconds", "cpu", "mb"))
+        print(f"{more:.1f} times the readings: {seconds:.1f} times the seconds ({cpu:.1f} of CPU), {mb:.1f} times the memory")
     if costs:
         most = max(c["mb"] for c in costs)
         print(f"at most {most:.0f} MB (aim {MB:.0f}): {'reached' if most <= MB else 'not reached'}")

@@ -125,6 +125,12 @@ def _fade(g):
     return there | {"fade_time": g.any(15.0, 60.0), "fade_load": float(form == 2)}
 
 
+def _fade_parameters(s, size):
+    if "fade_time" not in s:
+        return {"rate": s["fade"] / 100.0}
+    return {"rate": s["fade"] / s["fade_time"], "time_constant": s["fade_time"]}
+
+
 def _drift(g):
     return {"bias": g.signed(0.004, 0.03), "drift": g.signed(0.01, 0.05)}
 
@@ -186,7 +192,7 @@ LISTED = (
         _either_lag("coupling_stiff", "coupling", 0.005, 0.1),
         _same("coupling", "gain", _rpm_per_deg),
     ),
-    Hidden("thrust_gain_drift", _fade),
+    Hidden("thrust_gain_drift", _fade, _fade_parameters),
     Hidden(
         "inflow_lag",
         lambda g: {"inflow": g.size(0.1, 0.5), "inflow_time": g.any(0.08, 0.25)},

@@ -196,7 +196,7 @@ void run(const struct rig *r, long n, long sub, const double *w_ref, const doubl
     double last = s.play, pulse = 0.0, display = floor(r->full * s.w + 0.5), turns = r->full / 60.0;
     struct past readings = remembered(r->reading_delay, r->step, 0.0), displays = remembered(r->speed_late, r->step, display);
     long m = 0;
-    for (long k = -(long)(PREROLL * r->slow / r->step); k < n * sub; k++) {
+    for (long k = -(long)(PREROLL * r->slow / r->step + 0.5); k < n * sub; k++) {
         double t = k > 0 ? k * r->step : 0.0, warm = 1.0 + r->warm * (1.0 - exp(-t / 40.0));
         long at = k < 0 ? 0 : k;
         if (k <= 0) s.heat = 0.0; /* warming starts anew with each record */

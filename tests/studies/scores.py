@@ -1,5 +1,6 @@
 """Tables and figures of the blind study, from its cases' rows (`diagnosis.outcome`)."""
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -134,8 +135,8 @@ COLUMNS = (
     Column("ships", "worse", ships, worse),
 )
 """Singles, pairs, and what is in no list count where they are detectable. `missing`: false "something is missing"; `open`:
-neither named nor called none; `honest`: says that something is left and names nothing false; `passed`: one passed over in
-silence."""
+neither named nor called none;
+`honest`: says that something is left and names nothing false; `passed`: one passed over in silence."""
 
 FACTORS: dict[str, Callable[[dict], object]] = {
     "all": lambda c: "",
@@ -144,8 +145,8 @@ FACTORS: dict[str, Callable[[dict], object]] = {
     "noise": lambda c: c["factors"]["noise"],
     "noise level": lambda c: _band(c["factors"]["level"], (0.8, 1.25), ""),
     "length": lambda c: _band(c["factors"]["seconds"], (30.0, 60.0), " s"),
-    "repeat, validation": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("repeat", "validation")),
-    "static, steps": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("static", "steps")),
+    "records": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("repeat", "validation")),
+    "start": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("static", "steps")),
     "vibration": lambda c: "in phase" if c["factors"]["locked"] else "free",
     "strength": lambda c: _band(c["factors"]["strength"], (1 / 3, 2 / 3), ""),
     "evidence": lambda c: _band(c["evidence"], (LIMIT, 100.0, 1000.0), "") if c["hidden"] else "",
@@ -155,8 +156,12 @@ FACTORS: dict[str, Callable[[dict], object]] = {
 def _band(value: float, edges: Sequence[float], unit: str) -> str:
     for low, high in zip((-np.inf, *edges), edges, strict=False):
         if value < high:
-            return f"< {high:.3g}{unit}" if np.isinf(low) else f"{low:.3g} to {high:.3g}{unit}"
-    return f"> {edges[-1]:.3g}{unit}"
+            return f"< {_short(high)}{unit}" if np.isinf(low) else f"{_short(low)} to {_short(high)}{unit}"
+    return f"> {_short(edges[-1])}{unit}"
+
+
+def _short(edge: float) -> str:
+    return f"{edge:.0f}" if edge >= 10.0 else f"{edge:.3g}"
 
 
 def tables(rows: Rows) -> str:
@@ -174,14 +179,15 @@ def by_factor(rows: Rows) -> list[str]:
     for factor, level in FACTORS.items():
         levels = sorted({level(c) for c in rows}, key=_order)
         shown = [value for value in levels if value != "" or factor == "all"]
-        lines += [_cells(f"{factor} {value}".strip(), [c for c in rows if level(c) == value]) for value in shown]
+        lines += [_cells(f"{factor}: {value}".removesuffix(": "), [c for c in rows if level(c) == value]) for value in shown]
     return lines
 
 
-def _order(level: str) -> tuple:
-    number = level.lstrip("<> ").split(" ")[0]
-    numeric = number.replace(".", "", 1).isdigit()
-    return numeric, float(number) + level.startswith(">") * 1e-9 if numeric else 0.0, level.startswith("<") is False, level
+def _order(level: str) -> tuple[float, str]:
+    """Numbers by size, and below the first edge first; words behind them."""
+    number = re.match(r"[<>]? ?(\d[\d.]*)", level)
+    place = float(number[1]) + {"<": -1e-6, ">": 1e-6}.get(level[0], 0.0) if number else np.inf
+    return place, level
 
 
 def by_effect(rows: Rows) -> list[str]:
@@ -307,8 +313,8 @@ def _costs(rows: Rows) -> list[str]:
     lines = []
     for band in sorted({_readings(c) for c in rows}, key=_order):
         part = [c for c in rows if _readings(c) == band]
-        seconds, mb = (np.array([c[n] for c in part]) for n in ("seconds", "mb"))
-        text = f"{np.median(seconds):.1f} s, at most {seconds.max():.0f} s; {np.median(mb):.0f} MB, at most {mb.max():.0f} MB"
+        costs = ((np.array([c[n] for c in part]), unit) for n, unit in (("seconds", "s"), ("cpu", "s of CPU"), ("mb", "MB")))
+        text = "; ".join(f"{np.median(values):.0f} {unit}, at most {values.max():.0f}" for values, unit in costs)
         lines.append(f"a diagnosis of {band} readings ({len(part)}): median {text}")
     return lines
 

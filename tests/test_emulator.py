@@ -1,0 +1,307 @@
+"""The studies' emulator of rigs against closed forms, and what the studies make of its cases."""
+
+import json
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from studies import diagnosis, orders, rigs, scores
+from studies.apart import Failed, apart
+from studies.cases import KINDS, WHOLE, Case, draw
+from studies.detectable import evidence
+from studies.missing import HIDDEN, LISTED, Draw
+from studies.noise import HUM, SPIKE, SPIKES, Noise
+from studies.noise import KINDS as NOISES
+from studies.physics import PAPER, Frame, in_time, run
+from studies.rig import SIZES, Files, Rig, campaign, random_base, save
+
+from vpp_fmu.campaign import read_campaign
+
+PLAIN = Frame(row=0.004, step=1e-4, slow=1.0, full=6000.0)
+
+
+def commands(clock, seconds=12.0, seed=3):
+    return orders.both(np.random.default_rng(seed), clock, seconds)
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_a_rig_at_rest_shows_its_map(name):
+    size = SIZES[name]
+    rig = Rig(in_time(PAPER, size.slow), size, 250.0)
+    w, b = 0.7, 0.4
+    found = rig.run(*size.commands(np.full(50, w), np.full(50, b)))
+    c = rig.settings
+    map_ = c["c20"] * w**2 + c["c11"] * w * b + c["c21"] * w**2 * b + c["c12"] * w * b**2 + c["c30"] * w**3
+    assert found.omega == pytest.approx(np.full(50, w), rel=1e-9)
+    assert rig.force(found, 0, 0) == pytest.approx(np.full(50, size.thrust * map_), rel=1e-6)
+
+
+def test_lags_answer_a_step_as_two_lags_do():
+    w = np.repeat([0.5, 0.9], [25, 475])
+    found = run(PAPER, PLAIN, w, w)
+    t = np.maximum(0.004 * (np.arange(500) - 25), 0.0)
+    for signal, a, c in ((found.omega, 0.172, 0.053), (found.beta, 0.2, 0.07)):
+        wanted = 0.9 - 0.4 * (a * np.exp(-t / a) - c * np.exp(-t / c)) / (a - c)
+        assert signal == pytest.approx(wanted, abs=0.4 * 2e-3)  # steps of 0.1 ms against 53 ms
+
+
+OWN_TIME = {"fade", "drift", "discharge"}
+"""What goes on in its own time, whatever the rig's."""
+
+
+@pytest.mark.parametrize(
+    "hidden", [h for h in LISTED if not OWN_TIME & set(h.draw(Draw(np.random.default_rng(1), 1.0)))], ids=str
+)
+def test_a_slower_rig_does_the_same_more_slowly(hidden):
+    settings = PAPER | dict(hidden.draw(Draw(np.random.default_rng(1), 1.0)))
+    w, b = commands(orders.Clock(0.004, 1.0))
+    fast = run(settings, PLAIN, w, b)
+    slow = run(in_time(settings, 3.0), Frame(0.012, 3e-4, 3.0, 2000.0), w, b)
+    assert slow.load == pytest.approx(fast.load, abs=1e-6)
+    assert slow.turn == pytest.approx(fast.turn, rel=1e-9)
+
+
+def test_a_tachometer_shows_whole_revolutions_of_its_timer():
+    n = 500
+    found = run(PAPER, PLAIN, np.full(n, 0.5), np.full(n, 0.5))  # 3000 rpm: 20 ms, 5000 ticks
+    assert np.all(found.shown == 3000.0)
+    odd = run(PAPER, replace(PLAIN, full=20000.0), np.full(n, 0.7), np.full(n, 0.5))  # 14 000 rpm: 1071.4 ticks
+    assert set(odd.shown) <= {np.floor(60.0 / (4e-6 * ticks) + 0.5) for ticks in (1071, 1072)}
+
+
+def test_speed_is_held_until_the_next_pulse_and_never_ahead_of_it():
+    w = np.repeat([0.4, 0.8], [250, 750])
+    found = run(PAPER, replace(PLAIN, full=600.0), w, np.full(1000, 0.5))  # a revolution takes 0.1 to 0.25 s
+    news = np.flatnonzero(np.diff(found.shown)) + 1
+    whole = np.diff(np.floor(found.turn))
+    assert set(news - 1) <= set(np.flatnonzero(whole > 0))
+    assert np.all(found.shown[news] < 600.0 * found.omega[news] + 1.0)  # speeding up, a mean is late; a digit is 1 rpm
+    assert found.shown[-1] == pytest.approx(480.0, abs=1.0)
+
+
+def test_a_late_reading_is_the_same_later():
+    w, b = commands(orders.Clock(0.004, 1.0))
+    now, later = (run(PAPER | own, PLAIN, w, b) for own in ({}, {"reading_delay": 0.04, "speed_late": 0.02}))
+    assert later.load[10:] == pytest.approx(now.load[:-10], abs=1e-12)
+    assert np.array_equal(later.shown[5:], now.shown[:-5])
+    assert np.array_equal(later.omega, now.omega)
+
+
+@pytest.mark.parametrize("kind", NOISES)
+def test_noise_has_the_power_it_says(kind):
+    noise, rows = Noise(kind, 0.13, 0.004, 1.0, 0.003), 2**17
+    # A force that wanders over many counts: else one of a coarse converter's counts would always be the same.
+    force = np.cumsum(0.01 * np.random.default_rng(1).standard_normal(rows))
+    error = noise.reading(np.random.default_rng(2), force) - force
+    turns = np.fft.rfftfreq(rows)[1:]
+    if kind == "spikes":
+        struck = np.abs(error) > 0.5 * SPIKE[0] * noise.std
+        assert struck.mean() == pytest.approx(SPIKES, rel=4.0 / np.sqrt(SPIKES * rows))
+        error = np.where(struck, 0.0, error)
+    ratio = np.abs(np.fft.rfft(error)[1:]) ** 2 / rows / noise.power(turns)
+    lines = kind == "1/f + hum"
+    if lines:
+        hum = np.any([np.abs(turns / 0.004 - f) < 0.3 for f in HUM], axis=0)
+        assert ratio[hum].max() > 1000.0
+        ratio, turns = ratio[~hum], turns[~hum]
+    bands = np.array_split(ratio, 8)
+    # Each ratio is exponential with mean 1 where the noise is Gaussian; Student's t of 3 degrees has no fourth moment.
+    error_of_mean = 1.0 / np.sqrt(len(bands[0]))
+    for band in bands:
+        assert band.mean() == pytest.approx(1.0, abs=(12.0 if kind == "Student t" else 5.0) * error_of_mean)
+    slowest = ratio[: 2000 if not lines else 500]
+    assert slowest.mean() == pytest.approx(1.0, abs=0.25)
+
+
+def test_cases_are_drawn_by_factors_that_do_not_touch_each_other():
+    free, fixed = draw(5, "single"), draw(5, "single", size="big", noise="spikes")
+    assert {n for n, v in vars(free.factors).items() if v != vars(fixed.factors)[n]} <= {"size", "noise"}
+    assert fixed.factors.size == "big"
+    assert (fixed.rig.kind, fixed.rig.size.name) == ("spikes", "big")
+    assert draw(5, "single").rig.settings == free.rig.settings
+    every = [draw(seed, kind).factors for seed in range(150) for kind in KINDS]
+    for name, values in {"size": set(SIZES), "noise": set(NOISES), "rate": {100, 250, 500, 1000}}.items():
+        shares = [np.mean([getattr(f, name) == v for f in every]) for v in values]
+        assert np.sum(shares) == pytest.approx(1.0)
+        assert min(shares) > 0.8 / len(values)
+    for name, share in {"repeat": 0.5, "validation": 0.5, "static": 0.75, "steps": 0.75}.items():
+        assert np.mean([getattr(f, name) for f in every]) == pytest.approx(share, abs=0.07)
+    assert 15.0 <= min(f.seconds for f in every) < 20.0
+    assert 110.0 < max(f.seconds for f in every) <= 120.0
+
+
+def test_following_seeds_go_through_all_effects():
+    known = [h.name for h in LISTED]
+    assert {draw(seed, "single", known).hidden for seed in range(len(known))} == {(n,) for n in known}
+    assert all(draw(seed, "deleted", known).deleted == draw(seed, "deleted", known).hidden[0] for seed in range(5))
+
+
+def test_strength_goes_from_least_to_full_size():
+    least, full = (draw(2, "single", hidden=("pitch_backlash",), size="paper", strength=s) for s in (0.0, 1.0))
+    assert (least.sizes["backlash"], full.sizes["backlash"]) == pytest.approx((0.008, 0.06))
+    assert full.truth() == {"pitch_backlash.half_gap": pytest.approx(0.06 * full.rig.size.span)}
+
+
+def test_a_campaign_is_what_its_factors_say_in_memory_and_as_a_folder(tmp_path):
+    for flags in ((True, False, True, False), (False, True, False, True)):
+        files = Files(15.0, *flags)
+        rig = Rig(random_base(np.random.default_rng(0), 0.3), SIZES["micro"], 100.0)
+        measured = campaign(rig, np.random.default_rng(0), files)
+        there = tuple(f"{n}.csv" for n, had in zip(WHOLE, flags, strict=True) if not had)
+        assert set(measured.missing) == set(there)
+        assert measured.open_loop.time[-1] == pytest.approx(15.0, abs=0.05)
+        save(measured, rig.size, tmp_path / str(flags[0]))
+        again = read_campaign(tmp_path / str(flags[0]))
+        assert again.missing == measured.missing
+        assert again.rig.summary() == measured.rig.summary() | {"thrust": again.rig.summary()["thrust"]}
+        assert again.open_loop["thrust"] == pytest.approx(measured.open_loop["thrust"], abs=1e-9)
+        # No command leaves the range that rig.json declares, and the map's scales are those in which it was drawn.
+        low, high = measured.rig.speed
+        for record in (again.open_loop, again.validation, *again.steps):
+            assert record is None or low <= record["omega_ref"].min() <= record["omega_ref"].max() <= high
+        assert {n: getattr(again.rig.scales, n) for n in rig.size.scales} == rig.size.scales
+
+
+def test_evidence_is_none_without_an_effect_and_the_sum_over_records_with_one():
+    rig = Rig(dict(PAPER), rate=100.0)
+    told = rig.size.commands(*commands(rig.clock))
+    assert evidence(rig, PAPER, *told) == pytest.approx(0.0, abs=1e-6)
+    bent = replace(rig, settings=PAPER | {"backlash": 0.05})
+    one, two = (evidence(bent, PAPER, *told, records=n) for n in (1, 2))
+    assert two == pytest.approx(2.0 * one)
+    assert evidence(bent, PAPER, *told, {"backlash": 0.05}) == pytest.approx(0.0, abs=1e-6)
+    # Half the noise, four times the log-likelihood, but for the speed's share and the converter's counts.
+    quiet = evidence(replace(bent, level=0.5), PAPER, *told)
+    assert quiet == pytest.approx(4.0 * two, rel=0.02)
+
+
+def test_a_pair_is_as_detectable_as_its_fainter_effect():
+    case = draw(0, "pair", hidden=("pitch_delay", "supply_sag"), size="paper", rate=100, noise="AR", seconds=30.0, repeat=True)
+    record = case.rig.record(case.random(3), commands(case.rig.clock, 30.0), "")
+    told = record["omega_ref"], record["beta_ref"]
+    alone = [evidence(replace(case.rig, settings=case.base | own), case.base, *told) for own in case.each.values()]
+    assert alone[1] > 100.0 * alone[0]
+    assert case.evidence(record) == pytest.approx(alone[0], rel=0.3)
+
+
+def test_three_rigs_are_identified_as_well_as_their_bound_allows():
+    distance = [rigs.trials(name, rate, [7]).distance[0, 0] for name, rate in rigs.RATES.items()]
+    # Squared errors in the metric of the bound are chi-square: nine parameters, three rigs.
+    assert chi2.sf(sum(distance), 27) > 1e-3
+    assert chi2.cdf(sum(distance), 27) > 1e-3
+
+
+ROW = {"kind": "single", "hidden": ["pitch_backlash"], "verdict": "attributed", "effects": ["pitch_backlash"], "family": {}}
+ROW |= {"equal": [], "evidence": 100.0, "true_error": [0.2, 0.02], "failed": None}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, {"hit"}),
+        ({"effects": ["pitch_backlash", "rotor_vibration"]}, {"hit"}),  # it is there, on every rig
+        ({"effects": ["pitch_backlash", "map_terms"]}, {"wrong"}),
+        ({"effects": ["map_terms"]}, {"wrong"}),
+        ({"effects": ["map_terms"], "family": {"map_terms": ["pitch_backlash"]}}, {"hit"}),
+        ({"effects": ["map_terms"], "verdict": "partly"}, set()),
+        ({"effects": [], "verdict": "unexplained"}, {"honest"}),
+        ({"effects": [], "verdict": "none"}, set()),
+        ({"hidden": ["pitch_backlash", "sensor_lag"], "kind": "pair"}, {"passed_over"}),
+        ({"hidden": ["pitch_backlash", "sensor_lag"], "kind": "pair", "verdict": "partly"}, {"honest"}),
+        ({"hidden": ["stick_slip"], "kind": "outside"}, {"wrong"}),
+        ({"hidden": ["stick_slip"], "kind": "outside", "effects": ["pitch_stop_band"]}, {"passed_over"}),  # a relative
+        ({"hidden": [], "kind": "none"}, {"wrong"}),
+        ({"true_error": [0.02, 0.021]}, {"hit", "worse"}),
+    ],
+)
+def test_scores_of_outcomes(change, said):
+    row = ROW | change
+    assert {f.__name__ for f in (scores.hit, scores.wrong, scores.honest, scores.passed_over, scores.worse) if f(row)} == said
+
+
+def done(case, **change):
+    """A row as `outcome` makes it."""
+    more = {
+        "failed": None,
+        "verdict": "none",
+        "effects": [],
+        "family": {},
+        "equal": [],
+        "evidence": 50.0,
+        "seconds": 9.0,
+        "cpu": 8.0,
+    }
+    more |= {"mb": 200.0, "readings": 20000, "parameters": {}, "true_error": [0.2, 0.2], "lack_of_fit": None}
+    return case.summary() | more | change
+
+
+def test_a_study_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def rows(cases, *options):
+        asked.append([c.name for c in cases])
+        yield from map(done, cases)
+
+    monkeypatch.setattr(diagnosis, "rows", rows)
+    path = tmp_path / "some" / "rows.jsonl"
+    for seeds in (2, 3):
+        diagnosis.main(["--kinds", "none,single", "--seeds", str(seeds), "--noise", "white", "-o", str(path)])
+    assert [len(names) for names in asked] == [4, 2]
+    assert len(path.read_text().splitlines()) == 6
+    printed = capsys.readouterr().out
+    assert "of 3" in printed
+    diagnosis.main(["--kinds", "none", "--seeds", "1", "--noise", "AR", "-o", str(path)])  # another case
+    assert asked[-1] == ["none - #0"]
+    diagnosis.main(["--only-table", "-o", str(path)])
+    assert "7" in capsys.readouterr().out.split("all ", 1)[1][:20] or len(path.read_text().splitlines()) == 7
+
+
+def test_tables_tell_what_came_out_by_factor():
+    rows = [
+        done(draw(seed, "none", repeat=bool(seed % 2), size="big"), verdict="unexplained" if seed < 3 else "none")
+        for seed in range(20)
+    ]
+    p = {"before": {"p": 0.5}}
+    rows += [done(draw(s, "single", hidden=("pitch_backlash",), size="micro"), **ROW, lack_of_fit=p) for s in range(10)]
+    text = scores.tables(rows)
+    lines = {line.split("  ")[0]: line.split()[-6:] for line in text.splitlines()}
+    assert lines["size: big"][-2:] == ["0/20", "3/20"]
+    assert "detectable single effects named (aim >= 95 %): 10 of 10" in text
+    assert sum(line.startswith("missing") for line in text.splitlines()) == 3
+    rows.append(draw(1, "none").summary() | {"failed": "not done in 900 s", "seconds": 900.0})
+    assert "not done: 1 of 31" in scores.tables(rows)
+
+
+def test_p_values_of_lack_of_fit_are_compared_with_uniform_ones():
+    told = [done(draw(s, "none"), lack_of_fit={"before": {"p": (s + 0.5) / 50, "size": 0.1}}) for s in range(50)]
+    text = scores.tables(told)
+    assert "50 p-values, uniform with p = 1.000" in text
+    assert "0.3 to 0.4 ##### 5" in text
+
+
+def test_work_apart_gives_its_result_or_why_not():
+    assert apart(json.loads, "[1, 2]") == [1, 2]
+    with pytest.raises(Failed, match="ValueError"):
+        apart(int, "x")
+    assert 10.0 < apart(import_module("tests.studies.apart").peak) < 2000.0
+
+
+def test_every_effect_that_is_hidden_changes_what_is_measured():
+    clock = orders.Clock(0.004, 1.0)
+    w, b = orders.open_loop(np.random.default_rng(0), clock, 30.0)
+    plain = run(PAPER, PLAIN, w, b)
+    for hidden in HIDDEN.values():
+        own = dict(hidden.draw(Draw(np.random.default_rng(4), 1.0)))
+        extra = own.pop("extra", None)
+        found = run(PAPER | own, PLAIN, w, b)
+        more = extra(clock, w, b) if extra else 0.0
+        moved = np.abs(found.load + more - plain.load).max() + np.abs(found.shown - plain.shown).max() / 6000.0
+        assert moved > 1e-3, hidden.name
+
+
+def test_a_case_is_told_by_its_name_and_seed():
+    case = draw(12, "single", hidden=("pitch_backlash",))
+    assert case.name == "single pitch_backlash #12"
+    assert case == Case("single", ("pitch_backlash",), 12)
