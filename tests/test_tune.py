@@ -199,7 +199,7 @@ def test_draws_are_as_wide_and_as_correlated_as_they_should_be():
 
 
 IDENTIFICATION = {
-    "parameters": {"c20": {"value": 0.35, "std": 0.01}, "c30": {"value": -0.08, "std": 0.02}},
+    "parameters": {"c20": {"value": 0.35, "std": 0.01}, "c30": {"value": -0.081, "std": 0.02}},
     "correlation": {"names": ["c20", "c30"], "matrix": [[1.0, -0.9], [-0.9, 1.0]]},
     "noise_floor_thrust": 0.1,
 }

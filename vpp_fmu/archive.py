@@ -42,22 +42,28 @@ def unpacked(path: Path) -> Scratch:
         with zipfile.ZipFile(path) as archive:
             _check(path, archive)
             _check_version(path, archive)
-            scratch = Scratch()
-            try:
-                for entry in archive.infolist():
-                    _unpack(archive, entry, scratch.path)
-            except BaseException:
-                scratch.close()
-                raise
-            return scratch
-    except (FileNotFoundError, NotADirectoryError) as error:
+            return _unpacked(path, archive)
+    except FileNotFoundError as error:
         raise BadInput(path, "FMU", "no such file", READS) from error
-    except IsADirectoryError as error:
-        raise BadInput(path, "FMU", "a folder", READS) from error
     except _BROKEN as error:
         raise BadInput(path, "FMU", f"a broken archive, or none ({str(error) or type(error).__name__})", READS) from error
     except OSError as error:
-        raise BadInput(path, "FMU", f"not to be unpacked ({reason(error)})", "a file, and room for what is in it") from error
+        raise BadInput(path, "FMU", f"not readable ({reason(error)})", READS) from error
+
+
+def _unpacked(path: Path, archive: zipfile.ZipFile) -> Scratch:
+    try:
+        scratch = Scratch()
+        try:
+            for entry in archive.infolist():
+                _unpack(archive, entry, scratch.path)
+        except BaseException:
+            scratch.close()
+            raise
+    except OSError as error:
+        found = f"not to be unpacked ({reason(error)})"
+        raise BadInput(path, "FMU", found, "files and folders of different names, and room for them") from error
+    return scratch
 
 
 def _check(path: Path, archive: zipfile.ZipFile) -> None:

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import Table, read_table
+from vpp_fmu.files import Table, read_table, reason
 from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record
 from vpp_fmu.rig import FILE, Rig, infer_rig, read_rig
 
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
+_FILES = ", ".join(f"{name}.csv" for name in NAMES)
 RAW = "static_raw"
 """A record of steady stretches: the raw samples behind `static`, in its place or beside it."""
 
@@ -74,13 +75,14 @@ def read_campaign(folder: str | os.PathLike) -> Campaign:
     BadInput: no folder, none of the files, whatever is wrong in one, a repeat with other commands than the open loop.
     """
     folder = Path(folder)
-    paths = _paths(folder)
+    there = _listed(folder)
+    paths = _paths(folder, there)
     records = {n: _measured(paths[n]) if n in paths else None for n in ("open_loop", "repeat", "validation", RAW)}
     if records["open_loop"] is not None and records["repeat"] is not None:
         _check_repeat(records["open_loop"], records["repeat"])
     static = read_static(paths["static"]) if "static" in paths else None
     steps = read_steps(paths["steps"]) if "steps" in paths else ()
-    declared = read_rig(folder / FILE) if (folder / FILE).exists() else {}
+    declared = read_rig(folder / FILE) if FILE in there else {}
     return Campaign(folder, static, steps, **records, rig=_rig(records, static, steps, declared))
 
 
@@ -104,19 +106,28 @@ def _measured(path: Path) -> Record:
     return Record({n: c for n, c in record.columns.items() if n not in empty}, record.source)
 
 
-def _paths(folder: Path) -> dict[str, Path]:
-    names = ", ".join(f"{name}.csv" for name in NAMES)
-    if not folder.is_dir():
-        found = "a file" if folder.exists() else "no such folder"
-        raise BadInput(folder, "campaign folder", found, f"a folder with any of {names}")
+def _listed(folder: Path) -> set[str]:
+    """Names of what is in a folder."""
+    allowed = f"a folder with any of {_FILES}"
+    try:
+        return set(os.listdir(folder))
+    except FileNotFoundError as error:
+        raise BadInput(folder, "campaign folder", "no such folder", allowed) from error
+    except NotADirectoryError as error:
+        raise BadInput(folder, "campaign folder", "a file" if folder.exists() else "no such folder", allowed) from error
+    except OSError as error:
+        raise BadInput(folder, "campaign folder", f"not readable ({reason(error)})", allowed) from error
+
+
+def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
     paths = {}
     for name in (*NAMES, RAW):
-        there = [path for path in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if path.exists()]
-        if len(there) > 1:
-            raise BadInput(folder, f"{name}.csv", f"{there[0].name} and {there[1].name}", "one of the two")
-        paths.update((name, path) for path in there)
+        found = [file for file in (f"{name}.csv", f"{name}.csv.gz") if file in there]
+        if len(found) > 1:
+            raise BadInput(folder, f"{name}.csv", f"{found[0]} and {found[1]}", "one of the two")
+        paths.update((name, folder / file) for file in found)
     if not paths:
-        raise BadInput(folder, "campaign folder", "none of a campaign's files", f"any of {names} (or .csv.gz)")
+        raise BadInput(folder, "campaign folder", "none of a campaign's files", f"any of {_FILES} (or .csv.gz)")
     return paths
 
 

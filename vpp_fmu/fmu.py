@@ -9,7 +9,7 @@ import itertools
 import os
 import platform
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import fmpy
@@ -18,8 +18,8 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
-from vpp_fmu.archive import unpacked
-from vpp_fmu.errors import BadInput, SimulationFailed
+from vpp_fmu.archive import DESCRIPTION, unpacked
+from vpp_fmu.errors import BadInput, SimulationFailed, VppError
 from vpp_fmu.record import Record
 
 WARNING = 1
@@ -35,7 +35,8 @@ class Fmu:
         self._scratch = unpacked(self.path)
         try:
             self.folder = self._scratch.path
-            self.description = _described(self.path, self.folder)
+            with _fmpys(lambda said: BadInput(path, DESCRIPTION, said, "as FMI 2.0's schema has it")):
+                self.description = fmpy.read_model_description(str(self.folder))
             self.variables = {v.name: v for v in self.description.modelVariables}
             if not self.library.is_file():
                 others = sorted(folder.name for folder in (self.folder / "binaries").glob("*/"))
@@ -56,8 +57,8 @@ class Fmu:
 
     def slave(self) -> FMU2Slave:
         """fmpy's handle of a new instance, its library loaded. BadInput where it can't be."""
-        before = Path.cwd()
-        try:
+        allowed = f"{self.library.name} of this machine ({fmpy.platform})"
+        with _fmpys(lambda said: BadInput(self.path, "FMU", f"a library that can't be loaded ({said})", allowed)):
             return FMU2Slave(
                 guid=self.description.guid,
                 unzipDirectory=str(self.folder),
@@ -65,10 +66,6 @@ class Fmu:
                 instanceName=self.description.modelName,
                 libraryPath=str(self.library),
             )
-        except Exception as problem:  # fmpy raises plain Exception
-            os.chdir(before)  # it goes to the library's folder, and stays there if that can't be loaded
-            found = f"a library that can't be loaded ({_first_line(problem)})"
-            raise BadInput(self.path, "FMU", found, f"{self.library.name} of this machine ({fmpy.platform})") from problem
 
     def close(self) -> None:
         """Remove the unpacked files."""
@@ -169,15 +166,16 @@ class FmuInstance:
         return callbacks
 
 
-def _described(path: Path, folder: Path):
+@contextlib.contextmanager
+def _fmpys(refusal: Callable[[str], VppError]) -> Iterator[None]:
+    """Within, what fmpy raises becomes an error of ours, made of its words on one line."""
+    before = Path.cwd()
     try:
-        return fmpy.read_model_description(str(folder))
-    except Exception as problem:  # fmpy passes on whatever XML and schema readers raise
-        raise BadInput(path, "modelDescription.xml", _first_line(problem), "as FMI 2.0's schema has it") from problem
-
-
-def _first_line(problem: Exception) -> str:
-    return next(iter(str(problem).splitlines()), type(problem).__name__)
+        yield
+    except Exception as problem:  # it raises Exception itself, and whatever readers of XML raise
+        os.chdir(before)  # it goes to the library's folder, and stays there if that can't be loaded
+        said = " ".join(str(problem).split()) or type(problem).__name__
+        raise refusal(said if len(said) <= 200 else f"{said[:197]}...") from problem
 
 
 def _end(slave: FMU2Slave) -> None:
@@ -193,6 +191,7 @@ def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:
     table = np.rec.fromarrays([record[n] for n in names], names=names)
     step = float(np.median(record.steps))
     stop = float(record.time[-1])
-    with contextlib.closing(Fmu(path)) as fmu:  # unpacked by fmpy it would stay where something goes wrong
+    # Unpacked by fmpy it would stay where something goes wrong.
+    with contextlib.closing(Fmu(path)) as fmu, _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
         result = fmpy.simulate_fmu(str(fmu.folder), input=table, stop_time=stop, output_interval=step, output=["thrust"])
     return np.interp(record.time, result["time"], result["thrust"])

@@ -3,7 +3,8 @@
 A folder holds one model. So the files of all verbs that write a parameters.json are one set, whichever of them ran: a new run
 removes what an earlier one left and it does not write itself. What other verbs made of the parameters (gains, FMUs) stays,
 and is named where these were others. A file is removed only if a verb wrote it and nobody has changed it since: names alone
-can't tell whose a file is, so a hidden file of the folder keeps who wrote what, with its hash.
+can't tell whose a file is, so a hidden file of the folder keeps who wrote what of which parameters, with its hash. What speaks
+of no parameters (two records compared, a log read) has one set of names always, and is not in it.
 """
 
 import hashlib
@@ -27,11 +28,11 @@ MODEL_VERBS = ("identify", "diagnose", "demo", "paper")
 
 @dataclass(frozen=True)
 class _Entry:
-    """Who wrote a file, the hash of what was written, and the identity of the parameters that it speaks of, if of any."""
+    """Who wrote a file, the hash of what was written, and the identity of the parameters that it speaks of."""
 
     by: str
     sha256: str
-    parameters: str | None
+    parameters: str
 
 
 class OutputSet(OutputFolder):
@@ -62,26 +63,27 @@ class OutputSet(OutputFolder):
         for name in self._hashes:
             if (self.path / name).is_dir():
                 raise BadInput(self.path / name, "output file", "not writable (is a directory)", "a file that can be written")
-        made = _read(self.path)
-        new = {name: _Entry(self._verb, sha256, identity) for name, sha256 in self._hashes.items()}
+        made, new = _read(self.path), self._hashes
         old = {name: entry for name, entry in made.items() if name not in new and os.path.lexists(self.path / name)}
         stale = [name for name, entry in old.items() if _set(entry.by) == _set(self._verb)]
         self.kept = tuple(name for name in stale if _hash_of(self.path / name) != old[name].sha256)
         self.removed = tuple(name for name in stale if name not in self.kept)
         rest = {name: entry for name, entry in old.items() if name not in stale}
         if identity is not None:
-            self.others = {n: e.by for n, e in rest.items() if e.parameters not in (None, identity)}
-        told = {name: vars(entry) for name, entry in sorted({**rest, **new}.items())}
-        content = json.dumps({"format": FORMAT, "files": told}, indent=2) + "\n"
-        self._scratch = self._scratch or self._beside()
-        write_whole(self._scratch.path / WRITTEN, content.encode(), self.path / WRITTEN)
+            self.others = {name: entry.by for name, entry in rest.items() if entry.parameters != identity}
+            rest |= {name: _Entry(self._verb, sha256, identity) for name, sha256 in new.items()}
+        if rest or made:
+            told = {name: vars(entry) for name, entry in sorted(rest.items())}
+            self.write(WRITTEN, json.dumps({"format": FORMAT, "files": told}, indent=2) + "\n")
+            del self._others[WRITTEN]
         with unbroken():
-            self._put(new)
-        self._scratch.close()
+            self._put()
+        if self._scratch:
+            self._scratch.close()
 
-    def _put(self, new: Mapping[str, _Entry]) -> None:
+    def _put(self) -> None:
         try:
-            for name in (*new, WRITTEN):
+            for name in self._hashes:
                 os.replace(self._scratch.path / name, self.path / name)
             for name in self.removed:
                 (self.path / name).unlink()

@@ -59,10 +59,12 @@ def main(arguments: list[str] | None = None) -> int:
     except VppError as error:
         return _refused(f"{verb}: {error}")
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else the interpreter complains once more at its end
+        _give_up_output()
         return READER_GONE
     except OSError as error:  # what no reader or writer of a file has put into words of its own
-        return _refused(f"{verb}: {BadInput(error.filename or 'the system', 'call', reason(error), 'what it lets us do')}")
+        _give_up_output()
+        where, field = (error.filename, "file or folder") if error.filename else ("the system", "output")
+        return _refused(f"{verb}: {BadInput(where, field, f'not usable ({reason(error)})', 'what can be read and written')}")
     except Stopped as why:
         print(said(verb, why), file=sys.stderr)
         return why.code
@@ -87,6 +89,14 @@ def parser_of(verb: str):
     parser.epilog = f"example:\n  {module.EXAMPLE}"
     module.configure(parser)
     return parser, module
+
+
+def _give_up_output() -> None:
+    """Drop what standard output refuses, where it does: the interpreter would complain of it once more at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _refused(line: str) -> int:

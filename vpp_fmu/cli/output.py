@@ -32,7 +32,7 @@ def as_json(content: dict) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def dated(parameters: ParameterSet, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
+def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
     """The set with version, date and identity in its source, and what it comes from: `parents`, (file, its content) by role."""
     came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
     own = {"version": __version__, "date": _now(), "identity": parameters.identity}
