@@ -62,6 +62,7 @@ class Identification:
         entries = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
         static = self.static
         return {
+            "effects": list(self.parameters.model.optional),
             "parameters": {
                 name: {"value": value, "std": std, "interval": interval, "interval_from": doubt.kind(name)}
                 for name, value, std, interval in entries

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
@@ -19,6 +20,10 @@ AFTER_GAP = 2.0
 
 CLIPPED = 8
 """Neighbouring rows at exactly the record's extreme that count as clipped, where the noise would move the last digit."""
+
+APART = 6.0
+"""Robust standard deviations by which a single reading may stand off the median of its neighbours: of a million readings of
+normal noise none does."""
 
 RADIANS = (0.08, 0.13)
 """Ratio of measured to commanded speed from which the column is rad/s: one rpm is 0.105 rad/s."""
@@ -40,6 +45,11 @@ def screen(record: Record) -> Screened:
     for name, low, high in _clipped(record.time, thrust):
         notes.append(f"{name}: {high - low} rows from {record.time[low]:.2f} s on stand at the sensor's limit, left out")
         thrust[low:high] = np.nan
+    if len(spikes := _spikes(thrust)):
+        notes.append(
+            f"thrust: {len(spikes)} single readings stand off their neighbours, the first at {record.time[spikes[0]]:.2f} s"
+        )
+        thrust[spikes] = np.nan
     gaps = np.flatnonzero(record.steps > GAP)
     blind = np.zeros(len(record), bool)
     for row in gaps:
@@ -88,6 +98,17 @@ def _clipped(time: np.ndarray, thrust: np.ndarray):
         for low, high in zip(np.flatnonzero(at[1:] & ~at[:-1]), np.flatnonzero(at[:-1] & ~at[1:]), strict=True):
             if high - low >= CLIPPED and spread > 0:
                 yield "thrust", int(low), int(high)
+
+
+def _spikes(thrust: np.ndarray) -> np.ndarray:
+    """Rows whose reading stands off the median of five by more than noise does. A rise or a fall is its own median."""
+    seen = np.flatnonzero(np.isfinite(thrust))
+    if len(seen) < FEWEST_ROWS // 2:
+        return seen[:0]
+    off = thrust[seen] - median_filter(thrust[seen], 5, mode="nearest")
+    moved = np.abs(off[off != 0.0])  # of five readings one is the median itself
+    spread = 1.4826 * float(np.median(moved)) if len(moved) else 0.0
+    return seen[np.abs(off) > APART * spread] if spread > 0.0 else seen[:0]
 
 
 def _dead(record: Record, omega: np.ndarray) -> bool:

@@ -1,19 +1,25 @@
 """The same work on one process, several, or a Dask cluster: the results do not depend on which."""
 
-from collections.abc import Callable, Iterable, Sequence
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children, get_context, parent_process
 
 from tqdm import tqdm
 
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, WorkerLost
 
 
 def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | None = None, what: str = "") -> list:
     """`[work(item) for item in items]`, in order. `work` and the items must be picklable and bring their own seeds.
 
-    `scheduler`: address of a Dask scheduler, else `workers` processes. `what` heads the progress bar on a terminal.
-    BadInput where Dask isn't installed or doesn't answer.
+    `scheduler`: address of a Dask scheduler, else `workers` processes, none of which outlives this call, nor this process,
+    however either ends. `what` heads the progress bar on a terminal.
+    BadInput where Dask isn't installed or doesn't answer, WorkerLost where a process has died.
     """
     items = list(items)
     if scheduler is not None:
@@ -21,8 +27,43 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
     if workers <= 1:
         return [work(item) for item in tqdm(items, desc=what, disable=None, leave=False)]
     # Not fork: a forked child inherits threads of numerical libraries in whatever state they are.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(tqdm(pool.map(work, items), total=len(items), desc=what, disable=None, leave=False))
+    others = set(active_children())
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    try:
+        with _deaf():
+            results = pool.map(work, items)
+        return list(tqdm(results, total=len(items), desc=what, disable=None, leave=False))
+    except BrokenProcessPool as error:
+        raise WorkerLost(f"{what or 'work'}: one of {workers} processes has died: killed, or short of memory?") from error
+    except BaseException:
+        for process in set(active_children()) - others:
+            process.terminate()  # else it would finish the piece that it is at
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """While processes are started: they inherit it, and so Ctrl-C, which a terminal sends to all, is for this process alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _end_with_parent() -> None:
+    """In a worker, at its start: end with whoever started it, be that by SIGKILL."""
+    threading.Thread(target=_wait_for_parent, name="parent", daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    parent_process().join()
+    os._exit(1)
 
 
 def _on_dask(work: Callable, items: Sequence, scheduler: str, what: str) -> list:

@@ -114,7 +114,7 @@ def test_a_folder_in_a_file_s_place(tmp_path):
         ("thrust", "force", "column thrust: found only time, omega_ref, beta_ref, omega, force, allowed is a header with"),
         (",7.1\n", ",nan\n", "thrust, line 3: found 'nan', allowed is a finite number or an empty cell"),
         ("0.004", "0.04", "time, line 4: found 0.008 after 0.04 (time goes back)"),
-        ("7.1", "710", "thrust, line 3: found 710, allowed is -500 to 500 N"),
+        ("7.1", "7.1e5", "thrust, line 3: found 710000, allowed is -100000 to 100000 N"),
     ],
 )
 def test_records_are_checked(tmp_path, name, old, new, message):
@@ -154,7 +154,7 @@ def test_a_repeat_to_the_nanosecond_is_one(tmp_path):
         ("3,0,", "3.5,0,", "run, line 2: found 3.5, allowed is a whole number"),
         ("3,0,", "three,0,", "run, line 2: found 'three', allowed is a finite number"),
         ("8.5", "", "thrust, line 4: found an empty cell, allowed is a finite number"),
-        ("4500,5,8\n", "-1,5,8\n", "omega_ref, line 3: found -1, allowed is 0 to 60000 rpm"),
+        ("4500,5,8\n", "-1,5,8\n", "omega_ref, line 3: found -1, allowed is 0 to 200000 rpm"),
     ],
 )
 def test_steps_are_checked(tmp_path, old, new, message):
@@ -168,7 +168,7 @@ def test_steps_are_checked(tmp_path, old, new, message):
     [
         ("samples", "count", "column samples: found only omega_ref"),
         ("2001", "", "omega, line 2: found an empty cell, allowed is a finite number"),
-        ("6000", "70000", "omega_ref, line 3: found 70000, allowed is 0 to 60000 rpm"),
+        ("6000", "700000", "omega_ref, line 3: found 700000, allowed is 0 to 200000 rpm"),
         ("0.2", "-0.2", "thrust_std, line 3: found -0.2, allowed is 0 N or more"),
         ("370", "0", "samples, line 3: found 0, allowed is a whole number from 1"),
         ("370", "3.7", "samples, line 3: found 3.7, allowed is a whole number from 1"),

@@ -73,7 +73,7 @@ def bad_calls(exported, tmp_path):
         "not an FMU": (["cosim", str(not_fmu), controller, *loop, "-o", str(tmp_path)], ("not.fmu", "FMI 2.0")),
         "roles swapped": (["cosim", controller, plant, *loop, "-o", str(tmp_path)], ("VppController.fmu", "omega_ref")),
         "no such file": (["cosim", "nowhere.fmu", controller, *loop, "-o", str(tmp_path)], ("nowhere.fmu", "no such file")),
-        "step": (["cosim", plant, controller, *loop, "--step", "0", "-o", str(tmp_path)], ("--step", "1e-6 to 1 s")),
+        "step": (["cosim", plant, controller, *loop, "--step", "0", "-o", str(tmp_path)], ("--step", "1e-06 to 1 s")),
         "unwritable": (["export", "-o", str(wall / "below")], ("wall", "output folder")),
         "no campaign": (["identify", str(tmp_path / "none"), "-o", str(tmp_path)], ("none", "campaign folder")),
     }

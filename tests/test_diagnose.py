@@ -10,10 +10,8 @@ import pytest
 from studies.synthetic import STEP, TRUTH, commands
 
 from identification.demo import example_folder
-from identification.diagnose.diagnose import HELD_SHARE, diagnose
-from identification.diagnose.empirical import correct, corrected, empirical
-from identification.diagnose.evidence.noise import noise_of
-from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.judgement import CERTAIN
 from identification.diagnose.report.effect import at_rest
 from identification.diagnose.report.page import diagnosis_page, key_figures
 from identification.diagnose.report.residual import moves
@@ -25,15 +23,15 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
-from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
 from vpp_fmu.record import write_record
 
 NOISE = 0.1  # N
 CONTRACT = {
-    *("verdict", "effects", "family", "next_experiment", "before", "after", "noise_floor_thrust", "candidates"),
-    "unexplained",
+    *("format", "verdict", "lack_of_fit", "learned", "effects", "family", "next_experiment", "before", "after"),
+    *("noise_floor_thrust", "candidates", "unexplained"),
 }
 
 
@@ -77,24 +75,16 @@ def test_the_only_candidate_leaves_none_to_look_at_beside_it():
     assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
 
 
-def test_error_on_a_record_that_placed_a_threshold_is_not_called_unseen(example):
-    label = "thrust error, unseen data"
-    assert label in [name for name, *_ in key_figures(example)]
-    selection = replace(example.selection, placed=("pitch_command_deadband.half_width",))
-    told = [name for name, *_ in key_figures(replace(example, selection=selection))]
-    assert label not in told
-    assert any("thrust error" in name and "placed pitch_command_deadband.half_width" in name for name in told)
-
-
 def test_summary_has_what_the_contract_names(example):
     found = json.loads(json.dumps(summary(example), allow_nan=False))
     assert set(found) >= CONTRACT
     assert found["verdict"] in ("attributed", "family", "partly", "unexplained", "none")
     for effect in found["effects"]:
-        assert set(effect["evidence"]) == {"delta_bic", "held_out_gain", "explained_fraction"}
+        assert {"delta_bic", "held_out_gain", "explained_fraction"} <= set(effect["evidence"])
         assert all({"value", "std", "unit"} <= set(p) for p in effect["parameters"].values())
-    for entry in (*found["before"], *found["after"]):
-        assert {"record", "rmse_thrust", "rmse_omega", "fit_thrust", "sections"} <= set(entry)
+    for entry in (found["before"], found["after"]):
+        assert {"record", "from", "rmse_thrust", "rmse_omega", "fit_thrust", "sections"} <= set(entry)
+    assert found["lack_of_fit"]["before"]["p"] < CERTAIN < found["lack_of_fit"]["after"]["p"]
     assert all("why_not" in entry for entry in found["candidates"])
     assert {c["name"] for c in found["candidates"]} == {"pitch_command_deadband", "pitch_offset", "sensor_lag"}
 
@@ -108,7 +98,7 @@ def test_augmented_parameters_export_and_the_fmu_errs_as_reported(example, tmp_p
         path = tmp_path / "plant.fmu"
         path.write_bytes(python_fmu(parameters.model, parameters.values))
         error = simulate_in_fmpy(path, validation) - validation["thrust"]
-        assert np.sqrt(np.mean(error**2)) == pytest.approx(entries[0]["rmse_thrust"], rel=1e-6)
+        assert np.sqrt(np.mean(error**2)) == pytest.approx(entries["rmse_thrust"], rel=1e-6)
     assert parameters.model.optional == tuple(e["name"] for e in reported["effects"])
 
 
@@ -118,8 +108,8 @@ def test_first_screen_says_effect_error_and_verdict(example):
     for label, value, _ in key_figures(example):
         assert label in tiles
         assert value.split(" ")[0] in tiles
-    before, after = example.held_before.rmse_thrust, example.held_after.rmse_thrust
-    assert f"{before:.3f} → {after:.3f} N" in tiles
+    (before, _), (after, _) = example.errors(example.base), example.errors(example.final)
+    assert f"{before:.4g} → {after:.4g} N" in tiles
     assert html.index("<h1>") < html.index('class="tiles"') < html.index("<h2")
 
 
@@ -138,39 +128,70 @@ def test_same_result_to_the_bit_with_another_number_of_workers(nothing_missing):
 def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
     assert nothing_missing.verdict == "none"
     assert nothing_missing.noise.floor == pytest.approx(NOISE, rel=0.03)
-    assert nothing_missing.held_after.rmse_thrust == pytest.approx(NOISE, rel=0.03)
+    assert nothing_missing.errors(nothing_missing.final)[0] == pytest.approx(NOISE, rel=0.03)
+    assert nothing_missing.held_after.rmse_thrust == pytest.approx(NOISE / np.sqrt(2.0), rel=0.03)  # of two records' mean
     write_diagnosis(OutputFolder(tmp_path), nothing_missing)
     assert json.loads((tmp_path / "parameters.json").read_text())["effects"] == []
     assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
-    assert empirical(nothing_missing) is None
     assert "Nothing is missing" in diagnosis_page(nothing_missing).html()
 
 
-def test_what_no_name_takes_up_is_seen_to_follow_the_commands(nothing_missing):
-    assert not nothing_missing.following.significant
-    for missing in ({"pitch_backlash.half_gap": 0.3}, {"pitch_rate_limit.rate": 12.0}, {"speed_asymmetry.asymmetry": 0.3}):
-        found = diagnose(rig(**missing), some("sensor_drift"))
-        assert not found.final.effects
-        assert found.following.significant
-        assert found.following.gain > 10.0
-        assert summary(found)["unexplained"]["follows_commands"]["significant"]
+@pytest.mark.parametrize(
+    "missing", [{"pitch_backlash.half_gap": 0.3}, {"pitch_rate_limit.rate": 12.0}, {"speed_asymmetry.asymmetry": 0.3}]
+)
+def test_what_no_name_takes_up_is_a_lack_of_fit(missing):
+    found = diagnose(rig(**missing), some("sensor_drift"))
+    assert found.verdict == "unexplained"
+    assert not found.final.effects
+    assert found.after.found
+    assert found.after.score.gain > 10.0
+    assert summary(found)["lack_of_fit"]["after"]["p"] < CERTAIN
 
 
-def test_one_record_is_enough_and_its_end_is_kept_unseen():
+def test_one_record_is_enough_and_all_of_it_is_used():
     record = rig().open_loop
     record = record.with_columns(thrust=np.where(np.arange(len(record)) % 3 > 0, record["thrust"], np.nan))
     found = diagnose(Campaign(example_folder(), None, (), record, None, None), some("sensor_lag"))
+    assert found.verdict == "none"
     assert not found.noise.verified
-    seen = found.base.evidence.experiments[0].record
-    assert len(seen) + len(found.held[0]) == len(record)
-    assert len(found.held[0]) / len(record) == pytest.approx(HELD_SHARE, abs=0.001)
-    assert found.held[0].time[0] == 0.0
+    assert len(found.base.evidence.experiments[0].record) == len(record)
+    assert summary(found)["before"]["from"] == "cross-validation"
+    assert summary(found)["before"]["rmse_thrust"] == pytest.approx(NOISE, rel=0.05)
     assert "not verified" in diagnosis_page(found).html()
 
 
-def test_no_open_loop_record_is_bad_input():
+def test_no_record_to_fit_is_bad_input():
     with pytest.raises(BadInput, match=r"open_loop\.csv"):
-        diagnose(replace(rig(), open_loop=None), FEW)
+        diagnose(replace(rig(), open_loop=None, repeat=None, validation=None), FEW)
+
+
+def test_a_validation_record_alone_is_fitted():
+    alone = replace(rig(), open_loop=None, repeat=None)
+    found = diagnose(alone, some("sensor_lag"))
+    assert (found.verdict, found.unseen) == ("none", None)
+    assert [one.name for one in found.fitted] == ["validation"]
+
+
+def test_what_a_record_of_other_commands_refutes_does_not_ship():
+    """The reading drifts up in the records that are fitted, and down in the validation record."""
+    campaign, other = (rig(**{"sensor_drift.rate": rate}) for rate in (0.02, -0.02))
+    found = diagnose(replace(campaign, validation=other.validation), some("sensor_drift"))
+    assert found.selection.final.effects == ("sensor_drift",)
+    assert "validation.csv" in found.refuted
+    assert found.final is found.base
+    assert summary(found)["effects"] == []
+    assert summary(found)["refuted"]["effects"] == ["sensor_drift"]
+    assert summary(found)["after"]["rmse_thrust"] == summary(found)["before"]["rmse_thrust"]
+    assert "refuted" in diagnosis_page(found).html()
+
+
+def test_the_validation_record_moves_nothing(example):
+    """With its thrust turned upside down everything is found as before, but refuted."""
+    campaign = read_campaign(example_folder())
+    mirrored = campaign.validation.with_columns(thrust=8.0 - campaign.validation["thrust"])
+    found = diagnose(replace(campaign, validation=mirrored), FEW)
+    assert found.selection.final.values == example.selection.final.values
+    assert found.selection.judgements == example.selection.judgements
 
 
 def test_a_given_model_s_effects_are_part_of_the_base():
@@ -184,8 +205,8 @@ def test_a_given_model_s_effects_are_part_of_the_base():
     assert exported.model.optional == (name,)
     assert exported.values[f"{name}.half_gap"] == found.base.values[f"{name}.half_gap"]
     stale = thrust_of(campaign.validation, **{f"{name}.half_gap": 0.7}) - campaign.validation["thrust"]
-    assert summary(found)["given"][0]["rmse_thrust"] == pytest.approx(np.sqrt(np.mean(stale**2)), rel=1e-6)
-    assert found.held_after.rmse_thrust < summary(found)["given"][0]["rmse_thrust"]
+    assert summary(found)["given"]["rmse_thrust"] == pytest.approx(np.sqrt(np.mean(stale**2)), rel=1e-6)
+    assert found.errors(found.final)[0] < summary(found)["given"]["rmse_thrust"]
 
 
 def test_command_starts_from_a_given_model_and_chosen_candidates(tmp_path, capsys):
@@ -195,22 +216,20 @@ def test_command_starts_from_a_given_model_and_chosen_candidates(tmp_path, capsy
         write_record(measured, record.source, record)
     given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
     (tmp_path / "given.json").write_text(to_json(given))
-    options = ["--parameters", str(tmp_path / "given.json"), "--effects", "sensor_lag", "--empirical"]
+    options = ["--parameters", str(tmp_path / "given.json"), "--effects", "sensor_lag"]
     assert main(["diagnose", str(measured.path), *options, "-o", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "Nothing is missing" in said
     assert "as it was given" in said
-    assert "empirical: nothing to correct" in said
     assert json.loads((tmp_path / "out" / "parameters.json").read_text())["effects"] == [name]
     tried = {c["name"] for c in json.loads((tmp_path / "out" / "diagnosis.json").read_text())["candidates"]}
     assert tried <= {"sensor_lag"}
-    assert not (tmp_path / "out" / "empirical.json").exists()
 
 
 BAD_CALLS = {
     "unknown effect": (["--effects", "pitch_gremlin"], ("--effects", "pitch_gremlin", "pitch_backlash")),
     "no effect": (["--effects", ","], ("--effects", "none")),
-    "no workers": (["--workers", "0"], ("--workers", "1 or more")),
+    "no workers": (["--workers", "0"], ("--workers", "a whole number from 1")),
     "no parameter file": (["--parameters", "nowhere.json"], ("nowhere.json",)),
 }
 
@@ -223,53 +242,6 @@ def test_bad_call_is_one_line_and_exit_2(case, tmp_path, capsys):
     assert said.count("\n") == 1
     assert all(word in said for word in words)
     assert not (tmp_path / "out").exists()
-
-
-def experiments(**values):
-    """(fitted, unseen, noise-free thrust of the unseen) of a rig with effects."""
-    campaign = rig(**values)
-    noise = noise_of(campaign.open_loop, campaign.repeat)
-    fitted = Experiment([campaign.open_loop, campaign.repeat], noise)
-    return fitted, Experiment([campaign.validation], noise), thrust_of(campaign.validation, **values)
-
-
-def test_a_linear_effect_that_no_name_explains_is_corrected():
-    """Thrust while the blades turn is k w^2 times the pitch's rate: mostly linear in what the correction may use."""
-    fitted, unseen, true = experiments(**{"pitch_rate_feedthrough.gain": 0.05})
-    found = correct(BASE, TRUTH, fitted, [unseen])
-    assert found.accepted, found.refused
-    outputs = Simulator(BASE).simulate(TRUTH, unseen.record.columns, unseen.record.steps)
-    before = outputs[:, 0] - true
-    after = before + found.correction(unseen.record.time, outputs)
-    assert np.mean(after**2) < 0.25 * np.mean(before**2)
-    assert found.before == pytest.approx(np.sqrt(np.mean((outputs[:, 0] - unseen.record["thrust"]) ** 2)))
-    assert found.after < found.before
-    assert found.summary()["kind"].startswith("empirical")
-
-
-def test_no_correction_where_the_model_is_right():
-    fitted, unseen, _ = experiments()
-    found = correct(BASE, TRUTH, fitted, [unseen])
-    assert not found.accepted
-    assert found.told.startswith("no empirical correction")
-
-
-def test_what_no_candidate_explains_is_said_and_corrected_apart_from_the_model(tmp_path):
-    campaign = rig(**{"pitch_rate_feedthrough.gain": -0.15})
-    found = diagnose(campaign, some("sensor_gain"))
-    assert found.verdict == "unexplained"
-    correction = empirical(found)
-    assert correction.accepted, correction.refused
-    write_diagnosis(OutputFolder(tmp_path), found, correction)
-    assert json.loads((tmp_path / "empirical.json").read_text())["accepted"]
-    assert "empirical" not in (tmp_path / "parameters.json").read_text()
-    assert (tmp_path / "validation_empirical.csv").read_text().splitlines()[
-        0
-    ] == "time,omega_ref,beta_ref,thrust,thrust_empirical"
-    shown = corrected(found, correction, campaign.validation)
-    error = shown["thrust_empirical"] - campaign.validation["thrust"]
-    assert np.sqrt(np.mean(error**2)) == pytest.approx(correction.after)
-    assert "no parameter file" in diagnosis_page(found, correction).html()
 
 
 def test_play_s_own_curve_is_its_closed_form():

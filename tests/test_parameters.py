@@ -1,5 +1,6 @@
 import importlib.util
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,6 +10,7 @@ import pytest
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
 from vpp_fmu.units import base_unit
 
@@ -115,7 +117,7 @@ BAD = {
     "no float": (entry(value=10**400), "parameters, c20, value: found 1000"),
     "too small": (
         entry("tau_beta_2", value=0.0, unit="s"),
-        "parameters, tau_beta_2, value: found 0.0, allowed is a number from 0.001 to 3 s",
+        "parameters, tau_beta_2, value: found 0.0, allowed is a number from 0.001 to 30 s",
     ),
     "too large": (entry(value=10.5), "parameters, c20, value: found 10.5, allowed is a number from -10 to 10"),
     "std negative": (entry(std=-0.1), "parameters, c20, std: found -0.1, allowed is a number from 0, or null"),
@@ -170,7 +172,10 @@ def test_replaced_takes_units_from_the_model():
 
 def random_set(model):
     rng = np.random.default_rng(3)
+    scales = replace(PAPER, omega_scale=2513.0, beta_offset=-6.2, thrust_scale=171.3)
+    model = model.sized(scales)
     values = {p.name: rng.uniform(p.minimum, p.maximum) for p in model.parameters[::2]}
+    values |= {name: value for name, value in asdict(scales).items() if name != "time_scale"}
     return ParameterSet(model, source={"by": "µ", "files": ["a"]}).replaced(
         values, {n: rng.random() for n in list(values)[::2]}
     )
@@ -225,7 +230,7 @@ def test_ssv_holds_every_parameter(model):
         assert real.tag == f"{SSV}Real"
         found[element.get("name")] = (float(real.get("value")), real.get("unit"))
         assert real.get("unit") in units
-    assert found == {p.name: (parameters.values[p.name], p.unit) for p in model.parameters}
+    assert found == {p.name: (parameters.values[p.name], p.unit) for p in parameters.model.parameters}
     assert all(unit.tag == f"{SSC}Unit" and unit[0].tag == f"{SSC}BaseUnit" for unit in units.values())
 
 

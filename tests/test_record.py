@@ -152,10 +152,10 @@ BAD = {
     ),
     "time stands still": (changed(3, "0,4000,5,7"), "time, line 3: found 0 after 0 (time stands still), allowed is "),
     "less than a step": (changed(3, "1e-10,4000,5,7"), "time, line 3: found 1e-10 after 0 (time stands still), allowed is "),
-    "speed too high": (changed(3, "0.004,60001,5,7"), "omega_ref, line 3: found 60001, allowed is 0 to 60000 rpm"),
-    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, allowed is 0 to 60000 rpm"),
-    "pitch": (changed(4, "0.008,4000,-45.1,7"), "beta_ref, line 4: found -45.1, allowed is -45 to 45 deg"),
-    "thrust in gf": (changed(4, "0.008,4000,5,724"), "thrust, line 4: found 724, allowed is -500 to 500 N"),
+    "speed too high": (changed(3, "0.004,200001,5,7"), "omega_ref, line 3: found 200001, allowed is 0 to 200000 rpm"),
+    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, allowed is 0 to 200000 rpm"),
+    "pitch": (changed(4, "0.008,4000,-90.1,7"), "beta_ref, line 4: found -90.1, allowed is -90 to 90 deg"),
+    "thrust of a ship": (changed(4, "0.008,4000,5,2e5"), "thrust, line 4: found 200000, allowed is -100000 to 100000 N"),
 }
 
 
@@ -180,11 +180,11 @@ def test_the_line_is_right_behind_blank_lines(tmp_path):
     ("name", "value", "allowed"),
     [
         ("omega", "-1", f"{OMEGA.minimum:g} to {OMEGA.maximum:g} rpm"),
-        ("beta", "46", "-45 to 45 deg"),
+        ("beta", "91", "-90 to 90 deg"),
         ("voltage", "-0.1", "0 to 100 V"),
         ("voltage", "100.5", "0 to 100 V"),
         ("current", "501", "-500 to 500 A"),
-        ("thrust_set", "-501", "-500 to 500 N"),
+        ("thrust_set", "-100001", "-100000 to 100000 N"),
         ("voltage", "high", "a finite number or an empty cell"),
         ("current", "inf", "a finite number or an empty cell"),
         ("thrust_set", "", "a finite number"),
@@ -222,7 +222,7 @@ def test_read_profile(tmp_path):
     ("text", "message"),
     [
         ("time,thrust\n0,5\n", "column thrust_set: found only time, thrust, allowed is a header with time, thrust_set"),
-        ("time,thrust_set\n0,5\n1,501\n", "thrust_set, line 3: found 501, allowed is -500 to 500 N"),
+        ("time,thrust_set\n0,5\n1,100001\n", "thrust_set, line 3: found 100001, allowed is -100000 to 100000 N"),
         ("time,thrust_set\n0,5\n1,\n", "thrust_set, line 3: found an empty cell, allowed is a finite number"),
         ("time,thrust_set\n1,5\n", "time, line 2: found 1, allowed is 0 in the first row"),
     ],

@@ -32,7 +32,6 @@ REFUSED = {
     "dead thrust sensor": (lambda r: r.with_columns(thrust=np.full(len(r), 0.4)), "thrust"),
     "constant commands": (lambda r: r.with_columns(omega_ref=np.full(len(r), 4000.0), beta_ref=np.zeros(len(r))), "omega_ref"),
     "speed in rad/s": (lambda r: r.with_columns(omega=r["omega"] * np.pi / 30), "omega"),
-    "thrust in gf": (lambda r: r.with_columns(thrust=r["thrust"] / 0.00980665), "thrust"),
 }
 
 

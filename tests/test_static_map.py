@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, thrust_coefficient
+from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, static_fit, thrust_coefficient
 from identification.static.steady import samples_needed, steady_points
-from vpp_fmu.campaign import StaticMap
+from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record
@@ -40,7 +40,7 @@ def test_noise_free_means_give_their_coefficients_back():
 def test_only_points_of_the_operating_region_count():
     static = grid()
     stalled = static.beta_ref < -5.0
-    fit = fit_static_map(replace(static, thrust=np.where(stalled, -50.0, static.thrust)), SCALES)
+    fit = fit_static_map(replace(static, thrust=np.where(stalled, -50.0, static.thrust)), SCALES, (-5.0, 10.0))
     np.testing.assert_array_equal(fit.used, ~stalled)
     np.testing.assert_allclose(list(fit.coefficients.values()), KNOWN, rtol=1e-10)
     assert fit_static_map(static, SCALES, (-10.0, 0.0)).used.sum() == 50
@@ -88,10 +88,38 @@ def test_adjusted_r2_is_that_of_the_textbook():
     assert 0.9 < fit.r2_adjusted < explained
 
 
-@pytest.mark.parametrize(("pitch", "found"), [((20.0, 30.0), "0 points"), ((9.0, 10.0), "10 points .* tell 3 terms apart")])
-def test_points_that_tell_too_little_are_refused(pitch, found):
-    with pytest.raises(BadInput, match=f"made up: steady points: found {found}"):
-        fit_static_map(grid(), SCALES, pitch)
+def test_no_point_is_refused():
+    with pytest.raises(BadInput, match="made up: steady points: found none from 20 to 30 deg"):
+        fit_static_map(grid(), SCALES, (20.0, 30.0))
+
+
+@pytest.mark.parametrize(
+    ("axis", "level", "untold"),
+    [("beta_ref", 10.0, {"c20", "c11", "c21", "c12"}), ("omega_ref", 6000.0, {"c20", "c30", "c11", "c21"})],
+)
+def test_a_grid_at_one_level_tells_what_it_can(axis, level, untold):
+    static = grid(0.02)
+    kept = np.isclose(getattr(static, axis), level)
+    names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
+    line = replace(static, **{n: getattr(static, n)[kept] for n in names})
+    fit = fit_static_map(line, SCALES)
+    assert set(fit.untold) == untold
+    there = design(line.omega, line.beta_ref, SCALES) @ list(fit.coefficients.values()) * SCALES["thrust_scale"]
+    truth = design(line.omega, line.beta_ref, SCALES) @ KNOWN * SCALES["thrust_scale"]
+    assert np.max(np.abs(there - truth)) < 5.0 * 0.02
+    assert np.max(fit.uncertainty(line.omega, line.beta_ref, SCALES)) < 0.04
+    elsewhere = (2000.0, -5.0) if axis == "omega_ref" else (2000.0, 5.0)
+    assert fit.uncertainty(*elsewhere, SCALES) > 1.0
+
+
+def test_blades_that_stall_beyond_what_records_use_are_no_matter_of_the_map(tmp_path):
+    static = grid(0.02)
+    stalled = replace(static, thrust=static.thrust - np.where(static.beta_ref < -5.0, 0.5, 0.0))
+    columns = {"time": np.arange(3.0), "omega_ref": np.full(3, 4000.0), "beta_ref": np.array([-5.0, 10.0, 0.0])}
+    record = Record({**columns, "thrust": np.ones(3)}, "")
+    for points, used in ((static, 100), (stalled, 70)):
+        campaign = Campaign(tmp_path, points, (), record, None, None)
+        assert static_fit(campaign, SCALES).used.sum() == used
 
 
 def test_thrust_coefficient():

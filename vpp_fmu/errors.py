@@ -26,3 +26,7 @@ class NotIdentifiable(VppError):
 
 class CompilerMissing(VppError):
     """No C compiler was found where one is needed."""
+
+
+class WorkerLost(VppError):
+    """A process that shared the work has died before it was done."""

@@ -32,7 +32,7 @@ class OutputFolder:
         except FileExistsError as error:
             raise self._refused("a file") from error
         except OSError as error:
-            raise self._refused(f"not writable ({_reason(error)})") from error
+            raise self._refused(f"not writable ({reason(error)})") from error
 
     @property
     def replaced(self) -> tuple[str, ...]:
@@ -45,19 +45,8 @@ class OutputFolder:
         What stood there stays whole until the new file is. BadInput where the system refuses.
         """
         target, content = self.path / name, data.encode() if isinstance(data, str) else data
-        temporary = self.path / f".{name}.{os.getpid()}.part"
-        other = os.path.lexists(target) and _content(target) != content
-        try:
-            with open(temporary, "wb") as file:  # not mkstemp: its files are for the owner's eyes only
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())  # else a power cut can leave the new name with no content
-            os.replace(temporary, target)
-        except OSError as error:
-            raise BadInput(target, "output file", f"not writable ({_reason(error)})", "a file that can be written") from error
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
+        other = holds_other(target, content)
+        write_whole(target, content, target)
         self._others.setdefault(name, other)  # a second write in the same job replaces nothing of the user's
         return target
 
@@ -65,14 +54,32 @@ class OutputFolder:
         return BadInput(self.path, "output folder", found, "a folder that can be written")
 
 
-def _content(path: Path) -> bytes | None:
+def write_whole(path: Path, content: bytes, shown: Path) -> None:
+    """Write a file; what stood there stays whole until the new one is. BadInput, naming `shown`, where the system refuses."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        return path.read_bytes()
+        with open(temporary, "wb") as file:  # not mkstemp: its files are for the owner's eyes only
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut can leave the new name with no content
+        os.replace(temporary, path)
+    except OSError as error:
+        raise BadInput(shown, "output file", f"not writable ({reason(error)})", "a file that can be written") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def holds_other(path: Path, content: bytes) -> bool:
+    """Whether something else than a file of this content stands at `path`."""
+    try:
+        return os.path.lexists(path) and path.read_bytes() != content
     except OSError:
-        return None
+        return True
 
 
-def _reason(error: OSError) -> str:
+def reason(error: OSError) -> str:
+    """Why the system refuses, in its words."""
     return (error.strerror or str(error)).lower()
 
 
@@ -90,7 +97,7 @@ def read_text(path: str | os.PathLike) -> str:
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise BadInput(path, "file", "broken or cut off gzip data", "a whole gzip file") from error
     except OSError as error:
-        raise BadInput(path, "file", f"not readable ({_reason(error)})", "a file that can be read") from error
+        raise BadInput(path, "file", f"not readable ({reason(error)})", "a file that can be read") from error
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

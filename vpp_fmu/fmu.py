@@ -6,8 +6,8 @@ fmpy's own wrapper converts every argument of every call; here the buffers are m
 import contextlib
 import ctypes
 import itertools
+import os
 import platform
-import shutil
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +18,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
+from vpp_fmu.archive import unpacked
 from vpp_fmu.errors import BadInput, SimulationFailed
 from vpp_fmu.record import Record
 
@@ -26,32 +27,52 @@ STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
 class Fmu:
-    """An unpacked FMU file. `instance` may be called many times; `close` removes what was unpacked."""
+    """An unpacked FMU file. `instance` may be called many times; what was unpacked goes with `close`, with the object, with the
+    process. BadInput: what it is instead of an FMI 2.0 co-simulation FMU for this machine."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
+        self._scratch = unpacked(self.path)
         try:
-            self.description = fmpy.read_model_description(str(path))
-            if self.description.fmiVersion != "2.0" or self.description.coSimulation is None:
-                raise BadInput(path, "FMU", f"FMI {self.description.fmiVersion}", "an FMI 2.0 co-simulation FMU")
-            self.folder = fmpy.extract(str(path))
-        except BadInput:
+            self.folder = self._scratch.path
+            self.description = _described(self.path, self.folder)
+            self.variables = {v.name: v for v in self.description.modelVariables}
+            if not self.library.is_file():
+                others = sorted(folder.name for folder in (self.folder / "binaries").glob("*/"))
+                found = f"binaries for {', '.join(others)} only" if others else "no binaries"
+                raise BadInput(path, "FMU", found, f"{self.library.relative_to(self.folder)} for this machine")
+        except BaseException:
+            self.close()
             raise
-        except Exception as problem:  # fmpy passes on whatever zip, XML and schema readers raise
-            found = str(problem).splitlines()[0] if self.path.is_file() else "no such file"
-            raise BadInput(path, "FMU", found, "an FMI 2.0 co-simulation FMU") from problem
-        self.variables = {v.name: v for v in self.description.modelVariables}
 
     @property
-    def library(self) -> str | None:
-        """Path of the library where fmpy looks elsewhere: FMI 2.0.4 calls 64-bit ARM `aarch64-linux`, fmpy `linux64`."""
+    def library(self) -> Path:
+        """The shared library. FMI 2.0.4 calls 64-bit ARM `aarch64-linux`, fmpy `linux64`."""
         name = self.description.coSimulation.modelIdentifier
-        own = Path(self.folder, "binaries", "aarch64-linux", f"{name}.so")
-        return str(own) if platform.machine() == "aarch64" and own.exists() else None
+        own = self.folder / "binaries" / "aarch64-linux" / f"{name}.so"
+        if platform.machine() == "aarch64" and own.exists():
+            return own
+        return self.folder / "binaries" / fmpy.platform / f"{name}{fmpy.sharedLibraryExtension}"
+
+    def slave(self) -> FMU2Slave:
+        """fmpy's handle of a new instance, its library loaded. BadInput where it can't be."""
+        before = Path.cwd()
+        try:
+            return FMU2Slave(
+                guid=self.description.guid,
+                unzipDirectory=str(self.folder),
+                modelIdentifier=self.description.coSimulation.modelIdentifier,
+                instanceName=self.description.modelName,
+                libraryPath=str(self.library),
+            )
+        except Exception as problem:  # fmpy raises plain Exception
+            os.chdir(before)  # it goes to the library's folder, and stays there if that can't be loaded
+            found = f"a library that can't be loaded ({_first_line(problem)})"
+            raise BadInput(self.path, "FMU", found, f"{self.library.name} of this machine ({fmpy.platform})") from problem
 
     def close(self) -> None:
         """Remove the unpacked files."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        self._scratch.close()
 
     def references(self, names: Iterable[str], causality: str) -> list[int]:
         """Value references of variables; BadInput names the first that the FMU lacks."""
@@ -70,14 +91,7 @@ class FmuInstance:
         parameters = dict(parameters or {})
         read, written = fmu.references(outputs, "output"), fmu.references(inputs, "input")
         tuned = fmu.references(parameters, "parameter")
-        description = fmu.description
-        self._slave = FMU2Slave(
-            guid=description.guid,
-            unzipDirectory=fmu.folder,
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName=description.modelName,
-            libraryPath=fmu.library,
-        )
+        self._slave = fmu.slave()
         self._callbacks = self._make_callbacks()
         try:
             self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
@@ -155,6 +169,17 @@ class FmuInstance:
         return callbacks
 
 
+def _described(path: Path, folder: Path):
+    try:
+        return fmpy.read_model_description(str(folder))
+    except Exception as problem:  # fmpy passes on whatever XML and schema readers raise
+        raise BadInput(path, "modelDescription.xml", _first_line(problem), "as FMI 2.0's schema has it") from problem
+
+
+def _first_line(problem: Exception) -> str:
+    return next(iter(str(problem).splitlines()), type(problem).__name__)
+
+
 def _end(slave: FMU2Slave) -> None:
     """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then."""
     with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
@@ -168,5 +193,6 @@ def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:
     table = np.rec.fromarrays([record[n] for n in names], names=names)
     step = float(np.median(record.steps))
     stop = float(record.time[-1])
-    result = fmpy.simulate_fmu(str(path), input=table, stop_time=stop, output_interval=step, output=["thrust"])
+    with contextlib.closing(Fmu(path)) as fmu:  # unpacked by fmpy it would stay where something goes wrong
+        result = fmpy.simulate_fmu(str(fmu.folder), input=table, stop_time=stop, output_interval=step, output=["thrust"])
     return np.interp(record.time, result["time"], result["thrust"])

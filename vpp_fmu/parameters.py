@@ -1,7 +1,9 @@
 """Parameter files: values with their doubt as JSON, read and checked against a model; and as SSP parameter values."""
 
 import difflib
+import hashlib
 import json
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -44,6 +46,12 @@ class ParameterSet:
         return self.model.values({name: estimate.value for name, estimate in self.estimates.items()})
 
     @property
+    def identity(self) -> str:
+        """Twelve hex digits of a hash of model, effects and values: the same for the same numbers, whoever set them when."""
+        content = [self.model.name, list(self.model.optional), self.values]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
+
+    @property
     def rig(self) -> Rig:
         """The rig that the set is for: as `source` tells, else what the model's scales span."""
         return rig_of(_scales(self.source, self.values), self.source)
@@ -75,6 +83,28 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
             raise BadInput(path, f"parameters, {_shown(name)}", f"a name that {model.name} does not have", allowed)
         estimates[name] = _estimate(path, known[name], entry)
     return ParameterSet(model, estimates, source)
+
+
+def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str | os.PathLike) -> None:
+    """BadInput where the identification.json at `path` speaks of another model than the parameters that were read from `of`:
+    its covariance belongs to the values and effects that it names. What it doesn't name it can't contradict."""
+    try:
+        content = json.loads(read_text(path))
+        effects = content.get("effects", list(parameters.model.optional))
+        fitted = {name: entry["value"] for name, entry in content.get("parameters", {}).items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadInput(path, "parameters", f"{type(error).__name__} {error}", "an identification.json") from error
+    if set(effects) != set(parameters.model.optional):
+        raise BadInput(path, "effects", _listed(effects), f"{_listed(parameters.model.optional)}, the model of {of}")
+    for name, value in fitted.items():
+        known = parameters.values.get(name)
+        if known is None or not _is_number(value) or not math.isclose(value, known, rel_tol=1e-9, abs_tol=1e-12):
+            allowed = f"a name in {of}" if known is None else f"{known!r}, the value in {of}"
+            raise BadInput(path, f"parameters, {_shown(name)}", _shown(value), f"{allowed}: both must be of one model")
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(map(str, names)) or "no effects"
 
 
 def _sized(model: Model, entries: Mapping, source: Mapping) -> Model:

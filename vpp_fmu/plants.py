@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from vpp_fmu.errors import BadInput
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
@@ -93,8 +94,12 @@ class _FmuRole:
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self.dt, self._parameters = dt, dict(parameters or {})
         self._fmu, self._instance, self._step = Fmu(path), None, None
-        for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
-            self._fmu.references(names, causality)
+        try:
+            for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
+                self._fmu.references(names, causality)
+        except BadInput:
+            self._fmu.close()
+            raise
 
     def _restart(self, values):
         if self._instance:

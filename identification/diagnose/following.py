@@ -1,12 +1,13 @@
-"""Whether what a set leaves still follows the commands in a way that no candidate has.
+"""Whether what a set leaves still follows the commands, or time, in a way that no candidate has.
 
 Forms that differ little (a play, a dead zone, a stop) leave little beside each other, spread over a whole record: too little to
 show in the power of the repeatable error, and with the right form not among the candidates no further name takes it up. But any
 hysteresis that does not depend on rate is a sum of plays (Prandtl and Ishlinskii; Brokate and Sprekels, Hysteresis and Phase
 Transitions, 1996, chapter 2), and what a drive does late or not at all is a function of the way still to go. A few of each,
-as they are and lagged, span what such forms leave.
+as they are and lagged, and a warming rig's trends, span what such forms leave.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from scipy.stats import chi2
 
 from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.search.fits import Fit
+from identification.identify import slowest
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -23,14 +25,11 @@ from vpp_fmu.record import Record
 WIDTHS = (0.012, 0.03, 0.08, 0.2)
 """Half widths of plays and of bounds on the way still to go, as shares of the range that the output goes through."""
 
-LAGS = (0.0, 0.06, 0.2)
-"""s; about those of the actuators."""
+LAGS = (0.0, 0.1, 0.35)
+"""Lags of the shapes, as shares of the time that the slower channel takes: about those of the actuators."""
 
 DEPENDENT = 0.05
 """Size of a direction, over that of the strongest, below which columns count as the same one."""
-
-CERTAIN = 0.999
-"""Level of the test."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,9 @@ class Following:
     count: int
 
     @property
-    def significant(self) -> bool:
-        """Whether noise alone would hardly ever give as much."""
-        return self.count > 0 and bool(2.0 * self.gain + self.count > chi2.ppf(CERTAIN, self.count))
+    def p(self) -> float:
+        """p-value: how often noise alone would give as much (a score test, chi^2 of `count` degrees of freedom)."""
+        return float(chi2.sf(2.0 * self.gain + self.count, self.count)) if self.count else 1.0
 
 
 def following(fit: Fit) -> Following:
@@ -52,7 +51,7 @@ def following(fit: Fit) -> Following:
     simulator = Simulator(evidence.model)
     for e in evidence.experiments:
         outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
-        rows.append(e.thrust_columns(_columns(fit, e.record, outputs)))
+        rows.append(e.thrust_columns(thrust_shapes(fit.values, e.record, outputs)))
     thrust = np.vstack(rows) / evidence.scale["thrust"]
     columns = np.zeros((evidence.size, thrust.shape[1]))
     columns[: len(thrust)] = thrust  # speed's rows come after
@@ -63,19 +62,43 @@ def following(fit: Fit) -> Following:
     return Following(0.5 * float(np.sum((directions.T @ about.residual) ** 2 - 1.0)), directions.shape[1])
 
 
-def _columns(fit: Fit, record: Record, outputs: np.ndarray) -> np.ndarray:
-    """(rows, columns) N: what a change of pitch or of speed in these forms would do to the thrust."""
-    speed, pitch = outputs[:, 1], outputs[:, 2]
-    values = SimpleNamespace(**{n: v for n, v in fit.values.items() if "." not in n})
-    w, b = speed / values.omega_scale, (pitch + values.beta_offset) / values.beta_scale
+def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> np.ndarray:
+    """(rows, columns) N: what a change of pitch or of speed in these forms would do to the thrust, and trends in time.
+
+    `outputs` (rows, 3): thrust, speed and pitch of a model at `values`.
+    """
+    thrust, speed, pitch = outputs.T
+    base = SimpleNamespace(**{n: v for n, v in values.items() if "." not in n})
+    w, b = speed / base.omega_scale, (pitch + base.beta_offset) / base.beta_scale
     tiny = 1e-30  # the map's slopes by complex step: exact
     to_pitch, to_speed = (
-        normalised_thrust(values, w + tiny * 1j * (1 - of_b), b + tiny * 1j * of_b).imag / tiny for of_b in (1, 0)
+        normalised_thrust(base, w + tiny * 1j * (1 - of_b), b + tiny * 1j * of_b).imag / tiny for of_b in (1, 0)
     )
-    step = float(np.median(record.steps))
-    shapes = [to_pitch * _lagged(s, lag, step) for s in _shapes(record["beta_ref"], pitch, step) for lag in LAGS]
-    shapes += [to_speed * _lagged(s, lag, step) for s in _shapes(record["omega_ref"], speed, step) for lag in LAGS]
-    return np.column_stack(shapes)
+    step, takes = float(np.median(record.steps)), slowest(values, values)
+    lags = [share * takes for share in LAGS]
+    shapes = [to_pitch * _lagged(s, lag, step) for s in _shapes(record["beta_ref"], pitch, step) for lag in lags]
+    shapes += [to_speed * _lagged(s, lag, step) for s in _shapes(record["omega_ref"], speed, step) for lag in lags]
+    since = record.time / record.time[-1]
+    return np.column_stack([*shapes, since, since**2, since * thrust])
+
+
+def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> np.ndarray:
+    """(rows, columns) rpm: the same for the speed: its own forms, what pitch and its rate do to it, levels and trends."""
+    _, speed, pitch = outputs.T
+    step, takes = float(np.median(record.steps)), slowest(values, values)
+    rate, since = np.gradient(pitch, step), record.time / record.time[-1]
+    driven = [*_shapes(record["omega_ref"], speed, step), rate, np.abs(rate)]
+    levels = [np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)), since]
+    return np.column_stack([_lagged(s, share * takes, step) for s in driven for share in LAGS] + levels)
+
+
+def beyond(columns: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """What of a residual (rows,) shapes (rows, columns) do not take up; NaN where it was not measured."""
+    seen = np.isfinite(residual)
+    size = np.linalg.norm(columns[seen], axis=0)
+    scaled = columns / np.where(size > 0.0, size, 1.0)
+    shares, *_ = np.linalg.lstsq(scaled[seen], residual[seen], rcond=1e-6)
+    return residual - scaled @ shares
 
 
 def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.ndarray]:

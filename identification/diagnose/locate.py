@@ -1,13 +1,13 @@
 """Where an error lives that no known effect explains: band, section, input, size of the move, strongest correlate."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.signal import csd
 
 from identification.diagnose.evidence.noise import blocks
 from identification.worth.sections import sections
-from vpp_fmu.campaign import Campaign
+from vpp_fmu.record import Record
 
 RATE = 0.02
 """Means over this many seconds; the bands below end well under their Nyquist frequency."""
@@ -18,9 +18,9 @@ WEAK = 0.2
 """Correlation below which an error goes with neither command."""
 
 
-def locate(campaign: Campaign, thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> dict:
-    """Description of the repeatable error of a prediction (rows,) [N], [rpm], [deg] of the open-loop record."""
-    record, repeat = campaign.open_loop, campaign.repeat
+def locate(records: Sequence[Record], thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> dict:
+    """Description of the repeatable error of a prediction (rows,) [N], [rpm], [deg] of records of the same commands."""
+    record, repeat = records[0], records[1] if len(records) > 1 else None
     at = blocks(record, RATE)
     error = at.mean(record["thrust"] - thrust)
     other = at.mean(repeat["thrust"] - thrust) if repeat is not None else error

@@ -62,9 +62,9 @@ class Starting:
     identification: Identification | None = None
 
 
-def from_identification(campaign: Campaign, library: Iterable[Effect], seed: int) -> Starting:
-    """Start at what an identification of the campaign finds."""
-    found = identify(campaign, seed=seed)
+def from_identification(campaign: Campaign, library: Iterable[Effect], seed: int, records: Mapping[str, Record]) -> Starting:
+    """Start at what an identification of the campaign, and of further `records`, finds."""
+    found = identify(campaign, seed=seed, records=records)
     names = tuple(found.refinement.names)
     rig, knowledge = found.parameters.rig, _knowledge(found.static, names)
     return Starting(sized(library, rig.scales), names, found.refinement.values, found.start, knowledge, rig, found)

@@ -28,6 +28,7 @@ class Tachometer:
 
     def __init__(self, record: Record):
         time, shown = record.time, record["omega"]
+        self._time = time
         step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
         new = np.append(False, shown[1:] != shown[:-1]) & np.isfinite(shown) & (shown > 0)
         pulses = np.minimum(np.where(np.isfinite(shown), shown, 0.0) / 60.0 * step, 1.0).sum()
@@ -55,6 +56,11 @@ class Tachometer:
     def transpose(self, weights: np.ndarray) -> np.ndarray:
         """The transpose of `shows`: (rows,) such that its product with any speed is that of `weights` (m,) with what shows."""
         return self._average.T @ weights
+
+    def rows_time(self, skip: float, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """(mask of the updates behind the first `order` that came at `skip` [s] or later, their times [s])."""
+        time = self._time[self.rows][order:]
+        return time >= skip, time[time >= skip]
 
     def _uncertainty(self, end: np.ndarray, step: np.ndarray) -> np.ndarray:
         """rpm: the display's digit, the timer's tick, the mark's jitter, and acceleration over the unknown part of a step."""

@@ -91,8 +91,8 @@ class Verdict:
 
     @property
     def better(self) -> bool:
-        """Whether the gains are handed out: nothing is worse, and the cost is lower by what a search resolves, or no higher and a
-        figure of a step better."""
+        """Whether the gains are handed out: nothing is worse, and the cost is lower by what a search resolves, or lower at all
+        and a figure of a step better."""
         first, other = self.penalised
         gain = other < first * (1.0 - RESOLVED) or (other < first and bool(self.gains()))
         return gain and not self.worse

@@ -6,6 +6,12 @@ import numpy as np
 
 from identification.fit.coordinates import CHANNELS
 from identification.fit.uncertainty import Uncertainty
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+SAME = 1e-7
+"""Share of a response's range by which two orders may differ by rounding."""
 
 
 def slow_first(values: Mapping[str, float]) -> dict[str, float]:
@@ -15,6 +21,28 @@ def slow_first(values: Mapping[str, float]) -> dict[str, float]:
         pair = f"tau_{channel}_1", f"tau_{channel}_2"
         values.update(zip(pair, sorted((values[n] for n in pair), reverse=True), strict=True))
     return values
+
+
+def exchangeable(model: Model, values: Mapping[str, float], record: Record, channel: str) -> bool:
+    """Whether the two lags of a channel may change places without a trace in the response to a record: nothing stands between.
+
+    Two lags in a row are one response in either order, to rounding; an effect between them tells which comes first.
+    """
+    pair = f"tau_{channel}_1", f"tau_{channel}_2"
+    swapped = {**values, pair[0]: values[pair[1]], pair[1]: values[pair[0]]}
+    simulator = Simulator(model)
+    one, other = (simulator.simulate(v, record.columns, record.steps) for v in (values, swapped))
+    return bool(np.all(np.abs(one - other) <= SAME * np.ptp(one, axis=0) + 1e-12))
+
+
+def agreed_order(model: Model, values: Mapping[str, float], record: Record) -> dict[str, str]:
+    """Names to write a model's lags under, by the names they have: the slower first where nothing tells their order."""
+    renamed = {}
+    for channel in CHANNELS:
+        pair = f"tau_{channel}_1", f"tau_{channel}_2"
+        if values[pair[0]] < values[pair[1]] and exchangeable(model, values, record, channel):
+            renamed |= {pair[0]: pair[1], pair[1]: pair[0]}
+    return renamed
 
 
 def forms(doubt: Uncertainty) -> dict:

@@ -5,13 +5,15 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, fmus, identification, measured, tuning
+from . import diagnosis, fmus, identification, long, measured, rigs, tuning
 
 STUDIES = {
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
     "identification": identification.main,
+    "long": long.main,
     "measured": measured.main,
+    "rigs": rigs.main,
     "tuning": tuning.main,
 }
 

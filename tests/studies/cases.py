@@ -1,95 +1,199 @@
-"""Cases of the blind study: which rig hides what. Drawn from the case's own name and seed, so each can be run again alone."""
+"""Cases of the blind studies: which rig hides what, and what was measured on it.
+
+Each is drawn from its own name and seed, so it can be run again alone.
+"""
 
 import zlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.record import Record
 
 from . import orders
 from .detectable import LIMIT, evidence
-from .missing import HIDDEN, LISTED, OUTSIDE, PAIRS, SCALABLE, SIZES
-from .rig import Rig, campaign, random_base, random_vibration
+from .missing import HIDDEN, LISTED, OUTSIDE, PAIRS, Draw
+from .noise import KINDS as NOISES
+from .physics import BASE, in_time
+from .rig import SIZES, Files, Rig, campaign, random_base, random_vibration
 
-KINDS = ("singles", "none", "deleted", "outside", "pairs", "faint")
+KINDS = ("none", "single", "pair", "outside", "deleted")
 
-FAINT = 20.0, 200.0
-"""Evidence that faint cases are scaled to, log-uniform: from the limit of what can be seen."""
+RATES = (100, 250, 500, 1000)
+"""Hz."""
+
+SECONDS = (15.0, 120.0)
+"""Of the open-loop record, log-uniform."""
+
+LEVELS = (0.5, 2.0)
+"""Of the noise, log-uniform."""
+
+REFERENCE = 3.0 / 4.0
+"""Share of the campaigns that have a static map, and of those that have steps."""
+
+WEAKEST = {"single": 0.0}
+"""Strength from which a case of this kind draws; others from HALF."""
+
+HALF = 0.5
+
+UNSEEN = 45.0
+"""s of the record that no diagnosis sees, on the paper's rig."""
+
+
+WHOLE = {"repeat": True, "validation": True, "static": True, "steps": True}
+"""Factors of a campaign that has every file."""
+
+
+@dataclass(frozen=True)
+class Factors:
+    """What a campaign is like. `strength` of what is hidden, from 0, its least size, to 1; `level` of the noise over the shared
+    records'; `locked`: whether records start on the rotor's mark; `seconds` and which files, as `rig.Files`."""
+
+    size: str
+    rate: int
+    noise: str
+    level: float
+    seconds: float
+    repeat: bool
+    validation: bool
+    static: bool
+    steps: bool
+    locked: bool
+    strength: float
+
+    @property
+    def files(self) -> Files:
+        """Of the campaign."""
+        return Files(self.seconds, self.repeat, self.validation, self.static, self.steps)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One rig. `hidden`: names of what it hides; `deleted`: the name that the library given to the diagnosis lacks.
-
-    Kind "faint": a single effect whose size is scaled down to little evidence.
-    """
+    """One rig. `hidden`: names of what it hides; `deleted`: the name that the library given to the diagnosis lacks; `given`:
+    factors that are not drawn."""
 
     kind: str
     hidden: tuple[str, ...]
     seed: int
     deleted: str | None = None
+    given: tuple[tuple[str, object], ...] = ()
 
-    def build(self) -> tuple[Campaign, Rig, dict]:
-        """(what was measured, the rig that it was measured on, the sizes of what it hides)."""
-        rng, base, shaking, drawn = self._draw()
-        sizes = {k: v for own in drawn.values() for k, v in own.items()}
+    @property
+    def name(self) -> str:
+        """As files and tables tell it; unique among the cases with the same `given` factors."""
+        return f"{self.kind} {'+'.join(self.hidden) or '-'} #{self.seed}"
+
+    def random(self, stream: int) -> np.random.Generator:
+        """One of the case's own sources. A deleted case is on the same rig as the single one of its name and seed."""
+        return np.random.default_rng([self.seed, zlib.crc32(" ".join(self.hidden).encode()), stream])
+
+    @cached_property
+    def factors(self) -> Factors:
+        """All are drawn, then those that are given laid over: one that is fixed leaves the others what they were."""
+        rng = self.random(0)
+        drawn = Factors(
+            size=str(rng.choice(list(SIZES))),
+            rate=int(rng.choice(RATES)),
+            noise=str(rng.choice(NOISES)),
+            level=float(np.exp(rng.uniform(*np.log(LEVELS)))),
+            seconds=float(np.round(np.exp(rng.uniform(*np.log(SECONDS))))),
+            repeat=bool(rng.random() < 0.5),
+            validation=bool(rng.random() < 0.5),
+            static=bool(rng.random() < REFERENCE),
+            steps=bool(rng.random() < REFERENCE),
+            locked=bool(rng.random() < 0.5),
+            strength=float(rng.uniform(WEAKEST.get(self.kind, HALF), 1.0)),
+        )
+        return replace(drawn, **dict(self.given))
+
+    @cached_property
+    def rig(self) -> Rig:
+        """With what it hides."""
+        f, rng = self.factors, self.random(1)
+        size = SIZES[f.size].drawn(rng)
+        base, shaking = random_base(rng, size.slow), random_vibration(rng)
+        sizes = dict(self.sizes)
         extra = sizes.pop("extra", None)
-        if self.kind == "faint":
-            sizes = self._faint(rng, base, sizes)
-        rig = Rig(base | sizes, extra, shaking)
-        return campaign(rig, rng), rig, sizes
+        return Rig(base | sizes, size, float(f.rate), f.noise, f.level, extra, shaking, f.locked)
 
-    def _draw(self) -> tuple[np.random.Generator, dict, float, dict[str, dict]]:
-        # A deleted case hides the same on the same rig as the single case of its name.
-        rng = np.random.default_rng([self.seed, zlib.crc32(" ".join(self.hidden).encode())])
-        base, shaking = random_base(rng), random_vibration(rng)
-        return rng, base, shaking, {name: dict(HIDDEN[name].draw(rng)) for name in self.hidden}
+    @cached_property
+    def each(self) -> dict[str, dict]:
+        """Settings of each effect that is hidden, by its name. A second one has a strength of its own."""
+        rng, slow = self.random(2), SIZES[self.factors.size].drawn(self.random(1)).slow
+        strengths = [self.factors.strength, *rng.uniform(WEAKEST.get(self.kind, HALF), 1.0, len(self.hidden))]
+        if "strength" in dict(self.given):
+            strengths = [self.factors.strength] * len(self.hidden)
+        drawn = {n: dict(HIDDEN[n].draw(Draw(rng, s))) for n, s in zip(self.hidden, strengths, strict=False)}
+        return {n: in_time(own, slow) for n, own in drawn.items()}
 
-    def _faint(self, rng: np.random.Generator, base: dict, sizes: dict) -> dict:
-        wanted, commands, scaled = np.exp(rng.uniform(*np.log(FAINT))), orders.open_loop(rng), dict(sizes)
-        for _ in range(4):
-            there = evidence(Rig(base | scaled), base, *commands)
-            factor = np.sqrt(wanted / max(there, 1.0))
-            scaled = {k: v * factor if k in SIZES else v for k, v in scaled.items()}
-        return scaled
+    @property
+    def sizes(self) -> dict:
+        """Settings of all of them."""
+        return {k: v for own in self.each.values() for k, v in own.items()}
 
-    def truth(self, sizes: dict) -> dict[str, float]:
+    @property
+    def base(self) -> dict[str, float]:
+        """Settings of the rig without what it hides."""
+        return {n: self.rig.settings[n] for n in BASE}
+
+    def measured(self) -> Campaign:
+        """What the diagnosis is given."""
+        return campaign(self.rig, self.random(3), self.factors.files)
+
+    def unseen(self) -> tuple[Record, np.ndarray]:
+        """(a record of other commands on this rig, the thrust (rows,) N that was really there)."""
+        rng = self.random(4)
+        return self.rig.observed(rng, orders.both(rng, self.rig.clock, UNSEEN * self.rig.size.slow), "unseen")
+
+    def truth(self) -> dict[str, float]:
         """True values of the project's parameters by full name, where one corresponds."""
-        return {f"{name}.{p}": v for name in self.hidden for p, v in HIDDEN[name].kernel(sizes).items()}
+        return {f"{n}.{p}": v for n in self.hidden for p, v in HIDDEN[n].kernel(self.sizes, self.rig.size).items()}
 
-    def evidence(self, measured: Campaign, rig: Rig) -> float:
-        """Log-likelihood that the open-loop records hold in favour of what is hidden, over the best base model.
+    def evidence(self, record: Record) -> float:
+        """Log-likelihood that records of these commands hold in favour of what is hidden, over the best base model.
 
         Of a pair, of its fainter effect, with the other one known.
         """
-        _, base, _, drawn = self._draw()
-        speed, pitch = measured.open_loop["omega_ref"], measured.open_loop["beta_ref"]
-        known = [{k: v for other in drawn if other != name for k, v in drawn[other].items()} for name in drawn]
-        return min((evidence(rig, base, speed, pitch, others) for others in known), default=0.0)
+        known = [{k: v for other in self.each if other != name for k, v in self.each[other].items()} for name in self.each]
+        return min((self._over(record, others) for others in known), default=0.0)
 
-    def equals(self, measured: Campaign, rig: Rig) -> list[str]:
+    def equals(self, record: Record) -> list[str]:
         """Names of special cases that these records can't tell from the single effect that is hidden."""
-        _, base, _, drawn = self._draw()
-        speed, pitch = measured.open_loop["omega_ref"], measured.open_loop["beta_ref"]
-        if self.kind != "singles":
+        if self.kind != "single":
             return []
-        ((name, own),) = drawn.items()
+        ((name, own),) = self.each.items()
         special = {other: settings(own) for other, settings in HIDDEN[name].special.items()}
-        return [other for other, known in special.items() if evidence(rig, base, speed, pitch, known) < LIMIT]
+        return [other for other, known in special.items() if self._over(record, known) < LIMIT]
+
+    def _over(self, record: Record, known: Mapping[str, float]) -> float:
+        records = 1 + self.factors.repeat
+        return evidence(self.rig, self.base, record["omega_ref"], record["beta_ref"], known, records)
+
+    def summary(self) -> dict:
+        """For a table's row."""
+        sizes = {k: v for k, v in self.sizes.items() if k != "extra"}
+        head = {"name": self.name, "kind": self.kind, "hidden": list(self.hidden), "seed": self.seed, "deleted": self.deleted}
+        return head | {"given": dict(self.given), "factors": asdict(self.factors), "sizes": sizes}
 
 
-def cases(known: Iterable[str], seeds: Sequence[int], kinds: Sequence[str] = KINDS, only: Sequence[str] = ()) -> list[Case]:
-    """All cases of some kinds. `known`: effects that the project's library has; `only`: names to keep, () for all."""
-    known, found = set(known), []
-    single = [h.name for h in LISTED if h.name in known]
-    for seed in seeds:
-        found += [Case("singles", (n,), seed) for n in single]
-        found += [Case("none", (), 1000 * seed + k) for k in range(4)]
-        found += [Case("deleted", (n,), seed, n) for n in single]
-        found += [Case("outside", (h.name,), seed) for h in OUTSIDE]
-        found += [Case("faint", (n,), seed) for n in single if n in SCALABLE]
-        found += [Case("pairs", pair, seed) for pair in PAIRS if set(pair) <= known]
-    kept = [c for c in found if c.kind in kinds]
-    return [c for c in kept if not only or set(c.hidden) & set(only)]
+def draw(seed: int, kind: str, known: Iterable[str] = (), hidden: Sequence[str] | None = None, **given) -> Case:
+    """A case of one of KINDS; all that is not `given` is drawn from its seed.
+
+    `hidden`: names; None: the seed's turn of those of the kind, so that following seeds go through all of them. `known`:
+    effects that the project's library has; () for all of it. `given`: fields of `Factors`.
+    """
+    known = set(known) or {e.name for e in LIBRARY if e.off is not None}
+    listed = [(h.name,) for h in LISTED if h.name in known]
+    of = {
+        "none": [()],
+        "single": listed,
+        "pair": [pair for pair in PAIRS if set(pair) <= known],
+        "outside": [(h.name,) for h in OUTSIDE],
+        "deleted": listed,
+    }[kind]
+    chosen = tuple(hidden) if hidden is not None else of[seed % len(of)]
+    return Case(kind, chosen, seed, chosen[0] if kind == "deleted" else None, tuple(given.items()))

@@ -5,64 +5,88 @@ what is left, over the noise, is the log-likelihood that the truth has over the 
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from . import rig
-from .physics import BASE, ROW
-from .rig import FULL_SPEED, Rig
+from .physics import BASE, Run
+from .rig import JITTER, Rig
 
-BLOCK = 4
-"""Rows that are averaged: 16 ms."""
+STEP = 0.0005
+"""Of the integration, s on the paper's rig: its error is in both signals alike."""
 
-SPEED_NOISE = 6.0
-"""rpm, of a block's speed, from the jitter of about one pulse in it; the instant of the pulse within a row adds to it."""
+BLOCK = 0.016
+"""s on the paper's rig that speed is averaged over, a revolution at least: its sensor's errors are then nearly white."""
 
 LIMIT = 20.0
 """Log-likelihood from which on an effect counts as detectable: a BIC difference of 10 asks for about 10 on the fitted records,
-and the gain of 3 on 60 s of unseen ones for about 18."""
+and the gain of 3 on unseen ones of two thirds of their length for about 18."""
 
 
 def evidence(
-    with_it: Rig, base: Mapping[str, float], speed: np.ndarray, pitch: np.ndarray, known: Mapping[str, float] | None = None
+    with_it: Rig,
+    base: Mapping[str, float],
+    speed: np.ndarray,
+    pitch: np.ndarray,
+    known: Mapping[str, float] | None = None,
+    records: int = 2,
 ) -> float:
-    """Log-likelihood over the best base model, of two records of these commands (rpm, deg).
+    """Log-likelihood over the best base model, of so many records of these commands (rpm, deg).
 
     `known`: settings that the base model has too.
     """
     names = list(BASE)
-    found = with_it.run(speed, pitch)
-    change = np.gradient(_blocks(FULL_SPEED * found.omega), BLOCK * ROW)
-    doubt = np.hypot(SPEED_NOISE, change * ROW / np.sqrt(8.0))
-    true = _white(with_it, speed, pitch, doubt)
+    found = with_it.run(speed, pitch, STEP)
+    uncertain = _speed_noise(with_it, found)
+    true = _white(with_it, found, speed, pitch, uncertain)
     scale = np.array([base[n] for n in names])
 
     def error(x):
         # Time constants must stay positive whatever the fit tries: their logarithm is free, the map's own values are.
         factors = np.where([n.startswith("tau") for n in names], np.exp(x), 1.0 + x)
-        return _white(Rig(dict(zip(names, scale * factors, strict=True)) | dict(known or {})), speed, pitch, doubt) - true
+        other = replace(with_it, settings=dict(zip(names, scale * factors, strict=True)) | dict(known or {}), extra=None)
+        return _white(other, other.run(speed, pitch, STEP), speed, pitch, uncertain) - true
 
     best = least_squares(error, np.zeros(len(names)), diff_step=1e-4, bounds=(-4.0, 4.0), max_nfev=8)
-    return 2.0 * float(best.cost)
+    return records * float(best.cost)
 
 
-def _white(one: Rig, speed: np.ndarray, pitch: np.ndarray, doubt: np.ndarray) -> np.ndarray:
-    """Thrust and speed in units of the noise, all directions alike."""
-    found = one.run(speed, pitch)
-    thrust, omega = _blocks(one.force(found, speed, pitch)), _blocks(FULL_SPEED * found.omega)
-    return np.concatenate([_over_noise(thrust), omega / doubt])
+def _white(one: Rig, found: Run, speed: np.ndarray, pitch: np.ndarray, uncertain: np.ndarray) -> np.ndarray:
+    """Thrust and speed as they are read, in units of the noise, all directions alike."""
+    return np.concatenate([_over_noise(one, one.force(found, speed, pitch)), _blocks(one, _told(one, found)) / uncertain])
 
 
-def _blocks(rows: np.ndarray) -> np.ndarray:
-    return rows[: len(rows) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+def _told(one: Rig, found: Run) -> np.ndarray:
+    """Speed (rows,) normalised, as late as the tachometer tells it."""
+    late = one.settings.get("speed_late", 0.0) * one.rate
+    rows = np.arange(len(found.omega))
+    return np.interp(rows - late, rows, found.omega) if late else found.omega
 
 
-def _over_noise(thrust: np.ndarray) -> np.ndarray:
+def _speed_noise(one: Rig, found: Run) -> np.ndarray:
+    """(blocks,) normalised: of a block's mean speed from the jitter of the two pulses that end it, and the instant of a pulse
+    within a row."""
+    seconds = _block(one) / one.rate
+    change = np.gradient(_blocks(one, found.omega), seconds)
+    full = one.size.speed / 60.0
+    return np.hypot(np.sqrt(2.0) * JITTER / seconds / full, change / one.rate / np.sqrt(8.0))
+
+
+def _block(one: Rig) -> int:
+    """Rows."""
+    return max(1, round(max(BLOCK * one.size.slow, 60.0 / one.size.speed) * one.rate))
+
+
+def _blocks(one: Rig, rows: np.ndarray) -> np.ndarray:
+    size = _block(one)
+    return rows[: len(rows) // size * size].reshape(-1, size).mean(axis=1)
+
+
+def _over_noise(one: Rig, thrust: np.ndarray) -> np.ndarray:
     n = len(thrust)
-    rho = np.exp(-BLOCK * ROW / rig.MEMORY)
-    turn = np.exp(-2j * np.pi * np.fft.rfftfreq(n))
-    power = rig.WHITE**2 / BLOCK + rig.SLOW**2 * (1.0 - rho**2) / np.abs(1.0 - rho * turn) ** 2
-    white = np.fft.rfft(thrust) / np.sqrt(0.5 * n * power)
+    turns = np.fft.rfftfreq(n)
+    turns[0] = turns[1]  # the mean is known about as well as the slowest wave
+    white = np.fft.rfft(thrust) / np.sqrt(0.5 * n * one.noise.power(turns))
     white[0] /= np.sqrt(2.0)
     return np.concatenate([white.real, white.imag])

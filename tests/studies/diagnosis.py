@@ -1,132 +1,199 @@
 """python -m tests.studies diagnosis: does `vpp diagnose` name what is missing, and nothing else, on rigs it knows nothing of?
 
-The rigs are an emulator that shares no code with the project's kernel (rig.py). Each case hides one effect (singles; faint: as
-small as can just be seen), a pair, none, one that is in no list (outside), or one that the library given to the diagnosis lacks
-(deleted). The truth stays in this study.
+The rigs are an emulator that shares no code with the project's kernel (rig.py). Each case draws a rig of one of three sizes,
+its logger, its noise, how long was measured and which files there are; it hides one effect (single), a pair, none, one that is
+in no list (outside), or one that the library given to the diagnosis lacks (deleted). The truth stays in this study. Each case
+runs in a process of its own and becomes a line of a file as soon as it is done: the study can be stopped and goes on where it
+was.
 """
 
 import argparse
 import json
+import tempfile
 import time
-from collections.abc import Iterable
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
-from identification.diagnose.diagnose import Diagnosis, diagnose
-from identification.workers import spread
+from identification.diagnose.diagnose import diagnose
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.cli.diagnose import write_diagnosis
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect
+from vpp_fmu.native import Simulator
+from vpp_fmu.parameters import ParameterSet, read_parameters
+from vpp_fmu.record import Record
 
 from . import scores
-from .cases import KINDS, Case, cases
+from .apart import Failed, apart, peak
+from .cases import KINDS, RATES, Case, draw
 from .missing import HIDDEN, LISTED
-from .rig import Rig
+from .noise import KINDS as NOISES
+from .rig import SIZES, save
+
+YES_NO = {"yes": True, "no": False}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the study."""
-    parser.add_argument("--seeds", type=int, default=2, metavar="N", help="rigs per effect (default: %(default)s)")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="N", help="of these (default: %(default)s)")
-    parser.add_argument("--effects", default="", metavar="A,B", help="only cases that hide one of these")
-    parser.add_argument("--only", default=",".join(KINDS), metavar="KINDS", help="of %(default)s")
+    parser.add_argument("--seeds", type=int, default=4, metavar="N", help="cases of each kind (default: %(default)s)")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of these (default: %(default)s)")
+    parser.add_argument("--kinds", default=",".join(KINDS), metavar="A,B", help="of %(default)s")
+    parser.add_argument("--effects", default="", metavar="A,B", help="hide these, each N times, instead of the seeds' turns")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="cases side by side (default: %(default)s)")
-    parser.add_argument("--scheduler", metavar="ADDR", help="Dask scheduler instead of processes")
-    parser.add_argument("-o", "--output", metavar="DIR", help="write cases.json and confusion.csv there")
-
-
-def run(options: argparse.Namespace) -> None:
-    """Run the cases and print what came out."""
-    kinds, only = options.only.split(","), tuple(filter(None, options.effects.split(",")))
-    for asked, allowed in ((kinds, KINDS), (only, HIDDEN)):
-        if unknown := set(asked) - set(allowed):
-            raise SystemExit(f"not known: {', '.join(sorted(unknown))}; known: {', '.join(allowed)}")
-    known = {e.name for e in LIBRARY if e.off is not None}
-    if skipped := [h.name for h in LISTED if h.name not in known]:
-        print(f"not in the library, so not studied: {', '.join(skipped)}")
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    folder = Path(options.output) if options.output else None
-    if folder:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "progress.jsonl").write_text("")
-    todo = cases(known, seeds, kinds, only)
-    found = spread(partial(outcome, log=folder), todo, options.workers, options.scheduler, "cases")
-    print(scores.tables(found))
-    if folder:
-        (folder / "cases.json").write_text(json.dumps(found, indent=1))
-        (folder / "confusion.csv").write_text(scores.confusion(found))
+    parser.add_argument("--threads", type=int, default=1, metavar="N", help="fits side by side in each (default: %(default)s)")
+    parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for a case (default: %(default)g)")
+    parser.add_argument("--cold", action="store_true", help="each case compiles its models anew")
+    parser.add_argument("-o", "--output", default="out/diagnosis.jsonl", metavar="F", help="lines (default: %(default)s)")
+    parser.add_argument("--only-table", action="store_true", help="no new cases: the tables of the file's lines, all of them")
+    parser.add_argument("--campaigns", metavar="DIR", help="no diagnosis: write the campaigns there, for `vpp diagnose`")
+    fixed = parser.add_argument_group("factors that are not drawn")
+    fixed.add_argument("--size", choices=SIZES)
+    fixed.add_argument("--rate", type=int, choices=RATES)
+    fixed.add_argument("--noise", choices=NOISES)
+    for name in ("level", "seconds", "strength"):
+        fixed.add_argument(f"--{name}", type=float, metavar="X")
+    for name in ("repeat", "validation", "static", "steps", "locked"):
+        fixed.add_argument(f"--{name}", choices=YES_NO)
 
 
 def main(arguments: list[str]) -> None:
     """`python -m tests.studies diagnosis`."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies diagnosis", description=__doc__)
     configure(parser)
-    run(parser.parse_args(arguments))
+    options = parser.parse_args(arguments)
+    path = Path(options.output)
+    if options.only_table:
+        print(scores.tables(read(path)))
+        return
+    todo = chosen(options)
+    if options.campaigns:
+        for case in todo:
+            save(case.measured(), case.rig.size, Path(options.campaigns, case.name.replace(" ", "_")))
+        return
+    known = {e.name for e in LIBRARY if e.off is not None}
+    if skipped := [h.name for h in LISTED if h.name not in known]:
+        print(f"not in the library, so not studied: {', '.join(skipped)}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done = {_key(row): row for row in read(path)}
+    wanted = [key for case in todo if (key := _key(case.summary()))]
+    missing = [case for case, key in zip(todo, wanted, strict=True) if key not in done]
+    with path.open("a") as file:
+        for row in rows(missing, options.workers, options.threads, options.limit, options.cold):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            done[_key(row)] = row
+    print(scores.tables([done[key] for key in wanted]))
 
 
-def outcome(case: Case, log: Path | None = None, library: Iterable[Effect] = LIBRARY) -> dict:
-    """Build the case, diagnose it, compare with the truth: all that the tables need. `log`: folder of progress.jsonl."""
-    measured, rig, sizes = case.build()
-    whole = tuple(library)
-    library = tuple(e for e in whole if e.name != case.deleted)
+def chosen(options: argparse.Namespace) -> list[Case]:
+    """The cases that were asked for."""
+    kinds, only = options.kinds.split(","), tuple(filter(None, options.effects.split(",")))
+    for asked, allowed in ((kinds, KINDS), (only, HIDDEN)):
+        if unknown := set(asked) - set(allowed):
+            raise SystemExit(f"not known: {', '.join(sorted(unknown))}; known: {', '.join(allowed)}")
+    plain = {n: v for n in ("size", "rate", "noise", "level", "seconds", "strength") if (v := getattr(options, n)) is not None}
+    given = plain | {n: YES_NO[v] for n in ("repeat", "validation", "static", "steps", "locked") if (v := getattr(options, n))}
+    found = []
+    for seed in range(options.first_seed, options.first_seed + options.seeds):
+        for kind in kinds:
+            hidden = [(name,) for name in only if kind in ("single", "deleted", "outside")] or [None]
+            found += [draw(seed, kind, hidden=names, **given) for names in hidden]
+    return found
+
+
+def read(path: Path) -> list[dict]:
+    """The rows of a file; none where it is not there yet."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _key(row: dict) -> str:
+    """What tells one case from another: its name and all that it is like."""
+    return json.dumps([row["name"], row["factors"], row["deleted"]], sort_keys=True)
+
+
+def rows(cases: Sequence[Case], workers: int, threads: int, limit: float, cold: bool = False) -> Iterator[dict]:
+    """Each case's row as it is done, in whatever order."""
+
+    def one(case: Case) -> dict:
+        began = time.perf_counter()
+        try:
+            with tempfile.TemporaryDirectory() as cache:
+                return apart(outcome, case, threads, limit=limit, environment={"XDG_CACHE_HOME": cache} if cold else None)
+        except Failed as failed:
+            return case.summary() | {"failed": str(failed), "seconds": time.perf_counter() - began}
+
+    pool = ThreadPoolExecutor(workers)
+    try:
+        futures = [pool.submit(one, case) for case in cases]
+        for future in tqdm(as_completed(futures), total=len(cases), desc="cases", disable=None, leave=False):
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)  # stopped: those that have begun end, no other begins
+
+
+def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -> dict:
+    """Measure the case, diagnose it, compare with the truth: all that the tables need."""
+    measured, whole = case.measured(), tuple(library)
     began = time.perf_counter()
-    found = diagnose(measured, library, workers=1, seed=0)
-    seconds = time.perf_counter() - began
-    entry = {"kind": case.kind, "hidden": list(case.hidden), "seed": case.seed, "deleted": case.deleted, "sizes": sizes}
-    entry |= {"evidence": case.evidence(measured, rig), "equal": case.equals(measured, rig)}
-    entry |= {"seconds": seconds, "verdict": found.verdict}
-    entry |= {
-        "own_name_gains": _own_name_gains(found, measured, whole) if case.deleted and found.verdict in scores.NAMED else None
-    }
-    entry |= {"effects": list(found.final.effects), "family": {n: list(o) for n, o in found.family.items()}}
-    entry |= {"explained": found.explained and found.explained.share, "removed": removed(found, measured, rig)}
-    entry |= {"left": [found.before_left.share, found.left.share, found.left.error]}
-    entry |= {"parameters": _parameters(found, case.truth(sizes)), "values": _own(found)}
-    entry |= {"refused": {n: list(j.refused) for n, j in found.selection.refused.items()}, "rounds": _rounds(found)}
-    if log is not None:
-        with (log / "progress.jsonl").open("a") as file:
-            file.write(json.dumps(entry) + "\n")
-    return entry
+    content, before, after = told(measured, [e for e in whole if e.name != case.deleted], threads)
+    row = case.summary() | {"failed": None, "seconds": time.perf_counter() - began, "mb": peak()}
+    row |= {"readings": sum(len(r) for r in (measured.open_loop, measured.repeat) if r is not None)}
+    row |= {"evidence": case.evidence(measured.open_loop), "equal": case.equals(measured.open_loop)}
+    row |= {"verdict": content["verdict"], "effects": [e["name"] for e in content["effects"]]}
+    row |= {"family": content["family"], "lack_of_fit": content.get("lack_of_fit")}
+    row |= {"parameters": compared(content, case.truth()), "true_error": _true_errors(case, before, after)}
+    if case.deleted and scores.wrong(row):
+        # Whether anything told the other name from the true one, had that been there.
+        again, *_ = told(measured, whole, threads)
+        row |= {"with_own_name": sorted({e["name"] for e in again["effects"]}.union(*again["family"].values()))}
+    return row
 
 
-def _own_name_gains(found: Diagnosis, measured: Campaign, library: Iterable[Effect]) -> float:
-    """Log-likelihood that the effects found with the whole library have over a diagnosis that lacked the one that is hidden."""
-    return 0.5 * (found.final.deviance - diagnose(measured, library, workers=1, seed=0).final.deviance)
+def told(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tuple[dict, ParameterSet, ParameterSet]:
+    """What the files of a diagnosis say: (diagnosis.json, parameters_base.json, parameters.json)."""
+    found = diagnose(measured, library, workers=threads)
+    with tempfile.TemporaryDirectory() as folder:
+        write_diagnosis(OutputFolder(folder), found)
+        content = json.loads(Path(folder, "diagnosis.json").read_text())
+        sets = [
+            read_parameters(Path(folder, name), lambda names: plant(names, library))
+            for name in ("parameters_base.json", "parameters.json")
+        ]
+    return content, *sets
 
 
-def removed(found: Diagnosis, measured: Campaign, rig: Rig) -> float | None:
-    """Share of the validation record's true error power (no noise in it) that the augmented model removes."""
-    record = measured.validation
-    speed, pitch = record["omega_ref"], record["beta_ref"]
-    true = rig.force(rig.run(speed, pitch), speed, pitch)
-    before, after = (np.mean((found.prediction(f, record).thrust - true) ** 2) for f in (found.base, found.final))
-    return float(1.0 - after / before)
+def _true_errors(case: Case, before: ParameterSet, after: ParameterSet) -> list[float]:
+    """[before, after] rms N of a model's thrust on a record that nobody saw, against what was really there."""
+    record, true = case.unseen()
+    return [_rms(_thrust(found, record) - true) for found in (before, after)]
 
 
-def _parameters(found: Diagnosis, truth: dict[str, float]) -> dict:
-    """Of each parameter with a true value that the diagnosis claims to know: [true, found, std, whether within 10 % or the 95 %
-    interval]."""
-    compared = {}
-    for name, true in truth.items():
-        if name not in found.final.free or (std := found.doubt.get(name)) is None:
-            continue
-        value = found.final.values[name]
-        low, high = found.final.thresholds.get(name, (value - 1.96 * std, value + 1.96 * std))
-        good = abs(value - true) <= 0.1 * abs(true) or low <= true <= high
-        compared[name] = [true, value, std, bool(good)]
-    return compared
+def _thrust(found: ParameterSet, record: Record) -> np.ndarray:
+    simulator = Simulator(found.model)
+    outputs = simulator.simulate(found.values, record.columns, record.steps)
+    return outputs[:, simulator.outputs.index("thrust")]
 
 
-def _own(found: Diagnosis) -> dict[str, float]:
-    return {n: found.final.values[n] for n in (*found.final.free, *found.final.forms)}
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)))
 
 
-def _rounds(found: Diagnosis) -> list[list]:
-    """Of each round the candidates with the best look: [label, promised gain, fall of the BIC or None, bounds hit]."""
-    rounds = []
-    for tried in found.selection.rounds:
-        best = sorted(tried, key=lambda t: -(t.delta_bic if t.fit is not None else -1e9))
-        rounds.append([[t.candidate.label, t.fall, t.delta_bic, list(t.fit.at_bound) if t.fit else []] for t in best])
-    return rounds
+def compared(content: dict, truth: dict[str, float]) -> dict[str, list]:
+    """Of each parameter with a true value that the diagnosis gives with its standard deviation: [true, found, std, whether
+    within 10 % or the 95 % interval]."""
+    found = {}
+    for effect in content["effects"]:
+        for name, entry in effect["parameters"].items():
+            true = truth.get(f"{effect['name']}.{name}")
+            if true is None or entry["std"] is None:
+                continue
+            value, half = entry["value"], 1.96 * entry["std"]
+            low, high = effect.get("intervals", {}).get(name) or (value - half, value + half)
+            good = abs(value - true) <= 0.1 * abs(true) or low <= true <= high
+            found[f"{effect['name']}.{name}"] = [true, value, entry["std"], bool(good)]
+    return found

@@ -1,4 +1,4 @@
-"""The studies' rig: physics in C (rig.c), compiled on first use; all quantities normalised as in the paper, time in s."""
+"""The studies' rig: physics in C (rig.c), compiled on first use; quantities normalised by the rig's own scales, time in s."""
 
 import ctypes
 import functools
@@ -14,12 +14,7 @@ import numpy as np
 
 SOURCE = Path(__file__).parent / "rig.c"
 
-STEP = 0.0005
-"""Of the rig's own integration, s."""
-
-ROW = 0.004
-"""From row to row of a record, s."""
-
+FRAME = ("step", "slow", "full")
 BASE = ("tau_w1", "tau_w2", "tau_b1", "tau_b2", "c20", "c11", "c21", "c12", "c30")
 
 _COMMAND = "pitch_delay late_up deadband pitch_step travel_max travel_stop slew"
@@ -28,7 +23,7 @@ _LINKAGE = "friction torsion backlash warm"
 _SUPPLY = "speed_max_w sag droop volt_gain volt_share discharge"
 _SPEED = "speed_delay speed_last speed_asym damping ramp hunt_hz hunt_zeta coupling coupling_stiff"
 _THRUST = "map_w map_w2b2 map_wb3 stall fade fade_time fade_load inflow inflow_time feedthrough wash wash_time"
-_CELL = "ring_hz ring_zeta cell_time creep bias drift"
+_CELL = "ring_hz ring_zeta cell_time creep bias drift vibration reading_delay speed_late"
 OPTIONS = tuple(" ".join([_COMMAND, _PITCH, _LINKAGE, _SUPPLY, _SPEED, _THRUST, _CELL]).split())
 """What can be switched on in rig.c; 0 is off."""
 
@@ -36,9 +31,30 @@ PAPER = {"tau_w1": 0.172, "tau_w2": 0.053, "tau_b1": 0.2, "tau_b2": 0.07}
 PAPER |= {"c20": 0.355, "c11": 0.064, "c21": 0.8, "c12": -0.16, "c30": -0.081}
 """The paper's fine-tuned set, with a faster pitch actuator."""
 
+_TIMES = "tau_w1 tau_w2 tau_b1 tau_b2 pitch_delay late_up stall_time speed_delay coupling inflow_time feedthrough wash_time"
+_RATES = "slew speed_min speed_max rate stall_speed ramp hunt_hz ring_hz"
+POWER = dict.fromkeys(f"{_TIMES} cell_time reading_delay speed_late".split(), 1) | dict.fromkeys(_RATES.split(), -1)
+"""Power of time in a setting that goes with how fast a rig is. What warms, discharges or creeps does so in its own time."""
+
+
+def in_time(settings: Mapping[str, float], slow: float) -> dict[str, float]:
+    """Settings of a rig of the paper's speed on one that is `slow` times slower."""
+    return {name: value * slow ** POWER[name] if name in POWER else value for name, value in settings.items()}
+
 
 class _Rig(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_double) for name in (*BASE, *OPTIONS)]
+    _fields_ = [(name, ctypes.c_double) for name in (*FRAME, *BASE, *OPTIONS)]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How a rig is integrated and read: `row` s from row to row, about `step` s of integration, `slow` times slower than the
+    paper's rig, `full` speed [rpm]."""
+
+    row: float
+    step: float
+    slow: float
+    full: float
 
 
 @dataclass(frozen=True)
@@ -53,25 +69,40 @@ class Run:
     turn: np.ndarray
 
 
-def run(settings: Mapping[str, float], w_ref: np.ndarray, b_ref: np.ndarray, jitter: np.ndarray | None = None) -> Run:
-    """The rig under normalised commands (rows,). `jitter` [s]: by what each pulse of the mark comes late."""
+def run(
+    settings: Mapping[str, float],
+    frame: Frame,
+    w_ref: np.ndarray,
+    b_ref: np.ndarray,
+    angle: float = 0.3,
+    jitter: np.ndarray | None = None,
+) -> Run:
+    """The rig under normalised commands (rows,). `angle` [revolutions]: of the mark at the start; `jitter` [s]: by what each
+    pulse of the mark comes late, (pulses(...),) or longer."""
     unknown = set(settings) - {*BASE, *OPTIONS}
     if unknown:
         raise KeyError(*unknown)
-    rows, pulses = len(w_ref), 300 * round(ROW * len(w_ref) + 4.0)
-    jitter = np.zeros(pulses) if jitter is None else np.resize(jitter, pulses)
+    rows, sub = len(w_ref), int(np.ceil(frame.row / frame.step - 1e-9))
+    jitter = np.zeros(pulses(frame, rows)) if jitter is None else jitter
     inputs = [np.ascontiguousarray(a, float) for a in (w_ref, b_ref)]
     outputs = [np.empty(rows) for _ in range(5)]
-    rig = _Rig(**{name: float(value) for name, value in settings.items()})
-    pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (*inputs, np.ascontiguousarray(jitter), *outputs)]
-    head = ctypes.byref(rig), ctypes.c_long(rows), ctypes.c_long(round(ROW / STEP)), *pointers[:2], ctypes.c_double(0.3)
-    _library().run(*head, *pointers[2:])
+    own = {"step": frame.row / sub, "slow": frame.slow, "full": frame.full}
+    rig = _Rig(**own, **{name: float(value) for name, value in settings.items()})
+    late = np.ascontiguousarray(jitter, float)
+    pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (*inputs, late, *outputs)]
+    head = ctypes.byref(rig), ctypes.c_long(rows), ctypes.c_long(sub), *pointers[:2], ctypes.c_double(angle)
+    _library().run(*head, ctypes.c_long(len(late)), *pointers[2:])
     return Run(*outputs)
+
+
+def pulses(frame: Frame, rows: int) -> int:
+    """More than the mark gives in a record of so many rows, the time before it included."""
+    return int(1.5 * frame.full / 60.0 * (rows * frame.row + 2.0 * frame.slow)) + 100
 
 
 @functools.cache
 def _library() -> ctypes.CDLL:
-    fields = " ".join(f"double {name};" for name in (*BASE, *OPTIONS))
+    fields = " ".join(f"double {name};" for name in (*FRAME, *BASE, *OPTIONS))
     text = f"struct rig {{ {fields} }};\n{SOURCE.read_text()}"
     folder = Path(tempfile.gettempdir(), f"vpp-rig-{os.getuid()}")
     folder.mkdir(exist_ok=True)

@@ -1,21 +1,22 @@
-/* The rig's physics for the studies, written from the descriptions of its effects alone: nothing here knows the project's kernel.
+/* A rig's physics for the studies, written from the descriptions of its effects alone: nothing here knows the project's kernel.
  *
- * All quantities are the paper's normalised ones (w = speed / 6000 rpm, b = (pitch + 5 deg) / 15 deg, T = thrust / 15 N), time
- * in s. Everything moves by small explicit steps of STEP. `struct rig` is put before this text by physics.py, one double a
- * field; a field that is 0 switches its effect off.
+ * All quantities are normalised by the rig's own scales (w = speed / full speed, b = (pitch + offset) / span, T = thrust / full
+ * thrust), time in s. Everything moves by small explicit steps. `struct rig` is put before this text by physics.py, one double a
+ * field: `step` [s] of the integration, `slow`, how many times slower than the paper's rig this one is, `full` speed [rpm], lags,
+ * map, and what is switched on; an option that is 0 is off.
  */
 #include <math.h>
+#include <stdlib.h>
 
-#define STEP 0.0005
-#define PREROLL 4000 /* steps on the first command before the record begins, at t = 0 */
+#define PREROLL 2.0 /* s on the paper's rig: for so long the first command stands before the record begins, at t = 0 */
 
 static double clip(double v, double low, double high) { return v < low ? low : v > high ? high : v; }
 
 static double sign(double v) { return (v > 0.0) - (v < 0.0); }
 
 /* A command `delay` seconds ago; row r holds from r * sub steps on. Between steps it is weighed by its share of the step. */
-static double late(const double *command, long step, long sub, double delay) {
-    double back = delay / STEP, whole = floor(back), share = back - whole;
+static double late(const struct rig *r, const double *command, long step, long sub, double delay) {
+    double back = delay / r->step, whole = floor(back), share = back - whole;
     long now = step - (long)whole, before = now - 1;
     double a = command[now < 0 ? 0 : now / sub], b = command[before < 0 ? 0 : before / sub];
     return share > 0.0 ? (1.0 - share) * a + share * b : a;
@@ -37,12 +38,12 @@ static double actuator(const struct rig *r, struct state *s, double e, double ta
         if (size > r->restart) s->active = 1.0;
         if (s->active < 0.5) v = 0.0;
     }
-    if (r->speed_max > 0.0) v = size > 0.003 ? sign(e) * fmin(clip(size / tau, r->speed_min, r->speed_max), size / STEP) : 0.0;
+    if (r->speed_max > 0.0) v = size > 0.003 ? sign(e) * fmin(clip(size / tau, r->speed_min, r->speed_max), size / r->step) : 0.0;
     if (r->rate > 0.0) v = clip(v, -r->rate, r->rate);
     if (r->stall_time > 0.0) {
         if (s->latched != 0.0 && sign(e) != s->latched) s->latched = 0.0;
         if (s->latched == 0.0) {
-            s->timer = fabs(v) < r->stall_speed && size > r->stall_band ? s->timer + STEP : 0.0;
+            s->timer = fabs(v) < r->stall_speed && size > r->stall_band ? s->timer + r->step : 0.0;
             if (s->timer > r->stall_time) s->latched = sign(e), s->timer = 0.0;
         }
         if (s->latched != 0.0) v = 0.0;
@@ -51,9 +52,9 @@ static double actuator(const struct rig *r, struct state *s, double e, double ta
 }
 
 static double pitch(const struct rig *r, struct state *s, const double *command, long step, long sub, double warm) {
-    double u = late(command, step, sub, r->pitch_delay), e, tau_1 = r->tau_b1 * warm, tau_2 = r->tau_b2 * warm;
+    double u = late(r, command, step, sub, r->pitch_delay), e, tau_1 = r->tau_b1 * warm, tau_2 = r->tau_b2 * warm;
     if (r->late_up != 0.0) {
-        double other = late(command, step, sub, fabs(r->late_up));
+        double other = late(r, command, step, sub, fabs(r->late_up));
         u = r->late_up > 0.0 ? fmin(u, other) : fmax(u, other);
     }
     if (r->deadband > 0.0) {
@@ -62,18 +63,18 @@ static double pitch(const struct rig *r, struct state *s, const double *command,
     }
     if (r->pitch_step > 0.0) u = r->pitch_step * floor(u / r->pitch_step + 0.5);
     if (r->travel_max > 0.0 && r->travel_stop < 0.5) u = fmin(u, r->travel_max);
-    if (r->slew > 0.0) u = s->led += clip(u - s->led, -r->slew * STEP, r->slew * STEP);
+    if (r->slew > 0.0) u = s->led += clip(u - s->led, -r->slew * r->step, r->slew * r->step);
     e = u - s->x;
-    s->x += STEP * (r->last_stage > 0.5 ? e / tau_1 : actuator(r, s, e, tau_1));
+    s->x += r->step * (r->last_stage > 0.5 ? e / tau_1 : actuator(r, s, e, tau_1));
     e = s->x - s->b;
     if (r->torsion != 0.0) e -= r->torsion * s->load;
     if (r->friction > 0.0) { /* Stribeck: breaks loose above `friction`, then slides against 0.4 of it and less with speed */
-        double moving = fabs(s->before) > 1e-4, speed = fabs(s->before);
+        double speed = r->slow * fabs(s->before), moving = speed > 1e-4;
         double drag = moving > 0.5 ? r->friction * (0.4 + 0.6 * exp(-speed * speed / 0.01)) : r->friction;
         s->before = fabs(e) > drag ? sign(e) * (fabs(e) - drag) / tau_2 : 0.0;
-        s->b += STEP * s->before;
+        s->b += r->step * s->before;
     } else
-        s->b += STEP * (r->last_stage > 0.5 ? actuator(r, s, e, tau_2) : e / tau_2);
+        s->b += r->step * (r->last_stage > 0.5 ? actuator(r, s, e, tau_2) : e / tau_2);
     if (r->travel_max > 0.0) s->b = fmin(s->b, r->travel_max);
     s->play = fmin(fmax(s->play, s->b - r->backlash), s->b + r->backlash);
     return s->play;
@@ -86,24 +87,24 @@ static double bent_tau(const struct rig *r, double tau, double to, double at) {
 }
 
 static double rotor(const struct rig *r, struct state *s, const double *command, long step, long sub, double b, double volt) {
-    double u = late(command, step, sub, r->speed_delay), tau = r->tau_w1, v, dip;
+    double u = late(r, command, step, sub, r->speed_delay), tau = r->tau_w1, v, dip;
     if (r->speed_max_w > 0.0) u = fmin(u, r->speed_max_w - r->sag * b);
     if (r->volt_gain > 0.0) u = fmin(u, r->volt_gain * volt);
     u *= 1.0 + r->volt_share * (volt - 1.0);
     u -= r->droop * fmax(b, 0.0) * s->w * s->w;
     v = (u - s->y) / (r->speed_last > 0.5 ? tau : bent_tau(r, tau, u, s->y));
     if (r->ramp > 0.0) v = clip(v, -r->ramp, r->ramp);
-    s->y += STEP * v;
+    s->y += r->step * v;
     if (r->hunt_hz > 0.0) { /* the loop's second pole becomes an underdamped pair */
         double p = 2.0 * M_PI * r->hunt_hz;
-        s->spin += STEP * (p * p * (s->y - s->w) - 2.0 * r->hunt_zeta * p * s->spin);
-        s->w += STEP * s->spin;
+        s->spin += r->step * (p * p * (s->y - s->w) - 2.0 * r->hunt_zeta * p * s->spin);
+        s->w += r->step * s->spin;
     } else
-        s->w += STEP * (s->y - s->w) / (r->speed_last > 0.5 ? bent_tau(r, r->tau_w2, s->y, s->w) : r->tau_w2);
+        s->w += r->step * (s->y - s->w) / (r->speed_last > 0.5 ? bent_tau(r, r->tau_w2, s->y, s->w) : r->tau_w2);
     if (r->coupling == 0.0) return s->w;
     dip = (b - s->trail) / r->tau_w1;
-    s->trail += STEP * dip;
-    s->push += STEP * (dip - s->push) / r->tau_w2;
+    s->trail += r->step * dip;
+    s->push += r->step * (dip - s->push) / r->tau_w2;
     return s->w - r->coupling * (r->coupling_stiff > 0.5 ? dip : s->push);
 }
 
@@ -118,20 +119,20 @@ static double thrust(const struct rig *r, struct state *s, double w, double b, d
     }
     steady = T;
     if (r->fade_load > 0.5) {
-        s->heat += STEP * (steady - s->heat) / r->fade_time;
+        s->heat += r->step * (steady - s->heat) / r->fade_time;
         T *= 1.0 + r->fade * s->heat;
     } else if (r->fade != 0.0)
         T *= 1.0 + r->fade * (r->fade_time > 0.0 ? 1.0 - exp(-t / r->fade_time) : t / 100.0);
     if (r->inflow != 0.0) {
-        s->inflow += STEP * (b - s->inflow) / r->inflow_time;
+        s->inflow += r->step * (b - s->inflow) / r->inflow_time;
         T += r->inflow * w * w * (b - s->inflow);
     }
     T += r->feedthrough * w * w * rate;
     if (r->wash != 0.0) {
-        s->slow += STEP * (steady - s->slow) / r->wash_time;
+        s->slow += r->step * (steady - s->slow) / r->wash_time;
         T -= r->wash * s->slow;
     }
-    s->load += STEP * (steady - s->load) / 0.02;
+    s->load += r->step * (steady - s->load) / (0.02 * r->slow);
     return T;
 }
 
@@ -140,12 +141,12 @@ static double cell(const struct rig *r, struct state *s, double T, double t) {
     double reading = T;
     if (r->ring_hz > 0.0) {
         double p = 2.0 * M_PI * r->ring_hz;
-        s->cell_rate += STEP * (p * p * (T - s->cell) - 2.0 * r->ring_zeta * p * s->cell_rate);
-        reading = s->cell += STEP * s->cell_rate;
+        s->cell_rate += r->step * (p * p * (T - s->cell) - 2.0 * r->ring_zeta * p * s->cell_rate);
+        reading = s->cell += r->step * s->cell_rate;
     } else if (r->cell_time > 0.0)
-        reading = s->cell += STEP * (T - s->cell) / r->cell_time;
+        reading = s->cell += r->step * (T - s->cell) / r->cell_time;
     for (int k = 0; k < 4 && r->creep != 0.0; k++) {
-        s->creep[k] += STEP * (T - s->creep[k]) / times[k];
+        s->creep[k] += r->step * (T - s->creep[k]) / times[k];
         reading += 0.25 * r->creep * s->creep[k];
     }
     return reading + r->bias + r->drift * t / 100.0;
@@ -166,31 +167,56 @@ static struct state settled(const struct rig *r, double w, double b) {
     return s;
 }
 
+/* A signal as it was some time ago: the last `size` values, the newest at `at`. */
+struct past {
+    double *values;
+    long size, at;
+};
+
+static struct past remembered(double delay, double step, double value) {
+    struct past p = {0, (long)floor(delay / step + 0.5) + 1, 0};
+    p.values = malloc((size_t)p.size * sizeof(double));
+    for (long k = 0; k < p.size; k++) p.values[k] = value;
+    return p;
+}
+
+/* Takes the newest value, gives the oldest. */
+static double passed(struct past *p, double value) {
+    p->values[p->at] = value;
+    p->at = (p->at + 1) % p->size;
+    return p->values[p->at];
+}
+
 /* A record of n rows, `sub` steps apart; what a row shows was there before its command acted. `angle`: of the mark at the start,
- * revolutions; `jitter[m]` s: by what the m-th pulse comes late. `shown`: as the 4 us timer measures it, rpm. */
-void run(const struct rig *r, long n, long sub, const double *w_ref, const double *b_ref, double angle, const double *jitter,
-         double *omega, double *beta, double *load, double *shown, double *turn) {
+ * revolutions; `jitter[m]` s: by what the m-th of at most `pulses` comes late. `shown`: as the 4 us timer measures it, held from
+ * pulse to pulse, rpm. `turn`: revolutions since the start. */
+void run(const struct rig *r, long n, long sub, const double *w_ref, const double *b_ref, double angle, long pulses,
+         const double *jitter, double *omega, double *beta, double *load, double *shown, double *turn) {
     struct state s = settled(r, w_ref[0], b_ref[0]);
-    double last = s.play, pulse = -1.0, display = floor(6000.0 * s.w + 0.5);
+    double last = s.play, pulse = 0.0, display = floor(r->full * s.w + 0.5), turns = r->full / 60.0;
+    struct past readings = remembered(r->reading_delay, r->step, 0.0), displays = remembered(r->speed_late, r->step, display);
     long m = 0;
-    for (long k = -PREROLL; k < n * sub; k++) {
-        double t = k > 0 ? k * STEP : 0.0, warm = 1.0 + r->warm * (1.0 - exp(-t / 40.0));
+    for (long k = -(long)(PREROLL * r->slow / r->step); k < n * sub; k++) {
+        double t = k > 0 ? k * r->step : 0.0, warm = 1.0 + r->warm * (1.0 - exp(-t / 40.0));
         long at = k < 0 ? 0 : k;
         if (k <= 0) s.heat = 0.0; /* warming starts anew with each record */
         double volt = 1.0 - r->discharge * t / 100.0;
         double b = pitch(r, &s, b_ref, at, sub, warm);
         double w = rotor(r, &s, w_ref, at, sub, b, volt);
-        double reading = cell(r, &s, thrust(r, &s, w, b, (b - last) / STEP, t), t);
+        double reading = cell(r, &s, thrust(r, &s, w, b, (b - last) / r->step, t), t);
         last = b;
-        double step = 100.0 * w * STEP; /* 6000 rpm is 100 revolutions a second */
-        if (floor(angle + step) > floor(angle)) {
-            double came = (k + 1) * STEP - (angle + step - floor(angle + step)) / (100.0 * w) + jitter[m++];
-            if (pulse >= -0.9 * PREROLL * STEP) display = floor(60.0 / (4e-6 * floor((came - pulse) / 4e-6 + 0.5)) + 0.5);
+        double step = turns * w * r->step;
+        if (floor(angle + step) > floor(angle) && m < pulses) {
+            double came = (k + 1) * r->step - (angle + step - floor(angle + step)) / (turns * w) + jitter[m];
+            if (m++ > 0) display = floor(60.0 / (4e-6 * floor((came - pulse) / 4e-6 + 0.5)) + 0.5);
             pulse = came;
         }
         angle += step;
+        reading = passed(&readings, reading + r->vibration * w * w * sin(2.0 * M_PI * angle));
+        double told = passed(&displays, display);
         if (k + 1 < 0 || (k + 1) % sub || (k + 1) / sub >= n) continue;
         long row = (k + 1) / sub;
-        omega[row] = w, beta[row] = b, load[row] = reading, shown[row] = display, turn[row] = angle;
+        omega[row] = w, beta[row] = b, load[row] = reading, shown[row] = told, turn[row] = angle;
     }
+    free(readings.values), free(displays.values);
 }

@@ -1,23 +1,21 @@
-"""Tables and figures of the blind study, from its cases' outcomes."""
+"""Tables and figures of the blind study, from its cases' rows (`diagnosis.outcome`)."""
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, kstest
 
 from .detectable import LIMIT
 from .missing import HIDDEN
 
-VERDICTS = ("attributed", "family", "partly", "unexplained", "none")
 NAMED = ("attributed", "family")
 """Verdicts that claim to know the name."""
 
-KNOWABLE = ("singles", "pairs", "faint")
-"""Kinds in which the library has what is hidden."""
+ALWAYS = frozenset({"rotor_vibration"})
+"""What every rig of the study has: naming it is never wrong."""
 
-ENOUGH = (LIMIT, 100.0, 1000.0)
-"""Evidence from which on cases are counted apart."""
+Rows = Sequence[dict]
 
 
 def interval(k: int, n: int) -> tuple[float, float]:
@@ -27,112 +25,302 @@ def interval(k: int, n: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def found(c: dict) -> set[str]:
+    """Names that the diagnosis put into the model, less what every rig has."""
+    return set(c["effects"]) - (ALWAYS - set(c["hidden"]))
+
+
 def named(c: dict) -> set[str]:
-    """What the diagnosis claims: its effects, and what it can't tell from them."""
-    return set(c["effects"]).union(*c["family"].values()) if c["verdict"] in NAMED else set()
+    """What it claims to know: its effects, and what it can't tell from them."""
+    return found(c).union(*c["family"].values()) if c["verdict"] in NAMED else set()
+
+
+def right(c: dict) -> set[str]:
+    """Names that are no mistake: what is hidden, what these data can't tell from it; of what the list lacks, its relatives."""
+    lacks = c["kind"] in ("outside", "deleted")
+    relatives = {r for h in c["hidden"] for r in HIDDEN[h].relatives} if lacks else set()
+    return {*c["hidden"], *c["equal"], *relatives}
 
 
 def hit(c: dict) -> bool:
     """Every hidden effect claimed, or what these data can't tell from it, no other found beside."""
-    right = set(c["hidden"]) <= named(c) or set(c["equal"]) & named(c)
-    return bool(right) and len(c["effects"]) == len(c["hidden"])
+    known = set(c["hidden"]) <= named(c) or bool(set(c["equal"]) & named(c))
+    return known and len(found(c)) == len(c["hidden"])
 
 
 def wrong(c: dict) -> bool:
-    """Claims to know, and no true name is in it, nor a relative of what is in no list."""
-    right = {*c["hidden"], *(r for h in c["hidden"] for r in HIDDEN[h].relatives)}
-    return c["verdict"] in NAMED and not right & named(c)
+    """Claims to know, and has in its model an effect that is not there: neither it nor what can't be told from it is right."""
+    if c["verdict"] not in NAMED:
+        return False
+    return any(not right(c) & {name, *c["family"].get(name, ())} for name in found(c)) or len(found(c)) > max(
+        1, len(c["hidden"])
+    )
 
 
-def tables(found: Sequence[dict]) -> str:
+def passed_over(c: dict) -> bool:
+    """Claims to know all, and lacks one of what is there."""
+    return c["verdict"] in NAMED and not wrong(c) and not hit(c)
+
+
+def honest(c: dict) -> bool:
+    """Says that something is left, and names nothing that is not there."""
+    return c["verdict"] not in (*NAMED, "none") and found(c) <= right(c)
+
+
+def detectable(c: dict) -> bool:
+    """Whether the open-loop records could show it: of a pair, both."""
+    return c["evidence"] >= LIMIT
+
+
+def removed(c: dict) -> float:
+    """Share of the true error's power that the model which ships removes, on a record that nobody saw."""
+    before, after = c["true_error"]
+    return 1.0 - (after / before) ** 2
+
+
+def ships(c: dict) -> bool:
+    """Whether effects went into the model."""
+    return bool(c["effects"])
+
+
+def worse(c: dict) -> bool:
+    """What ships is worse than its base."""
+    return ships(c) and removed(c) < 0.0
+
+
+@dataclass(frozen=True)
+class Column:
+    """Of the tables, under a group's head and its own: how many of the rows `of` which pass the `test`."""
+
+    group: str
+    head: str
+    of: Callable[[dict], bool]
+    test: Callable[[dict], bool]
+
+    def cell(self, part: Rows) -> str:
+        """`k/n`, empty where there are none."""
+        own = [c for c in part if self.of(c)]
+        return f"{sum(map(self.test, own))}/{len(own)}" if own else ""
+
+
+def _none(c):
+    return c["kind"] == "none"
+
+
+def _single(c):
+    return c["kind"] == "single" and detectable(c)
+
+
+def _pair(c):
+    return c["kind"] == "pair" and detectable(c)
+
+
+def _lacking(c):
+    return c["kind"] in ("outside", "deleted") and detectable(c)
+
+
+COLUMNS = (
+    Column("none", "named", _none, lambda c: bool(found(c))),
+    Column("", "missing", _none, lambda c: not found(c) and c["verdict"] not in (*NAMED, "none")),
+    Column("single", "named", _single, hit),
+    Column("", "wrong", _single, wrong),
+    Column("", "none", _single, lambda c: c["verdict"] == "none"),
+    Column("", "open", _single, lambda c: not hit(c) and not wrong(c) and c["verdict"] != "none"),
+    Column("pair", "both", _pair, hit),
+    Column("", "honest", _pair, honest),
+    Column("", "passed", _pair, lambda c: passed_over(c) or c["verdict"] == "none"),
+    Column("", "wrong", _pair, wrong),
+    Column("no list", "wrong", _lacking, wrong),
+    Column("ships", "worse", ships, worse),
+)
+"""Singles, pairs, and what is in no list count where they are detectable. `missing`: false "something is missing"; `open`:
+neither named nor called none; `honest`: says that something is left and names nothing false; `passed`: one passed over in silence."""
+
+FACTORS: dict[str, Callable[[dict], object]] = {
+    "all": lambda c: "",
+    "size": lambda c: c["factors"]["size"],
+    "rate": lambda c: f"{c['factors']['rate']} Hz",
+    "noise": lambda c: c["factors"]["noise"],
+    "noise level": lambda c: _band(c["factors"]["level"], (0.8, 1.25), ""),
+    "length": lambda c: _band(c["factors"]["seconds"], (30.0, 60.0), " s"),
+    "repeat, validation": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("repeat", "validation")),
+    "static, steps": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("static", "steps")),
+    "vibration": lambda c: "in phase" if c["factors"]["locked"] else "free",
+    "strength": lambda c: _band(c["factors"]["strength"], (1 / 3, 2 / 3), ""),
+    "evidence": lambda c: _band(c["evidence"], (LIMIT, 100.0, 1000.0), "") if c["hidden"] else "",
+}
+
+
+def _band(value: float, edges: Sequence[float], unit: str) -> str:
+    for low, high in zip((-np.inf, *edges), edges, strict=False):
+        if value < high:
+            return f"< {high:.3g}{unit}" if np.isinf(low) else f"{low:.3g} to {high:.3g}{unit}"
+    return f"> {edges[-1]:.3g}{unit}"
+
+
+def tables(rows: Rows) -> str:
     """All that is printed."""
-    lines = []
-    for kind in dict.fromkeys(c["kind"] for c in found):
-        part = [c for c in found if c["kind"] == kind]
-        lines += ["", f"{kind}: {len(part)} cases", _verdicts(part)]
-        lines += [_line(c) for c in part if c["kind"] != "none" or c["effects"] or c["verdict"] != "none"]
-    return "\n".join([*lines, "", *figures(found)])
+    done = [c for c in rows if not c["failed"]]
+    lines = [*_noteworthy(rows), "", *by_factor(done), "", *by_effect(done), "", *figures(done)]
+    if len(done) < len(rows):
+        lines.append(f"not done: {len(rows) - len(done)} of {len(rows)} cases")
+    return "\n".join(lines)
 
 
-def _verdicts(part: Sequence[dict]) -> str:
-    names = dict.fromkeys(" + ".join(c["hidden"]) or "-" for c in part)
-    rows = [f"  {'hidden':40}" + "".join(f"{v:>12}" for v in VERDICTS) + f"{'named':>8}"]
-    for name in names:
-        own = [c for c in part if (" + ".join(c["hidden"]) or "-") == name]
-        count = Counter(c["verdict"] for c in own)
-        right = f"{sum(map(hit, own))}/{len(own)}" if part[0]["kind"] in KNOWABLE else ""
-        rows.append(f"  {name[:40]:40}" + "".join(f"{count[v] or '.':>12}" for v in VERDICTS) + f"{right:>8}")
-    return "\n".join(rows)
-
-
-def _line(c: dict) -> str:
-    mark = "ok   " if hit(c) and c["kind"] in KNOWABLE else "WRONG" if wrong(c) else "     "
-    family = {n: o for n, o in c["family"].items() if o}
-    share = "" if c["explained"] is None else f" explained {c['explained']:.2f}"
-    truth = "" if c["removed"] is None else f" removed {c['removed']:.3f}"
-    sizes = " ".join(f"{k}={v:.3g}" for k, v in c["sizes"].items())
-    head = f"  {mark} {'+'.join(c['hidden']) or '-'} #{c['seed']} ({sizes}; evidence {c['evidence']:.0f}): {c['verdict']}"
-    return f"{head} {'+'.join(c['effects'])}{' ~ ' + str(family) if family else ''}{share}{truth} {c['seconds']:.0f} s"
-
-
-def figures(found: Sequence[dict]) -> list[str]:
-    """The study's figures, one a line, with counts and intervals."""
-    of = {k: [c for c in found if c["kind"] == k] for k in ("singles", "none", "outside", "deleted", "pairs", "faint")}
-    seen = [c for c in of["singles"] if c["evidence"] >= LIMIT]
-    lines = [f"detectable: log-likelihood of {LIMIT:g} or more over the best base model, noise-free, two records of 90 s"]
-    lines.append(share("detectable single effects named", hit, seen))
-    for low, high in zip(ENOUGH, (*ENOUGH[1:], np.inf), strict=True):
-        lines.append(share(f"  of evidence {low:g} to {high:g}", hit, [c for c in seen if low <= c["evidence"] < high]))
-    first = lambda c: bool(c["rounds"]) and c["rounds"][0][0][0].split(" ")[0] in c["hidden"]  # noqa: E731
-    lines.append(share("  first by BIC in the first round", first, seen))
-    lines.append(share("  among the effects found, whatever the verdict", lambda c: c["hidden"][0] in c["effects"], seen))
-    lines.append(share("  with a second, superfluous name", lambda c: c["verdict"] in NAMED and len(c["effects"]) > 1, seen))
-    lines.append(share("  confidently wrong", wrong, seen))
-    faint = [c for c in of["singles"] if c["evidence"] < LIMIT]
-    lines.append(share("confidently wrong below the limit", wrong, faint))
-    lines.append(share("false effect where there is none", lambda c: bool(c["effects"]), of["none"]))
-    for kind in ("outside", "deleted"):
-        shown = [c for c in of[kind] if c["evidence"] >= LIMIT]
-        lines.append(share(f"confident wrong name, {kind}", wrong, shown))
-        if kind == "deleted":
-            told = lambda c: wrong(c) and c["own_name_gains"] >= LIMIT  # noqa: E731
-            lines.append(share("  where its own name would fit detectably better", told, shown))
-        if kind == "outside":
-            lines.append(share("  any confident name", lambda c: c["verdict"] in NAMED, shown))
-    for low, high in ((20.0, 60.0), (60.0, 200.0)):
-        near = [c for c in of["faint"] if low <= c["evidence"] < high]
-        lines.append(share(f"faint effects of evidence {low:g} to {high:g} named", hit, near))
-    lines.append(share("  confidently wrong", wrong, of["faint"]))
-    exact = [c for c in of["pairs"] if c["evidence"] >= LIMIT]
-    lines.append(share("pairs exact", hit, exact))
-    compared = [p for c in seen if hit(c) for p in c["parameters"].values()]
-    lines.append(share("parameters within 10 % or covered, of singles named", lambda p: p[3], compared))
-    for what, key in (("explainable error removed, held out", "explained"), ("true error removed, held out", "removed")):
-        values = [c[key] for c in seen if hit(c) and c[key] is not None]
-        lines.append(f"{what}, median of singles named: " + (f"{np.median(values):.3f} of {len(values)}" if values else "-"))
-    lines.append(f"median seconds: {np.median([c['seconds'] for c in found]):.1f}" if found else "no cases")
+def by_factor(rows: Rows) -> list[str]:
+    """One line a level of a factor, the COLUMNS beside it."""
+    lines = _head("factor")
+    for factor, level in FACTORS.items():
+        levels = sorted({level(c) for c in rows}, key=_order)
+        shown = [value for value in levels if value != "" or factor == "all"]
+        lines += [_cells(f"{factor} {value}".strip(), [c for c in rows if level(c) == value]) for value in shown]
     return lines
 
 
-def share(what: str, test: Callable[[dict], bool], of: Sequence) -> str:
+def _order(level: str) -> tuple:
+    number = level.lstrip("<> ").split(" ")[0]
+    numeric = number.replace(".", "", 1).isdigit()
+    return numeric, float(number) + level.startswith(">") * 1e-9 if numeric else 0.0, level.startswith("<") is False, level
+
+
+def by_effect(rows: Rows) -> list[str]:
+    """One line a hidden effect or pair."""
+    lines = _head("hidden")
+    for hidden in dict.fromkeys(tuple(c["hidden"]) for c in rows):
+        lines.append(_cells(" + ".join(hidden) or "-", [c for c in rows if tuple(c["hidden"]) == hidden]))
+    return lines
+
+
+def _head(what: str) -> list[str]:
+    return [f"{label:44}" + "".join(f"{head:>9}" for head in heads).rstrip() for label, heads in _heads(what)]
+
+
+def _heads(what: str) -> list[tuple[str, list[str]]]:
+    return [("", [c.group for c in COLUMNS]), (what, [c.head for c in COLUMNS])]
+
+
+def _cells(what: str, part: Rows) -> str:
+    return (f"{what[:43]:44}" + "".join(f"{c.cell(part):>9}" for c in COLUMNS)).rstrip()
+
+
+def _noteworthy(rows: Rows) -> list[str]:
+    """Each case that is not as it should be: enough to run it again."""
+    lines = []
+    for c in rows:
+        if c["failed"]:
+            lines.append(f"FAILED  {_case(c)}: {c['failed']}")
+        elif c["kind"] == "none" and (found(c) or c["verdict"] != "none"):
+            lines.append(f"{'FALSE' if found(c) else 'missing':7} {_case(c)}: {_said(c)}")
+        elif wrong(c):
+            own = f"; with its own name in the list: {', '.join(c['with_own_name'])}" if "with_own_name" in c else ""
+            lines.append(f"WRONG   {_case(c)}: {_said(c)}{own}")
+        elif c["kind"] in ("single", "pair") and detectable(c) and not hit(c):
+            lines.append(f"missed  {_case(c)}: {_said(c)}")
+        if not c["failed"] and worse(c):
+            before, after = c["true_error"]
+            lines.append(f"WORSE   {_case(c)}: {_said(c)}; {before:.3g} N became {after:.3g} N where nobody looked")
+    return lines
+
+
+def _case(c: dict) -> str:
+    f = c["factors"]
+    files = " ".join(n for n in ("repeat", "validation", "static", "steps") if f[n])
+    told = f"{f['size']} {f['rate']} Hz {f['seconds']:.0f} s, {f['noise']} x {f['level']:.2f}, {files or 'open loop only'}"
+    return f"{c['name']} ({told}" + (f"; evidence {c['evidence']:.0f})" if c["hidden"] and "evidence" in c else ")")
+
+
+def _said(c: dict) -> str:
+    rivals = sorted({name for others in c["family"].values() for name in others})
+    return f"{c['verdict']} {' + '.join(c['effects'])}{' ~ ' + ', '.join(rivals) if rivals else ''}".strip()
+
+
+def figures(rows: Rows) -> list[str]:
+    """The study's figures, one a line, with counts and intervals."""
+    singles, none = [c for c in rows if _single(c)], [c for c in rows if _none(c)]
+    pairs, lacking = [c for c in rows if _pair(c)], [c for c in rows if _lacking(c)]
+    lines = [f"detectable: log-likelihood of {LIMIT:g} or more over the best base model in the open-loop records, noise-free"]
+    lines.append(share("false name where nothing is hidden (aim <= 1 %)", COLUMNS[0].test, none))
+    lines.append(share("false 'something is missing' there (aim <= 2 %)", COLUMNS[1].test, none))
+    lines.append(share("detectable single effects named (aim >= 95 %)", hit, singles))
+    lines.append(share("  called wrong (aim <= 1 %)", wrong, singles))
+    lines.append(
+        share("  undetectable ones called wrong", wrong, [c for c in rows if c["kind"] == "single" and not detectable(c)])
+    )
+    lines.append(share("pairs: both", hit, pairs))
+    lines.append(share("  one or none, and says so", honest, pairs))
+    lines.append(share("  called wrong", wrong, pairs))
+    lines.append(share("in no list, or deleted from it: called wrong (aim <= 1 %)", wrong, lacking))
+    told = [c for c in lacking if "with_own_name" in c]
+    lines.append(
+        share("  of these, with its own name in the list called so", lambda c: c["hidden"][0] in c["with_own_name"], told)
+    )
+    claimed = [c for c in rows if c["kind"] == "single" and c["verdict"] in NAMED and detectable(c)]
+    lines.append(
+        share("what is named, family and all, holds the truth (aim >= 95 %)", lambda c: bool(right(c) & named(c)), claimed)
+    )
+    compared = [p for c in singles if hit(c) for p in c["parameters"].values()]
+    lines.append(share("parameters within 10 % or covered, of singles named", lambda p: p[3], compared))
+    lines += [_removed(what, part) for what, part in _shipped(rows, singles)]
+    lines.append(share("what ships is worse than its base (aim: none)", worse, [c for c in rows if ships(c)]))
+    lines += _calibration("no effect, before", _p_values(none, "before"))
+    lines += _calibration("singles named, after", _p_values([c for c in singles if hit(c)], "after"))
+    return lines + _costs(rows)
+
+
+def _shipped(rows: Rows, singles: Rows) -> list[tuple[str, Rows]]:
+    """Vibration is left out: on another record its phase is another."""
+    kept = [c for c in rows if not ALWAYS & set(c["effects"]) and not ALWAYS & set(c["hidden"])]
+    return [
+        ("detectable singles, named or not", [c for c in singles if c in kept]),
+        ("all that ships", [c for c in kept if ships(c)]),
+    ]
+
+
+def _removed(what: str, part: Rows) -> str:
+    if not part:
+        return f"removed of the true error on a record that nobody saw, {what}: no cases"
+    values = np.array([removed(c) for c in part])
+    middle, low = np.quantile(values, [0.5, 0.1])
+    worst = part[int(np.argmin(values))]["name"]
+    text = f"median {middle:.3f}, a tenth below {low:.3f}, worst {values.min():.3f} ({worst})"
+    return f"removed of the true error on a record that nobody saw, {what}: {text}, of {len(part)}"
+
+
+def _p_values(part: Rows, when: str) -> list[float]:
+    """Of the diagnosis' own test of lack of fit, where it tells them."""
+    told = ((c["lack_of_fit"] or {}).get(when) for c in part)
+    return [t["p"] for t in told if isinstance(t, dict) and t.get("p") is not None]
+
+
+def _calibration(what: str, p: Sequence[float]) -> list[str]:
+    """Whether p-values are uniform: counts by tenths as a plot, and the Kolmogorov-Smirnov test's own p."""
+    if not p:
+        return [f"lack of fit, {what}: no p-values in diagnosis.json"]
+    counts, _ = np.histogram(p, np.linspace(0.0, 1.0, 11))
+    bars = "\n".join(f"  {k / 10:.1f} to {(k + 1) / 10:.1f} {'#' * n} {n}" for k, n in enumerate(counts))
+    return [f"lack of fit, {what}: {len(p)} p-values, uniform with p = {kstest(p, 'uniform').pvalue:.3f}", bars]
+
+
+def _costs(rows: Rows) -> list[str]:
+    """Seconds and memory by how much was measured."""
+    lines = []
+    for band in sorted({_readings(c) for c in rows}, key=_order):
+        part = [c for c in rows if _readings(c) == band]
+        seconds, mb = (np.array([c[n] for c in part]) for n in ("seconds", "mb"))
+        text = f"{np.median(seconds):.1f} s, at most {seconds.max():.0f} s; {np.median(mb):.0f} MB, at most {mb.max():.0f} MB"
+        lines.append(f"a diagnosis of {band} readings ({len(part)}): median {text}")
+    return lines
+
+
+def _readings(c: dict) -> str:
+    return _band(c["readings"], (10_000, 30_000, 100_000), "")
+
+
+def share(what: str, test: Callable[[dict], bool], of: Iterable) -> str:
     """`what: k of n (share, interval)`."""
+    of = list(of)
     k, n = sum(map(test, of)), len(of)
     if not n:
         return f"{what}: no cases"
     low, high = interval(k, n)
     return f"{what}: {k} of {n} ({100 * k / n:.0f} %, 95 % interval {100 * low:.0f}-{100 * high:.0f} %)"
-
-
-def confusion(found: Sequence[dict]) -> str:
-    """CSV: one row a hidden effect or pair and kind, one column a named set, counts."""
-    rows = [(c["kind"], " + ".join(c["hidden"]) or "-", _said(c)) for c in found]
-    said = sorted({r[2] for r in rows})
-    lines = [",".join(["kind", "hidden", *said])]
-    for kind, hidden in dict.fromkeys(r[:2] for r in rows):
-        counts = Counter(r[2] for r in rows if r[:2] == (kind, hidden))
-        lines.append(",".join([kind, hidden, *(str(counts[s]) for s in said)]))
-    return "\n".join(lines) + "\n"
-
-
-def _said(c: dict) -> str:
-    return " + ".join(sorted(c["effects"])) if c["verdict"] in NAMED else c["verdict"]

@@ -2,11 +2,15 @@
 
 import argparse
 import importlib
+import os
 import sys
 import warnings
 
-from vpp_fmu.errors import VppError
+from vpp_fmu import __version__
+from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.files import reason
 from vpp_fmu.record import RecordWarning
+from vpp_fmu.stopping import Stopped, said, stoppable
 
 VERBS = {
     "demo": "the whole job on the campaign that ships with the project",
@@ -23,39 +27,70 @@ VERBS = {
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 
+READER_GONE = 141
+"""Exit code where whoever read standard output has closed it: 128 + SIGPIPE, as of any other program in a pipe."""
+
+
+class BadCall(VppError):
+    """The command line is not what the verb takes."""
+
 
 class Parser(argparse.ArgumentParser):
     """Says what is wrong in one line."""
 
     def error(self, message):
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        raise BadCall(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one verb; returns the exit code: 0, or 2 where the input is bad, after one line on standard error."""
+    """Run one verb; returns the exit code: 0, or 2 where the input is bad, after one line on standard error; 128 and its number
+    where a signal ended it."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    verb = f"vpp {arguments[0]}" if arguments and arguments[0] in VERBS else "vpp"
+    try:
+        with stoppable(verb), warnings.catch_warnings():
+            warnings.simplefilter("always", RecordWarning)
+            warnings.showwarning = _one_line
+            _run(arguments)
+            sys.stdout.flush()  # a full disk or a closed pipe is to be told here, not by the interpreter's end
+    except BadCall as error:
+        return _refused(str(error))
+    except VppError as error:
+        return _refused(f"{verb}: {error}")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else the interpreter complains once more at its end
+        return READER_GONE
+    except OSError as error:  # what no reader or writer of a file has put into words of its own
+        return _refused(f"{verb}: {BadInput(error.filename or 'the system', 'call', reason(error), 'what it lets us do')}")
+    except Stopped as why:
+        print(said(verb, why), file=sys.stderr)
+        return why.code
+    return 0
+
+
+def _run(arguments: list[str]) -> None:
     listing = "\n".join(f"  {verb:10} {text}" for verb, text in VERBS.items())
     parser = Parser("vpp", description="Rig data to FMUs.", formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.epilog = f"verbs:\n{listing}\n\nvpp VERB --help tells the rest"
+    parser.add_argument("--version", action="version", version=f"vpp {__version__}")
     parser.add_argument("verb", choices=VERBS, metavar="VERB")
     verb = parser.parse_args(arguments[:1]).verb
+    parser, module = parser_of(verb)
+    module.run(parser.parse_args(arguments[1:]))
+
+
+def parser_of(verb: str):
+    """(the parser of a verb's options, its module)."""
     module = importlib.import_module(f"vpp_fmu.cli.{verb}")
     parser = Parser(f"vpp {verb}", description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.epilog = f"example:\n  {module.EXAMPLE}"
     module.configure(parser)
-    options = parser.parse_args(arguments[1:])
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", RecordWarning)
-        warnings.showwarning = _one_line
-        try:
-            module.run(options)
-        except VppError as error:
-            print(f"vpp {verb}: {' '.join(str(error).split())}", file=sys.stderr)
-            return 2
-        except KeyboardInterrupt:
-            print(f"vpp {verb}: stopped", file=sys.stderr)
-            return 130
-    return 0
+    return parser, module
+
+
+def _refused(line: str) -> int:
+    print(" ".join(line.split()), file=sys.stderr)
+    return 2
 
 
 def _one_line(message, *_):

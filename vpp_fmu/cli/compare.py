@@ -2,7 +2,7 @@
 
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.comparison import compare
-from vpp_fmu.files import OutputFolder
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.record import QUANTITIES, read_record
 from vpp_fmu.report import Page, two_records
 
@@ -17,7 +17,7 @@ def configure(parser):
 
 def run(options):
     held = compare(read_record(options.first, ("time",)), read_record(options.second, ("time",)))
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "compare")
     summary = held.summary()
     page = Page("Two records", f"{options.second} beside {options.first}, at the times of the latter.")
     rows = []

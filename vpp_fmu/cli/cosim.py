@@ -1,11 +1,13 @@
 """Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set)."""
 
+from contextlib import closing
+
 from tqdm import tqdm
 
+from vpp_fmu.cli.options import number
 from vpp_fmu.cli.output import add_output, say_written
-from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder
 from vpp_fmu.loop import run as run_loop
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import FmuController, FmuPlant
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.report import Page, closed_loop
@@ -18,20 +20,20 @@ def configure(parser):
     parser.add_argument("plant", metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
     parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
-    parser.add_argument("--step", type=float, default=0.004, metavar="S", help="communication step in s (default: 0.004)")
+    text = "communication step in s (default: %(default)s)"
+    parser.add_argument("--step", type=number(1e-6, 1.0, "s"), default=0.004, metavar="S", help=text)
     add_output(parser)
 
 
 def run(options):
-    if not 1e-6 <= options.step <= 1.0:
-        raise BadInput("command line", "--step", f"{options.step} s", "1e-6 to 1 s")
     profile = read_profile(options.profile)
-    folder = OutputFolder(options.output)
-    plant, controller = FmuPlant(options.plant, dt=options.step), FmuController(options.controller, dt=options.step)
-    with tqdm(total=100, unit="%", disable=None, leave=False) as bar:
+    folder = OutputSet(options.output, "cosim")
+    with (
+        closing(FmuPlant(options.plant, dt=options.step)) as plant,
+        closing(FmuController(options.controller, dt=options.step)) as controller,
+        tqdm(total=100, unit="%", disable=None, leave=False) as bar,
+    ):
         done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))
-    plant.close()
-    controller.close()
     write_record(folder, "run.csv", done)
     found = steps(done)
     page = Page("Closed loop", f"{options.plant} under {options.controller} over {options.profile}.")

@@ -14,10 +14,12 @@ from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.cosim import STEP_COLUMNS, row, told
 from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.cli.export import exported
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.options import WORKERS
+from vpp_fmu.cli.output import add_output, dated, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
-from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import ParameterSet, to_json
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.report import Page, closed_loop, measured_against_predicted, thinning
 from vpp_fmu.response import steps
@@ -26,14 +28,16 @@ EXAMPLE = "vpp demo -o demo"
 
 
 def configure(parser):
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="fits that run side by side (default: %(default)s)")
+    parser.add_argument(
+        "--workers", type=WORKERS, default=2, metavar="N", help="fits that run side by side (default: %(default)s)"
+    )
     add_output(parser)
     parser.set_defaults(output="demo")
 
 
 def run(options):
     began = time.perf_counter()
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "demo")
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         done = demo(
             read_campaign(example_folder()),
@@ -50,17 +54,15 @@ def run(options):
         for step in steps(loop):
             print(f"{name}: {told(step)}")
     print(f"{time.perf_counter() - began:.1f} s")
-    say_written(folder)
+    say_written(folder, done.diagnosis.parameters(done.diagnosis.final))
 
 
 def _write(folder: OutputFolder, done: Demo) -> None:
     """What the other verbs would have written on the way, and the report."""
     found = done.diagnosis
     write_diagnosis(folder, found)
-    folder.write("parameters.ssv", to_ssv(found.parameters(found.final), "parameters"))
-    folder.write("identification.json", as_json(found.identification.summary()))
     for name, gains in (("gains.json", DUAL), ("gains_speed_only.json", SPEED_ONLY)):
-        folder.write(name, to_json(ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(gains)))
+        folder.write(name, to_json(dated(ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(gains))))
     write_record(folder, "profile.csv", step_profile())
     commands = {name: done.validation[name] for name in ("time", "omega_ref", "beta_ref")}
     for name, file in (("before", "prediction_base.csv"), ("after", "prediction.csv")):

@@ -1,20 +1,21 @@
 """Trace a campaign's residual to what the model lacks, add it, and report the error before and after."""
 
-from pathlib import Path
-
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
-from identification.diagnose.empirical import Empirical, corrected, empirical
+from identification.diagnose.report.identification import identification_of
 from identification.diagnose.report.page import diagnosis_page, headline, key_figures
 from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.identify import named_records
+from vpp_fmu.cli.options import SEED, WORKERS, Number
+from vpp_fmu.cli.output import add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect
-from vpp_fmu.parameters import read_parameters, to_json
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import read_parameters, to_json, to_ssv
 from vpp_fmu.record import write_record
 
 EXAMPLE = "vpp diagnose campaigns/monday -o out"
@@ -25,32 +26,39 @@ def configure(parser):
     text = "a model to start from and to judge against, with the effects it has; else the campaign is identified first"
     parser.add_argument("--parameters", metavar="F", help=text)
     parser.add_argument("--effects", metavar="A,B", help="candidates (default: the whole library)")
-    text = "where no effect explains the error: correct it by a linear filter, if unseen data gain; never part of the model"
-    parser.add_argument("--empirical", action="store_true", help=text)
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="fits that run side by side (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of random starts (default: %(default)s)")
+    parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
+    text = "least size of interest: what an effect must change the thrust by, rms (default: a small share of the noise)"
+    parser.add_argument("--smallest", type=Number(0.0, 1e5, "N"), metavar="N", help=text)
+    parser.add_argument(
+        "--workers", type=WORKERS, default=2, metavar="N", help="fits that run side by side (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of random starts (default: %(default)s)")
     add_output(parser)
 
 
 def run(options):
-    if options.workers < 1:
-        raise BadInput("command line", "--workers", options.workers, "1 or more")
     given = read_parameters(options.parameters, plant) if options.parameters else None
     library = _library(options.effects, given.model.optional if given else ())
     campaign = read_campaign(options.campaign)
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "diagnose")
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        found = diagnose(campaign, library, options.workers, options.seed, bar.set_description, given)
+        found = diagnose(
+            campaign,
+            library,
+            options.workers,
+            options.seed,
+            bar.set_description,
+            given,
+            options.smallest,
+            named_records(options.record),
+        )
         bar.set_description("report")
-        correction = empirical(found) if options.empirical else None
-        write_diagnosis(folder, found, correction)
-        folder.write("report.html", diagnosis_page(found, correction).html())
+        write_diagnosis(folder, found, options.parameters)
+        folder.write("report.html", diagnosis_page(found).html())
     print(headline(found))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")
-    if options.empirical:
-        print(correction.told if correction else "empirical: nothing to correct, an effect explains the error or there is none")
-    say_written(folder)
+    say_written(folder, found.parameters(found.final))
 
 
 def _library(names: str | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
@@ -66,15 +74,16 @@ def _library(names: str | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in LIBRARY if e.off is None or e.name in chosen or e.name in kept)
 
 
-def write_diagnosis(folder: OutputFolder, found: Diagnosis, correction: Empirical | None = None) -> None:
-    """All files of a diagnosis but its page."""
+def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | None = None) -> None:
+    """All files of a diagnosis but its page. `given`: the file that its starting model was read from, if any.
+
+    parameters.json, parameters.ssv and identification.json are of the final model, parameters_base.json and
+    identification_base.json of the one without what was found.
+    """
     folder.write("diagnosis.json", as_json(summary(found)))
-    folder.write("parameters_base.json", to_json(found.parameters(found.base)))
-    folder.write("parameters.json", to_json(found.parameters(found.final)))
+    parent = {"descends": (given, found.given)} if found.given and given else {}
+    for suffix, fit in (("_base", found.base), ("", found.final)):
+        folder.write(f"parameters{suffix}.json", to_json(dated(found.parameters(fit), **parent)))
+        folder.write(f"identification{suffix}.json", as_json(identification_of(found, fit)))
+    folder.write("parameters.ssv", to_ssv(found.parameters(found.final), "parameters"))
     write_record(folder, "next_experiment.csv", found.experiment)
-    if correction is not None:
-        folder.write("empirical.json", as_json(correction.summary()))
-    if correction is not None and correction.accepted:
-        for record in found.held:
-            name = Path(record.source).name.partition(".")[0]
-            write_record(folder, f"{name}_empirical.csv", corrected(found, correction, record))

@@ -12,10 +12,10 @@ from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.export.cross_check import reference_files
-from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Model
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
 from vpp_fmu.units import base_unit
@@ -37,11 +37,11 @@ def configure(parser):
 
 def run(options):
     parts = _own(options) if options.model else _plant_and_controller(options)
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "export")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
     for name, content in exported(parts, flavours, options.platforms).items():
         folder.write(name, content)
-    say_written(folder)
+    say_written(folder, parts[0])
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:

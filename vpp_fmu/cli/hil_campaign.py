@@ -12,8 +12,8 @@ from hil.cycle import PERIOD
 from hil.rig import ENDINGS
 from hil.session import Setup, session
 from vpp_fmu.cli import hil_options
+from vpp_fmu.cli.options import SEED, number, whole
 from vpp_fmu.cli.output import add_output, as_json, say_written
-from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import Record, read_record, write_record
 
@@ -27,20 +27,19 @@ def configure(parser):
     )
     parser.add_argument("--commands", metavar="R", help="instead: any record of time, omega_ref, beta_ref; gives record.csv")
     plan = Plan()
-    for name, unit, text in (
-        ("points", "", "a side of the static grid"),
-        ("samples", "", "readings a point of the grid"),
-        ("settle", " s", "before a point or a step counts"),
-        ("levels", "", "of the other command for the steps"),
-        ("section", " s", "each of the three of the open loop"),
-        ("validation", " s", "of the validation record"),
-        ("commands-seed", "", "of the open-loop and validation commands"),
+    for name, kind, text in (
+        ("points", whole(2, 100), "a side of the static grid"),
+        ("samples", whole(2, 10**6), "readings a point of the grid"),
+        ("settle", number(0.1, 60.0, "s"), "before a point or a step counts"),
+        ("levels", whole(1, 20), "of the other command for the steps"),
+        ("section", number(5.0, 3600.0, "s"), "each of the three of the open loop"),
+        ("validation", number(5.0, 3600.0, "s"), "of the validation record"),
+        ("commands-seed", SEED, "of the open-loop and validation commands"),
     ):
         default = getattr(plan, "seed" if name == "commands-seed" else name)
         option = f"--{name}" if name != "validation" else "--validation-seconds"
-        parser.add_argument(
-            option, type=type(default), default=default, metavar="N", help=f"{text} (default: {default:g}{unit})"
-        )
+        shown = f"{text} (default: {default:g} {kind.unit})".replace(" )", ")")
+        parser.add_argument(option, type=kind, default=default, metavar="N", help=shown)
     add_output(parser)
 
 
@@ -102,17 +101,5 @@ def _write(folder: OutputFolder, part: str, record: Record, found: dict[str, Rec
 
 
 def _plan(options) -> Plan:
-    allowed = {
-        "points": (2, 100),
-        "samples": (2, 10**6),
-        "settle": (0.1, 60.0),
-        "levels": (1, 20),
-        "section": (5.0, 3600.0),
-        "validation_seconds": (5.0, 3600.0),
-        "commands_seed": (0, 2**32 - 1),
-    }
-    for name, (low, high) in allowed.items():
-        if not low <= getattr(options, name) <= high:
-            raise BadInput("command line", f"--{name.replace('_', '-')}", getattr(options, name), f"{low:g} to {high:g}")
     own = {name: getattr(options, name) for name in ("points", "samples", "settle", "levels", "section")}
     return Plan(**own, validation=options.validation_seconds, seed=options.commands_seed)

@@ -9,6 +9,7 @@ from hil.emulator.rig import Rig
 from hil.physics.rig_model import library
 from hil.safety.limits import Limits, read_limits
 from hil.session import Setup
+from vpp_fmu.cli.options import SEED, whole
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
@@ -28,9 +29,9 @@ def add_rig(parser, fmu: bool = False) -> None:
     parser.add_argument("--virtual", action="store_true", help="emulated rig on a clock of its own: fast, the same every time")
     text = "hide an effect in the emulated rig: NAME, NAME=SIZE or NAME.PARAMETER=SIZE; more than one may be given"
     parser.add_argument("--hide", action="append", default=[], metavar="EFFECT[=SIZE]", help=text)
-    parser.add_argument("--seed", type=int, default=0, help="of everything random in the emulated rig (default: 0)")
+    parser.add_argument("--seed", type=SEED, default=0, help="of everything random in the emulated rig (default: 0)")
     wiring = Wiring()
-    parser.add_argument("--bus", type=int, default=wiring.bus, help=f"the real ADC's I2C bus (default: {wiring.bus})")
+    parser.add_argument("--bus", type=whole(0, 255), default=wiring.bus, help=f"the real ADC's I2C bus (default: {wiring.bus})")
     parser.add_argument("--port", default=wiring.port, help=f"the real tachometer's port (default: {wiring.port})")
     parser.add_argument("--pwm", default=wiring.pwm, help=f"device of the real PWM chip (default: {wiring.pwm})")
 

@@ -14,6 +14,7 @@ from hil.run import START, LimitedPlant, Run, run_on_rig, write_run
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
+from vpp_fmu.cli.options import Number
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -25,6 +26,9 @@ from vpp_fmu.report import Page
 
 EXAMPLE = "vpp hil run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out"
 
+EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
+"""What either number of --start may be; which of the two is looked at when both are known."""
+
 
 def configure(parser):
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
@@ -35,7 +39,7 @@ def configure(parser):
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
     text = "commands that the run starts from, rpm and deg (default: 2000 0)"
-    parser.add_argument("--start", nargs=2, type=float, default=START, metavar=("RPM", "DEG"), help=text)
+    parser.add_argument("--start", nargs=2, type=EITHER, default=START, metavar=("RPM", "DEG"), help=text)
     add_output(parser)
 
 

@@ -3,8 +3,9 @@
 from hil.report import add_counts, add_timing
 from hil.selftest import selftest
 from vpp_fmu.cli import hil_options
+from vpp_fmu.cli.options import number, whole
 from vpp_fmu.cli.output import add_output, as_json, say_written
-from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.errors import VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.report import Page
 
@@ -17,17 +18,15 @@ class SelfTestFailed(VppError):
 
 def configure(parser):
     hil_options.add_rig(parser)
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how long the loop runs (default: 10)")
+    parser.add_argument(
+        "--seconds", type=number(1.0, 3600.0, "s"), default=10.0, metavar="S", help="how long the loop runs (default: 10)"
+    )
     text = "so many busy processes beside the loop (2 without a number)"
-    parser.add_argument("--load", nargs="?", type=int, const=2, default=0, metavar="N", help=text)
+    parser.add_argument("--load", nargs="?", type=whole(0, 64), const=2, default=0, metavar="N", help=text)
     add_output(parser)
 
 
 def run(options):
-    if not 1.0 <= options.seconds <= 3600.0:
-        raise BadInput("command line", "--seconds", f"{options.seconds:g} s", "1 to 3600 s")
-    if not 0 <= options.load <= 64:
-        raise BadInput("command line", "--load", options.load, "0 to 64")
     setup, folder = hil_options.setup_of(options), OutputFolder(options.output)
     found = selftest(setup, options.seconds, folder.path, options.load)
     told = found.session.told()

@@ -8,8 +8,9 @@ from identification.fit.refine import METHODS
 from identification.identify import identify
 from identification.report import identification_page, key_figures
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
-from vpp_fmu.cli.output import add_output, as_json, say_written
-from vpp_fmu.files import OutputFolder
+from vpp_fmu.cli.options import SEED, WORKERS, whole
+from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import to_json, to_ssv
 from vpp_fmu.record import Record, read_record
 
@@ -20,21 +21,23 @@ def configure(parser):
     parser.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
     parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="how to search (default: %(default)s)")
-    parser.add_argument("--starts", type=int, default=8, metavar="N", help="starts of the search (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random starts (default: %(default)s)")
-    parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="resamples of a block bootstrap (default: none)")
     parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes for the bootstrap (default: %(default)s)"
+        "--starts", type=whole(1, 1000), default=8, metavar="N", help="starts of the search (default: %(default)s)"
     )
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the random starts (default: %(default)s)")
+    text = "resamples of a block bootstrap (default: none)"
+    parser.add_argument("--bootstrap", type=whole(2, 10**6, also=(0,)), default=0, metavar="N", help=text)
+    text = "processes for the bootstrap (default: %(default)s)"
+    parser.add_argument("--workers", type=WORKERS, default=1, metavar="N", help=text)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the bootstrap on instead")
     add_output(parser)
 
 
 def run(options):
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "identify")
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         bar.set_description("read")
-        campaign, records = read_campaign(options.campaign), _records(options.record)
+        campaign, records = read_campaign(options.campaign), named_records(options.record)
         found = identify(
             campaign,
             method=options.method,
@@ -47,7 +50,7 @@ def run(options):
             stage=bar.set_description,
         )
         bar.set_description("report")
-        folder.write("parameters.json", to_json(found.parameters))
+        folder.write("parameters.json", to_json(dated(found.parameters)))
         folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
         folder.write("identification.json", as_json(found.summary()))
         folder.write("report.html", identification_page(found).html())
@@ -55,10 +58,10 @@ def run(options):
         print(left_out)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
-    say_written(folder)
+    say_written(folder, found.parameters)
 
 
-def _records(paths: list[str]) -> dict[str, Record]:
+def named_records(paths: list[str]) -> dict[str, Record]:
     """Records by the file's name; by its whole path where the name is taken."""
     records = {}
     for path in paths:

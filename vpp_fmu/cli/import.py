@@ -12,7 +12,7 @@ from identification.stand.rcbenchmark import REMEMBERED, Log, read_log
 from identification.stand.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.record import QUANTITIES, Record, RecordWarning, write_record
 
 EXAMPLE = "vpp import rcbenchmark tuesday.csv --speed-map monday/speed_map.json -o tuesday"
@@ -32,7 +32,7 @@ def run(options):
     if speed_map.signal != log.span:
         allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
         raise BadInput(options.speed_map, "signal, kind", speed_map.signal.kind, allowed)
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "import")
     figures = told(log, speed_map, options.keep_stalls)
     if not log.averaged:
         tare = log.tare()

@@ -1,8 +1,19 @@
-"""What the verbs share: where they write, and what they say at the end."""
+"""What the verbs share: where they write, how their results say where they come from, and what they say at the end."""
 
 import json
+import os
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
 
+from vpp_fmu import __version__
+from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import ParameterSet
+
+EPOCH = "SOURCE_DATE_EPOCH"
+"""Seconds since 1970: the date that results then bear, so that two runs give the same bytes (reproducible-builds.org)."""
 
 
 def add_output(parser) -> None:
@@ -15,8 +26,32 @@ def as_json(content: dict) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
-def say_written(folder: OutputFolder) -> None:
-    """Where the results are, and what they took the place of."""
+def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
+    """The set with version, date and identity in its source, and what it comes from: `parents`, (file, its content) by role."""
+    came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
+    own = {"version": __version__, "date": _now(), "identity": parameters.identity}
+    return replace(parameters, source={**parameters.source, **own, **came})
+
+
+def _now() -> str:
+    """ISO 8601, UTC, to the second."""
+    wanted = os.environ.get(EPOCH)
+    try:
+        now = datetime.now(timezone.utc) if wanted is None else datetime.fromtimestamp(int(wanted), timezone.utc)
+    except (ValueError, OverflowError, OSError) as error:
+        raise BadInput("environment", EPOCH, repr(wanted), "whole seconds since 1970") from error
+    return now.replace(microsecond=0).isoformat()
+
+
+def say_written(folder: OutputFolder, parameters: ParameterSet | None = None) -> None:
+    """Put a set into its place, and say what it took the place of. `parameters`: those that the results speak of."""
+    if isinstance(folder, OutputSet):
+        folder.finish(parameters and parameters.identity)
+        told = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
+        told["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
+        for what, names in told.items():
+            if names:
+                print(f"in {folder.path}, {what}: {', '.join(names)}")
     if folder.replaced:
         print(f"replaced in {folder.path}: {', '.join(folder.replaced)}")
     print(f"written to {folder.path}")

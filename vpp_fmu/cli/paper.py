@@ -8,10 +8,11 @@ from tqdm import tqdm
 
 from identification.demo import local_flavour
 from vpp_fmu.cli.export import exported
-from vpp_fmu.cli.output import add_output, as_json, say_written
-from vpp_fmu.errors import BadInput
+from vpp_fmu.cli.options import whole
+from vpp_fmu.cli.output import add_output, as_json, dated, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.paper.control import RIG
 from vpp_fmu.paper.page import page, tiles, verdict
 from vpp_fmu.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
@@ -25,14 +26,14 @@ def configure(parser):
     if sys.platform != "linux":
         parser.error(f"this is {sys.platform}; the emulated rig needs Linux: its clock, PWM files, I2C and terminals")
     parser.add_argument("--quick", action="store_true", help="a smaller campaign, to see what the study does")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=whole(0, 999_999), default=0, metavar="N", help="of everything random (default: %(default)s)"
+    )
     add_output(parser)
 
 
 def run(options):
-    if not 0 <= options.seed < 10**6:
-        raise BadInput("command line", "--seed", options.seed, "0 to 999999")
-    folder, began = OutputFolder(options.output), time.perf_counter()
+    folder, began = OutputSet(options.output, "paper"), time.perf_counter()
     plan, repeats = (QUICK, FEWER) if options.quick else (FULL, REPEATS)
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         stages = Stages(bar.set_description)
@@ -50,19 +51,19 @@ def run(options):
     for name, seconds in done.seconds.items():
         print(f"{name}: {seconds:.1f} s")
     print(f"the whole study: {time.perf_counter() - began:.1f} s")
-    say_written(folder)
+    say_written(folder, done.found.parameters)
 
 
 def _write(folder: OutputFolder, done: Study) -> None:
     """What `vpp identify`, `vpp tune` and `vpp export` would have written of the campaign."""
     parameters, gains = done.found.parameters, {}
-    folder.write("parameters.json", to_json(parameters))
+    folder.write("parameters.json", to_json(dated(parameters)))
     folder.write("parameters.ssv", to_ssv(parameters, "parameters"))
     folder.write("identification.json", as_json(done.found.summary()))
     for name, file in (("dual", "gains.json"), ("speed_only", "gains_speed_only.json")):
         tuned = done.control.tuned[RIG].tuned[name]
         source = {"made_by": "vpp paper", "cost": tuned.cost("tuned")}
         gains[name] = ParameterSet(CONTROLLER, source=source).replaced(tuned.objective.with_gains(tuned.final))
-        folder.write(file, to_json(gains[name]))
+        folder.write(file, to_json(dated(gains[name], parameters=("parameters.json", parameters))))
     for name, content in exported([parameters, gains["dual"]], [local_flavour()]).items():
         folder.write(name, content)

@@ -7,12 +7,13 @@ import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
 from identification.plan.excitation import Limits
-from identification.plan.plan import Plan, plan
+from identification.plan.plan import DURATION, Plan, plan
 from identification.worth.information import read_knowledge
+from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_output, as_json, say_written
-from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import plant
-from vpp_fmu.parameters import read_parameters
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import check_same_model, read_parameters
 from vpp_fmu.record import write_record
 from vpp_fmu.report import Page, thinning
 from vpp_fmu.report.plan import interval_widths, planned_commands
@@ -25,11 +26,23 @@ UNKNOWN = 10.0
 COLOURED = 1.5
 """What was known before counts as hampered by coloured residuals when its intervals are wider by this factor."""
 
+RANGES = {
+    "--seconds": Number(*DURATION, "s"),
+    "--omega": Number(OMEGA_REF.minimum, OMEGA_REF.maximum, OMEGA_REF.unit),
+    "--pitch": Number(BETA_REF.minimum, BETA_REF.maximum, BETA_REF.unit),
+    "--omega-slew": Number(0.0, 1e9, "rpm/s", above=True),
+    "--pitch-slew": Number(0.0, 1e9, "deg/s", above=True),
+    "--step": Number(0.0005, 0.05, "s"),
+    "--noise": Number(0.0, 1e6, "N", above=True),
+    "--omega-noise": Number(0.0, 1e6, "rpm", above=True),
+}
+"""What the options may be."""
+
 
 def configure(parser):
     def number(name, default, text, metavar="X"):
         shown = "" if default is None else " (default: %(default)s)"
-        parser.add_argument(name, type=float, default=default, metavar=metavar, help=text + shown)
+        parser.add_argument(name, type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
     parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
     parser.add_argument(
@@ -38,22 +51,24 @@ def configure(parser):
     number("--seconds", 60.0, "length of the experiment", "S")
     for name, pair, what in (("--omega", (2000.0, 6000.0), "speed in rpm"), ("--pitch", (-5.0, 10.0), "pitch in deg")):
         text = f"range of {what} (default: {pair[0]:g} {pair[1]:g})"
-        parser.add_argument(name, nargs=2, type=float, default=pair, metavar=("LOW", "HIGH"), help=text)
+        parser.add_argument(name, nargs=2, type=RANGES[name], default=pair, metavar=("LOW", "HIGH"), help=text)
     number("--omega-slew", None, "largest slew of the speed command in rpm/s (default: it may jump)")
     number("--pitch-slew", None, "largest slew of the pitch command in deg/s (default: it may jump)")
     number("--step", 0.004, "time between commands and between readings in s", "S")
     number("--noise", 0.3, "standard deviation of a thrust reading in N")
     number("--omega-noise", None, "standard deviation of a speed reading in rpm (default: speed is not measured)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: %(default)s)")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the search (default: %(default)s)")
     add_output(parser)
 
 
 def run(options):
     parameters = read_parameters(options.parameters, plant)
     knowledge, inflation = read_knowledge(options.knowledge) if options.knowledge else (None, 1.0)
+    if options.knowledge:
+        check_same_model(options.knowledge, parameters, options.parameters)
     slews = (inf if slew is None else slew for slew in (options.omega_slew, options.pitch_slew))
     limits = Limits(tuple(options.omega), tuple(options.pitch), *slews, step=options.step)
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "plan")
     found = plan(
         parameters.model,
         parameters.values,
@@ -72,7 +87,7 @@ def run(options):
         print(f"{label}: {value} ({note})")
     for remark in remarks:
         print(f"note: {remark}")
-    say_written(folder)
+    say_written(folder, parameters)
 
 
 def key_figures(found: Plan) -> list[tuple[str, str, str]]:

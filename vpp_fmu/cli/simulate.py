@@ -2,8 +2,8 @@
 
 from identification.identify import predict
 from vpp_fmu.cli.output import add_output, say_written
-from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import read_parameters
 from vpp_fmu.record import Record, read_record, write_record
 
@@ -18,11 +18,11 @@ def configure(parser):
 
 def run(options):
     record, parameters = read_record(options.record), read_parameters(options.parameters, plant)
-    folder = OutputFolder(options.output)
+    folder = OutputSet(options.output, "simulate")
     shown = predict(parameters.model, parameters.values, record)
     columns = {name: record[name] for name in ("time", "omega_ref", "beta_ref")}
     columns |= {"thrust": shown.thrust, "omega": shown.omega, "beta": shown.beta}
     write_record(folder, "prediction.csv", Record(columns, "vpp simulate"))
     if "thrust" in record:
         print(f"thrust: rmse {shown.rmse_thrust:.4g} N against {options.record}")
-    say_written(folder)
+    say_written(folder, parameters)

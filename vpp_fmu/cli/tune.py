@@ -14,15 +14,17 @@ from identification.tune.summary import NAMES, change_rows, key_figures, margin_
 from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
 from identification.worth.information import read_knowledge
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
+from vpp_fmu.cli.output import add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.files import read_text
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
-from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import Record, read_profile
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
@@ -30,24 +32,29 @@ EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o
 FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json"}
 
 RANGES = {
-    "alpha": (0.0, 1.0),
-    "overshoot": (0.01, 100.0),
-    "sensitivity": (1.1, 100.0),
-    "noise": (0.0, 100.0),
-    "delay": (0.0, 10.0),
-    "lag": (0.0, 1.0),
-    "resolution": (0.0, 10.0),
-    "sample-time": (1e-5, 1.0),
-    "draws": (1, 10000),
-    "spread": (0.0, 1.0),
+    "alpha": Number(0.0, 1.0),
+    "overshoot": Number(0.01, 100.0, "%"),
+    "sensitivity": Number(1.1, 100.0),
+    "noise": Number(0.0, 100.0, "N"),
+    "delay": Number(0.0, 10.0, "s"),
+    "lag": Number(0.0, 1.0, "s"),
+    "resolution": Number(0.0, 10.0, "N"),
+    "sample-time": Number(1e-5, 1.0, "s"),
+    "draws": whole(1, 10000),
+    "spread": Number(0.0, 1.0),
+    "seed": SEED,
+    "workers": WORKERS,
 }
 """What the options may be."""
 
+PAPERS = "the paper's fine-tuned set"
+"""The parameters that stand where no file is named."""
+
 
 def configure(parser):
-    def number(name, default, text, metavar="X", kind=float):
+    def number(name, default, text, metavar="X"):
         shown = "" if default is None else " (default: %(default).4g)"
-        parser.add_argument(f"--{name}", type=kind, default=default, metavar=metavar, help=text + shown)
+        parser.add_argument(f"--{name}", type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
@@ -57,7 +64,7 @@ def configure(parser):
     text = "CSV with time, thrust_set (default: 0.1 to 0.8 of the thrust scale and back, as far as the rig reaches)"
     parser.add_argument("--profile", metavar="P", help=text)
     text = "period of the controller in s (default: 0.004, other where the plant's faster channel needs it)"
-    parser.add_argument("--sample-time", type=float, metavar="S", help=text)
+    number("sample-time", None, text, "S")
     number("alpha", ALPHA, "weight of the squared norm of the gains")
     number("overshoot", 1.0, "largest overshoot in %% of a step")
     number("sensitivity", 2.0, "largest amplification of a disturbance around the operating points")
@@ -66,27 +73,25 @@ def configure(parser):
     number("lag", 0.0, "time constant of the thrust reading in s", "S")
     number("resolution", None, "step of the converter in N (default: 2e-4 of the thrust scale, the paper's)")
     parser.add_argument("--robust", choices=("worst", "mean"), help="tune over many plants as well")
-    number("draws", 200, "plants to tune over", "N", int)
+    number("draws", 200, "plants to tune over", "N")
     number("spread", 0.1, "standard deviation, as a share, of assumed parameters and of those whose file has none")
     parser.add_argument("--knowledge", metavar="F", help="identification.json: correlation of the parameters, noise of thrust")
-    number("seed", 0, "of plants and noise", "N", int)
-    number("workers", 1, "searches that run side by side", "N", int)
+    number("seed", 0, "of plants and noise", "N")
+    number("workers", 1, "searches that run side by side", "N")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the searches on instead")
     add_output(parser)
 
 
 def run(options):
-    for name, (low, high) in RANGES.items():
-        value = getattr(options, name.replace("-", "_"))
-        if value is not None and not low <= value <= high:
-            raise BadInput("command line", f"--{name}", value, f"{low:g} to {high:g}")
-    task, starts = _task(options)
-    folder = OutputFolder(options.output)
+    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    task, starts = _task(options, parameters)
+    came = {"parameters": (options.parameters or PAPERS, parameters)}
+    folder = OutputSet(options.output, "tune")
     for line in _setting(task, starts):
         print(line)
     found = tune(task, starts, options.workers, options.scheduler)
     for name in found.tuned:
-        folder.write(FILES[name], to_json(_gains(found, name, options)))
+        folder.write(FILES[name], to_json(dated(_gains(found, name, options), **came)))
     folder.write("tuning.json", as_json(summary(found)))
     folder.write("report.html", tuning_page(found).html())
     for name, tuned in found.tuned.items():
@@ -98,13 +103,14 @@ def run(options):
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     print(f"tuned in {found.seconds:.1f} s")
-    say_written(folder)
+    say_written(folder, parameters)
 
 
 def _setting(task: Task, starts) -> list[str]:
     """What the rig gives: limits, sampling, the profile, and what it can't have."""
     rig, settings = task.parameters.rig, next(iter(starts.values()))
-    limits = (f"{settings[f'{u}_min']:g} to {settings[f'{u}_max']:g} {unit}" for u, unit in (("omega", "rpm"), ("beta", "deg")))
+    ends = ((f"{settings[f'{u}_min']:g}", f"{settings[f'{u}_max']:g}", unit) for u, unit in (("omega", "rpm"), ("beta", "deg")))
+    limits = (f"{low} {unit}" if low == high else f"{low} to {high} {unit}" for low, high, unit in ends)
     where = dict.fromkeys(rig.origin.get(name, "the model's scales") for name in ("speed", "pitch"))
     lines = [f"limits: {', '.join(limits)} ({' and '.join(where)}); sampled every {1e3 * settings['sample_time']:.4g} ms"]
     low, high = common_reach(task.parameters.model, task.parameters.values, starts.values(), rig)
@@ -115,12 +121,13 @@ def _setting(task: Task, starts) -> list[str]:
     return lines + [f"no gains for {NAMES[name]}: {why}" for name, why in task.left_out.items()]
 
 
-def _task(options) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
-    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     assumed = dict(_assumed(text, parameters) for text in options.assume)
-    parameters = parameters.replaced(assumed)
     knowledge = read_knowledge(options.knowledge) if options.knowledge else None
+    if options.knowledge:
+        check_same_model(options.knowledge, parameters, options.parameters or PAPERS)
+    parameters = parameters.replaced(assumed)
     own = controllers(parameters, given, options.sample_time)
     period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
@@ -188,7 +195,6 @@ def _gains(found: Tuning, name: str, options) -> ParameterSet:
     tuned = found.tuned[name]
     source = {
         "made_by": "vpp tune",
-        "parameters": options.parameters,
         "assumed": {n: found.task.parameters.values[n] for n in found.task.assumed},
         "robust": options.robust,
         "cost": tuned.cost(tuned.chosen),

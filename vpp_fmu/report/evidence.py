@@ -8,7 +8,7 @@ from plotly import graph_objects as go
 
 from vpp_fmu.report import style
 
-TAKEN, PASSED, FAILED = "taken", "passes all gates, not taken", "fails a gate"
+TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
 COLOURS = {TAKEN: style.AFTER, PASSED: "#56b4e9", FAILED: "#c4cad0"}
 
 _LEAST = 1.0
@@ -17,7 +17,7 @@ _LEAST = 1.0
 
 @dataclass(frozen=True)
 class Bar:
-    """A candidate: by how much it lowers the criterion, its outcome (a key of COLOURS) and why, in a few words."""
+    """A candidate: its evidence [nat], its outcome (a key of COLOURS) and why, in a few words."""
 
     name: str
     fall: float
@@ -25,10 +25,11 @@ class Bar:
     why: str
 
 
-def evidence_bars(bars: Sequence[Bar], gate: float, title: str) -> go.Figure:
-    """Candidates by the fall of their BIC, the best on top, the gate as a line, the reason beside each bar.
+def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | None = None) -> go.Figure:
+    """Candidates by their evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
 
-    What falls by less than 1, or rises, has no bar.
+    `taken`: evidence of the one that was taken; within `gate` of it lie those that fit as well, in a shaded band. What has less
+    than 1 has no bar.
     """
     ranked = sorted(bars, key=lambda bar: -bar.fall)
     fig = style.figure(title, 140 + 30 * len(ranked))
@@ -48,10 +49,12 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str) -> go.Figure:
                 hovertemplate="%{y}: %{text}<extra></extra>",
             )
     line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
-    fig.add_vline(x=gate, line=line, name=f"gate: {gate:g}", showlegend=True)
+    fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", showlegend=True)
+    if taken is not None:
+        fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
     reach = np.log10(max(10.0 * gate, *(bar.fall for bar in ranked)))
     # The reasons stand behind the bars: half of the width is theirs.
-    fig.update_xaxes(title_text="fall of the BIC [-]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
+    fig.update_xaxes(title_text="evidence [nat]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
     order = [style.escaped(bar.name) for bar in ranked]
     fig.update_yaxes(title_text="candidate [-]", type="category", categoryorder="array", categoryarray=order[::-1])
     fig.update_layout(bargap=0.35, barmode="overlay")

@@ -1,25 +1,28 @@
-"""The colour of the thrust noise: what a model can't be blamed for.
+"""The colour of noise: what a model can't be blamed for.
 
 Neighbouring readings share part of their noise. Taken as independent they count too often, and any flexible candidate then
-finds "evidence"; so residuals are whitened before they are judged. Rows are averaged to about 16 ms first, far above
-anything the rig's actuators do, and an autoregressive model of order 6 holds the rest of the colour.
+finds "evidence"; so residuals are whitened before they are judged. Rows are averaged to blocks first, far shorter than
+anything the rig's actuators do, and an autoregressive filter takes out the rest of the colour. Noise that wanders (1/f) is
+remembered for longer than a few readings: beyond the first lags the filter has means over ever longer pasts, as many as
+the BIC finds worth their price (Corsi, 2009, for long memory by few terms).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from vpp_fmu.record import Record
 
-ORDER = 6
-BLOCK = 0.016
-"""Rows are averaged to blocks of about this length, s."""
+BLOCKS_A_TIME = 30.0
+"""Blocks in the rig's time scale: a lag of a tenth of it still spans three."""
 
-BAND = 0.05
-"""Means over this many seconds hold what is below 10 Hz: above that the rotor's own vibration repeats too."""
+LAGS = (0, 1, 2, 4, 6)
+PASTS = ((7, 12), (13, 24), (25, 48), (49, 96))
+"""Orders of the filter that are tried, and the longer pasts, one after the other, whose means join the longest of them."""
 
-SETTLED, ENOUGH, FEWEST = 1.0, 5.0, 20
-"""s after a command until the rig rests; s of rest, and readings in each stretch of it, that tell its noise."""
+LOST = 0.1
+"""Share of the rows that a filter's memory may cost: each gap in a record costs it once."""
 
 
 @dataclass(frozen=True)
@@ -31,16 +34,19 @@ class Blocks:
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Block means of (rows,) or (rows, k), rows that are NaN left out; NaN where a block has none."""
-        rows = self.edges[1] - self.edges[0]
-        values = values[: self.edges[-1]].reshape(-1, rows, *values.shape[1:])
+        rows = int(self.edges[1] - self.edges[0])
+        values = values[: self.edges[-1]]
+        # Slices of every rows-th row: numpy's mean over a short axis takes ten times as long.
+        total = sum((values[k::rows] for k in range(1, rows)), values[::rows].copy())
+        if np.isfinite(total).all():
+            return total / rows
+        values = values.reshape(-1, rows, *values.shape[1:])
         seen = np.isfinite(values)
-        if seen.all():
-            return values.mean(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(seen, values, 0.0).sum(axis=1) / seen.sum(axis=1)
 
 
-def blocks(record: Record, length: float = BLOCK) -> Blocks:
+def blocks(record: Record, length: float) -> Blocks:
     """Blocks of equal numbers of rows, about `length` seconds each; a rest at the end is left out.
 
     Where thrust renews more slowly than that, blocks are long enough to hold a reading each.
@@ -55,64 +61,120 @@ def blocks(record: Record, length: float = BLOCK) -> Blocks:
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Noise of one reading's thrust: standard deviation `floor` [N] of a row, autoregression of its block means.
+class Colour:
+    """A whitening filter: from each value, `shares` of the means over `spans` of lags (first, last) before it are taken off.
 
-    `weights` (order + 1,): the whitening filter, the first is 1; `innovation` [N]: what it leaves. `slow`: its power below
-    10 Hz [N^2]. `verified`: from repeated records; else from rest, or from a model's residual, which may hold model error too.
+    `innovation`: standard deviation of what it leaves.
+    """
+
+    spans: tuple[tuple[int, int], ...]
+    shares: tuple[float, ...]
+    innovation: float
+
+    @property
+    def order(self) -> int:
+        """Rows that the filter looks back."""
+        return max((last for _, last in self.spans), default=0)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(order + 1,) the filter's impulse response; the first is 1."""
+        weights = np.zeros(self.order + 1)
+        weights[0] = 1.0
+        for (first, last), share in zip(self.spans, self.shares, strict=True):
+            weights[first : last + 1] -= share / (last - first + 1)
+        return weights
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """Filter (rows,) or (rows, k): (rows - order, ...) in units of the innovation; NaN spreads over the filter's length."""
+        order, n = self.order, len(values)
+        if n <= order:
+            return values[:0] / self.innovation
+        missing = ~np.isfinite(values)
+        whole = not missing.any()
+        known = values if whole else np.where(missing, 0.0, values)
+        sums = None
+        left = known[order:] / self.innovation
+        for (first, last), share in zip(self.spans, self.shares, strict=True):
+            weight = share / (last - first + 1) / self.innovation
+            if first == last:
+                left = left - weight * known[order - first : n - first]
+                continue
+            sums = np.concatenate([np.zeros_like(known[:1]), np.cumsum(known, axis=0)]) if sums is None else sums
+            left = left - weight * (sums[order - first + 1 : n - first + 1] - sums[order - last : n - last])
+        if whole:
+            return left
+        gone = np.concatenate([np.zeros_like(missing[:1], int), np.cumsum(missing, axis=0)])
+        return np.where(gone[order + 1 :] > gone[: n - order], np.nan, left)
+
+
+def colour_of(parts: Sequence[np.ndarray]) -> Colour:
+    """The filter for evenly spaced noise in `parts`, each (rows,), NaN where it is not known; what it is by the BIC."""
+    best, least, count = Colour((), (), _spread(parts)), np.inf, sum(map(np.size, parts))
+    options = [(n, ()) for n in LAGS] + [(LAGS[-1], PASTS[:k]) for k in range(1, len(PASTS) + 1)]
+    whole = max(1, sum(int(np.isfinite(p).sum()) for p in parts))
+    for lags, pasts in options:
+        spans = [(k, k) for k in range(1, lags + 1)] + list(pasts)
+        rows = [_lagged(p, spans) for p in parts if len(p) > _reach(spans)]
+        table = np.concatenate([r[np.isfinite(r).all(axis=1)] for r in rows]) if rows else np.zeros((0, 1))
+        if len(table) < max((1.0 - LOST) * whole, 20 * (len(spans) + 1)):
+            continue
+        shares, *_ = np.linalg.lstsq(table[:, 1:], table[:, 0], rcond=None)
+        left = float(np.mean((table[:, 0] - table[:, 1:] @ shares) ** 2))
+        criterion = count * np.log(max(left, 1e-300)) + len(spans) * np.log(count)
+        if criterion < least:
+            best, least = Colour(tuple(spans), tuple(shares.tolist()), float(np.sqrt(left)) or 1.0), criterion
+    return best
+
+
+def _reach(spans: Sequence[tuple[int, int]]) -> int:
+    return max((last for _, last in spans), default=0)
+
+
+def _lagged(values: np.ndarray, spans: Sequence[tuple[int, int]]) -> np.ndarray:
+    """(rows, 1 + spans): the values, and their means over each span of lags (first, last)."""
+    reach, n = _reach(spans), len(values)
+    sums = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(values), values, 0.0))])
+    missing = np.concatenate([[0], np.cumsum(~np.isfinite(values))])
+    at = np.arange(reach, n)
+    columns = [values[reach:]]
+    for first, last in spans:
+        mean = (sums[at - first + 1] - sums[at - last]) / (last - first + 1)
+        columns.append(np.where(missing[at - first + 1] > missing[at - last], np.nan, mean))
+    return np.column_stack(columns)
+
+
+def _spread(parts: Sequence[np.ndarray]) -> float:
+    seen = np.concatenate([np.asarray(p, float)[np.isfinite(p)] for p in parts]) if parts else np.zeros(0)
+    return (float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0) or 1.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one record's readings: the thrust's standard deviation `floor` [N] of a row, the `colour` of its block means [N], and
+    their power below 10 Hz, `slow` [N^2]; the colour of speed's readings, in units of what a tachometer can tell.
+
+    `block` [s]: how long a block is. `verified`: from repeated records; else from a model's residual, which may hold model error too.
     """
 
     floor: float
-    weights: np.ndarray
-    innovation: float
+    colour: Colour
     slow: float
+    speed: Colour
+    block: float
     verified: bool
 
-    def whiten(self, means: np.ndarray) -> np.ndarray:
-        """Filter block means (blocks,) or (blocks, k) in N: (blocks - order, ...) in units of the innovation; NaN spreads."""
-        order = len(self.weights) - 1
-        n = len(means) - order
-        return sum(w * means[order - k : order - k + n] for k, w in enumerate(self.weights)) / self.innovation
 
+def noise_from(
+    record: Record, error: Sequence[np.ndarray], speed: Sequence[np.ndarray], block: float, slow: float, verified: bool
+) -> Noise:
+    """From samples of thrust's noise, each (rows,) N on the record's rows, and of speed's (readings,) as the tachometer's residual.
 
-def noise_of(record: Record, repeat: Record) -> Noise:
-    """From the difference of two records of the same commands, over sqrt 2."""
-    return _fitted(record, (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0), True)
-
-
-def noise_at_rest(record: Record) -> Noise | None:
-    """From what thrust does while both commands have stood for SETTLED seconds, less a line through each such stretch.
-
-    None where the record has less than ENOUGH seconds of it. What repeats there, such as a rotor's vibration, is in it.
+    `slow` [Hz]: what is below it counts as slow.
     """
-    time, thrust = record.time, record["thrust"]
-    moved = np.any([np.append(True, record[n][1:] != record[n][:-1]) for n in ("omega_ref", "beta_ref")], axis=0)
-    starts = np.flatnonzero(moved)
-    e = np.full(len(record), np.nan)
-    for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
-        rows = np.arange(first, end)[time[first:end] - time[first] > SETTLED]
-        rows = rows[np.isfinite(thrust[rows])]
-        if len(rows) > FEWEST and time[rows[-1]] - time[rows[0]] > SETTLED / 2:
-            e[rows] = thrust[rows] - np.polynomial.Polynomial.fit(time[rows], thrust[rows], 1)(time[rows])
-    if np.isfinite(e).sum() * float(np.median(record.steps)) < ENOUGH:
-        return None
-    return _fitted(record, e, False)
-
-
-def noise_from_residual(record: Record, residual: np.ndarray) -> Noise:
-    """From a model's residual (rows,) N: an upper bound, since what the model lacks is in it."""
-    return _fitted(record, residual, False)
-
-
-def _fitted(record: Record, e: np.ndarray, verified: bool) -> Noise:
-    """From noise (rows,) N, NaN where it is not known."""
-    means = blocks(record).mean(e)
-    means = means - np.nanmean(means)
-    order = min(ORDER, int(np.isfinite(means).sum()) // 20)
-    lagged = np.column_stack([means[order - k : len(means) - k] for k in range(order + 1)])
-    lagged = lagged[np.isfinite(lagged).all(axis=1)]
-    weights, *_ = np.linalg.lstsq(lagged[:, 1:], lagged[:, 0], rcond=None)
-    left = lagged[:, 0] - lagged[:, 1:] @ weights
-    floor = float(np.sqrt(np.nanmean((e - np.nanmean(e)) ** 2)))
-    slow = float(np.nanmean(blocks(record, BAND).mean(e) ** 2))
-    return Noise(floor, np.append(1.0, -weights), float(np.sqrt(np.mean(left**2))), slow, verified)
+    means = [blocks(record, block).mean(e) for e in error]
+    means = [m - np.nanmean(m) for m in means]
+    rows = np.concatenate([e - np.nanmean(e) for e in error])
+    below = np.concatenate([blocks(record, 0.5 / slow).mean(e - np.nanmean(e)) for e in error])
+    floor, power = float(np.sqrt(np.nanmean(rows**2))), float(np.nanmean(below**2))
+    return Noise(floor, colour_of(means), power, colour_of([s - s.mean() for s in speed if len(s)]), block, verified)

@@ -1,7 +1,7 @@
 """A model with candidate effects against the records, as whitened residuals: what every judgement rests on.
 
-Records of the same commands are one experiment: they are simulated once, and their thrust is averaged, which halves the
-noise's power. Speed is compared as the tachometer shows it, in each record by itself.
+Records of the same commands are one experiment: they are simulated once, and their thrust is averaged, which divides the
+noise's power by their number. Speed is compared as the tachometer shows it, in each record by itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,42 +10,54 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnose.evidence.noise import Noise, blocks
+from identification.diagnose.roles import Fitted
 from identification.fit.coordinates import Coordinates
 from identification.fit.least_squares import Solution, solve
 from identification.fit.problem import Prior
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
-from vpp_fmu.record import Record
 
 
 @dataclass(frozen=True)
 class Score:
-    """Sum of squares and number of residuals in each channel; rmse of thrust [N] and speed [rpm] on the rows as they are."""
+    """Sum of squares and number of whitened residuals in each channel."""
 
     squares: Mapping[str, float]
     counts: Mapping[str, int]
 
-    def gain(self, other: "Score") -> dict[str, float]:
-        """Log-likelihood that this has over `other` in each channel, noise variances unknown: n / 2 log(SSE ratio)."""
-        return {c: 0.5 * n * float(np.log(other.squares[c] / self.squares[c])) for c, n in self.counts.items()}
+    @property
+    def deviance(self) -> float:
+        """-2 log-likelihood, noise variances unknown, up to a constant."""
+        return float(sum(n * np.log(max(self.squares[c], 1e-300)) for c, n in self.counts.items()))
 
 
 class Experiment:
-    """Records of the same commands, and what of them counts."""
+    """Fitted records of the same commands, and what of them counts. TypeError for a record of another role.
 
-    def __init__(self, records: Sequence[Record], noise: Noise):
-        self.record, self.noise = records[0], noise
-        thrust = np.mean([r["thrust"] for r in records], axis=0)
-        self._blocks = blocks(self.record)
-        self._there = np.isfinite(thrust)
-        self.thrust = self._blocks.mean(thrust)
-        self.tachometers = [Tachometer(r) for r in records if "omega" in r]
-        self._seen = np.isfinite(noise.whiten(self.thrust))
-        self._share = 1.0 / np.sqrt(len(records))  # the mean's noise
+    `skip` [s]: the run-in at the start that has no weight, where a record did not start settled.
+    """
+
+    def __init__(self, records: Sequence[Fitted], noise: Noise, skip: float = 0.0):
+        if not all(isinstance(r, Fitted) for r in records):
+            raise TypeError("only records that are there to be fitted may be fitted")
+        own = [r.record for r in records]
+        self.records, self.record, self.noise, self.skip = tuple(records), own[0], noise, skip
+        thrust = np.stack([r["thrust"] for r in own])
+        self._there = np.isfinite(thrust).all(axis=0)
+        self.thrust_rows = np.where(self._there, thrust.mean(axis=0), np.nan)
+        self._blocks = blocks(self.record, noise.block)
+        self.thrust = self._blocks.mean(self.thrust_rows)
+        self.tachometers = [Tachometer(r) for r in own if "omega" in r]
+        order = noise.colour.order
+        self._seen = np.isfinite(noise.colour.whiten(self.thrust)) & (self._blocks.time[order:] >= skip)
+        self._share = 1.0 / np.sqrt(len(own))  # the mean's noise
+        self._late = [t.rows_time(skip, noise.speed.order) for t in self.tachometers]
+        self.thrust_time = self._blocks.time[order:][self._seen]
+        self.omega_time = np.concatenate([time for _, time in self._late]) if self._late else np.zeros(0)
         self.sizes = {"thrust": int(self._seen.sum())}
-        if count := sum(len(t) for t in self.tachometers):
-            self.sizes["omega"] = count
+        if len(self.omega_time):
+            self.sizes["omega"] = len(self.omega_time)
 
     def thrust_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened predicted less measured thrust (n,), from thrust (rows,) N."""
@@ -56,12 +68,17 @@ class Experiment:
         return self._white(self._blocks.mean(self._where_measured(tangents)))
 
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
-        """Predicted less measured speed over its uncertainty (n,), from speed (rows,) rpm."""
-        return np.concatenate([(t.shows(predicted) - t.measured) / t.std for t in self.tachometers])
+        """Whitened predicted less measured speed (n,), from speed (rows,) rpm."""
+        return self._heard([(t.shows(predicted) - t.measured) / t.std for t in self.tachometers])
 
     def omega_columns(self, tangents: np.ndarray) -> np.ndarray:
-        """Sensitivities (n, k) over the uncertainty, from those of speed (rows, k)."""
-        return np.concatenate([t.shows(tangents) / t.std[:, None] for t in self.tachometers])
+        """Whitened sensitivities (n, k), from those of speed (rows, k)."""
+        return self._heard([t.shows(tangents) / t.std[:, None] for t in self.tachometers])
+
+    def slow_thrust(self, rows: np.ndarray) -> np.ndarray:
+        """Means of a thrust (rows,) [N] over 50 ms, what is below 10 Hz of it; blocks without a reading left out."""
+        means = blocks(self.record, 0.05).mean(self._where_measured(rows))
+        return means[np.isfinite(means)]
 
     def _where_measured(self, predicted):
         """NaN where no thrust was read, so that block means of both are over the same rows."""
@@ -70,7 +87,11 @@ class Experiment:
         return np.where(self._there.reshape(-1, *[1] * (predicted.ndim - 1)), predicted, np.nan)
 
     def _white(self, means):
-        return self.noise.whiten(means)[self._seen] / self._share
+        return self.noise.colour.whiten(means)[self._seen] / self._share
+
+    def _heard(self, parts):
+        white = [self.noise.speed.whiten(part)[kept] for part, (kept, _) in zip(parts, self._late, strict=True)]
+        return np.concatenate(white)
 
 
 class Evidence:
@@ -98,19 +119,27 @@ class Evidence:
         """Rows of the residual without the prior's."""
         return sum(sum(e.sizes.values()) for e in self.experiments)
 
+    @property
+    def times(self) -> list[tuple[np.ndarray, float]]:
+        """(time [s] of each row, length [s] of its record), in the residual's order: thrust by experiment, then speed."""
+        ends = [float(e.record.time[-1]) for e in self.experiments]
+        thrust = [(e.thrust_time, end) for e, end in zip(self.experiments, ends, strict=True)]
+        return thrust + [(e.omega_time, end) for e, end in zip(self.experiments, ends, strict=True) if len(e.omega_time)]
+
     def residuals(self, outputs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
         """Each channel's residual (n,), unscaled, from the outputs (rows, 3) of each experiment."""
         thrust = [e.thrust_residual(y[:, 0]) for e, y in zip(self.experiments, outputs, strict=True)]
         found = {"thrust": np.concatenate(thrust)}
-        omega = [e.omega_residual(y[:, 1]) for e, y in zip(self.experiments, outputs, strict=True) if e.tachometers]
+        omega = [e.omega_residual(y[:, 1]) for e, y in zip(self.experiments, outputs, strict=True) if len(e.omega_time)]
         if omega:
             found["omega"] = np.concatenate(omega)
         return found
 
     def columns(self, tangents: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
         """Each channel's sensitivities (n, k), unscaled, from those of the outputs (rows, 3, k) of each experiment."""
-        found = {"thrust": np.vstack([e.thrust_columns(d[:, 0]) for e, d in zip(self.experiments, tangents, strict=True)])}
-        omega = [e.omega_columns(d[:, 1]) for e, d in zip(self.experiments, tangents, strict=True) if e.tachometers]
+        pairs = list(zip(self.experiments, tangents, strict=True))
+        found = {"thrust": np.vstack([e.thrust_columns(d[:, 0]) for e, d in pairs])}
+        omega = [e.omega_columns(d[:, 1]) for e, d in pairs if len(e.omega_time)]
         if omega:
             found["omega"] = np.vstack(omega)
         return found
@@ -129,6 +158,13 @@ class Evidence:
             return residual, jacobian
         error, known = self.prior.rows(found, self.coordinates.names)
         return np.append(residual, error), np.vstack([jacobian, known @ inner])
+
+    def residual_at(self, values: Mapping[str, float]) -> np.ndarray:
+        """The scaled residual at parameter values, the prior's rows last."""
+        found, simulator = self.values | dict(values), Simulator(self.model)
+        outputs = [simulator.simulate(found, e.record.columns, e.record.steps) for e in self.experiments]
+        residual = np.concatenate([r / self.scale[c] for c, r in self.residuals(outputs).items()])
+        return residual if self.prior is None else np.append(residual, self.prior.rows(found, self.coordinates.names)[0])
 
     def score(self, values: Mapping[str, float], simulator: Simulator) -> Score:
         """The score of parameter values, by a simulator of the model."""
@@ -151,7 +187,7 @@ class Evidence:
     def weigh(self, residual: np.ndarray) -> None:
         """Set the channels' scales from a residual under the present ones."""
         score = self.score_of(residual)
-        self.scale |= {c: float(np.sqrt(s / score.counts[c])) for c, s in score.squares.items()}
+        self.scale |= {c: float(np.sqrt(s / score.counts[c])) or 1.0 for c, s in score.squares.items()}
 
     def score_of(self, residual: np.ndarray) -> Score:
         """The score that a scaled residual, as `evaluate` gives it under the present scales, stands for."""

@@ -26,11 +26,11 @@ AT_REST = 0.01
 def add_effects(page: Page, found: Diagnosis) -> None:
     """For each effect of the final set its curve at rest, where it has one, and what it does where it does most."""
     for effect in found.final.effects:
-        on, off = _with_and_without(found.final, effect, found.held[0])
+        on, off = _with_and_without(found.final, effect, found.shown)
         change = on - off
         acts = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
         if acts == "thrust":
-            _add_thrust(page, effect, found.held[0], off, change)
+            _add_thrust(page, effect, found.shown, off, change)
         else:
             _add_at_rest(page, found, effect, acts)
         _add_in_time(page, found, effect, acts, change)
@@ -57,7 +57,7 @@ def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Out
 def _add_at_rest(page: Page, found: Diagnosis, effect: str, acts: str) -> None:
     """Reached against commanded, up and down again; nothing where the effect doesn't show at rest."""
     word, unit, _ = QUANTITIES[acts]
-    record, command = found.held[0], f"{acts}_ref"
+    record, command = found.shown, f"{acts}_ref"
     beside = "beta_ref" if acts == "omega" else "omega_ref"
     levels = sorted({float(v) for v in np.percentile(record[beside], [0, 50, 100])}) if acts == "omega" else [None]
     reached, stairs = {}, _stairs(record[command])
@@ -95,11 +95,13 @@ def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: O
     largest = float(np.max(np.abs(change["thrust"])))
     title = f"{effect}: the thrust changes by up to {largest:.2g} N"
     figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
-    page.figure(figure, "The augmented model with the effect, less the same without it, on the unseen commands.")
+    page.figure(
+        figure, "The augmented model with the effect, less the same without it, on the commands of the record shown above."
+    )
 
 
 def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: Outputs) -> None:
-    record = found.held[0]
+    record = found.shown
     at = blocks(record, 0.2)
     center = float(at.time[np.argmax(np.abs(at.mean(change[acts])))])
     near = np.flatnonzero(np.abs(record.time - center) <= NEAR)
@@ -114,4 +116,4 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: O
     size = float(np.max(np.abs(change["thrust"][near])))
     moved = "" if acts == "thrust" else f"{np.max(np.abs(change[acts][near])):.3g} {unit} of {word}, "
     title = f"{effect} does most around {center:.0f} s: {moved}{size:.2g} N of thrust"
-    page.figure(stacked(record.time[near], rows, title), "Unseen data; before: the best model without the effect.")
+    page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")

@@ -3,11 +3,9 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.evidence.whitened import Experiment
-from identification.diagnose.report.summary import summary
-from identification.diagnose.search.fits import Fit
-from identification.diagnose.search.judge import ALIKE, ENOUGH_BIC, Seen, judge, seen_at_best
-from identification.diagnose.search.rounds import Tried
+from identification.diagnose.judgement import LEVEL, STRONG
+from identification.diagnose.report.summary import summary, why_not
+from identification.diagnose.search.refits import Tried
 from vpp_fmu.report import Page, evidence_bars, overlap_heatmap, parameter_change
 from vpp_fmu.report.evidence import FAILED, PASSED, TAKEN, Bar
 
@@ -23,11 +21,10 @@ MOST = 14
 
 def add_evidence(page: Page, found: Diagnosis) -> None:
     """A figure of each round of the search, and the table of all that was refitted."""
-    unseen = [Experiment([record], found.noise) for record in found.held]
     for number, tried in enumerate(found.selection.rounds, start=1):
         fitted = [t for t in tried if t.fit is not None]
         if fitted:
-            _add_round(page, found, number, fitted, unseen)
+            _add_round(page, found, number, fitted)
     rows = []
     for entry in summary(found)["candidates"]:
         if "delta_bic" not in entry:
@@ -35,57 +32,48 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         beside = " + ".join(entry["beside"]) or "nothing"
         form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
         size = ", ".join(f"{n.partition('.')[2]} {v:.3g}" for n, v in entry["parameters"].items())
-        rows.append((entry["name"], form, beside, entry["delta_bic"], size, entry["why_not"] or "taken"))
-    columns = ("effect", "form", "beside", "fall of BIC", "parameters", "verdict")
+        rows.append((entry["name"], form, beside, 0.5 * entry["delta_bic"], size, entry["why_not"] or "taken"))
+    columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
     page.table(columns, rows, "Candidates that were refitted in full.")
     for effect, judged in found.selection.judgements.items():
-        gains = ", ".join(f"{channel} {gain:+.1f}" for channel, gain in judged.held_out_gain.items())
-        page.note(f"{effect}: BIC falls by {judged.delta_bic:.0f}; log-likelihood of unseen data: {gains}.")
+        gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
+        page.note(
+            f"{effect}: log-likelihood rises by {judged.fall:.4g} (chance: {judged.needed:.3g} in one rig of {1.0 / LEVEL:.0f}); "
+            f"in cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; from {judged.least:.2g} N on it is "
+            "of interest."
+        )
 
 
-def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried], unseen) -> None:
-    base = _base_of(found, fitted[0].beside)
-    without = seen_at_best(base, unseen)
-    bars = [_bar(found, t, base, without, unseen, max(t.delta_bic for t in fitted)) for t in fitted]
+def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried]) -> None:
+    bars = [_bar(found, t) for t in fitted]
     beside = " and ".join(fitted[0].beside) or "nothing"
     best = max(bars, key=lambda bar: bar.fall)
     taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.fall, default=None)
     if taken is None:
         title = f"Round {number}, beside {beside}: no candidate is taken, {best.name} comes nearest"
     else:
-        title = f"Round {number}, beside {beside}: {taken.name} lowers the BIC by {taken.fall:,.0f}"
+        title = f"Round {number}, beside {beside}: the evidence for {taken.name} is {taken.fall:,.0f} nats"
     page.figure(
-        evidence_bars(bars, ENOUGH_BIC, title),
-        "Each candidate refitted with all parameters; gates: BIC, unseen thrust and speed, bounds, size.",
+        evidence_bars(bars, STRONG, title, None if taken is None else taken.fall),
+        "Each candidate refitted with all parameters: half the fall of the BIC on the fitted records. What lies in the shaded "
+        "band fits as well as the one that was taken.",
     )
 
 
-def _base_of(found: Diagnosis, beside: tuple[str, ...]) -> Fit:
-    """The fit that a round's candidates were added to."""
-    if not beside:
-        return found.selection.base
-    tried = [t for each in found.selection.rounds for t in each if t.fit is not None]
-    return min((t.fit for t in tried if set(t.fit.effects) == set(beside)), key=Fit.bic, default=found.selection.base)
-
-
-def _bar(found: Diagnosis, tried: Tried, base: Fit, without: Seen, unseen, top: float) -> Bar:
+def _bar(found: Diagnosis, tried: Tried) -> Bar:
+    why, label = why_not(found, tried), tried.candidate.label
+    if why is None:
+        return Bar(label, tried.evidence, TAKEN, "in the final set")
     name = tried.candidate.name
-    judged = judge(name, tried.fit, base, seen_at_best(tried.fit, unseen), without, found.selection.base)
-    label = tried.candidate.label
-    if name in found.final.effects and all(found.final.forms.get(n) == v for n, v in tried.candidate.form.items()):
-        return Bar(label, tried.delta_bic, TAKEN, "in the final set")
-    if judged.refused:
-        return Bar(label, tried.delta_bic, FAILED, _short(judged.refused))
-    if name in found.selection.refused:
-        return Bar(label, tried.delta_bic, FAILED, f"beside others: {_short(found.selection.refused[name].refused)}")
-    why = "fits as well" if tried.delta_bic > top - ALIKE else "another explains more"
-    return Bar(label, tried.delta_bic, PASSED, why)
+    stands = tried.evidence > STRONG and name not in found.selection.refused
+    return Bar(label, tried.evidence, PASSED if stands else FAILED, _short(why))
 
 
-def _short(reasons: tuple[str, ...]) -> str:
+def _short(reasons: str) -> str:
     """The head of the first reason, and how many more there are."""
-    head = reasons[0].partition(":")[0].partition(" from ")[0]
-    return head if len(reasons) == 1 else f"{head}, and {len(reasons) - 1} more"
+    first, *more = reasons.split("; ")
+    head = first.partition(":")[0].partition(" from ")[0]
+    return head if not more else f"{head}, and {len(more)} more"
 
 
 def add_shift(page: Page, found: Diagnosis) -> None:

@@ -3,12 +3,11 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.empirical import Empirical, corrected
 from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.residual import add_residual
-from identification.diagnose.report.summary import summary
+from identification.diagnose.report.summary import artefact, errors, summary
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -28,21 +27,21 @@ ZOOM, SMOOTHED = 3.0, 0.2
 
 def headline(found: Diagnosis) -> str:
     """The finding in one or two sentences."""
-    before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
-    noise = f"the noise is {found.noise.floor:.3f} N"
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    noise, where = f"the noise is {found.noise.floor:.3g} N", _where_judged(found)
+    if found.refuted:
+        return f"What fits these records best is refuted and does not ship: {found.refuted}. The base model stands, {noise}."
     if found.verdict == "none":
-        return f"Nothing is missing: the thrust error on unseen data is {before:.3f} N, {noise}."
+        return f"Nothing is missing: the thrust error {where} is {before:.4g} N, {noise}."
     if found.verdict == "unexplained":
-        return f"Something is missing that no effect to choose from explains: {before:.3f} N on unseen data, {noise}."
+        return f"Something is missing that no effect to choose from explains: {before:.4g} N {where}, {noise}."
     described = {e.name: e.description for e in found.final.evidence.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
-    return f"{effects}: thrust error on {_unseen(found)} {before:.3f} N before, {after:.3f} N after, {noise}."
+    return f"{effects}: thrust error {where} {before:.4g} N before, {after:.4g} N after, {noise}."
 
 
-def _unseen(found: Diagnosis) -> str:
-    """What the errors are of. A record that told where a parameter is, is no longer unseen in that."""
-    told = " and ".join(n for n in found.selection.placed if n in found.final.values)
-    return f"data that no fit saw, but that placed {told}," if told else "unseen data"
+def _where_judged(found: Diagnosis) -> str:
+    return f"on {found.unseen.name}.csv, which no fit saw," if found.unseen is not None else "in cross-validation"
 
 
 def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
@@ -53,22 +52,35 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
             if name == "form":
                 continue
             doubt = f"± {1.96 * p['std']:.2g} (95 %)" if p["std"] else "at its limit" if p["std"] == 0.0 else UNTOLD
-            doubt += ", its place told by the unseen record" if name in effect["placed_by_unseen_data"] else ""
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
             figures.append((f"{effect['name']}, {name}", f"{p['value']:.4g}{unit}", doubt))
-    before, after = found.held_before.rmse_thrust, found.held_after.rmse_thrust
-    change = f"{before:.3f} → {after:.3f} N" if found.final.effects else f"{before:.3f} N"
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    change = f"{before:.4g} → {after:.4g} N" if found.final.effects else f"{before:.4g} N"
     checked = "" if found.noise.verified else ", not verified by a repeat"
-    figures.append((f"thrust error, {_unseen(found)}", change, f"noise of one reading {found.noise.floor:.3f} N{checked}"))
+    figures.append(
+        (f"thrust error {_where_judged(found)}".rstrip(","), change, f"noise of one reading {found.noise.floor:.3g} N{checked}")
+    )
     if found.given is not None:
-        as_given = summary(found)["given"][0]["rmse_thrust"]
-        figures.append(("the model as it was given", f"{as_given:.3f} N", "thrust error on unseen data, before any fit"))
+        as_given = summary(found)["given"]["rmse_thrust"]
+        figures.append(
+            ("the model as it was given", f"{as_given:.4g} N", f"thrust error on {found.shown_name}, before any fit")
+        )
     if found.explained is not None:
-        share, doubt = 100 * found.explained.share, 200 * found.explained.error
-        figures.append(("of the explainable error", f"{share:.0f} %", f"± {doubt:.0f} %, removed on {_unseen(found)}"))
-    rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.family.items() if others]
-    figures.append(("verdict", found.verdict, "; ".join(rivals) or SURE[found.verdict]))
+        figures.append(
+            ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
+        )
+    rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.selection.family.items() if others]
+    said = found.refuted or "; ".join(rivals) or SURE[found.verdict]
+    figures.append(("verdict", f"{found.verdict}, refuted" if found.refuted else found.verdict, said))
+    figures.append(_lack(found))
     return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures
+
+
+def _lack(found: Diagnosis) -> tuple[str, str, str]:
+    """What the tests of lack of fit say."""
+    lack = found.after
+    said = f"p = {lack.p:.2g}; from {lack.least:.2g} N below 10 Hz on it is of interest"
+    return "lack of fit", f"{lack.size:.2g} N" if lack.certain else "none seen", said
 
 
 def _where(found: Diagnosis) -> tuple[str, str, str]:
@@ -81,18 +93,17 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
     return "what is left", f"{band} Hz", note
 
 
-def diagnosis_page(found: Diagnosis, correction: Empirical | None = None) -> Page:
-    """The page of one diagnosis, and of an empirical correction where one was asked for."""
+def diagnosis_page(found: Diagnosis) -> Page:
+    """The page of one diagnosis."""
     page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found))
     page.tiles(key_figures(found))
-    for effect, judged in found.selection.judgements.items():
-        if effect in found.final.effects and judged.artefact:
-            page.note(f"{effect}: {judged.artefact}.")
-    page.section("Before and after" if found.final.effects else "The model on unseen data")
-    for record in found.held:
-        _add_whole(page, found, record)
-    if correction is not None:
-        _add_empirical(page, found, correction)
+    for effect in found.final.effects:
+        if text := artefact(found, effect):
+            page.note(f"{effect}: {text}.")
+    for line in found.rig.lines():
+        page.note(f"Rig: {line}.")
+    page.section("Before and after" if found.final.effects else "The model")
+    _add_whole(page, found)
     add_diagnosis(page, found)
     return page
 
@@ -100,8 +111,7 @@ def diagnosis_page(found: Diagnosis, correction: Empirical | None = None) -> Pag
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
     """Figures and tables of a diagnosis, onto a page that shows the unseen record already."""
     page.section("The worst moments")
-    for record in found.held:
-        _add_worst(page, found, record)
+    _add_worst(page, found)
     if found.final.effects:
         _add_sections(page, found)
         page.section("What the effect does")
@@ -110,6 +120,7 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
     page.section("Why this, and not something else")
     add_evidence(page, found)
     page.section("What is left")
+    _add_lack(page, found)
     add_residual(page, found)
     _add_location(page, found)
     page.section("What these commands can show")
@@ -118,30 +129,20 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
         page.note("next_experiment.csv holds a record of commands that separates what these could not. Run it twice.")
 
 
-def _add_empirical(page: Page, found: Diagnosis, correction: Empirical) -> None:
-    page.section("Beyond the library: an empirical correction")
-    page.note(f"{correction.told[0].upper()}{correction.told[1:]}. It is in no parameter file and in no FMU.")
-    if not correction.accepted:
-        return
-    record = found.held[0]
-    shown = corrected(found, correction, record)
-    lines = {"model": shown["thrust"], "empirical": shown["thrust_empirical"]}
-    change = f"{correction.before:.3f} to {correction.after:.3f} N"
-    title = f"A linear filter of the model's own outputs brings the error from {change}"
-    page.figure(_figure(found, record, lines, title), "Unseen data. The filter was fitted to the open-loop record.")
-
-
-def _add_whole(page: Page, found: Diagnosis, record: Record) -> None:
+def _add_whole(page: Page, found: Diagnosis) -> None:
+    record = found.shown
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    errors = [f"{p.rmse_thrust:.3f} N" for p in shown.values()]
-    erred = f"{errors[0]} before, by {errors[1]} after" if len(errors) > 1 else errors[0]
-    title = f"On unseen data the model errs by {erred}; the noise alone is {found.noise.floor:.3f} N"
+    left = [f"{p.rmse_thrust:.4g} N" for p in shown.values()]
+    erred = f"{left[0]} before, by {left[1]} after" if len(left) > 1 else left[0]
+    seen = "no fit saw" if found.unseen is not None else "was fitted"
+    title = f"On a record that {seen} the model errs by {erred}; the noise alone is {found.noise.floor:.3g} N"
     lines = {name: p.thrust for name, p in shown.items()}
-    page.figure(_figure(found, record, lines, title), f"{record.source.rsplit('/', 1)[-1]}. {thinning(len(record))}")
+    page.figure(_figure(found, record, lines, title), f"{found.shown_name}.csv. {thinning(len(record))}")
 
 
-def _add_worst(page: Page, found: Diagnosis, record: Record) -> None:
+def _add_worst(page: Page, found: Diagnosis) -> None:
     """Where the model before was worst, and where the one after is, if that is elsewhere."""
+    record = found.shown
     lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
     at = blocks(record, SMOOTHED)
     means = {name: np.abs(at.mean(thrust - record["thrust"])) for name, thrust in lines.items()}
@@ -164,20 +165,25 @@ def _figure(found: Diagnosis, record: Record, lines, title: str):
 
 
 def _add_sections(page: Page, found: Diagnosis) -> None:
-    record = found.held[0]
-    before, after = (found.prediction(fit, record).summary()["sections"] for fit in (found.base, found.final))
+    before, after = (errors(found, fit)["sections"] for fit in (found.base, found.final))
     names = list(before)
     values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
     k = int(np.argmax(values[0] - values[1]))
-    title = f"The error fell most where {_commanded(names[k])}: from {values[0][k]:.3f} to {values[1][k]:.3f} N"
+    title = f"The error fell most where {_commanded(names[k])}: from {values[0][k]:.4g} to {values[1][k]:.4g} N"
     figure = residual_by_section(names, *values, found.noise.floor, title)
-    page.figure(figure, "Thrust error by what is commanded, unseen data.")
+    page.figure(figure, f"Thrust error by what is commanded, {_where_judged(found).rstrip(',')}.")
 
 
-def _followed(found: Diagnosis) -> str:
-    rest = found.following
-    yes = "yes" if rest.significant else "no more than noise would"
-    return f"{yes}: log-likelihood {rest.gain:+.1f} of {rest.count} plays, bounds and rates of both channels"
+def _add_lack(page: Page, found: Diagnosis) -> None:
+    """Pure error by band, before and after, where a repeat tells it; and the score test."""
+    before, after = found.before, found.after
+    rows = [("generic shapes of the commands", "-", before.score.gain, before.score.p, after.score.gain, after.score.p)]
+    for one, other in zip(before.bands, after.bands, strict=True):
+        rows.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
+    columns = ("test", "unit", "before", "p", "after", "p ")
+    page.table(
+        columns, rows, "Lack of fit: the score test's log-likelihood, and what two records of the same commands share by band."
+    )
 
 
 def _commanded(section: str) -> str:
@@ -192,7 +198,6 @@ def _add_location(page: Page, found: Diagnosis) -> None:
         [
             ("goes most with", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
             ("input", where["input"]),
-            ("follows the commands still", _followed(found)),
             ("largest", f"{largest['thrust']:+.2f} N at {largest['time']:.1f} s"),
             *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
             *((f"mean square, {name}", f"{max(power, 0.0):.2g} N²") for name, power in where["mean_square_by_section"].items()),

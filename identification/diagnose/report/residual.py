@@ -30,13 +30,18 @@ def add_residual(page: Page, found: Diagnosis) -> None:
         _add_moves(page, found, name)
 
 
+def _records(found: Diagnosis) -> list[Record]:
+    """The fitted records of the first one's commands."""
+    return [one.record for one in found.base.evidence.experiments[0].records]
+
+
 def _residuals(found: Diagnosis, record: Record) -> dict[str, np.ndarray]:
     """Measured less predicted thrust (rows,) N of the open-loop commands, by fit."""
     return {name: record["thrust"] - found.prediction(fit, record).thrust for name, fit in found.fits.items()}
 
 
 def _add_correlations(page: Page, found: Diagnosis) -> None:
-    record = found.campaign.open_loop
+    record = _records(found)[0]
     at = blocks(record, RATE)
     lags = np.arange(1, LAGS + 1) * float(np.median(np.diff(at.time)))
     errors = {name: at.mean(error) for name, error in _residuals(found, record).items()}
@@ -69,18 +74,17 @@ def _correlated(error: np.ndarray, signal: np.ndarray) -> np.ndarray:
 
 
 def _add_spectrum(page: Page, found: Diagnosis) -> None:
-    record, repeat = found.campaign.open_loop, found.campaign.repeat
+    record, repeat = _records(found)[0], next(iter(_records(found)[1:]), None)
     at = blocks(record, RATE)
     first = _residuals(found, record)
     second = _residuals(found, repeat) if repeat is not None else first
     power = {name: _binned(at.mean(first[name]), at.mean(second[name]), float(np.median(np.diff(at.time)))) for name in first}
     centres = np.sqrt(BINS[1:] * BINS[:-1])
-    before, after = found.before_left.share, found.left.share
-    what = "The error that repeats" if repeat is not None else "The error beyond the noise"
-    now = f", now {max(after, 0.0):.3f} times" if len(first) > 1 else ""
-    title = f"{what} had {max(before, 0.0):.3f} times the power of the noise below 10 Hz{now}"
+    before, after = found.before, found.after
+    now = f", now of {after.size:.2g} N (p = {after.p:.2g})" if len(first) > 1 else ""
+    title = f"Below 10 Hz the model lacked {before.size:.2g} N rms (p = {before.p:.2g}){now}"
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
-    noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record).time))))
+    noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
     page.figure(residual_spectrum(centres, power, noise, title), f"{how}, averaged over bins; gaps: nothing there.")
 
 
@@ -96,12 +100,13 @@ def _binned(one: np.ndarray, other: np.ndarray, step: float) -> np.ndarray:
 
 def _noise_density(noise: Noise, frequency: np.ndarray, step: float) -> np.ndarray:
     """Power density [N^2/Hz] of the noise's autoregression at frequencies [Hz], its blocks being `step` s long."""
-    turns = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(noise.weights))) * step)
-    return 2.0 * step * noise.innovation**2 / np.abs(turns @ noise.weights) ** 2
+    colour = noise.colour
+    turns = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(colour.weights))) * step)
+    return 2.0 * step * colour.innovation**2 / np.abs(turns @ colour.weights) ** 2
 
 
 def _add_moves(page: Page, found: Diagnosis, command: str) -> None:
-    records = [r for r in (found.campaign.open_loop, found.campaign.repeat) if r is not None]
+    records = _records(found)
     starts, sizes = moves(records[0].time, records[0][command])
     spans = _spans(records[0].time, starts)
     each = [_residuals(found, r) for r in records]
@@ -135,7 +140,7 @@ def moves(time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _spans(time: np.ndarray, starts: np.ndarray) -> list[tuple[int, int]]:
     """Rows from each move to the next, at most LONGEST s; empty where that is less than SHORTEST s."""
-    ends = [*starts[1:], len(time)]
+    ends = [*starts[1:], len(time)] if len(starts) else []
     reach = np.searchsorted(time, time[starts] + LONGEST)
     found = [(int(a), int(min(b, c))) for a, b, c in zip(starts, ends, reach, strict=True)]
     return [(a, b if time[b - 1] - time[a] >= SHORTEST else a) for a, b in found]

@@ -1,93 +1,157 @@
 """The content of diagnosis.json."""
 
+import numpy as np
+
 from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.judgement import STRONG, Judgement
 from identification.diagnose.search.fits import Fit
-from identification.diagnose.search.rounds import Tried
+from identification.diagnose.search.refits import Tried
 from identification.worth.prediction import predict
+from identification.worth.quality import fit_percent, rmse
+from identification.worth.sections import sections
+
+FORMAT = "vpp-diagnosis/2"
+
+UNITS = {
+    "rmse_thrust": "N",
+    "rmse_omega": "rpm",
+    "fit_thrust": "%",
+    "noise_floor_thrust": "N",
+    "delta_bic": "1",
+    "evidence": "nat",
+    "held_out_gain": "nat",
+    "log_likelihood": "nat",
+    "explained_fraction": "1",
+}
+"""Of the numbers that do not stand beside their unit."""
 
 
 def summary(found: Diagnosis) -> dict:
     """As CONTRACT.md names it."""
     return {
+        "format": FORMAT,
+        "units": UNITS,
         "verdict": found.verdict,
+        "refuted": {"effects": list(found.selection.final.effects), "why": found.refuted} if found.refuted else None,
+        "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},
+        "learned": None,
         "effects": [_effect(found, name) for name in found.final.effects],
-        "family": {name: others for name, others in found.family.items() if others},
+        "family": {name: others for name, others in found.selection.family.items() if others},
         "next_experiment": "next_experiment.csv" if found.verdict != "none" else None,
-        "before": _errors(found, found.base),
-        "after": _errors(found, found.final),
+        "fitted": [{"record": one.name, "left_out": list(one.notes)} for one in found.fitted],
+        "before": errors(found, found.base),
+        "after": errors(found, found.final),
         **({"given": _given(found)} if found.given else {}),
         "noise_floor_thrust": found.noise.floor,
         "noise_floor_verified": found.noise.verified,
-        "explained_fraction": found.explained and found.explained.share,
-        "explained_fraction_std": found.explained and found.explained.error,
-        "repeatable_error_over_noise_power": {"before": found.before_left.share, "after": found.left.share},
+        "explained_fraction": found.explained,
         "base_parameters": _shift(found),
+        "lag_order": found.lag_order,
         "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
         "cannot_be_seen": found.apart.invisible(),
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],
-        "unexplained": {
-            "share_left": found.explained and 1.0 - found.explained.share,
-            "follows_commands": {"log_likelihood": found.following.gain, "significant": found.following.significant},
-            **found.location,
+        "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
+    }
+
+
+def errors(found: Diagnosis, fit: Fit) -> dict:
+    """Errors of the base or of the final model where it was not fitted: on the validation record, else cross-validated."""
+    if found.unseen is not None:
+        return {"record": found.unseen.name, "from": "validation", **found.prediction(fit, found.unseen.record).summary()}
+    held = found.held_before if fit is found.base else found.held_after
+    record, left = found.fitted[0].record, held.thrust[0]
+    parts = {name: mask & np.isfinite(left) for name, mask in sections(record).items()}
+    return {
+        "record": found.fitted[0].name,
+        "from": "cross-validation",
+        "rmse_thrust": rmse(left),
+        "rmse_omega": held.rmse_omega,
+        "fit_thrust": fit_percent(record["thrust"], record["thrust"] + left),
+        "sections": {
+            name: {
+                "rmse_thrust": rmse(left[mask]),
+                "fit_thrust": fit_percent(record["thrust"][mask], (record["thrust"] + left)[mask]),
+            }
+            for name, mask in parts.items()
+            if mask.any()
         },
     }
 
 
 def _effect(found: Diagnosis, name: str) -> dict:
-    units = {p.name: p.unit for p in found.final.evidence.model.parameters}
-    judged = found.selection.judgements[name]
-    own = [n for n in (*found.final.free, *found.final.forms) if n.startswith(f"{name}.")]
-    values = {n.partition(".")[2]: {"value": found.final.values[n], "std": found.doubt.get(n), "unit": units[n]} for n in own}
-    evidence = {
-        "delta_bic": judged.delta_bic,
-        "held_out_gain": dict(judged.held_out_gain),
-        "explained_fraction": found.explained and found.explained.share,
-    }
-    intervals = {n.partition(".")[2]: list(i) for n, i in found.final.thresholds.items() if n.startswith(f"{name}.")}
-    placed = [n.partition(".")[2] for n in found.selection.placed if n.startswith(f"{name}.")]
-    found_in = {"artefact": judged.artefact} if judged.artefact else {}
+    fit, judged = found.selection.final, found.selection.judgements[name]
+    units = {p.name: p.unit for p in fit.evidence.model.parameters}
+    own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
+    values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.doubt.get(n), "unit": units[n]} for n in own}
+    intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
+    found_in = {"artefact": text} if (text := artefact(found, name)) else {}
+    return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence(found, judged), **found_in}
+
+
+def evidence(found: Diagnosis, judged: Judgement) -> dict:
+    """What an effect rests on."""
     return {
-        "name": name,
-        "parameters": values,
-        "intervals": intervals,
-        "placed_by_unseen_data": placed,
-        "evidence": evidence,
-        **found_in,
+        "delta_bic": 2.0 * judged.evidence,
+        "evidence": judged.evidence,
+        "log_likelihood": judged.fall,
+        "log_likelihood_by_chance": judged.needed,
+        "held_out_gain": dict(judged.gain),
+        "size": {"value": judged.size, "unit": "N"},
+        "least_size": {"value": judged.least, "unit": "N"},
+        "explained_fraction": found.explained,
     }
 
 
-def _errors(found: Diagnosis, fit: Fit) -> list[dict]:
-    """One entry a record: unseen ones first."""
-    entries = []
-    for role, records in (("held out", found.held), ("fitted", (found.campaign.open_loop,))):
-        for record in records:
-            entries.append({"record": record.source, "role": role, **found.prediction(fit, record).summary()})
-    return entries
+def artefact(found: Diagnosis, name: str) -> str:
+    """In words, why an effect is no physics of the rotor but of how it is measured; empty where it is not.
+
+    What delays or bends the speed must show in the measured speed too; where that gets worse, it is the thrust's reading
+    that is late.
+    """
+    effect = next(e for e in found.selection.final.evidence.model.effects if e.name == name)
+    if effect.reading:
+        return "in the reading of thrust (load cell, stand, amplifier, logger), not in the thrust itself"
+    if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -STRONG:
+        return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
+    return ""
 
 
-def _given(found: Diagnosis) -> list[dict]:
+def _given(found: Diagnosis) -> dict:
     """The errors of a model that was brought, as it was brought."""
-    model, values = found.given.model, found.given.values
-    return [{"record": r.source, "role": "held out", **predict(model, values, r).summary()} for r in found.held]
+    return {"record": found.shown_name, **predict(found.given.model, found.given.values, found.shown).summary()}
 
 
 def _shift(found: Diagnosis) -> dict:
+    before, after = (found.parameters(fit).values for fit in (found.base, found.final))
+    doubt = found.doubt
     names = found.base.evidence.coordinates.names
-    return {n: {"before": found.base.values[n], "after": found.final.values[n], "std": found.doubt.get(n)} for n in names}
+    return {n: {"before": before[n], "after": after[n], "std": doubt.get(n)} for n in names}
 
 
 def _tried(found: Diagnosis, tried: Tried) -> dict:
     name = tried.candidate.name
     entry = {"name": name, "form": dict(tried.candidate.form), "beside": list(tried.beside), "promised_gain": tried.fall}
     if tried.fit is None:
-        return entry | {"why_not": "promised less than the candidates that were refitted"}
-    entry |= {"delta_bic": tried.delta_bic, "parameters": {n: tried.fit.values[n] for n in tried.candidate.free}}
-    refused = found.selection.refused.get(name)
-    if name in found.final.effects:
-        mine = all(found.final.forms.get(n) == v for n, v in tried.candidate.form.items())
-        return entry | {"why_not": None if mine else "another form of it explains more"}
-    if name in found.selection.final.effects:
-        return entry | {"why_not": f"removes only {100 * found.explained.share:.0f} % of the explainable error on unseen data"}
-    if refused is not None:
-        return entry | {"why_not": "; ".join(refused.refused)}
-    return entry | {"why_not": "another candidate explains more"}
+        return entry | {"why_not": why_not(found, tried)}
+    entry |= {"delta_bic": 2.0 * tried.evidence, "parameters": {n: tried.fit.values[n] for n in tried.candidate.free}}
+    return entry | {"why_not": why_not(found, tried)}
+
+
+def why_not(found: Diagnosis, tried: Tried) -> str | None:
+    """Why a candidate was not taken, in words; None where it was. The figure, the table and the JSON say the same."""
+    name, final = tried.candidate.name, found.selection.final
+    if tried.fit is None:
+        return "promised less than the candidates that were refitted"
+    if name in final.effects:
+        if any(final.forms.get(n) != v for n, v in tried.candidate.form.items()):
+            return "another form of it explains more"
+        if name not in found.final.effects:
+            return found.refuted or "removes less than half of the lack of fit"
+        return None
+    if any(name in others for others in found.selection.family.values()):
+        return "these data do not tell it from the one that was taken"
+    if name in found.selection.refused:
+        return "; ".join(found.selection.refused[name].refused)
+    if tried.evidence <= STRONG:
+        return f"evidence too weak: {tried.evidence:.1f} after the penalty for its parameters, {STRONG:g} is asked for"
+    return "another candidate explains more"

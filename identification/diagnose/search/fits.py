@@ -6,23 +6,20 @@ already bent towards what is missing.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
-from identification.diagnose.search.threshold import CHI2_95, HALVINGS, NEAR, WHOLE, piecewise_constant, scan
+from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Prior
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 
-PLACES, WIDENED = 13, 0.5
-"""Points at which a threshold is tried on unseen data, and the share of its 95 % interval by which they go beyond each end."""
-
-PLACES_ALONG = 24
-"""The same for sizes that only go together."""
+BENT = 0.15
+"""Log-likelihood a row that generic shapes gain beside the base from which its fit counts as bent: they then take up more than a
+quarter of the residual's power, 1 - exp(-2 BENT)."""
 
 UNTOLD = 1e-10
 """Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
@@ -59,62 +56,10 @@ class Fit:
         meant = {p.name for p in self.evidence.model.parameters if p.limit_form}
         return tuple(n for n in self.at_limit if n not in meant)
 
-    @cached_property
-    def places(self) -> list[dict[str, float]]:
-        """Values of what the fitted records leave open, one thing at a time, the fit's own first; unseen commands may tell.
-
-        Thresholds about their intervals, for between commands nothing tells where they are; sizes along `left_open`.
-        """
-        own = {name: self.values[name] for name in self.thresholds}
-        found = [own]
-        for name, (low, high) in self.thresholds.items():
-            beyond = WIDENED * (high - low)
-            found += [own | {name: v} for v in np.linspace(max(low - beyond, 0.5 * low), high + beyond, PLACES).tolist()]
-        for along, (low, high) in self.left_open:
-            found += [own | self.moved(along, t) for t in np.linspace(low, high, PLACES_ALONG).tolist()]
-        return found
-
-    @cached_property
-    def left_open(self) -> list[tuple[dict[str, float], tuple[float, float]]]:
-        """Directions of the effects' sizes in which the fitted records don't change, each with how far down and up it may go: a
-        limit that falls with pitch, met at one pitch only."""
-        names = [n for n in self.free if n in self.evidence.coordinates.names and n not in self.at_limit]
-        columns = self.solution.jacobian[:, [self.evidence.coordinates.names.index(n) for n in names]]
-        size = np.linalg.norm(columns, axis=0)
-        if len(names) < 2 or not np.all(size > 0.0):
-            return []
-        told, axes = np.linalg.eigh((columns / size).T @ (columns / size))
-        bounds = {p.name: (p.minimum, p.maximum) for p in self.evidence.model.parameters}
-        found = []
-        for axis in (axes[:, told < UNTOLD] / size[:, None]).T:
-            along = {n: float(v) for n, v in zip(names, axis, strict=True) if v != 0.0}
-            ends = [sorted((b - self.values[n]) / v for b in bounds[n]) for n, v in along.items()]
-            low, high = (self._unchanged(along, end) for end in (max(e[0] for e in ends), min(e[1] for e in ends)))
-            found.append((along, (low, high)))
-        return found
-
-    def moved(self, along: Mapping[str, float], t: float) -> dict[str, float]:
-        """Values `t` along a direction."""
-        return {n: self.values[n] + t * v for n, v in along.items()}
-
-    def _unchanged(self, along: Mapping[str, float], end: float) -> float:
-        """How far towards `end` the fitted records say no more than here: beyond, what was met once is met elsewhere too."""
-        simulator, counts = Simulator(self.evidence.model), self.score.counts
-
-        def same(t: float) -> bool:
-            squares = self.evidence.score({**self.values, **self.moved(along, t)}, simulator).squares
-            return sum(n * np.log(squares[c] / self.score.squares[c]) for c, n in counts.items()) < CHI2_95
-
-        inside, beyond = (end, end) if same(end) else (0.0, end)
-        for _ in range(HALVINGS if inside != beyond else 0):
-            middle = 0.5 * (inside + beyond)
-            inside, beyond = (middle, beyond) if same(middle) else (inside, middle)
-        return inside
-
     @property
     def deviance(self) -> float:
         """-2 log-likelihood, noise variances unknown, up to a constant."""
-        return float(sum(n * np.log(self.score.squares[c]) for c, n in self.score.counts.items()))
+        return self.score.deviance
 
     def bic(self) -> float:
         """Bayesian information criterion; smaller is better."""
@@ -135,8 +80,9 @@ class Searcher:
     ):
         self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
         self.start = {n: start[n] for n in names}
-        self.subsets: dict[tuple, Fit] = {}
         self.looks: dict[tuple, dict] = {}
+        self.lacking = 0.0  # log-likelihood that generic shapes would gain beside the base
+        self.points = 0  # that the round with the most of them has looked at
         self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
 
     def fit(
@@ -166,6 +112,10 @@ class Searcher:
         score = evidence.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
         return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, bool(idle))
+
+    def bent(self, fit: Fit) -> bool:
+        """Whether what is missing is so large that the base, fitted without it, has bent towards it."""
+        return not fit.effects and self.lacking > BENT * fit.score.counts["thrust"]
 
     def standing(self, values: Mapping[str, float]) -> Fit:
         """The base model at given values, nothing fitted."""

@@ -8,7 +8,7 @@ place too: the start of the fit, where the static map and the steps had put the 
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -33,28 +33,29 @@ SHARP = 0.7
 CLOSER = 3
 """Steps along the tangents from the best point of a grid of several sizes: what binds in one corner only is between points."""
 
-BENT = 1.5
-"""Mean square of the whitened thrust residual from which a fit counts as bent by what is missing."""
-
 
 @dataclass(frozen=True)
 class Seen:
-    """What a candidate promises: fall of the half sum of squares, and where: `values` of all that is free, `slow_first`."""
+    """What a candidate promises: fall of the half sum of squares, and where: `values` of all that is free, `slow_first`.
+
+    `points`: how many were looked at for it.
+    """
 
     fall: float
     values: Mapping[str, float]
+    points: int
     slow_first: Mapping[str, bool]
 
 
 class Looks:
-    """The looks beside one fit. `start`: where the parameters stood before any fit."""
+    """The looks beside one fit. `start`: where the parameters stood before any fit; `bent`: look from there, too."""
 
-    def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect]):
+    def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], bent: bool):
         library, evidence = tuple(library), fit.evidence
         about = Linearised.of(evidence, fit.solution)
         cost = 0.5 * float(about.residual @ about.residual)
         self._looks = [(_Look(about, cost, fit.effects, library), fit.slow_first)]
-        if fit.score.squares["thrust"] / fit.score.counts["thrust"] > BENT:
+        if bent:
             for order in (True, False):
                 slow_first = {**fit.slow_first, "beta": order}
                 there = Evidence(evidence.model, evidence.experiments, fit.values, evidence.coordinates.names, None, slow_first)
@@ -65,7 +66,7 @@ class Looks:
     def at(self, candidate: Candidate) -> Seen:
         """The best of the looks at a candidate."""
         found = [Seen(*look.at(candidate), order) for look, order in self._looks]
-        return max(found, key=lambda seen: seen.fall)
+        return replace(max(found, key=lambda seen: seen.fall), points=sum(seen.points for seen in found))
 
 
 class _Look:
@@ -74,13 +75,13 @@ class _Look:
     def __init__(self, about: Linearised, cost: float, effects: Iterable[str], library: tuple[Effect, ...]):
         self._about, self._cost, self._effects, self._library = about, cost, tuple(effects), library
 
-    def at(self, candidate: Candidate) -> tuple[float, dict[str, float]]:
-        """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed."""
+    def at(self, candidate: Candidate) -> tuple[float, dict[str, float], int]:
+        """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed; points."""
         simulator = Simulator(plant([*self._effects, candidate.name], self._library), candidate.sizes)
         trace = _Trace(self._about, simulator, candidate)
         found = [self._proportional(trace, shape) or self._grid(trace, shape) for shape in candidate.shapes()]
         fall, point = max(found, key=lambda pair: pair[0])
-        return fall, trace.followed(point) | point
+        return fall, trace.followed(point) | point, trace.points
 
     def _proportional(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]] | None:
         """The best sizes of a trace that goes with them; None where it does not."""
@@ -141,9 +142,11 @@ class _Trace:
     def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
         self.candidate, self._about, self._simulator = candidate, about, simulator
         self._quiet = about.rows(simulator, {**candidate.form, **candidate.off})
+        self.points = 0
 
     def at(self, point) -> np.ndarray:
         """(rows,)"""
+        self.points += 1
         return self._about.apart(self._about.rows(self._simulator, {**self.candidate.form, **point}) - self._quiet)
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:

@@ -56,7 +56,8 @@ def scan(
     The interval is of the value itself: between the commands that bound it nothing can tell where it lies.
     """
     simulator = Simulator(evidence.model)
-    for spread in grids:
+    for near in grids:
+        spread = near if evidence.values[name] > 0.0 else None  # nothing is near 0 by ratio
         about = Linearised.of(evidence, solution)
         whole = _grid(evidence, name, FINE)
         ends = evidence.values[name] / (spread or 1.0), min(whole[-1], evidence.values[name] * (spread or 1.0))

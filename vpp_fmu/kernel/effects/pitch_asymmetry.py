@@ -37,6 +37,7 @@ def asymmetry(u: str, name: str, description: str, probe: float) -> Effect:
         off={"asymmetry": 0.0},
         probe={"asymmetry": probe},
         largest_step=0.002,
+        channels=(u,),
     )
 
 

@@ -38,4 +38,5 @@ EFFECT = Effect(
     off={"half_gap": 0.0},
     probe={"half_gap": 0.04},
     largest_step=0.002,
+    channels=("beta",),
 )

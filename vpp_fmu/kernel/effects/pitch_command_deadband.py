@@ -24,4 +24,5 @@ EFFECT = Effect(
     states=(State("held", "deg", "pitch command that the actuator holds", lambda ops, s, p: s.beta_ref),),
     off={"half_width": 0.0},
     probe={"half_width": 0.1},
+    channels=("beta",),
 )

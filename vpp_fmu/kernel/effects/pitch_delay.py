@@ -12,4 +12,5 @@ EFFECT = Effect(
     off={"delay": 0.0},
     probe={"delay": 0.08},
     delays={"beta_ref": "delay"},
+    channels=("beta",),
 )

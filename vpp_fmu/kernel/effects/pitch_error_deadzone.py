@@ -28,4 +28,5 @@ EFFECT = Effect(
     off={"half_width": 0.0},
     probe={"half_width": 0.04},
     largest_step=0.002,
+    channels=("beta",),
 )

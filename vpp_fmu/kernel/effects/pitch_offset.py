@@ -17,4 +17,5 @@ EFFECT = Effect(
     parameters=(Parameter("offset", "deg", 0.0, -0.3, 0.3, "reached pitch less commanded pitch, at rest", scale="pitch"),),
     off={"offset": 0.0},
     probe={"offset": 0.07},
+    channels=("beta",),
 )

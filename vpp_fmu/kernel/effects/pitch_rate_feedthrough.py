@@ -29,4 +29,5 @@ EFFECT = Effect(
     states=(State("beta_before", "deg", "blade pitch at the start of the step", lambda ops, s, p: s.beta),),
     off={"gain": 0.0},
     probe={"gain": 0.08},
+    channels=("beta",),
 )

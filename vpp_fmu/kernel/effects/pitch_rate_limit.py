@@ -55,4 +55,5 @@ EFFECT = Effect(
     off={"rate": UNLIMITED},
     probe={"rate": 1.0 / 3.0},
     largest_step=0.002,
+    channels=("beta",),
 )

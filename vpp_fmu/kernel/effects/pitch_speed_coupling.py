@@ -40,4 +40,5 @@ EFFECT = Effect(
     off={"gain": 0.0},
     probe={"gain": 0.125},
     largest_step=0.002,
+    channels=("beta", "omega"),
 )

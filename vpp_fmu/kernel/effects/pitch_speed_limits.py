@@ -75,4 +75,5 @@ EFFECT = Effect(
     probe={"slowest": 1.0 / 15.0, "full": 0.3, "threshold": 0.2, "accuracy": 0.01},
     largest_step=0.002,
     contains={"pitch_rate_limit": {"full": "rate"}, "pitch_stop_band": {"accuracy": "half_width"}},
+    channels=("beta",),
 )

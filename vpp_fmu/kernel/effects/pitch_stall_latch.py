@@ -70,4 +70,5 @@ EFFECT = Effect(
     off={"speed": 0.0},
     probe={"speed": 0.1, "time": 0.25},
     largest_step=0.002,
+    channels=("beta",),
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     off={"half_width": 0.0},
     probe={"half_width": 0.03},
     largest_step=0.002,
+    channels=("beta",),
 )

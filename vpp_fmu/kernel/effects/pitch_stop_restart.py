@@ -57,4 +57,5 @@ EFFECT = Effect(
     probe={"stop": 0.01, "restart": 0.06},
     largest_step=0.002,
     contains={"pitch_stop_band": {"stop": "half_width", "restart": "half_width"}},
+    channels=("beta",),
 )

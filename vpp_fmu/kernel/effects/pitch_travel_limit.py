@@ -50,4 +50,5 @@ EFFECT = Effect(
     off={"minimum": -ANY, "maximum": ANY},
     probe={"minimum": 2.0 / 15.0, "maximum": 0.8},
     largest_step=0.002,
+    channels=("beta",),
 )

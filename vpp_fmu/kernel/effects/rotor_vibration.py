@@ -42,4 +42,5 @@ EFFECT = Effect(
     off={"amplitude": 0.0},
     probe={"amplitude": 0.1 / 15.0},
     largest_step=0.002,
+    common=0.05,
 )

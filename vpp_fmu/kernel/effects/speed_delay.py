@@ -13,4 +13,5 @@ EFFECT = Effect(
     off={"delay": 0.0},
     probe={"delay": 0.08},
     delays={"omega_ref": "delay"},
+    channels=("omega",),
 )

@@ -47,4 +47,5 @@ EFFECT = Effect(
     off={"sensitivity": 0.0},
     probe={"sensitivity": 0.9},
     largest_step=0.002,
+    channels=("omega",),
 )

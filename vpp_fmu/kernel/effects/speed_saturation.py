@@ -37,4 +37,5 @@ EFFECT = Effect(
     off={"maximum": UNLIMITED},
     probe={"maximum": 0.9},
     largest_step=0.002,
+    channels=("omega",),
 )

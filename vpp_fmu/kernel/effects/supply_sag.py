@@ -65,4 +65,5 @@ EFFECT = Effect(
     probe={"limit": 31.0 / 30.0, "sag": 0.15},
     largest_step=0.002,
     contains={"speed_saturation": {"limit": "maximum"}},
+    channels=("omega",),
 )

@@ -24,4 +24,5 @@ EFFECT = Effect(
     off={"share": 0.0},
     probe={"share": 0.5},
     inputs=(Signal("voltage", "V", "supply voltage", 0.0, 1000.0, 24.0, start=24.0),),
+    channels=("omega",),
 )

@@ -7,31 +7,28 @@ from itertools import product
 import numpy as np
 
 from identification.diagnose.evidence.linearised import Linearised
+from identification.diagnose.judgement import REFITTED, STRONG
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.judge import CHANNEL, ENOUGH_BIC, ENOUGH_HELD_OUT, channels, seen_at_best
 from identification.diagnose.search.look import Looks, Seen
 from vpp_fmu.native import Simulator
 
-REFITTED = 8
-"""Candidates of a round that are refitted in full; the look before ranks the right one among the first few."""
+SAME_RESPONSE = 1e-6
+"""Standard deviations of noise by which two responses may differ by rounding."""
 
 REORDERED = 3
 """Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
 
-SOME = 0.1
-"""Share of what the best candidate promises that others must promise to be refitted where none of the first ones stands."""
-
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate in one round: what the look promised and, where it was refitted, what came of it."""
+    """A candidate in one round: what the look promised and, where it was refitted, the fit and its evidence."""
 
     candidate: Candidate
     beside: tuple[str, ...]
     fall: float
     fit: Fit | None = None
-    delta_bic: float | None = None
+    evidence: float | None = None
 
 
 def key(fit: Fit) -> tuple:
@@ -39,23 +36,27 @@ def key(fit: Fit) -> tuple:
     return tuple(sorted(fit.effects)), tuple(sorted(fit.forms.items()))
 
 
-def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], held, pool) -> list[Tried]:
+def evidence_over(fit: Fit, other: Fit) -> float:
+    """Penalised log-likelihood ratio of two fits: half the difference of their BIC."""
+    return 0.5 * (other.bic() - fit.bic())
+
+
+def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
     """All candidates beside a fit, those that promise most refitted."""
-    looked = [Tried(c, fit.effects, at.fall) for c, at in looks(searcher, fit, options, pool)]
-    return deeper(searcher, fit, looked, held, pool)
+    return deeper(searcher, fit, [Tried(c, fit.effects, at.fall) for c, at in looks(searcher, fit, options, pool)], pool)
 
 
-def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], held, pool) -> list[Tried]:
-    """The same with REFITTED more of them refitted, as long as they promise something beside the best."""
-    enough = max(SOME * tried[0].fall, ENOUGH_BIC) if tried and tried[0].fit else -np.inf
-    chosen = [t for t in tried if t.fit is None and t.fall > enough][:REFITTED]
+def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[Tried]:
+    """The same with some more of them refitted: the most promising that have not been, as far as they promise anything."""
+    count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
+    chosen = [t for t in tried if t.fit is None and t.fall > STRONG][:count]
     at = {c.label: seen for c, seen in looks(searcher, fit, [t.candidate for t in chosen], pool)}
     refits = list(pool.map(lambda t: refitted(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
     best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
     for k, new in zip(best, pool.map(lambda k: _reordered(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
         refits[k] = new
     leaders = {chosen[k].candidate.name: refits[k] for k in sorted(best, key=lambda k: -refits[k].bic())}
-    widened = pool.map(lambda k: _widened(searcher, fit, chosen[k].candidate, refits[k], leaders, held), best)
+    widened = pool.map(lambda k: _widened(searcher, fit, chosen[k].candidate, refits[k], leaders), best)
     for k, new in zip(best, widened, strict=True):
         refits[k] = new
     for k in best:
@@ -63,8 +64,9 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], held, pool) -> 
             if start := _narrowed(chosen[k].candidate, refits[k], special.candidate):
                 new = added(searcher, fit, special.candidate, start, refits[k].slow_first, thorough=False)
                 refits[m] = min(refits[m], new, key=Fit.bic)
-    fresh = [replace(t, fit=new, delta_bic=fit.bic() - new.bic()) for t, new in zip(chosen, refits, strict=True)]
-    done = {t.candidate.label: t for t in fresh}
+    done = {
+        t.candidate.label: replace(t, fit=new, evidence=evidence_over(new, fit)) for t, new in zip(chosen, refits, strict=True)
+    }
     return [done.get(t.candidate.label, t) for t in tried]
 
 
@@ -73,8 +75,9 @@ def looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> l
     fresh = [c for c in options if c.name not in fit.effects]
     seen_there = searcher.looks.setdefault((key(fit), fit.deviance), {})
     if new := [c for c in fresh if c.label not in seen_there]:
-        at = Looks(fit, searcher.start, searcher.library).at
+        at = Looks(fit, searcher.start, searcher.library, bent=searcher.bent(fit)).at
         seen_there.update(zip((c.label for c in new), pool.map(at, new), strict=True))
+    searcher.points = max(searcher.points, sum(seen.points for seen in seen_there.values()))
     return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
 
 
@@ -92,15 +95,24 @@ def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fi
 
 def _reordered(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
     """The candidate's refit, or a better one with a channel's lags in the other order."""
-    lagged = sorted(channels(candidate.name) & set(CHANNEL.values()))
-    orders = [{**refit.slow_first, channel: not refit.slow_first.get(channel, True)} for channel in lagged]
-    if candidate.effect.delays:  # they act before both lags
+    orders = [{**refit.slow_first, u: not refit.slow_first.get(u, True)} for u in candidate.effect.channels]
+    if _exchangeable(refit, candidate.effect.channels):
         orders = []
-    starts = [*orders, refit.slow_first] if refit.thresholds else orders
+    # Beside a threshold that stood already it was scanned nearby only.
+    starts = [*orders, refit.slow_first] if fit.thresholds else orders
     return min([refit, *(added(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
 
 
-def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit], held) -> Fit:
+def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
+    """Whether the two lags of each channel may change places: nothing stands between them that would tell."""
+    swapped = dict(fit.values)
+    for u in channels:
+        swapped |= {f"tau_{u}_1": fit.values[f"tau_{u}_2"], f"tau_{u}_2": fit.values[f"tau_{u}_1"]}
+    there = fit.evidence.residual_at(swapped) - fit.evidence.residual_at(fit.values)
+    return bool(np.max(np.abs(there[: fit.evidence.size]), initial=0.0) < SAME_RESPONSE)
+
+
+def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit]) -> Fit:
     """The candidate's refit, or a better one from a special case's fit or with a size on that was left off; without idle sizes.
 
     `others`: fits of other effects in its place.
@@ -110,7 +122,7 @@ def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, oth
         if special := others.get(name):
             same = {candidate.effect.full(own): special.values[f"{name}.{its}"] for own, its in shared.items()}
             fits.append(added(searcher, fit, candidate, {**special.values, **candidate.off, **same}, special.slow_first))
-    return simplified(searcher, candidate, _revived(searcher, candidate, min(fits, key=Fit.bic)), held)
+    return simplified(searcher, candidate, _revived(searcher, candidate, min(fits, key=Fit.bic)))
 
 
 def _narrowed(candidate: Candidate, fit: Fit, special: Candidate) -> dict[str, float] | None:
@@ -137,11 +149,8 @@ def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
     return min(fit, revived, key=Fit.bic)
 
 
-def simplified(searcher: Searcher, candidate: Candidate, fit: Fit, held) -> Fit:
-    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands.
-
-    Unless unseen commands miss one: a limit that falls with pitch looks constant where it was met at one pitch only.
-    """
+def simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
+    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands."""
     while True:
         sizes = [n for n in candidate.sizes if n in fit.free]
         fewer = []
@@ -149,7 +158,7 @@ def simplified(searcher: Searcher, candidate: Candidate, fit: Fit, held) -> Fit:
             start, free = {**fit.values, name: candidate.off[name]}, [n for n in fit.free if n != name]
             fewer.append(searcher.fit(fit.effects, fit.forms, free, start, fit.slow_first, thorough=False))
         best = min([fit, *fewer], key=Fit.bic)
-        if best is fit or seen_at_best(fit, held).score.gain(seen_at_best(best, held).score)["thrust"] >= ENOUGH_HELD_OUT:
+        if best is fit:
             return fit
         fit = replace(best, idle=fit.idle)
 

@@ -1,0 +1,108 @@
+"""How a fit does on data that it was not fitted to, without data to spare: interleaved blocks, each predicted from the others.
+
+The parameters move from the fit along its sensitivities as each fold is left out: one Gauss-Newton step, exact where the model
+is linear, and a fold in five moves it little. A threshold has no tangent: its values are averaged by how likely the other
+folds make them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.diagnose.judgement import FOLD_BLOCK, FOLDS
+from identification.diagnose.search.fits import Fit
+from vpp_fmu.native import Simulator
+
+FEWEST_BLOCKS = 2
+"""Blocks that each fold of a short record has at least; its blocks are shorter."""
+
+THRESHOLDS = 25
+"""Values of a threshold that are averaged over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What a fit predicts of each fold from the others: `squares` of the whitened residual by channel, of `counts` rows.
+
+    `thrust` [N], `omega` [rpm]: the error of what was left out by experiment, (rows,) each; NaN where nothing was measured.
+    """
+
+    squares: Mapping[str, float]
+    counts: Mapping[str, int]
+    thrust: tuple[np.ndarray, ...]
+    omega: tuple[np.ndarray, ...]
+
+    def gain(self, other: "Held") -> dict[str, float]:
+        """Log-likelihood that this has over `other` in each channel, noise variances unknown."""
+        return {c: 0.5 * n * float(np.log(other.squares[c] / self.squares[c])) for c, n in self.counts.items()}
+
+    @property
+    def rmse_thrust(self) -> float:
+        """N, over the rows as they are."""
+        return _rms(self.thrust)
+
+    @property
+    def rmse_omega(self) -> float | None:
+        """rpm, over the rows at which the tachometer renewed; None where speed was not measured."""
+        return _rms(self.omega) if sum(map(len, self.omega)) else None
+
+
+def folds(time: np.ndarray, seconds: float) -> np.ndarray:
+    """(n,) the fold of each time [s] of a record that lasts so many `seconds`."""
+    block = min(FOLD_BLOCK, seconds / (FEWEST_BLOCKS * FOLDS))
+    return (time / block).astype(int) % FOLDS
+
+
+def cross_validated(fit: Fit) -> Held:
+    """The fit's residuals in each fold, predicted from the other folds."""
+    evidence, jacobian = fit.evidence, fit.solution.jacobian
+    residuals = [fit.solution.residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
+    size, held = evidence.size, np.empty(evidence.size)
+    fold_of = np.concatenate([folds(time, seconds) for time, seconds in evidence.times])
+    moves = []
+    for fold in range(FOLDS):
+        out = np.flatnonzero(fold_of == fold)
+        kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))  # the prior's rows always
+        j = jacobian[kept]
+        inverse = np.linalg.pinv(j.T @ j, rcond=1e-12, hermitian=True)
+        steps = [-inverse @ (j.T @ r[kept]) for r in residuals]
+        costs = np.array([0.5 * float(np.sum((r[kept] + j @ s) ** 2)) for r, s in zip(residuals, steps, strict=True)])
+        likely = np.exp(costs.min() - costs)
+        likely /= likely.sum()
+        held[out] = sum(p * (r[out] + jacobian[out] @ s) for p, r, s in zip(likely, residuals, steps, strict=True))
+        moves.append(sum(p * s for p, s in zip(likely, steps, strict=True)))
+    score = evidence.score_of(held)
+    thrust, omega = _errors(fit, moves)
+    return Held(score.squares, score.counts, thrust, omega)
+
+
+def _alternatives(fit: Fit) -> list[dict[str, float]]:
+    """The fit's values with each threshold elsewhere about its interval."""
+    bounds = {p.name: (p.minimum, p.maximum) for p in fit.evidence.model.parameters}
+    found = []
+    for name, (low, high) in fit.thresholds.items():
+        wide = max(high - low, 0.1 * abs(fit.values[name]))
+        ends = np.clip([low - wide, high + wide], *bounds[name])
+        found += [{**fit.values, name: v} for v in np.linspace(*ends, THRESHOLDS).tolist()]
+    return found
+
+
+def _errors(fit: Fit, moves: list[np.ndarray]) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """(thrust [N], speed [rpm]): the errors by experiment where each fold's parameters moved by `moves` (coordinates)."""
+    evidence = fit.evidence
+    simulator, inner = Simulator(evidence.model, evidence.coordinates.names), evidence.coordinates.jacobian(fit.solution.value)
+    thrust, omega = [], []
+    for e in evidence.experiments:
+        outputs, tangents = simulator.sensitivities(fit.values, e.record.columns, e.record.steps)
+        by_fold = np.stack([inner @ move for move in moves])
+        fold = folds(e.record.time, e.record.time[-1])
+        predicted = outputs[:, :2] + np.einsum("nck,nk->nc", tangents[:, :2], by_fold[fold])
+        thrust.append(predicted[:, 0] - e.thrust_rows)
+        shown = [t.shows(predicted[:, 1]) - t.measured for t in e.tachometers]
+        omega.append(np.concatenate(shown) if shown else np.zeros(0))
+    return tuple(thrust), tuple(omega)
+
+
+def _rms(parts: tuple[np.ndarray, ...]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

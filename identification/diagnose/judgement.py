@@ -1,0 +1,87 @@
+"""Every number that decides a diagnosis, each beside its statistic; and the rules that are made of them.
+
+README.md has the table: what each constant trades, and what it does to false alarms and to detection.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from scipy.stats import chi2
+
+LEVEL = 0.01
+"""Share of rigs that lack nothing in which the best of all candidates may pass for an effect: the family-wise level of the
+likelihood ratio test, shared evenly among the points that the search looks at (Bonferroni)."""
+
+STRONG = 5.0
+"""Natural logarithm of the penalised likelihood ratio (half a difference of the BIC) from which evidence is very strong (Kass and
+Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
+
+CERTAIN = 0.001
+"""Level of each test of lack of fit: of the pure error in a band, and of the score test on generic shapes."""
+
+SMALLEST = 0.002
+"""Least size of interest where the user names none: the power that an effect adds below SLOW, as a share of the noise's there. An
+effect's declared `common` share takes its place for what every rig has a little of."""
+
+SLOW = 10.0
+"""Hz: what lies below is the rig's; above, bearings and blades hum in phase with themselves."""
+
+MOST = 3
+"""Effects that one diagnosis may name."""
+
+REFITTED = (6, 3)
+"""Candidates that are refitted in the first round and in later ones, the most promising first; screening misplaces the best by more
+in less than one case in a hundred of the study."""
+
+FOLDS, FOLD_BLOCK = 5, 5.0
+"""Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
+
+HALF = 0.5
+"""Share of the lack of fit that a set must remove to be a part of the explanation."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What an effect of a set rests on, against the set without it.
+
+    `fall`: of half the deviance on the fitted records; `needed`: what chance alone reaches in a share LEVEL of rigs without
+    any effect. `evidence`: the fall less BIC's penalty. `gain`: cross-validated log-likelihood by channel. `size` [N]: what the
+    effect changes of the thrust below SLOW, rms; `least`: the least size of interest. `refused`: reasons in words; none: it stands.
+    """
+
+    effect: str
+    fall: float
+    needed: float
+    evidence: float
+    gain: Mapping[str, float]
+    size: float
+    least: float
+    refused: tuple[str, ...] = ()
+
+
+def needed_fall(parameters: int, looks: int) -> float:
+    """Fall of half the deviance that the best of `looks` candidates of so many free parameters reaches by chance with LEVEL."""
+    return 0.5 * float(chi2.isf(LEVEL / max(looks, 1), max(parameters, 1)))
+
+
+def refusals(
+    fall: float, needed: float, evidence: float, gain: Mapping[str, float], parameters: int, material: bool
+) -> list[str]:
+    """Why an effect does not stand, in words; empty where it does.
+
+    Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose what
+    free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more than that.
+    """
+    found = []
+    if fall < needed:
+        found.append(f"log-likelihood rises by {fall:.1f}; chance reaches {needed:.1f} in one rig of {1.0 / LEVEL:.0f}")
+    if evidence <= STRONG:
+        found.append(f"evidence too weak: {evidence:.1f} after the penalty for its parameters, {STRONG:g} is asked for")
+    total = sum(gain.values())
+    if total <= 0.0:
+        found.append(f"cross-validation gains nothing: log-likelihood {total:.1f}")
+    elif gain.get("thrust", 0.0) < -0.5 * parameters:
+        found.append(f"thrust is predicted worse in cross-validation: log-likelihood {gain['thrust']:.1f}")
+    if not material:
+        found.append("below the least size of interest")
+    return found

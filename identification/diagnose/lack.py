@@ -1,0 +1,144 @@
+"""Lack of fit: whether a model leaves more than noise, tested in two ways that need no name for what is missing.
+
+Pure error: what records of the same commands share beyond the model is the model's error, whatever the noise is. Their
+mean's power is held against that of their differences in bands below 10 Hz (analysis of variance). Score test: generic
+shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
+left is larger than the least size of interest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from identification.diagnose.evidence.noise import blocks
+from identification.diagnose.following import Following, following
+from identification.diagnose.judgement import CERTAIN, SLOW
+from identification.diagnose.search.fits import Fit
+from vpp_fmu.native import Simulator
+
+EDGES = (0.0, 0.1, 0.3, 1.0, 3.0, SLOW)
+"""Hz: bands of half a decade."""
+
+FEWEST = 12
+"""Ordinates of a band, at least: a band with less says little."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Pure error in one band [Hz]: the repeatable `power` [N^2], its `error` by chance, and the p-value of none."""
+
+    low: float
+    high: float
+    power: float
+    error: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes, with its `p`.
+
+    `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of interest.
+    """
+
+    bands: tuple[Band, ...]
+    score: Following
+    p: float
+    size: float
+    least: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether a test says that more than noise is left."""
+        return self.p < CERTAIN
+
+    @property
+    def found(self) -> bool:
+        """Whether something is lacking that is worth a name."""
+        return self.certain and self.size > self.least
+
+    def summary(self) -> dict:
+        """For diagnosis.json."""
+        return {
+            "p": self.p,
+            "size": {"value": self.size, "unit": "N"},
+            "least_size": {"value": self.least, "unit": "N"},
+            "score_test": {"p": self.score.p, "log_likelihood": self.score.gain, "shapes": self.score.count},
+            "pure_error": [
+                {"from": b.low, "to": b.high, "unit": "Hz", "power": b.power, "std": b.error, "p": b.p} for b in self.bands
+            ],
+        }
+
+
+def lack_of_fit(fit: Fit, least: float) -> Lack:
+    """Both tests on a fit. The smallest p-value counts, times the number of tests (Bonferroni)."""
+    bands, score = pure_error(fit), following(fit)
+    tests = [b.p for b in bands] + ([score.p] if score.count else [])
+    p = min(1.0, len(tests) * min(tests, default=1.0))
+    sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
+    return Lack(bands, score, p, float(max(sizes)), least)
+
+
+def _score_size(fit: Fit, score: Following) -> float:
+    """N: what the generic shapes take up. A nat a slow sample is worth its noise's power; a second has 2 SLOW of them."""
+    seconds = sum(float(e.record.time[-1]) - e.skip for e in fit.evidence.experiments)
+    slow = max(e.noise.slow for e in fit.evidence.experiments)
+    return float(np.sqrt(max(2.0 * score.gain, 0.0) / (2.0 * SLOW * seconds) * slow))
+
+
+def pure_error(fit: Fit) -> tuple[Band, ...]:
+    """Pure error of the thrust in bands, over all experiments with a repeat."""
+    simulator, found = Simulator(fit.evidence.model), {}
+    for e in fit.evidence.experiments:
+        if len(e.records) < 2:
+            continue
+        shown = simulator.simulate(fit.values, e.record.columns, e.record.steps)[:, 0]
+        at = blocks(e.record, 0.5 / SLOW)
+        kept = at.time >= e.skip
+        errors = np.stack([_filled(at.mean(shown - r.record["thrust"])[kept]) for r in e.records])
+        between, within = spectra(errors)
+        for low, high, inside in _bands(np.fft.rfftfreq(errors.shape[1], float(np.median(np.diff(at.time))))):
+            degrees, count = 2.0 * inside.sum(), len(errors)
+            total = found.setdefault((low, high, count), np.zeros(4))
+            total += between[inside].sum(), within[inside].sum(), degrees, degrees * (count - 1)
+    return tuple(_band(low, high, count, *total) for (low, high, count), total in found.items())
+
+
+def _band(low: float, high: float, count: int, between: float, within: float, degrees: float, within_degrees: float) -> Band:
+    power, error = (between - within) / count, within * np.sqrt(2.0 / degrees + 2.0 / within_degrees) / count
+    p = float(f_distribution.sf(between / within, degrees, within_degrees)) if within > 0.0 else 1.0
+    return Band(low, high, float(power), float(error), p)
+
+
+def _filled(means: np.ndarray) -> np.ndarray:
+    """Blocks without a reading hold nothing."""
+    return np.where(np.isfinite(means), means - np.nanmean(means), 0.0)
+
+
+def spectra(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(power of the mean of records times their number, power about the mean), each (frequencies,) N^2, of `errors` (records, n).
+
+    The analysis of variance, frequency by frequency: of noise alone both are the noise's power, and independent; sums over M
+    ordinates have a ratio with the distribution F(2 M, 2 M (records - 1)). Over all frequencies they sum to mean squares.
+    """
+    count, n = errors.shape
+    x = np.fft.rfft(errors, axis=1)
+    twice = np.full(x.shape[1], 2.0)
+    twice[0] = 1.0
+    if n % 2 == 0:
+        twice[-1] = 1.0
+    mean = x.mean(axis=0)
+    within = np.sum(np.abs(x - mean) ** 2, axis=0) / (count - 1)
+    return twice * count * np.abs(mean) ** 2 / n**2, twice * within / n**2
+
+
+def _bands(frequency: np.ndarray):
+    """(low, high, mask) of the bands, each joined with the next until it has FEWEST ordinates; the mean is the map's own."""
+    found, low = [], EDGES[0]
+    for high in EDGES[1:]:
+        inside = (frequency >= low) & (frequency < high) & (frequency > 0.0)
+        if inside.sum() >= FEWEST:
+            found.append((low, high, inside))
+            low = high
+    return found

@@ -1,0 +1,45 @@
+"""The identification.json of a model that a diagnosis fitted: what `vpp identify` says of its own, as far as this fit tells it."""
+
+from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.uncertainty import uncertainty_of
+from identification.fit.uncertainty import NORMAL_95
+
+
+def identification_of(found: Diagnosis, fit: Fit) -> dict:
+    """For the model whose parameters `found.parameters(fit)` are: the same values under the same names.
+
+    Where the campaign was identified first, with what that told of the static map and the steps.
+    """
+    doubt, left_open = uncertainty_of(fit, found.renamed(fit))
+    first = found.identification.summary() if found.identification is not None else {}
+    condition, weakest, spread = doubt.directions()
+    records = {one.name: one.record for one in found.fitted}
+    records |= {found.unseen.name: found.unseen.record} if found.unseen is not None else {}
+    shown = {name: found.prediction(fit, record) for name, record in records.items()}
+    rows = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
+    parameters = {
+        name: {"value": value, "std": std, "interval": interval, "interval_from": "covariance"}
+        for name, value, std, interval in rows
+    }
+    for name, (low, high) in fit.thresholds.items():
+        entry = {"value": fit.values[name], "std": (high - low) / (2.0 * NORMAL_95), "interval": [low, high]}
+        parameters[name] = entry | {"interval_from": "scan"}
+    return {
+        "made_by": "vpp diagnose",
+        "effects": list(found.parameters(fit).model.optional),
+        "parameters": parameters,
+        "correlation": {"names": list(doubt.names), "matrix": doubt.correlation.tolist()},
+        "condition_number": condition,
+        "weakest_direction": dict(zip(doubt.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
+        "inflation_by_coloured_residuals": {},  # the residuals were whitened first
+        "not_identifiable": dict.fromkeys(left_open, "the records leave open where it is"),
+        "noise_floor_thrust": found.noise.floor,
+        "fitted": [one.name for one in found.fitted],
+        "records": {name: p.summary() for name, p in shown.items()},
+        "rmse_thrust": {name: p.rmse_thrust for name, p in shown.items()},
+        "rmse_omega": {name: p.rmse_omega for name, p in shown.items()},
+        "fit_thrust": {name: p.fit_thrust for name, p in shown.items()},
+        "missing": list(found.campaign.missing),
+        **{name: first[name] for name in ("static_map", "steps") if name in first},
+    }

@@ -1,0 +1,60 @@
+"""What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the end."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.screening import screen
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.record import Record
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A screened record that fits and choices may use. `notes`: in words, what of it was left out."""
+
+    name: str
+    record: Record
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """A record that no fit and no choice may use: it is opened once, when the model stands."""
+
+    name: str
+    record: Record
+
+
+def roles(campaign: Campaign, more: Mapping[str, Record]) -> tuple[list[list[Fitted]], Unseen | None]:
+    """(fitted records, those of the same commands together; the unseen one). BadInput without a record to fit.
+
+    A validation record that stands alone is fitted: there is nothing else.
+    """
+    own = {"open_loop": campaign.open_loop, "repeat": campaign.repeat}
+    fitted = {name: record for name, record in own.items() if record is not None} | dict(more)
+    unseen = campaign.validation
+    if not fitted and unseen is not None:
+        fitted, unseen = {"validation": unseen}, None
+    if not fitted:
+        raise BadInput(campaign.folder, "open_loop.csv", "no such file", "a record with time, omega_ref, beta_ref, thrust")
+    groups: list[list[Fitted]] = []
+    for name, record in fitted.items():
+        screened = screen(record)
+        one = Fitted(name, screened.record, screened.notes)
+        same = next((g for g in groups if _same_commands(g[0].record, one.record)), None)
+        if same is None:
+            groups.append([one])
+        else:
+            same.append(one)
+    return groups, None if unseen is None else Unseen("validation", unseen)
+
+
+def _same_commands(a: Record, b: Record) -> bool:
+    if len(a) != len(b) or not np.array_equal(a.steps, b.steps):
+        return False
+    measured = {"thrust", "omega", "beta", "current"}
+    names = [n for n in {*a.columns, *b.columns} - measured if n in a and n in b and a[n].dtype.kind == "f"]
+    return all(np.array_equal(a[n], b[n]) for n in names)

@@ -1,0 +1,225 @@
+"""Which effects are missing: add the best that stands, refit all, repeat; then drop what the others have made superfluous."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identification.diagnose.crossval import Held, cross_validated
+from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement, needed_fall, refusals
+from identification.diagnose.search.candidates import Candidate
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.refits import Tried, added, deeper, evidence_over, first_round, key
+from vpp_fmu.native import Simulator
+
+MORE_ROUNDS = 2
+"""How often more candidates are refitted where none of the first ones stands and something is lacking."""
+
+
+@dataclass
+class Selection:
+    """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round.
+
+    `refused`: what was looked into and does not stand. `family`: for each effect, others that these data do not tell from it.
+    """
+
+    base: Fit
+    final: Fit
+    judgements: dict[str, Judgement] = field(default_factory=dict)
+    rounds: list[list[Tried]] = field(default_factory=list)
+    refused: dict[str, Judgement] = field(default_factory=dict)
+    family: dict[str, list[str]] = field(default_factory=dict)
+
+
+class Judge:
+    """Judges effects against the set without them. `smallest` [N]: the least size of interest, None: SMALLEST of the noise's.
+
+    `looks`: points that a search has looked at.
+    """
+
+    def __init__(self, searcher: Searcher, smallest: float | None):
+        self.searcher, self.smallest = searcher, smallest
+        self._held: dict[int, tuple[Fit, Held]] = {}
+
+    def held(self, fit: Fit) -> Held:
+        """Cross-validation of a fit, once for each."""
+        if id(fit) not in self._held:
+            self._held[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
+        return self._held[id(fit)][1]
+
+    def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
+        """The judgement of one effect of a set."""
+        fall = 0.5 * (without.deviance - with_it.deviance)
+        more = max(1, len(with_it.free) - len(without.free))
+        evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points)
+        gain = self.held(with_it).gain(self.held(without))
+        declared = next(e for e in with_it.evidence.model.effects if e.name == effect)
+        size, least, material = self._size(with_it, without, declared.common)
+        refused = refusals(fall, needed, evidence, gain, more, material)
+        return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
+
+    def least(self) -> float:
+        """N: the least size of interest of the thrust below 10 Hz."""
+        slow = max(e.noise.slow for e in self.searcher.experiments)
+        return self.smallest if self.smallest is not None else float(np.sqrt(SMALLEST * slow))
+
+    def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
+        """(what the effect changes of the thrust [N], rms; the least size; whether it, or what it does to speed, reaches that)."""
+        thrust, rows, speed = [], [], []
+        for e in self.searcher.experiments:
+            shown = [_outputs(fit, e) for fit in (with_it, without)]
+            change = shown[0] - shown[1]
+            rows.append(change[:, 0])
+            thrust.append(e.slow_thrust(change[:, 0]))
+            if len(e.omega_time):
+                speed.append(np.concatenate([t.shows(change[:, 1]) / t.std for t in e.tachometers]))
+        size, least = _rms(thrust), self.least()
+        if common:
+            floor = max(e.noise.floor for e in self.searcher.experiments)
+            return _rms(rows), float(np.sqrt(common)) * floor, _rms(rows) ** 2 >= common * floor**2
+        # Speed has no least size of its own that a user could name: the same share of what its sensor can tell.
+        seen = bool(speed) and self.smallest is None and _rms(speed) ** 2 >= SMALLEST
+        return size, least, size >= least or seen
+
+
+def _outputs(fit: Fit, experiment) -> np.ndarray:
+    return Simulator(fit.evidence.model).simulate(fit.values, experiment.record.columns, experiment.record.steps)
+
+
+def _rms(parts: Sequence[np.ndarray]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
+
+
+def select(
+    searcher: Searcher,
+    base: Fit,
+    options: Iterable[Candidate],
+    judge: Judge,
+    lacks: Callable[[Fit], bool],
+    pool,
+    stage: Callable[[str], None] = lambda text: None,
+) -> Selection:
+    """Search up to MOST effects. `lacks(fit)`: whether something is still missing, which is worth more refits.
+
+    The result does not depend on the number of workers in `pool`.
+    """
+    options, found, visited = list(options), Selection(base, base), set()
+    while len(found.final.effects) < MOST and key(found.final) not in visited:
+        visited.add(key(found.final))
+        stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in found.final.effects))
+        tried = first_round(searcher, found.final, options, pool)
+        best = _first_that_stands(searcher, found, tried, judge)
+        for _ in range(MORE_ROUNDS if best is None and lacks(found.final) else 0):
+            further = deeper(searcher, found.final, tried, pool)
+            if further == tried:
+                break
+            tried, best = further, _first_that_stands(searcher, found, further, judge)
+            if best is not None:
+                break
+        found.rounds.append(tried)
+        if best is None:
+            break
+        found.final, found.judgements = _pruned(searcher, base, best, judge)
+    stage("judge")
+    found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
+    found.family = {effect: _family(searcher, found, effect, judge) for effect in found.final.effects}
+    return found
+
+
+def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[Tried], judge: Judge) -> Fit | None:
+    """The candidate of most evidence that stands beside what is there already."""
+    for t in _ranked([t for t in tried if t.fit is not None]):
+        if t.evidence <= STRONG:
+            return None
+        fit = _bounded(searcher, found.final, t) if t.fit.at_bound else t.fit
+        judged = judge(t.candidate.name, fit, found.final)
+        if not judged.refused:
+            return fit
+        found.refused.setdefault(t.candidate.name, judged)
+    return None
+
+
+SAME = 1.0
+"""Evidence by which an effect must be ahead of one that it contains: less is rounding, and the simpler name is the better one."""
+
+
+def _ranked(refits: Sequence[Tried]) -> list[Tried]:
+    """By evidence; a special case goes before the wider effect that fits as well."""
+    ranked = sorted(refits, key=lambda t: -t.evidence)
+    for t in list(ranked):
+        wider = [k for k, w in enumerate(ranked) if t.candidate.name in w.candidate.effect.contains]
+        ahead = [k for k in wider if k < ranked.index(t) and ranked[k].evidence < t.evidence + SAME]
+        if ahead:
+            ranked.remove(t)
+            ranked.insert(ahead[0], t)
+    return ranked
+
+
+def _bounded(searcher: Searcher, beside: Fit, tried: Tried) -> Fit:
+    """The refit without the parameters that ran onto a bound, held there: a bound is no reason to refuse an effect."""
+    fit = tried.fit
+    own = {tried.candidate.effect.full(p.name) for p in tried.candidate.effect.parameters}
+    free = [n for n in fit.free if n not in fit.at_bound or n not in own]
+    if len(free) == len(beside.free):
+        return fit
+    return replace(searcher.fit(fit.effects, fit.forms, free, fit.values, fit.slow_first, thorough=False), idle=fit.idle)
+
+
+def without(searcher: Searcher, base: Fit, fit: Fit, effect: str) -> Fit:
+    """The set of a fit without one effect, refitted."""
+    rest = [name for name in fit.effects if name != effect]
+    if not rest:
+        return base
+    forms = {n: v for n, v in fit.forms.items() if not n.startswith(f"{effect}.")}
+    free = [n for n in fit.free if not n.startswith(f"{effect}.")]
+    return searcher.fit(rest, forms, free, fit.values, fit.slow_first, thorough=False)
+
+
+def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit, dict[str, Judgement]]:
+    """The fit less every effect that does not stand in the presence of the others, the weakest first; their judgements."""
+    while True:
+        rests = {effect: without(searcher, base, fit, effect) for effect in fit.effects}
+        judged = {effect: judge(effect, fit, rest) for effect, rest in rests.items()}
+        fallen = [effect for effect, j in judged.items() if j.evidence <= STRONG or j.fall < j.needed]
+        if not fallen:
+            return fit, judged
+        fit = rests[min(fallen, key=lambda effect: judged[effect].evidence)]
+
+
+def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge) -> list[str]:
+    """Other effects that, in the place of one, have evidence within STRONG of its own, refitted beside the rest of the set."""
+    final, names = found.final, set()
+    rest = without(searcher, found.base, final, effect)
+    for tried in _near(found, effect):
+        candidate = tried.candidate
+        if not rest.effects and not tried.beside:
+            other = tried.fit
+        else:
+            start = {**rest.values, **{n: tried.fit.values[n] for n in candidate.free}}
+            other = added(searcher, rest, candidate, start, tried.fit.slow_first, thorough=False)
+        if other.idle or evidence_over(final, other) > STRONG or _only_contains(candidate, effect, other, final):
+            continue
+        if not judge(candidate.name, other, rest).refused:
+            names.add(candidate.name)
+    return sorted(names)
+
+
+def _only_contains(candidate: Candidate, effect: str, other: Fit, final: Fit) -> bool:
+    """Whether a rival is no more than the effect under a wider name: it contains it, and fits no better by what it adds."""
+    return effect in candidate.effect.contains and final.deviance - other.deviance < 2.0 * STRONG
+
+
+def _near(found: Selection, effect: str) -> list[Tried]:
+    """Refitted candidates of the round in which an effect came in whose evidence came near the best there."""
+    for tried in found.rounds:
+        refits = [t for t in tried if t.fit is not None]
+        mine = [t.evidence for t in refits if t.candidate.name == effect]
+        if mine:
+            rivals = [t for t in refits if t.candidate.name not in found.final.effects]
+            return [t for t in rivals if t.evidence > max(mine) - _slack(found, effect)]
+    return []
+
+
+def _slack(found: Selection, effect: str) -> float:
+    """How far behind a rival may have been when other effects were not there yet."""
+    return 2.0 * STRONG if len(found.final.effects) == 1 else 0.2 * found.judgements[effect].evidence + 2.0 * STRONG

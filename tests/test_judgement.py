@@ -1,0 +1,183 @@
+"""The stages of a diagnosis, each against a closed form: noise, cross-validation, lack of fit, the judgement's own rules."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from identification.diagnose import crossval
+from identification.diagnose.crossval import Held, cross_validated, folds
+from identification.diagnose.evidence.noise import Blocks, colour_of
+from identification.diagnose.evidence.whitened import Experiment
+from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
+from identification.diagnose.lack import spectra
+from identification.diagnose.roles import Unseen, roles
+from identification.diagnose.selection import _ranked
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.record import Record
+
+RNG = np.random.default_rng(20)
+
+
+def test_a_filter_knows_the_noise_that_it_was_made_of():
+    """An autoregression of two lags: its coefficients, and what is left is white and as large as what drove it."""
+    driving = 0.3 * RNG.standard_normal(40000)
+    noise = np.zeros(40000)
+    for k in range(2, 40000):
+        noise[k] = 0.9 * noise[k - 1] - 0.4 * noise[k - 2] + driving[k]
+    colour = colour_of([noise])
+    np.testing.assert_allclose(colour.weights[:3], [1.0, -0.9, 0.4], atol=0.03)
+    assert colour.innovation == pytest.approx(0.3, rel=0.02)
+    left = colour.whiten(noise)
+    assert np.std(left) == pytest.approx(1.0, rel=0.02)
+    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.02
+    np.testing.assert_allclose(left, np.convolve(noise, colour.weights, "valid") / colour.innovation, atol=1e-9)
+
+
+def test_white_noise_has_no_colour_and_slow_noise_is_remembered_for_longer():
+    assert colour_of([RNG.standard_normal(5000)]).order == 0
+    drifting = np.cumsum(RNG.standard_normal(5000)) * 0.05 + RNG.standard_normal(5000)
+    assert colour_of([drifting]).order > 6
+
+
+def test_a_gap_costs_the_filter_s_length_and_nothing_else():
+    colour = colour_of([np.convolve(RNG.standard_normal(5000), np.ones(3))])
+    values = RNG.standard_normal((300, 2))
+    holed = values.copy()
+    holed[100, 1] = np.nan
+    left, whole = colour.whiten(holed), colour.whiten(values)
+    gone = np.isnan(left)
+    assert not gone[:, 0].any()
+    np.testing.assert_array_equal(np.flatnonzero(gone[:, 1]), 100 - colour.order + np.arange(colour.order + 1))
+    np.testing.assert_allclose(left[~gone], whole[~gone], atol=1e-9)
+
+
+def test_block_means_leave_empty_cells_out():
+    values = np.arange(12.0)
+    values[[4, 6, 7, 8]] = np.nan
+    at = Blocks(np.array([0, 3, 6, 9, 12]), np.zeros(4))
+    np.testing.assert_array_equal(at.mean(values), [1.0, 4.0, np.nan, 10.0])
+
+
+def fit_of(residual, jacobian, time, thresholds=()):
+    """A linear fit as cross-validation sees it: its residual and Jacobian at the least-squares solution."""
+    solution, *_ = np.linalg.lstsq(jacobian, -residual, rcond=None)
+    left = residual + jacobian @ solution
+    evidence = SimpleNamespace(
+        size=len(left),
+        times=[(time, float(time[-1]))],
+        experiments=(),
+        model=SimpleNamespace(parameters=(), inputs=(), outputs=()),
+        score_of=lambda r: SimpleNamespace(squares={"thrust": float(r @ r)}, counts={"thrust": len(r)}),
+    )
+    return SimpleNamespace(
+        evidence=evidence, solution=SimpleNamespace(residual=left, jacobian=jacobian, value=solution), thresholds={}, values={}
+    )
+
+
+def test_cross_validation_is_that_of_refits_without_the_fold(monkeypatch):
+    """For a linear model one step is exact: predicting each fold from a least-squares fit of the others."""
+    monkeypatch.setattr(crossval, "_errors", lambda fit, moves: ((), ()))
+    time = np.arange(0.0, 60.0, 0.1)
+    jacobian = RNG.standard_normal((len(time), 4))
+    measured = jacobian @ np.array([1.0, -2.0, 0.5, 3.0]) + RNG.standard_normal(len(time))
+    held = cross_validated(fit_of(-measured, jacobian, time))
+    expected, fold = 0.0, (time / 5.0).astype(int) % FOLDS
+    for k in range(FOLDS):
+        c, *_ = np.linalg.lstsq(jacobian[fold != k], measured[fold != k], rcond=None)
+        expected += np.sum((measured[fold == k] - jacobian[fold == k] @ c) ** 2)
+    assert held.squares["thrust"] == pytest.approx(expected, rel=1e-9)
+
+
+def test_every_row_is_in_one_fold_and_short_records_have_all_folds():
+    for seconds in (3.0, 17.0, 90.0):
+        time = np.arange(0.0, seconds, 0.01)
+        counts = np.bincount(folds(time, seconds), minlength=FOLDS)
+        assert (counts > 0).all()
+        assert counts.sum() == len(time)
+
+
+def test_gain_is_the_profile_likelihood_ratio():
+    one, other = Held({"thrust": 50.0}, {"thrust": 100}, (), ()), Held({"thrust": 80.0}, {"thrust": 100}, (), ())
+    assert one.gain(other)["thrust"] == pytest.approx(0.5 * 100 * np.log(80.0 / 50.0))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_chance_passes_the_needed_fall_as_rarely_as_the_level_says(count):
+    """The best of many independent candidates that explain nothing: half a chi^2 each."""
+    looks, draws = 50, 20000
+    best = 0.5 * chi2.rvs(count, size=(draws, looks), random_state=1).max(axis=1)
+    passed = np.mean(best > needed_fall(count, looks))
+    assert abs(passed - LEVEL) < 3.0 * np.sqrt(LEVEL * (1.0 - LEVEL) / draws)
+
+
+def test_an_effect_must_pass_every_rule():
+    good = {
+        "fall": 40.0,
+        "needed": 10.0,
+        "evidence": 30.0,
+        "gain": {"thrust": 25.0, "omega": 3.0},
+        "parameters": 1,
+        "material": True,
+    }
+    assert refusals(**good) == []
+    for change, word in (
+        ({"fall": 9.0}, "chance"),
+        ({"evidence": STRONG}, "evidence too weak"),
+        ({"gain": {"thrust": -4.0, "omega": 3.0}}, "cross-validation gains nothing"),
+        ({"gain": {"thrust": -2.0, "omega": 30.0}}, "thrust is predicted worse"),
+        ({"material": False}, "least size"),
+    ):
+        (reason,) = refusals(**good | change)
+        assert word in reason
+    assert refusals(**good | {"gain": {"thrust": -0.4, "omega": 30.0}}) == []  # what a parameter that tells nothing costs
+
+
+def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
+    """1000 draws of two records of noise: uniform p-values; a sine of half the noise's deviation is never missed."""
+    from scipy.stats import f
+
+    time, ps, seen = np.arange(600) * 0.05, [], []
+    shared = 0.5 * np.sin(2.0 * np.pi * 0.5 * time)
+    for _ in range(1000):
+        noise = RNG.standard_normal((2, 600))
+        for errors, found in ((noise, ps), (noise + shared, seen)):
+            between, within = spectra(errors)
+            inside = slice(10, 40)
+            found.append(f.sf(between[inside].sum() / within[inside].sum(), 60, 60))
+    assert kstest(ps, "uniform").pvalue > 1e-3
+    assert abs(np.mean(np.array(ps) < 0.05) - 0.05) < 3.0 * np.sqrt(0.05 * 0.95 / 1000)
+    assert np.mean(np.array(seen) < 0.05) > 0.95
+    between, within = spectra(RNG.standard_normal((3, 1001)))
+    assert between.sum() == pytest.approx(1.0, rel=0.2)
+    assert within.sum() == pytest.approx(1.0, rel=0.15)
+
+
+def record(**columns):
+    time = np.arange(500) * 0.01
+    base = {"omega_ref": 4000.0 + 500.0 * (time > 2.0), "beta_ref": 4.0 + 0.0 * time, "thrust": RNG.standard_normal(500)}
+    return Record({"time": time, **base, **columns}, "record")
+
+
+def test_roles_are_kept_apart_by_type(tmp_path):
+    own, other = record(), record(beta_ref=np.linspace(0.0, 5.0, 500))
+    campaign = Campaign(tmp_path, None, (), own, record(thrust=own["thrust"] + 1.0), other)
+    (group,), unseen = roles(campaign, {})
+    assert [one.name for one in group] == ["open_loop", "repeat"]
+    assert isinstance(unseen, Unseen)
+    with pytest.raises(TypeError, match="fitted"):
+        Experiment([unseen], None)
+    groups, _ = roles(campaign, {"more": other})
+    assert [[one.name for one in g] for g in groups] == [["open_loop", "repeat"], ["more"]]
+
+
+def test_a_special_case_goes_before_the_wider_effect_that_fits_as_well():
+    def tried(name, evidence, contains=()):
+        effect = SimpleNamespace(contains=dict.fromkeys(contains))
+        return SimpleNamespace(candidate=SimpleNamespace(name=name, effect=effect), evidence=evidence)
+
+    wide, narrow, other = tried("limits", 100.2, ("band",)), tried("band", 100.0), tried("lag", 90.0)
+    assert [t.candidate.name for t in _ranked([wide, narrow, other])] == ["band", "limits", "lag"]
+    better = tried("limits", 120.0, ("band",))
+    assert [t.candidate.name for t in _ranked([better, narrow, other])] == ["limits", "band", "lag"]

@@ -1,0 +1,118 @@
+"""An FMU's archive, looked at before anything of it is written: what it is, how much it holds, and where that would go.
+
+A zip of 3 MB can hold 3 GB. The bounds stand far above what FMUs hold and below what a machine has; the sizes that the
+archive declares are what its reader stops at, so looking at them is enough.
+"""
+
+import shutil
+import zipfile
+import zlib
+from itertools import takewhile
+from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import reason
+from vpp_fmu.scratch import Scratch
+
+DESCRIPTION = "modelDescription.xml"
+
+LARGEST = 500 * 2**20
+"""Bytes unpacked. Our own are 1 MB, those of tools that pack their runtime some 100 MB; a rig's Raspberry Pi may have 1 GB of
+memory, and its folder for temporary files in it."""
+
+LARGEST_DESCRIPTION = 50 * 2**20
+"""Bytes of modelDescription.xml, which is read into memory whole: some 100 000 variables."""
+
+ENTRIES = 20_000
+"""Files and folders: a few dozen as a rule, some thousand where sources, documentation and a runtime are inside."""
+
+RATIO = 200.0
+"""Unpacked over packed. Machine code and XML shrink 2 to 20 times, tables of a few values 100 times, a bomb 1000 times."""
+
+_PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the standard's; other unpackers have no bound on what one read may give
+_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)  # RuntimeError: encrypted
+
+READS = "FMI 2.0 co-simulation, which is what this reads"
+
+
+def unpacked(path: Path) -> Scratch:
+    """The archive's content, in a folder of its own. BadInput: no FMI 2.0 co-simulation FMU, or out of bounds."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check(path, archive)
+            _check_version(path, archive)
+            scratch = Scratch()
+            try:
+                for entry in archive.infolist():
+                    _unpack(archive, entry, scratch.path)
+            except BaseException:
+                scratch.close()
+                raise
+            return scratch
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise BadInput(path, "FMU", "no such file", READS) from error
+    except IsADirectoryError as error:
+        raise BadInput(path, "FMU", "a folder", READS) from error
+    except _BROKEN as error:
+        raise BadInput(path, "FMU", f"a broken archive, or none ({str(error) or type(error).__name__})", READS) from error
+    except OSError as error:
+        raise BadInput(path, "FMU", f"not to be unpacked ({reason(error)})", "a file, and room for what is in it") from error
+
+
+def _check(path: Path, archive: zipfile.ZipFile) -> None:
+    entries = archive.infolist()
+    if len(entries) > ENTRIES:
+        raise BadInput(path, "FMU", f"{len(entries)} files", f"{ENTRIES} at most")
+    for entry in entries:
+        _check_entry(path, entry)
+    size, packed = sum(entry.file_size for entry in entries), max(path.stat().st_size, 1)
+    if size > LARGEST:
+        raise BadInput(path, "FMU", f"{size / 2**20:.0f} MB unpacked", f"{LARGEST / 2**20:.0f} MB at most")
+    if size > RATIO * packed:
+        found = f"{size / packed:.0f} times its size unpacked ({size / 2**20:.0f} MB)"
+        raise BadInput(path, "FMU", found, f"{RATIO:g} times at most")
+
+
+def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
+    name = entry.orig_filename
+    parts = PurePosixPath(name).parts
+    if not parts or name.startswith("/") or ".." in parts or any(c in name for c in "\\:\0"):
+        raise BadInput(path, "FMU", f"an entry {name[:80]!r}", "paths that stay within the FMU's folder")
+    if entry.compress_type not in _PACKING:
+        raise BadInput(path, "FMU", f"packed by method {entry.compress_type}: {name[:80]!r}", "deflate, as the standard has it")
+    if entry.flag_bits & 1:
+        raise BadInput(path, "FMU", f"encrypted: {name[:80]!r}", "no encryption")
+
+
+def _check_version(path: Path, archive: zipfile.ZipFile) -> None:
+    """BadInput names what the FMU is where it isn't FMI 2.0 co-simulation."""
+    try:
+        entry = archive.getinfo(DESCRIPTION)
+    except KeyError as error:
+        raise BadInput(path, "FMU", f"an archive without {DESCRIPTION}", READS) from error
+    if entry.file_size > LARGEST_DESCRIPTION:
+        found = f"{entry.file_size / 2**20:.0f} MB of {DESCRIPTION}"
+        raise BadInput(path, "FMU", found, f"{LARGEST_DESCRIPTION / 2**20:.0f} MB at most")
+    try:
+        with archive.open(entry) as file:
+            elements = (element for _, element in ElementTree.iterparse(file, events=("start",)))
+            version = next(elements).get("fmiVersion", "of no version")
+            kinds = {each.tag for each in takewhile(lambda element: element.tag != "ModelVariables", elements)}
+    except (ElementTree.ParseError, LookupError) as error:
+        raise BadInput(path, DESCRIPTION, f"no XML ({error})", READS) from error
+    if version != "2.0":
+        raise BadInput(path, "FMU", f"FMI {version[:20]}", READS)
+    if "CoSimulation" not in kinds:
+        found = "FMI 2.0 for model exchange only" if "ModelExchange" in kinds else "FMI 2.0 without co-simulation"
+        raise BadInput(path, "FMU", found, READS)
+
+
+def _unpack(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> None:
+    target = folder.joinpath(*PurePosixPath(entry.filename).parts)
+    if entry.is_dir():
+        target.mkdir(parents=True, exist_ok=True)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with archive.open(entry) as packed, open(target, "wb") as file:
+        shutil.copyfileobj(packed, file)

@@ -1,0 +1,62 @@
+"""Numbers on the command line: each option declares what it may be, and whatever else is typed is one line and exit code 2."""
+
+import argparse
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Number:
+    """What an option takes, as the `type` of an argument: a number from `low` to `high`, or one of `also`.
+
+    `above`: `low` itself is too low. `whole`: no fractions. NaN and infinities are never in a range. argparse names the option
+    in front of the message.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+    whole: bool = False
+    above: bool = False
+    also: tuple[float, ...] = ()
+
+    def __call__(self, text: str) -> int | float:
+        try:
+            value = int(text) if self.whole else float(text)
+        except ValueError:
+            value = math.nan
+        inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
+        if not inside and value not in self.also:
+            raise argparse.ArgumentTypeError(f"found {shortened(text)}, allowed is {self.allowed}")
+        return value
+
+    @property
+    def allowed(self) -> str:
+        """In words."""
+        kind = "a whole number" if self.whole else "a number"
+        span = f"above {self.low:g} and up to {self.high:g}" if self.above else f"from {self.low:.12g} to {self.high:.12g}"
+        others = "".join(f", or {value:g}" for value in self.also)
+        return f"{kind} {span} {self.unit}".rstrip() + others
+
+
+def number(low: float, high: float, unit: str = "", above: bool = False) -> Number:
+    """A real number within a range."""
+    return Number(low, high, unit, above=above)
+
+
+def whole(low: int, high: int, unit: str = "", also: tuple[int, ...] = ()) -> Number:
+    """A whole number within a range."""
+    return Number(low, high, unit, whole=True, also=also)
+
+
+def shortened(text: str) -> str:
+    """What was typed, as a message shows it: on one line, not too long."""
+    short = text if len(text) <= 40 else f"{text[:37]}..."
+    return short if short.strip() and short.isprintable() else repr(short)
+
+
+SEED = whole(0, 2**32 - 1)
+"""Of a random generator: what numpy, and C where it takes one, hold in 32 bits."""
+
+WORKERS = whole(1, 256)
+"""Processes or threads side by side: more than a machine's cores only cost memory, some 100 MB each."""

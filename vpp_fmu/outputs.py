@@ -1,0 +1,123 @@
+"""What one run of a verb writes: a set of files that takes the place of the set before it, whole or not at all.
+
+A folder holds one model. So the files of all verbs that write a parameters.json are one set, whichever of them ran: a new run
+removes what an earlier one left and it does not write itself. What other verbs made of the parameters (gains, FMUs) stays,
+and is named where these were others. A file is removed only if a verb wrote it and nobody has changed it since: names alone
+can't tell whose a file is, so a hidden file of the folder keeps who wrote what, with its hash.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder, holds_other, reason, write_whole
+from vpp_fmu.scratch import Scratch
+from vpp_fmu.stopping import unbroken
+
+WRITTEN = ".vpp-written.json"
+FORMAT = "vpp-written/1"
+
+MODEL_VERBS = ("identify", "diagnose", "demo", "paper")
+"""Those that write a parameters.json."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """Who wrote a file, the hash of what was written, and the identity of the parameters that it speaks of, if of any."""
+
+    by: str
+    sha256: str
+    parameters: str | None
+
+
+class OutputSet(OutputFolder):
+    """The folder that one run of `verb` writes to: as `OutputFolder`, but nothing stands in it before `finish`.
+
+    After `finish`: `removed`, names of an earlier run's files that are gone; `kept`, those that someone has changed since;
+    `others`, files of other verbs that speak of other parameters, with who wrote them.
+    """
+
+    def __init__(self, path: str | os.PathLike, verb: str):
+        super().__init__(path)
+        self._verb, self._scratch, self._hashes = verb, None, {}
+        self.removed: tuple[str, ...] = ()
+        self.kept: tuple[str, ...] = ()
+        self.others: Mapping[str, str] = {}
+
+    def write(self, name: str, data: str | bytes) -> Path:
+        """Write the file `name` beside the folder's own; returns the path where it stands until `finish`. BadInput."""
+        self._scratch = self._scratch or self._beside()
+        content = data.encode() if isinstance(data, str) else data
+        write_whole(self._scratch.path / name, content, self.path / name)
+        self._hashes[name] = _hash(content)
+        self._others[name] = holds_other(self.path / name, content)
+        return self._scratch.path / name
+
+    def finish(self, identity: str | None = None) -> None:
+        """Put the files into their places. `identity`: of the parameters that they speak of (`ParameterSet.identity`)."""
+        for name in self._hashes:
+            if (self.path / name).is_dir():
+                raise BadInput(self.path / name, "output file", "not writable (is a directory)", "a file that can be written")
+        made = _read(self.path)
+        new = {name: _Entry(self._verb, sha256, identity) for name, sha256 in self._hashes.items()}
+        old = {name: entry for name, entry in made.items() if name not in new and os.path.lexists(self.path / name)}
+        stale = [name for name, entry in old.items() if _set(entry.by) == _set(self._verb)]
+        self.kept = tuple(name for name in stale if _hash_of(self.path / name) != old[name].sha256)
+        self.removed = tuple(name for name in stale if name not in self.kept)
+        rest = {name: entry for name, entry in old.items() if name not in stale}
+        if identity is not None:
+            self.others = {n: e.by for n, e in rest.items() if e.parameters not in (None, identity)}
+        told = {name: vars(entry) for name, entry in sorted({**rest, **new}.items())}
+        content = json.dumps({"format": FORMAT, "files": told}, indent=2) + "\n"
+        self._scratch = self._scratch or self._beside()
+        write_whole(self._scratch.path / WRITTEN, content.encode(), self.path / WRITTEN)
+        with unbroken():
+            self._put(new)
+        self._scratch.close()
+
+    def _put(self, new: Mapping[str, _Entry]) -> None:
+        try:
+            for name in (*new, WRITTEN):
+                os.replace(self._scratch.path / name, self.path / name)
+            for name in self.removed:
+                (self.path / name).unlink()
+        except OSError as error:
+            allowed = "a file that can be written"
+            raise BadInput(self.path / name, "output file", f"not writable ({reason(error)})", allowed) from error
+
+    def _beside(self) -> Scratch:
+        try:
+            return Scratch(self.path)
+        except OSError as error:
+            raise self._refused(f"not writable ({reason(error)})") from error
+
+
+def _set(verb: str) -> str:
+    return "model" if verb in MODEL_VERBS else verb
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _hash_of(path: Path) -> str | None:
+    try:
+        return _hash(path.read_bytes())
+    except OSError:
+        return None
+
+
+def _read(folder: Path) -> dict[str, _Entry]:
+    """Who wrote what in a folder; nothing where nobody has told, or what was told is no longer legible."""
+    try:
+        content = json.loads((folder / WRITTEN).read_bytes())
+        if content["format"] != FORMAT:
+            return {}
+        entries = {name: _Entry(e["by"], e["sha256"], e["parameters"]) for name, e in content["files"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+    return {name: entry for name, entry in entries.items() if Path(name).name == name}  # nothing outside of the folder
