@@ -43,11 +43,13 @@ class Controllers:
     reference: str
 
 
-def controllers(parameters: ParameterSet, given: ParameterSet | None = None, sample_time: float | None = None) -> Controllers:
+def controllers(
+    parameters: ParameterSet, given: ParameterSet | None = None, sample_time: float | None = None, source: str = "given gains"
+) -> Controllers:
     """The controllers for the rig and the plant of `parameters`.
 
     `given`: a controller's own values instead, within the rig's range (BadInput); scales are always the plant's.
-    `sample_time` s: None for the given one, else what the rig needs.
+    `sample_time` s: None for the given one, else what the rig needs. `source`: where the given ones are from, for the error.
     """
     rig, plant = parameters.rig, parameters.values
     moved = {u: low < high for u, (low, high) in zip(CHANNELS, (rig.speed, rig.pitch), strict=True)}
@@ -62,7 +64,7 @@ def controllers(parameters: ParameterSet, given: ParameterSet | None = None, sam
     own |= {f"omega_{end}": value for end, value in zip(("min", "max"), rig.speed, strict=True)}
     own |= {f"beta_{end}": value for end, value in zip(("min", "max"), rig.pitch, strict=True)}
     own |= {"beta_fixed": rig.pitch[1], "t_filter": base["t_filter"] * (1.0 if ours else min(slower.values()))}
-    told = _given(given, parameters) if given else {}
+    told = _given(given, parameters, source) if given else {}
     if sample_time is not None:
         told["sample_time"] = sample_time
     scales = {name: value for name, value in plant.items() if name in base}
@@ -94,7 +96,7 @@ def _scaled(gains: Mapping[str, float], slower: Mapping[str, float]) -> dict[str
     return {k: v * slower.get(k[3:], 1.0) ** power[k[:2]] for k, v in gains.items()}
 
 
-def _given(given: ParameterSet, parameters: ParameterSet) -> dict[str, float]:
+def _given(given: ParameterSet, parameters: ParameterSet, source: str) -> dict[str, float]:
     """What a controller's file names; BadInput where its limits leave the rig's range."""
     found = {name: estimate.value for name, estimate in given.estimates.items()}
     rig = parameters.rig
@@ -103,5 +105,7 @@ def _given(given: ParameterSet, parameters: ParameterSet) -> dict[str, float]:
         for name in (f"{channel}_min", f"{channel}_max", f"{channel}_fixed"):
             if name in found and not low <= found[name] <= high:
                 origin = rig.origin.get(CHANNELS[channel], "the model's scales")
-                raise BadInput("the given gains", name, f"{found[name]:g} {unit}", f"{low:g} to {high:g} {unit} ({origin})")
+                raise BadInput(
+                    source, f"parameters, {name}", f"{found[name]:g} {unit}", f"{low:g} to {high:g} {unit} ({origin})"
+                )
     return found

@@ -115,22 +115,28 @@ class Objective:
         """The paper's cost, worst or mean over the plants."""
         return self._over(self.costs(gains))
 
+    @cached_property
+    def quiet(self) -> Course:
+        """The course without noise of the reading: what the limits on a step are held on."""
+        return replace(self.course, noise=np.zeros_like(self.course.noise)) if self.course.noise.any() else self.course
+
     def penalised(self, gains: np.ndarray) -> float:
         """What a search makes small: the cost, more where the nominal loop exceeds a limit."""
         loop, controller = closed_loop(self.effects), self._controller(gains)
-        (error, overshoot), rows = loop.rows((self.plants[:1], self._chain, controller), self.course)
-        errors = np.array([error])
-        if len(self.plants) > 1:
-            errors = np.r_[errors, loop.merits((self.plants[1:], self._chain, controller), self.course)[:, 0]]
+        (error, overshoot), rows = loop.rows((self.plants[:1], self._chain, controller), self.quiet)
+        # The quiet run is the nominal plant's error too, unless there is noise.
+        told = 1 if self.quiet is self.course else 0
+        errors = np.full(told, error)
+        if len(self.plants) > told:
+            errors = np.r_[errors, loop.merits((self.plants[told:], self._chain, controller), self.course)[:, 0]]
         cost = self._over(errors + self.alpha * float(gains @ gains))
         if not np.isfinite(cost):
             return np.inf
         excess = max(0.0, overshoot / self.overshoot - 1.0)
         excess += max(0.0, self.largest_sensitivity(gains) / self.sensitivity - 1.0)
         # By its logarithm: where a step has hardly begun, the error is fifty times the band that it must be in.
-        excess += sum(
-            max(0.0, np.log(SLACK * share)) for share in self._shares_of_limits(rows[:, ROW.index("thrust")]) if share > 0.0
-        )
+        shares = self._shares_of_limits(rows[:, ROW.index("thrust")])
+        excess += sum(max(0.0, float(np.log(SLACK * share))) for share in shares if share > 0.0)
         return cost * (1.0 + PENALTY * excess)
 
     def _shares_of_limits(self, thrust: np.ndarray) -> Iterator[float]:
@@ -157,11 +163,10 @@ class Objective:
         """The loop's record for one of the plants."""
         return closed_loop(self.effects).run((self.plants[row], self._chain, self._controller(gains)), self.course)
 
-    def steps(self, gains: np.ndarray, noise: np.ndarray | None = None) -> tuple[Step, ...]:
-        """Steps of the nominal loop, under `noise` (points,) N in place of the course's own; changes of the wanted thrust that
-        are too small to judge are left out."""
-        noisy = self if noise is None else replace(self, course=replace(self.course, noise=noise))
-        return tuple(s for s in steps(noisy.run(gains)) if abs(s.after - s.before) >= self.course.jump)
+    def steps(self, gains: np.ndarray) -> tuple[Step, ...]:
+        """Steps of the nominal loop without noise; changes of the wanted thrust that are too small to judge are left out."""
+        run = replace(self, course=self.quiet).run(gains)
+        return tuple(s for s in steps(run) if abs(s.after - s.before) >= self.course.jump)
 
     def largest_sensitivity(self, gains: np.ndarray) -> float:
         """Of the nominal loop at `points`; 0 without points. More than any sensitivity where one of the loops is unstable."""

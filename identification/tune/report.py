@@ -9,7 +9,6 @@ from identification.tune.objective import closed_loop
 from identification.tune.operating import open_loop
 from identification.tune.summary import NAMES, against, change_rows, key_figures, labels, margin_rows, settling
 from identification.tune.tune import JUDGED, Tuned, Tuning
-from identification.tune.verdict import ALIKE, REPEATS
 from vpp_fmu.report import Page, learning_curve
 from vpp_fmu.report import closed_loop as loop_figure
 from vpp_fmu.report.tuning import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
@@ -86,11 +85,10 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
 
 def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
     """The caption of a table of changes."""
-    noisy = f"; means over {REPEATS} runs with other noise, and a t-test on the level {ALIKE:g}" if found.task.noise_std else ""
     return (
-        f"Every step, {found.task.reference} → {which}. Worse: later by more than a sample, "
+        f"Every step without noise, {found.task.reference} → {which}. Worse: settled later by more than a sample, "
         f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
-        f"counts as none{noisy}."
+        "counts as none."
     )
 
 

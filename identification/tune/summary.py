@@ -110,9 +110,7 @@ def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
         for which, each in tuned.verdicts.items():
             word = "better" if each.better else "no better"
             figures.append((f"{which} gains, {NAMES[name]}", word, each.words().partition(": ")[2]))
-        start, cost = tuned.cost("start"), tuned.cost(tuned.chosen)
-        note = f"{_percent(cost / start - 1.0)}, {found.task.reference} → {labels(found, tuned)[tuned.chosen]}"
-        figures.append((f"cost, {NAMES[name]}", f"{start:.4g} → {cost:.4g}", note))
+        figures.append((f"cost, {NAMES[name]}", *_told_cost(found, tuned)))
         figures.append((f"margins, {NAMES[name]}", *told_margins(found, tuned)))
     for row in against(found) if len(found.tuned) > 1 else ():
         errors = [row[name]["squared_error"] for name in found.tuned]
@@ -129,6 +127,16 @@ def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
     largest = max(tuned.fmu_difference for tuned in found.tuned.values())
     figures.append(("through the FMUs", f"{largest:.2g} N", "largest difference of thrust to the compiled loop"))
     return figures
+
+
+def _told_cost(found: Tuning, tuned: Tuned) -> tuple[str, str]:
+    """(cost of the first gains and of those handed out, what they are called)."""
+    start, others = tuned.cost("start"), {which: tuned.cost(which) for which in tuned.verdicts}
+    if tuned.chosen == "start":
+        told = (f"{which} {cost:.4g}, {_percent(cost / start - 1.0)}" for which, cost in others.items())
+        return f"{start:.4g}, kept", f"{found.task.reference}; {'; '.join(told)}"
+    cost = others[tuned.chosen]
+    return f"{start:.4g} → {cost:.4g}", f"{_percent(cost / start - 1.0)}, {found.task.reference} → {tuned.chosen}"
 
 
 def _percent(share: float) -> str:

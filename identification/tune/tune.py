@@ -15,7 +15,7 @@ from identification.tune.operating import margins_at, operating_points
 from identification.tune.profile import idle
 from identification.tune.rounds import rounds
 from identification.tune.search import Search
-from identification.tune.verdict import REPEATS, Verdict, verdict
+from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.types import Model
@@ -72,23 +72,19 @@ class Task:
         settings, values = self.controller.values(settings), self.parameters.values
         dt = settings["sample_time"]
         course = Course.of(self.profile, dt, values["thrust_scale"], rest=idle(settings))
+        noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))
         return Objective(
             effects=self.parameters.model.optional,
             plants=np.array([list(values.values())]),
             settings=settings,
             chain=MEASUREMENT.values({**(self.chain or {}), "sample_time": dt}),
-            course=replace(course, noise=self.noises(1, len(course.wanted))[0]),
+            course=replace(course, noise=noise),
             time_scale=self.parameters.rig.scales.time_scale,
             alpha=self.alpha,
             over=self.robust or "worst",
             overshoot=self.overshoot,
             sensitivity=self.sensitivity,
         )
-
-    def noises(self, runs: int, points: int) -> np.ndarray:
-        """(runs, points) N: noise of the reading; the first run's is always the same."""
-        drawn = (np.random.default_rng([self.seed, 2, k]).standard_normal(points) for k in range(runs))
-        return self.noise_std * np.array(list(drawn))
 
     def plants(self, count: int, stream: int) -> np.ndarray:
         """(count, parameters) plants from the parameters' doubt; another `stream` gives others."""
@@ -156,9 +152,7 @@ def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1
     if task.robust:
         found["robust"] = _robust(task, found["tuned"], workers, scheduler)
         plants = task.plants(JUDGED, stream=1)
-    tuned = {
-        name: _tuned(task, o, {which: each[name] for which, each in found.items()}, plants) for name, o in objectives.items()
-    }
+    tuned = {name: _tuned(o, {which: each[name] for which, each in found.items()}, plants) for name, o in objectives.items()}
     finals = {name: each.objective.with_gains(each.final) for name, each in tuned.items()}
     courses = {name: objective.course for name, objective in objectives.items()}
     chain = next(iter(objectives.values())).chain
@@ -190,16 +184,15 @@ def _robust(task: Task, found: Found, workers, scheduler) -> Found:
     return rounds(many, starts, reserve, SHAKES[1], workers, scheduler, "robust tuning")
 
 
-def _tuned(task: Task, objective: Objective, found: Found, plants: np.ndarray | None) -> Tuned:
+def _tuned(objective: Objective, found: Found, plants: np.ndarray | None) -> Tuned:
     """What came of the searches, "tuned" and perhaps "robust"."""
     gains = {"start": objective.gains} | {name: search.gains for name, (_, search) in found.items()}
     points = {name: operating_points(objective, own) for name, own in gains.items()}
     margins = {name: margins_at(objective, own, points[name]) for name, own in gains.items()}
-    noises = task.noises(REPEATS if task.noise_std else 1, len(objective.course.wanted))
     verdicts = {}
     for name, (searched, search) in found.items():
         penalised = searched.penalised(objective.gains), search.cost
-        verdicts[name] = verdict(objective, search.gains, (margins["start"], margins[name]), penalised, noises)
+        verdicts[name] = verdict(objective, search.gains, (margins["start"], margins[name]), penalised)
     judged, overshoots = {}, {}
     if plants is not None:
         others = replace(objective, plants=plants)

@@ -1,31 +1,21 @@
 """Whether gains that a search found are better than those that it started from, whatever the cost says.
 
 Every step of the course is judged under both: how long the thrust takes to settle, how far it overshoots, how much it rings
-(`vpp_fmu.response.Step`). A figure is worse where it has grown by more than chance or the clock explains:
-
-- settling by more than one sample; overshoot and ringing beyond the limit on overshoot, by more than that limit's slack;
-- where the reading is noisy, by more than noise makes of it besides: both loops run under the same noise, REPEATS times, and
-  the mean difference must pass a t-test on the level ALIKE.
-
-A loop must also stay stable, and within the limit on its sensitivity if it was.
+(`vpp_fmu.response.Step`). That is the response without noise of the reading, on one plant: only the gains differ, and only the
+clock's resolution is left, so a step settles later if it does by more than one sample. Overshoot and ringing up to the limit
+that was set for overshoot count as none; beyond it they are worse if they grow by more than that limit's slack. A loop must
+also stay stable, and within the limit on its sensitivity if it was.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.stats import t as t_distribution
 
 from identification.tune.margins import Margins, least
 from identification.tune.objective import SLACK, Objective
 from identification.tune.search import RESOLVED
 from vpp_fmu.response import Step
-
-REPEATS = 20
-"""Runs of a loop whose reading is noisy."""
-
-ALIKE = 0.01
-"""Level of the t-test: so often noise alone makes a figure worse."""
 
 UNITS = {"settling": "s", "overshoot": "%", "ringing": "%"}
 """The figures of a step."""
@@ -33,7 +23,7 @@ UNITS = {"settling": "s", "overshoot": "%", "ringing": "%"}
 
 @dataclass(frozen=True)
 class Change:
-    """A figure of a step under the first gains and under others, means over the runs; None: settled in none of them.
+    """A figure of a step under the first gains and under others; a settling that is None: not before the next step.
 
     `grown`: by how much of what counts; `tolerance`: what that must exceed, either way.
     """
@@ -80,7 +70,7 @@ class StepChanges:
 class Verdict:
     """What became of every step, of the least margins and of the cost with its limits, (first, other).
 
-    `worse`: what forbids the other gains, in words; `overshoot`: the limit, share of a step.
+    `worse`: what forbids the other gains, in words; `overshoot` (share of a step), `sensitivity`: the limits.
     """
 
     steps: tuple[StepChanges, ...]
@@ -88,6 +78,7 @@ class Verdict:
     penalised: tuple[float, float]
     worse: tuple[str, ...]
     overshoot: float
+    sensitivity: float
 
     @property
     def better(self) -> bool:
@@ -99,7 +90,11 @@ class Verdict:
 
     def gains(self) -> list[str]:
         """The figures that are better, in words."""
-        return [f"{c.name} {c.told()} on the step {s.name}" for s in self.steps for c in s.changes if c.better]
+        found = [f"{c.name} {c.told()} on the step {s.name}" for s in self.steps for c in s.changes if c.better]
+        first, other = (m and m.sensitivity for m in self.margins)
+        if first and other and other <= SLACK * self.sensitivity < first:
+            found.append(f"sensitivity {first:.3g} → {other:.3g}, limit {self.sensitivity:g}")
+        return found
 
     def words(self) -> str:
         """The verdict with its reason."""
@@ -126,49 +121,32 @@ class Verdict:
 
 
 def verdict(
-    objective: Objective,
-    other: np.ndarray,
-    margins: Sequence[Sequence[Margins]],
-    penalised: tuple[float, float],
-    noises: np.ndarray,
+    objective: Objective, other: np.ndarray, margins: Sequence[Sequence[Margins]], penalised: tuple[float, float]
 ) -> Verdict:
     """Judge the gains `other` (n,) against the objective's own.
 
-    `margins`: at the operating points of both; `penalised`: the costs with their limits; `noises` (runs, points) N: of the
-    reading, one run where there is none.
+    `margins`: at the operating points of both; `penalised`: the costs of both with their limits.
     """
-    runs = [[objective.steps(gains, noise) for noise in noises] for gains in (objective.gains, other)]
-    limit = 100.0 * objective.overshoot
+    pairs = zip(objective.steps(objective.gains), objective.steps(other), strict=True)
     changed = tuple(
-        StepChanges(first.time, first.before, first.after, tuple(_changes(k, runs, limit, objective.course.dt)))
-        for k, first in enumerate(runs[0][0])
+        StepChanges(first.time, first.before, first.after, _changes(first, own, objective.overshoot, objective.course.dt))
+        for first, own in pairs
     )
     ends = least(margins[0]), least(margins[1])
     worse = [f"{c.name} {c.told()} on the step {s.name}" for s in changed for c in s.changes if c.worse]
     worse += _worse_margins(*ends, objective.sensitivity)
-    return Verdict(changed, ends, penalised, tuple(worse), objective.overshoot)
+    return Verdict(changed, ends, penalised, tuple(worse), objective.overshoot, objective.sensitivity)
 
 
-def _changes(k: int, runs: Sequence[Sequence[Sequence[Step]]], limit: float, dt: float) -> Iterator[Change]:
-    """Of the k-th step; `runs`: steps of each run under both gains; `limit` %."""
-    first, other = ([steps[k] for steps in each] for each in runs)
-    spent = [np.array([s.end - s.time if s.settling is None else s.settling for s in each]) for each in (first, other)]
-    told = [
-        None if all(s.settling is None for s in each) else float(v.mean())
-        for each, v in zip((first, other), spent, strict=True)
-    ]
-    yield _change("settling", told, spent, dt)
+def _changes(first: Step, other: Step, limit: float, dt: float) -> tuple[Change, ...]:
+    """`limit`: share of a step; `dt` s. A sample's tolerance has half a one more, for times are sums."""
+    spent = [s.end - s.time if s.settling is None else s.settling for s in (first, other)]
+    found = [Change("settling", first.settling, other.settling, spent[1] - spent[0], 1.5 * dt)]
     for name in ("overshoot", "ringing"):
-        sizes = [np.array([getattr(s, name) for s in each]) for each in (first, other)]
-        beyond = [np.maximum(size, limit) for size in sizes]
-        yield _change(name, [float(size.mean()) for size in sizes], beyond, (SLACK - 1.0) * limit)
-
-
-def _change(name: str, told: Sequence[float | None], counted: Sequence[np.ndarray], floor: float) -> Change:
-    grown = counted[1] - counted[0]
-    runs = len(grown)
-    chance = t_distribution.isf(ALIKE, runs - 1) * grown.std(ddof=1) / np.sqrt(runs) if runs > 1 else 0.0
-    return Change(name, *told, float(grown.mean()), float(floor * (1.0 + 1e-9) + chance))
+        sizes = getattr(first, name), getattr(other, name)
+        beyond = [max(size, 100.0 * limit) for size in sizes]
+        found.append(Change(name, *sizes, beyond[1] - beyond[0], 100.0 * (SLACK - 1.0) * limit))
+    return tuple(found)
 
 
 def _worse_margins(first: Margins | None, other: Margins | None, limit: float) -> list[str]:

@@ -25,7 +25,7 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
-from vpp_fmu.record import Record, read_profile
+from vpp_fmu.record import Record, read_profile, write_record
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
 
@@ -93,6 +93,7 @@ def run(options):
     for name in found.tuned:
         folder.write(FILES[name], to_json(dated(_gains(found, name, options), **came)))
     folder.write("tuning.json", as_json(summary(found)))
+    write_record(folder, "profile.csv", task.profile)
     folder.write("report.html", tuning_page(found).html())
     for name, tuned in found.tuned.items():
         for which, verdict in tuned.verdicts.items():
@@ -128,7 +129,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     if options.knowledge:
         check_same_model(options.knowledge, parameters, options.parameters or PAPERS)
     parameters = parameters.replaced(assumed)
-    own = controllers(parameters, given, options.sample_time)
+    own = controllers(parameters, given, options.sample_time, options.gains)
     period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
         raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
