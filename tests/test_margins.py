@@ -16,7 +16,8 @@ from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native.closed_loop import Course
 
 DT = 0.004
-OMEGA = frequencies(DT)
+TIME_SCALE = 0.5
+OMEGA = frequencies(DT, TIME_SCALE)
 SETTINGS = CONTROLLER.values(DUAL)
 
 
@@ -63,9 +64,9 @@ def test_the_plants_response_is_the_maps_slope_times_the_held_lags(channel, omeg
     slow, fast = values[f"tau_{channel}_1"], values[f"tau_{channel}_2"]
     (numerator,), denominator, _ = cont2discrete(([1.0], [slow * fast, slow + fast, 1.0]), DT, "zoh")
     exact = slope[channel] * freqz(numerator, denominator, OMEGA * DT)[1]
-    found = plant_response(pulse_response(BASE, values, (omega, beta), channel, DT, move=0.01), OMEGA, DT)
+    found = plant_response(pulse_response(BASE, values, (omega, beta), channel, DT, TIME_SCALE, move=0.01), OMEGA, DT)
     np.testing.assert_allclose(found, exact, rtol=1e-4, atol=2e-6)
-    wide = plant_response(pulse_response(BASE, values, (omega, beta), channel, DT), OMEGA, DT)
+    wide = plant_response(pulse_response(BASE, values, (omega, beta), channel, DT, TIME_SCALE), OMEGA, DT)
     assert np.max(np.abs(wide / exact - 1.0)[OMEGA < 100.0]) < 0.01
 
 
@@ -101,8 +102,8 @@ def an_objective(gains, effects=(), changes=None, course=None):
     loop = closed_loop(effects)
     plants = loop.vectors({**FAST_PITCH, **(changes or {})}, {}, {})[0][None]
     wanted = np.array([3.0, 3.0, 11.0])
-    course = course or Course(wanted, np.zeros(3), DT)
-    return Objective(effects, plants, CONTROLLER.values(gains), MEASUREMENT.values(), course)
+    course = course or Course(wanted, np.zeros(3), DT, 15.0)
+    return Objective(effects, plants, CONTROLLER.values(gains), MEASUREMENT.values(), course, TIME_SCALE)
 
 
 @pytest.fixture(scope="module", params=[DUAL, SPEED_ONLY], ids=["dual", "speed only"])
@@ -162,7 +163,7 @@ def test_operating_points_hold_the_thrust_they_stand_for():
 
 
 def test_a_channel_at_its_limit_is_not_free():
-    low = an_objective({**SPEED_ONLY, "omega_max": 3000.0}, course=Course(np.array([3.0, 11.0]), np.zeros(2), DT))
+    low = an_objective({**SPEED_ONLY, "omega_max": 3000.0}, course=Course(np.array([3.0, 11.0]), np.zeros(2), DT, 15.0))
     points = operating_points(low, low.gains)
     assert [p.channels for p in points] == [("omega",)] * len(points)
     assert {round(p.thrust, 9) for p in points} == {3.0}

@@ -38,7 +38,7 @@ def noisy(chain, count=501):
 @pytest.mark.parametrize("effects", [(), BENT], ids=["plain", "bent"])
 def test_it_is_the_kernels_loop_to_the_bit(effects, gains, chain):
     loop, values, sets = loop_and_sets(effects, gains, chain)
-    course = Course.of(SHORT, 0.004, noisy(chain), rest=IDLE)
+    course = Course.of(SHORT, 0.004, 15.0, noisy(chain), rest=IDLE)
     found = loop.run(sets, course)
     controller = Measured(KernelController(gains), chain, course.noise)
     expected = run(KernelPlant(plant(effects), values), controller, SHORT, IDLE)
@@ -50,7 +50,7 @@ def test_it_is_the_kernels_loop_to_the_bit(effects, gains, chain):
 @pytest.mark.parametrize("gains", [DUAL, SPEED_ONLY], ids=["dual", "speed only"])
 def test_it_is_the_fmus_loop_to_the_bit(fmu_files, gains):
     loop, _, sets = loop_and_sets((), gains, ON_THE_WAY)
-    course = Course.of(SHORT, 0.004, noisy(ON_THE_WAY), rest=IDLE)
+    course = Course.of(SHORT, 0.004, 15.0, noisy(ON_THE_WAY), rest=IDLE)
     plant_fmu = FmuPlant(fmu_files["fast_pitch"])
     controller = Measured(FmuController(fmu_files["controller"], gains), ON_THE_WAY, course.noise)
     expected = run(plant_fmu, controller, SHORT, IDLE)
@@ -63,7 +63,7 @@ def test_it_is_the_fmus_loop_to_the_bit(fmu_files, gains):
 
 def test_without_a_compiler_the_numbers_are_the_same(request):
     shown = []
-    course = Course.of(SHORT, 0.004, noisy(ON_THE_WAY), rest=IDLE)
+    course = Course.of(SHORT, 0.004, 15.0, noisy(ON_THE_WAY), rest=IDLE)
     for effects in ((), BENT):
         loop, _, sets = loop_and_sets(effects, DUAL, ON_THE_WAY)
         shown.append((loop.run(sets, course), loop.merits(sets, course)))
@@ -79,7 +79,7 @@ def test_without_a_compiler_the_numbers_are_the_same(request):
 
 def test_merits_are_the_records_own():
     loop, _, sets = loop_and_sets((), DUAL, {})
-    course = Course.of(step_profile(), 0.004, rest=IDLE)
+    course = Course.of(step_profile(), 0.004, 15.0, rest=IDLE)
     record = loop.run(sets, course)
     error = ((record["thrust_set"] - record["thrust"]) / 15.0)[:-1]
     ((integral, overshoot),) = loop.merits(sets, course)
@@ -91,12 +91,12 @@ def test_small_changes_of_the_set_point_are_no_steps():
     """A ramp in 1000 stairs: a tick late is many stairs, and no overshoot."""
     ramp = Record({"time": np.arange(1001) * 0.004, "thrust_set": np.linspace(2.0, 12.0, 1001)}, "ramp")
     loop, _, sets = loop_and_sets((), DUAL, {})
-    assert loop.merits(sets, Course.of(ramp, 0.004, rest=IDLE))[0, 1] == 0.0
+    assert loop.merits(sets, Course.of(ramp, 0.004, 15.0, rest=IDLE))[0, 1] == 0.0
 
 
 def test_many_sets_are_as_many_runs():
     loop, _, (values, chain, gains) = loop_and_sets(BENT, DUAL, ON_THE_WAY)
-    course = Course.of(SHORT, 0.004, noisy(ON_THE_WAY), rest=IDLE)
+    course = Course.of(SHORT, 0.004, 15.0, noisy(ON_THE_WAY), rest=IDLE)
     plants = values * np.linspace(0.95, 1.05, 7)[:, None]
     together = loop.merits((plants, chain, gains), course)
     alone = np.vstack([loop.merits((own, chain, gains), course) for own in plants])
@@ -108,14 +108,14 @@ def test_many_sets_are_as_many_runs():
 
 def test_a_run_that_leaves_all_bounds_costs_infinitely_much():
     loop, _, (values, chain, gains) = loop_and_sets((), DUAL, {})
-    course = Course.of(SHORT, 0.004, rest=IDLE)
+    course = Course.of(SHORT, 0.004, 15.0, rest=IDLE)
     assert np.isinf(loop.merits((np.full_like(values, np.nan), chain, gains), course)).all()
 
 
 def test_noise_must_be_as_long_as_the_course():
     loop, _, sets = loop_and_sets((), DUAL, {})
     with pytest.raises(SimulationFailed, match="501 points, but noise for 7"):
-        loop.run(sets, Course.of(SHORT, 0.004, np.zeros(7)))
+        loop.run(sets, Course.of(SHORT, 0.004, 15.0, np.zeros(7)))
 
 
 def readings(thrust, noise=None, **chain):

@@ -101,7 +101,8 @@ class Diagnosis:
     def parameters(self, fit: Fit) -> ParameterSet:
         """A fit's parameters as a set that exports; a channel's lags that nothing tells apart stand with the slower first."""
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
-        source |= {"record_seconds": float(self.fitted[0].record.time[-1]), "rig": self.rig.summary()}
+        first = self.fitted[0].record
+        source |= {"record_seconds": float(first.time[-1]), "sample_period": first.period, "rig": self.rig.summary()}
         renamed = self.renamed(fit)
         values = {renamed.get(n, n): v for n, v in fit.values.items()}
         doubt = standard_deviations(fit, renamed)

@@ -9,7 +9,6 @@ import numpy as np
 
 from identification.tune.chain import Measured
 from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.loop import run
 from vpp_fmu.native.closed_loop import Course
@@ -23,6 +22,7 @@ WRAPPED = ("x86_64", "AMD64")
 def through_fmus(
     model: Model,
     values: Mapping[str, float],
+    controller: Model,
     settings: Mapping[str, Mapping[str, float]],
     chain: Mapping[str, float],
     courses: Mapping[str, Course],
@@ -31,17 +31,17 @@ def through_fmus(
     """Runs of the plant's and the controller's FMU over `profile`, by name: one for each of the controller's `settings`."""
     runs = {}
     with tempfile.TemporaryDirectory() as folder:
-        paths = {each.name: Path(folder, f"{each.name}.fmu") for each in (model, CONTROLLER)}
+        paths = {each.name: Path(folder, f"{each.name}.fmu") for each in (model, controller)}
         make = python_fmu if platform.machine() in WRAPPED else native_fmu
         paths[model.name].write_bytes(make(model, values))
-        paths[CONTROLLER.name].write_bytes(make(CONTROLLER))
+        paths[controller.name].write_bytes(make(controller))
         for name, own in settings.items():
             course = courses[name]
             plant = FmuPlant(paths[model.name], dt=course.dt)
-            controller = Measured(FmuController(paths[CONTROLLER.name], own, dt=course.dt), chain, course.noise)
-            runs[name] = run(plant, controller, profile, course.rest)
+            seen = Measured(FmuController(paths[controller.name], own, dt=course.dt), chain, course.noise)
+            runs[name] = run(plant, seen, profile, course.rest)
             plant.close()
-            controller.close()
+            seen.close()
     return runs
 
 

@@ -1,6 +1,6 @@
 """A loop around an operating point, as frequency responses at its sampling instants.
 
-Thrust and commands are in the paper's normalised quantities, so that gains multiply as they stand in the controller. The
+Thrust and commands are normalised by the rig's scales, so that gains multiply as they stand in the controller. The
 plant's response is measured on the model itself: a step of one command up and down from rest, half their difference. That
 is exact for the linear parts between samples and for quadratic ones, and leaves moves through an effect of any kind their
 say; what drifts without a command drops out.
@@ -11,25 +11,37 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import freqz
 
+from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 
 MOVE = 0.2
-"""Size of the plant's step, normalised: 1200 rpm, 3 deg. Wide enough to pass through dead bands. What the map's cubic
-term adds to the gain is below 1 % of it."""
+"""Size of the plant's step, normalised: 1200 rpm and 3 deg on the paper's rig. Wide enough to pass through dead bands. What the
+map's cubic term adds to the gain is below 1 % of it."""
 
-SETTLED = 6.0
-"""s after which a step counts as settled."""
+SETTLED = 12.0
+"""Time scales after which a step counts as settled: the slowest channel's lags sum to one, so less than e^-10 is left."""
+
+DECAYED = 30.0
+"""Time constants of the measurement chain after which nothing is left of a step."""
 
 CHANNELS = {"omega": "omega_ref", "beta": "beta_ref"}
 
 
-def pulse_response(model: Model, values: Mapping[str, float], rest: tuple[float, float], channel: str, dt: float, move=MOVE):
+def pulse_response(
+    model: Model,
+    values: Mapping[str, float],
+    rest: tuple[float, float],
+    channel: str,
+    dt: float,
+    time_scale: float,
+    move: float = MOVE,
+) -> np.ndarray:
     """(n,) thrust at the samples after a unit pulse, one sample long, of channel "omega" or "beta", at rest on the commands
-    `rest` [rpm, deg]. `values`: all of the model's."""
+    `rest` [rpm, deg]. `values`: all of the model's; `time_scale` s: the rig's."""
     size = move * values[f"{channel}_scale"]
-    rows = round(SETTLED / dt) + 2
+    rows = round(SETTLED * time_scale / dt) + 2
     shown = []
     for sign in (1.0, -1.0):
         inputs = {name: np.full(rows, float(value)) for name, value in zip(CHANNELS.values(), rest, strict=True)}
@@ -41,7 +53,7 @@ def pulse_response(model: Model, values: Mapping[str, float], rest: tuple[float,
 
 def chain_response(chain: Mapping[str, float], omega: np.ndarray, dt: float) -> np.ndarray:
     """The measurement chain's response (n,) at `omega` [rad/s], without the converter's steps."""
-    rows = round(SETTLED / dt) + 3
+    rows = round(DECAYED * chain["time_constant"] / dt) + LONGEST + 3
     inputs = {"thrust": np.r_[0.0, np.ones(rows - 1)], "noise": np.zeros(rows)}
     values = {**chain, "resolution": 0.0, "sample_time": dt}
     shown = Simulator(MEASUREMENT).simulate(values, inputs, np.full(rows - 1, dt))[2:, 0]

@@ -1,11 +1,15 @@
 """How far a sampled loop is from instability: gain, phase and delay margins, and its largest sensitivity."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 POINTS = 1000
 """Frequencies of a response."""
+
+LOWEST = 0.025
+"""rad in a rig's time scale at the lowest of them: there only the integrator is left of a loop."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,9 @@ class Margins:
         return asdict(self)
 
 
-def frequencies(dt: float, lowest: float = 0.05) -> np.ndarray:
-    """(POINTS,) rad/s from `lowest` up to what the sampling can show."""
-    return np.geomspace(lowest, np.pi / dt * (1.0 - 1e-9), POINTS)
+def frequencies(dt: float, time_scale: float) -> np.ndarray:
+    """(POINTS,) rad/s from far below what a rig of `time_scale` [s] does up to what the sampling can show."""
+    return np.geomspace(LOWEST / time_scale, np.pi / dt * (1.0 - 1e-9), POINTS)
 
 
 def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
@@ -68,3 +72,22 @@ def _crossings(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.nda
     found_x, found_y = (each[k] + share * (each[k + 1] - each[k]) for each in (x, y))
     known = np.isfinite(found_y)
     return found_x[known], found_y[known]
+
+
+def least(found: Sequence[Margins]) -> Margins | None:
+    """The worst of each margin among several loops; None without any."""
+    if not found:
+        return None
+
+    def smallest(name: str) -> float | None:
+        return min((v for m in found if (v := getattr(m, name)) is not None), default=None)
+
+    return Margins(
+        stable=all(m.stable for m in found),
+        gain=smallest("gain"),
+        reduction=max(m.reduction for m in found),
+        phase=smallest("phase"),
+        crossover=smallest("crossover"),
+        delay=smallest("delay"),
+        sensitivity=max(m.sensitivity for m in found),
+    )

@@ -3,11 +3,12 @@
     J = integral of ((thrust_set - thrust) / thrust_scale)^2 dt + alpha |gains|^2
 
 in normalised gains. The cost alone has its minimum where the loop barely holds: on the paper's plant, gains that follow a step
-to 0.8 best are unstable a little above it. So a tuning also holds the nominal loop's overshoot, and its largest sensitivity
-around the operating points (`linear`, `margins`), below limits, by a penalty.
+to 0.8 best are unstable a little above it. And gains that follow most of a step a little sooner and then creep cost less than
+gains that settle. So a tuning also holds limits, by a penalty: the nominal loop's overshoot, its largest sensitivity around the
+operating points (`linear`, `margins`), and on every step the settling and the ringing that the first gains have.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -17,8 +18,9 @@ from identification.tune.linear import CHANNELS, chain_response, controller_resp
 from identification.tune.margins import frequencies
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.native.closed_loop import ClosedLoop, Course
+from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
 from vpp_fmu.record import Record
+from vpp_fmu.response import BAND, Step, steps, swing
 
 ALPHA = 1e-8
 """The paper gives no value. The cost's slope along the logarithms of the published gains is least at alpha = 3e-8 for speed
@@ -26,6 +28,10 @@ alone and at 2e-9 to 6e-9 for both actuators; this is between. Published gains a
 
 PENALTY = 10.0
 """Share of the cost that a limit costs which is exceeded by its own size."""
+
+SLACK = 1.01
+"""A limit counts as kept within this factor; what has a sharp edge, such as the band of settling, a search holds as much inside
+it."""
 
 EVERY = 5
 """Of the frequencies of a response, those that a search looks at."""
@@ -54,8 +60,9 @@ class Objective:
     """The cost of a controller's gains; plain data, so that another process can be sent it.
 
     `effects`: of the plant; `plants` (count, parameters): its values, the nominal ones first. `settings`: all of the
-    controller's values; `chain`: all of the measurement chain's. `over`: "worst" or "mean" of the plants. `overshoot`: largest
-    share of a step, and `sensitivity`, at `points`: the limits on the nominal loop.
+    controller's values; `chain`: all of the measurement chain's; `time_scale` s: the rig's. `over`: "worst" or "mean" of the
+    plants. `overshoot`: largest share of a step, and `sensitivity`, at `points`: the limits on the nominal loop. `reference`:
+    the course's steps under the first gains, none of which may settle later or ring more; () for no such limit.
     """
 
     effects: tuple[str, ...]
@@ -63,17 +70,24 @@ class Objective:
     settings: Mapping[str, float]
     chain: Mapping[str, float]
     course: Course
+    time_scale: float
     alpha: float = ALPHA
     over: str = "worst"
     overshoot: float = 0.01
     sensitivity: float = 2.0
     points: tuple[Point, ...] = ()
+    reference: tuple[Step, ...] = ()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that act: those with room between their limits, speed alone where pitch is fixed."""
+        room = {u: self.settings[f"{u}_min"] < self.settings[f"{u}_max"] for u in CHANNELS}
+        return tuple(u for u in CHANNELS if room[u] and (u == "omega" or self.settings["speed_only"] < 0.5))
 
     @property
     def names(self) -> tuple[str, ...]:
         """The gains of the channels that act: all proportional ones, then integral, then derivative."""
-        channels = ("omega",) if self.settings["speed_only"] > 0.5 else tuple(CHANNELS)
-        return tuple(f"{kind}_{channel}" for kind in ("kp", "ki", "kd") for channel in channels)
+        return tuple(f"{kind}_{channel}" for kind in ("kp", "ki", "kd") for channel in self.channels)
 
     @property
     def gains(self) -> np.ndarray:
@@ -101,17 +115,58 @@ class Objective:
         """The paper's cost, worst or mean over the plants."""
         return self._over(self.costs(gains))
 
+    @cached_property
+    def quiet(self) -> Course:
+        """The course without noise of the reading: what the limits on a step are held on."""
+        return replace(self.course, noise=np.zeros_like(self.course.noise)) if self.course.noise.any() else self.course
+
     def penalised(self, gains: np.ndarray) -> float:
         """What a search makes small: the cost, more where the nominal loop exceeds a limit."""
-        merits = self.merits(gains)
-        cost = self._over(merits[:, 0] + self.alpha * float(gains @ gains))
-        excess = max(0.0, merits[0, 1] / self.overshoot - 1.0)
+        loop, controller = closed_loop(self.effects), self._controller(gains)
+        (error, overshoot), rows = loop.rows((self.plants[:1], self._chain, controller), self.quiet)
+        # The quiet run is the nominal plant's error too, unless there is noise.
+        told = 1 if self.quiet is self.course else 0
+        errors = np.full(told, error)
+        if len(self.plants) > told:
+            errors = np.r_[errors, loop.merits((self.plants[told:], self._chain, controller), self.course)[:, 0]]
+        cost = self._over(errors + self.alpha * float(gains @ gains))
+        if not np.isfinite(cost):
+            return np.inf
+        excess = max(0.0, overshoot / self.overshoot - 1.0)
         excess += max(0.0, self.largest_sensitivity(gains) / self.sensitivity - 1.0)
-        return cost * (1.0 + PENALTY * excess) if np.isfinite(cost) else np.inf
+        # By its logarithm: where a step has hardly begun, the error is fifty times the band that it must be in.
+        shares = self._shares_of_limits(rows[:, ROW.index("thrust")])
+        excess += sum(max(0.0, float(np.log(SLACK * share))) for share in shares if share > 0.0)
+        return cost * (1.0 + PENALTY * excess)
+
+    def _shares_of_limits(self, thrust: np.ndarray) -> Iterator[float]:
+        """Of each step of the reference, for a nominal response (points,) N: the largest error after the reference has settled,
+        with a sample to spare, as share of the band; and the largest swing as share of what is allowed."""
+        for step, (first, settled, last) in zip(self.reference, self._rows, strict=True):
+            missing = (step.after - thrust[first:last]) / (step.after - step.before)
+            if settled + 1 < last:
+                yield float(np.max(np.abs(missing[settled + 1 - first :]))) / BAND
+            yield swing(missing) / max(self.overshoot, step.ringing / 100.0)
+
+    @cached_property
+    def _rows(self) -> list[tuple[int, int, int]]:
+        """Of each step of the reference: its first row, where the reference has settled (the end: nowhere), its end."""
+        dt, wanted, found = self.course.dt, self.course.wanted, []
+        changes = np.r_[np.flatnonzero(np.diff(wanted)) + 1, len(wanted)]
+        for step in self.reference:
+            first = round(step.time / dt)
+            end = int(changes[np.searchsorted(changes, first, side="right")])
+            found.append((first, end if step.settling is None else first + round(step.settling / dt), end))
+        return found
 
     def run(self, gains: np.ndarray, row: int = 0) -> Record:
         """The loop's record for one of the plants."""
         return closed_loop(self.effects).run((self.plants[row], self._chain, self._controller(gains)), self.course)
+
+    def steps(self, gains: np.ndarray) -> tuple[Step, ...]:
+        """Steps of the nominal loop without noise; changes of the wanted thrust that are too small to judge are left out."""
+        run = replace(self, course=self.quiet).run(gains)
+        return tuple(s for s in steps(run) if abs(s.after - s.before) >= self.course.jump)
 
     def largest_sensitivity(self, gains: np.ndarray) -> float:
         """Of the nominal loop at `points`; 0 without points. More than any sensitivity where one of the loops is unstable."""
@@ -124,13 +179,15 @@ class Objective:
     def _shares(self) -> np.ndarray:
         """What a gain of 1 alone adds to the open loop (n, points, m), by the order of the gains."""
         model, dt = closed_loop(self.effects).models[0], self.course.dt
-        omega = frequencies(dt)[::EVERY]
+        omega = frequencies(dt, self.time_scale)[::EVERY]
         values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
         chain = chain_response(self.chain, omega, dt)
         shares = np.zeros((len(self.names), len(self.points), len(omega)), complex)
         for k, point in enumerate(self.points):
             for channel in point.channels:
-                path = chain * plant_response(pulse_response(model, values, point.commands, channel, dt), omega, dt)
+                path = chain * plant_response(
+                    pulse_response(model, values, point.commands, channel, dt, self.time_scale), omega, dt
+                )
                 for i, one in enumerate(np.eye(len(self.names))):
                     if self.names[i].endswith(channel):
                         shares[i, k] = path * controller_response(self.with_gains(one), channel, omega)

@@ -8,8 +8,8 @@ from identification.tune.linear import CHANNELS, chain_response, controller_resp
 from identification.tune.margins import Margins, frequencies, margins
 from identification.tune.objective import Objective, Point, closed_loop
 
-LEVELS, HOLD = 5, 3.0
-"""Levels of thrust between the lowest and the highest that is asked for; s for which each is held."""
+LEVELS, HOLD = 5, 6.0
+"""Levels of thrust between the lowest and the highest that is asked for; the rig's time scales for which each is held."""
 
 RESTS = 0.03
 """Share of the scale of thrust within which a loop counts as resting at what is wanted."""
@@ -27,7 +27,7 @@ def operating_points(objective: Objective, gains: np.ndarray) -> tuple[Point, ..
     course = objective.course
     levels = np.linspace(course.wanted.min(), course.wanted.max(), LEVELS)
     levels = np.unique(levels) if levels[0] == levels[-1] else np.r_[levels, levels[-2::-1]]
-    rows = round(HOLD / course.dt)
+    rows = round(HOLD * objective.time_scale / course.dt)
     stairs = replace(course, wanted=np.repeat(levels, rows), noise=np.zeros(rows * len(levels)))
     run = replace(objective.nominal, course=stairs).run(gains)
     points = []
@@ -43,8 +43,7 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
     settings, found = objective.settings, []
     for channel, command in zip(CHANNELS, commands, strict=True):
         room = FREE * settings[f"{channel}_scale"]
-        acts = channel == "omega" or settings["speed_only"] < 0.5
-        if acts and settings[f"{channel}_min"] + room < command < settings[f"{channel}_max"] - room:
+        if channel in objective.channels and settings[f"{channel}_min"] + room < command < settings[f"{channel}_max"] - room:
             found.append(channel)
     return tuple(found)
 
@@ -52,11 +51,11 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
 def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
     """(frequencies [rad/s], response of chain, controller and nominal plant in a row), each (n,), at an operating point."""
     dt, model = objective.course.dt, closed_loop(objective.effects).models[0]
-    omega, settings = frequencies(dt), objective.with_gains(gains)
+    omega, settings = frequencies(dt, objective.time_scale), objective.with_gains(gains)
     values = dict(zip((p.name for p in model.parameters), objective.plants[0].tolist(), strict=True))
     paths = (
         controller_response(settings, channel, omega)
-        * plant_response(pulse_response(model, values, point.commands, channel, dt), omega, dt)
+        * plant_response(pulse_response(model, values, point.commands, channel, dt, objective.time_scale), omega, dt)
         for channel in point.channels
     )
     return omega, chain_response(objective.chain, omega, dt) * sum(paths)

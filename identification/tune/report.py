@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from identification.tune.linear import MOVE
 from identification.tune.objective import closed_loop
 from identification.tune.operating import open_loop
-from identification.tune.summary import NAMES, against, judged_steps, key_figures, settling
+from identification.tune.summary import NAMES, against, change_rows, key_figures, labels, margin_rows, settling
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from vpp_fmu.report import Page, learning_curve
 from vpp_fmu.report import closed_loop as loop_figure
@@ -19,8 +20,8 @@ DRAWN = 40
 EVERY = 2
 """Samples from one point to the next in a cloud."""
 
-STEPS, SEEN = 2, (0.1, 1.1)
-"""Steps that are drawn, and seconds before and after them."""
+STEPS, SEEN = 2, (0.2, 2.2)
+"""Steps that are drawn, and the rig's time scales before and after them."""
 
 
 def tuning_page(found: Tuning) -> Page:
@@ -31,7 +32,8 @@ def tuning_page(found: Tuning) -> Page:
         "Gains for the model",
         f"Squared thrust error over the test signal plus {task.alpha:g} times the squared norm of the gains, made small by "
         f"Nelder and Mead's search on the compiled loop; overshoot held to {100 * task.overshoot:g} %, the sensitivity around "
-        f"the operating points to {task.sensitivity:g}." + (f" Assumed for the design: {assumed}." if assumed else ""),
+        f"the operating points to {task.sensitivity:g}; no step may settle later or ring more than under the gains that the "
+        "search starts from." + (f" Assumed for the design: {assumed}." if assumed else ""),
     )
     page.tiles(key_figures(found))
     for name, tuned in found.tuned.items():
@@ -44,38 +46,54 @@ def tuning_page(found: Tuning) -> Page:
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
-    """What the gains are called, by what they are."""
-    return {which: f"{found.task.reference} (before)" if which == "start" else which for which in tuned.gains}
+    """What the gains are called in figures and tables."""
+    return {which: f"{name} (before)" if which == "start" else name for which, name in labels(found, tuned).items()}
 
 
 def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     names, objective = _names(found, tuned), tuned.objective
     start, cost = tuned.cost("start"), tuned.cost("tuned")
-    page.section(f"Gains of {NAMES[name]}")
+    page.section(f"Gains of {NAMES[name]}", f"Handed out: the {labels(found, tuned)[tuned.chosen]} gains.")
+    for which, verdict in tuned.verdicts.items():
+        page.note(f"{which.capitalize()} gains: {verdict.words()}.")
+        page.table(("step", "settling", "overshoot", "ringing"), change_rows(verdict), _judged_by(found, tuned, which))
+        if rows := margin_rows(verdict):
+            page.table(
+                ("margin", "before → after"), rows, f"The least of all operating points, {found.task.reference} → {which}."
+            )
     runs = {names[which]: objective.run(gains).columns for which, gains in tuned.gains.items()}
-    title = f"{NAMES[name].capitalize()}: the cost falls from {start:.4f} to {cost:.4f}"
+    title = f"{NAMES[name].capitalize()}: cost {start:.4g} before the search, {cost:.4g} after"
     page.figure(loop_figure(runs, title), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
     rows = [(gain, *(own[k] for own in tuned.gains.values())) for k, gain in enumerate(objective.names)]
     rows.append(("cost", *(tuned.cost(which) for which in tuned.gains)))
     page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
     rows = [
-        (names[which], s.time, s.before, s.after, settling(s.settling), s.overshoot)
-        for which in tuned.gains
-        for s in judged_steps(tuned, which)
+        (names[which], s.time, s.before, s.after, settling(s.settling), s.overshoot, s.ringing)
+        for which, gains in tuned.gains.items()
+        for s in objective.steps(gains)
     ]
-    columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]")
-    page.table(columns, rows, "The paper: about 0.5 s from 1.5 to 12 N, no overshoot. Settled: within 2 % of the step.")
+    columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]", "ringing [%]")
+    page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing once the thrust has come back.")
     curve = tuned.searches["tuned"].curve
     ends = ", ".join(f"{stage} until {end}" for stage, end in tuned.searches["tuned"].stages)
     shown = np.where(np.isfinite(curve), curve, np.nan)
-    title = f"{len(curve)} evaluations lead to {np.nanmin(shown):.4f}"
+    title = f"{len(curve)} evaluations lead to {np.nanmin(shown):.4g}"
     figure = learning_curve(np.arange(len(curve)), np.minimum(shown, 2.0 * start), title)
     page.figure(figure, f"With penalties. Stages: {ends}.")
     _add_margins(page, found, name, tuned)
 
 
+def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
+    """The caption of a table of changes."""
+    return (
+        f"Every step without noise, {found.task.reference} → {which}. Worse: settled later by more than a sample, "
+        f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
+        "counts as none."
+    )
+
+
 def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
-    names, (last, gains) = _names(found, tuned), list(tuned.gains.items())[-1]
+    names, last, gains = _names(found, tuned), tuned.chosen, tuned.final
     if not tuned.points[last]:
         page.note("No operating point at which a command is free to move: no margins.")
         return
@@ -86,8 +104,9 @@ def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
         return {names[w]: np.array([np.nan if v is None else scale * v for v in values]) for w, values in found.items()}
 
     quantities = {"phase [deg]": over("phase"), "delay [ms]": over("delay", 1e3), "sensitivity [-]": over("sensitivity")}
-    worst = [max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in ("start", last)]
-    title = f"The largest sensitivity goes from {worst[0]:.2f} to {worst[1]:.2f}"
+    own = labels(found, tuned)
+    worst = {w: max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in tuned.gains}
+    title = f"Largest sensitivity: {', '.join(f'{own[w]} {s:.3g}' for w, s in worst.items())}"
     limits = {"sensitivity [-]": found.task.sensitivity}
     page.figure(
         margins_over_thrust(thrust, quantities, limits, title),
@@ -98,16 +117,17 @@ def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     omega = next(iter(loops.values()))[0]
     shown = {label: loop for label, (_, loop) in loops.items()}
     title = f"{NAMES[name].capitalize()}: how near the open loops come to -1"
-    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {last} gains on the way up.")
+    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on the way up.")
     crossed = [m.crossover for m in tuned.margins[last] if m.crossover is not None]
     where = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
     title = f"{NAMES[name].capitalize()}: the open loops {where}"
-    page.figure(bode(omega, shown, title), f"The same loops, {last} gains, up to half the sampling frequency.")
-    _add_margin_table(page, tuned, last)
+    page.figure(bode(omega, shown, title), f"The same loops, {own[last]} gains, up to half the sampling frequency.")
+    for which in dict.fromkeys(("start", *tuned.gains)):
+        _add_margin_table(page, tuned, which, own[which])
 
 
-def _add_margin_table(page: Page, tuned: Tuned, which: str) -> None:
-    rows = []
+def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
+    rows, scales = [], tuned.objective.settings
     for p, m in zip(tuned.points[which], tuned.margins[which], strict=True):
         gain = None if m.gain is None else 20.0 * np.log10(m.gain)
         delay = None if m.delay is None else 1e3 * m.delay
@@ -118,7 +138,8 @@ def _add_margin_table(page: Page, tuned: Tuned, which: str) -> None:
     page.table(
         (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
         rows,
-        f"Margins of the {which} gains; a dash: the loop never gets there. Linearised by moves of 1200 rpm and 3 deg.",
+        f"Margins of the {label} gains; a dash: the loop never gets there. Linearised by moves of "
+        f"{MOVE * scales['omega_scale']:.3g} rpm and {MOVE * scales['beta_scale']:.3g} deg.",
     )
 
 
@@ -131,7 +152,7 @@ def _add_comparison(page: Page, found: Tuning) -> None:
     if down:
         times = [settling(down[0][name]["settling"]) for name in found.tuned]
         title = f"Step down: both actuators settle in {times[0]}, speed alone in {times[1]}"
-    page.figure(loop_figure(runs, title), "The gains that were asked for.")
+    page.figure(loop_figure(runs, title), "The gains that are handed out.")
     cells = []
     for row in rows:
         for name in found.tuned:
@@ -146,7 +167,7 @@ def _add_robust(page: Page, found: Tuning) -> None:
     page.section("Over what the plant may be")
     gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
     for name, tuned in found.tuned.items():
-        worst = " and ".join(f"{tuned.judged[which].max():.4f}" for which in gains.values())
+        worst = " and ".join(f"{tuned.judged[which].max():.4g}" for which in gains.values())
         title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
         shown = {label: tuned.judged[which] for label, which in gains.items()}
         page.figure(cost_ranks(shown, title), "Costs, each in its own order. None of these plants was there in the search.")
@@ -162,8 +183,9 @@ def _add_robust(page: Page, found: Tuning) -> None:
 def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
     """The first steps, under each of the gains."""
     tuned = found.tuned[name]
-    course, found_steps = tuned.objective.course, judged_steps(tuned, "tuned")[:STEPS]
-    before, after = (round(seconds / course.dt) for seconds in SEEN)
+    course, found_steps = tuned.objective.course, tuned.objective.steps(tuned.gains["tuned"])[:STEPS]
+    seen = [share * tuned.objective.time_scale for share in SEEN]
+    before, after = (round(seconds / course.dt) for seconds in seen)
     thrust = {label: _cloud(found, tuned, which) for label, which in gains.items()}
     clouds, time = [], np.arange(-before, after, EVERY) * course.dt
     for step in found_steps:
@@ -176,7 +198,7 @@ def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) 
         near = BAND * abs(first.after - first.before)
         there = [int(np.sum(np.abs(c.thrust[:, -1] - first.after) <= near)) for c in clouds[: len(gains)]]
         reached = f"{there[0]} of {DRAWN} plants are at {first.after:.3g} N under nominal gains, {there[1]} under robust ones"
-        title = f"{NAMES[name].capitalize()}: {SEEN[1]:g} s after the step {reached}"
+        title = f"{NAMES[name].capitalize()}: {seen[1]:.3g} s after the step {reached}"
         caption = "Thrust around the first steps, under nominal gains above, robust ones below. At: within 2 % of the step."
         page.figure(response_clouds(time, clouds, title, DRAWN), caption)
 

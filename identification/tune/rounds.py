@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.tune.objective import Objective
+from identification.tune.objective import SLACK, Objective
 from identification.tune.operating import margins_at, operating_points
 from identification.tune.search import Search, search
 from identification.workers import spread
@@ -18,9 +18,6 @@ ROUNDS = 4
 
 WIDTHS = (0.3, 0.6)
 """Standard deviations of the logarithms of shaken gains."""
-
-SLACK = 1.01
-"""A limit counts as kept, and a plant as no worse, within this factor."""
 
 
 def rounds(
@@ -44,7 +41,8 @@ def rounds(
         best = _best(pending, jobs, workers, scheduler, what)
         for name, each in best.items():
             done[name] = pending[name], each.after(done[name][1]) if name in done else each
-        starts = {name: [(each.gains, ("all",))] for name, each in best.items()}
+        # From the first gains too: the best may lie where the limits that are added now leave no way out.
+        starts = {name: [(gains, ("all",)) for gains in (each.gains, pending[name].gains)] for name, each in best.items()}
         fuller = {name: _fuller(o, best[name].gains, reserve) for name, o in pending.items()}
         pending = {name: o for name, o in fuller.items() if o is not pending[name]}
         if not pending:
@@ -67,7 +65,7 @@ def _shaken(gains: np.ndarray, count: int) -> list[np.ndarray]:
 
 def _fuller(objective: Objective, gains: np.ndarray, reserve: np.ndarray | None) -> Objective:
     """The objective with the operating points where the gains exceed the sensitivity, and with the plants in reserve that cost
-    more than all that it has; itself where there are none."""
+    more than all that it has, both by more than SLACK; itself where there are none."""
     fuller, own = objective, operating_points(objective, gains)
     worst = max((m.sensitivity for m in margins_at(objective, gains, own)), default=0.0)
     if worst > SLACK * objective.sensitivity:

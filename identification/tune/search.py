@@ -18,11 +18,14 @@ WIDTH = 0.3
 RANGE = (1e-3, 1e4)
 """Of proportional and integral gains; the controller's parameters go as far."""
 
-DERIVATIVE = 0.03
-"""s; a derivative gain's size as a share of the proportional gain beside it."""
+DERIVATIVE = 0.06
+"""Of the rig's time scale: a derivative gain's size as a share of the proportional gain beside it."""
 
 CLOSE = 1e-4
 """Share of the cost, and size of a simplex, at which it has ended."""
+
+RESOLVED = 10.0 * CLOSE
+"""Share of the cost that another simplex must bring for the search to go on: less is no gain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI
 
 def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative: np.ndarray, curve: list[float]):
     """Simplexes, each from where the last one ended, until one brings nothing: a single one may collapse on a ridge."""
-    size = np.where(derivative, DERIVATIVE * np.tile(start[: derivative.sum()], 3), 1.0)
+    size = np.where(derivative, DERIVATIVE * objective.time_scale * np.tile(start[: derivative.sum()], 3), 1.0)
     low, high = np.where(derivative, 0.0, np.log(RANGE[0]))[free], np.where(derivative, np.inf, np.log(RANGE[1]))[free]
 
     def gains_at(x: np.ndarray) -> np.ndarray:
@@ -74,7 +77,7 @@ def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative
     x = np.where(derivative, start / size, np.log(np.clip(start, *RANGE)))[free]
     best = cost_at(x)
     gained = np.inf
-    while gained > 10.0 * CLOSE * best:
+    while gained > RESOLVED * best:
         simplex = np.vstack([x, x + WIDTH * np.eye(len(x))])
         options = {"initial_simplex": simplex, "xatol": CLOSE, "fatol": CLOSE * best, "adaptive": True, "maxfev": 200 * len(x)}
         found = minimize(cost_at, x, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)), options=options)

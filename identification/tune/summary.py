@@ -2,16 +2,19 @@
 
 import numpy as np
 
+from identification.tune.margins import Margins, least
+from identification.tune.objective import SLACK
 from identification.tune.tune import JUDGED, Tuned, Tuning
+from identification.tune.verdict import Verdict
 from vpp_fmu.record import Record
-from vpp_fmu.response import Step, steps
+from vpp_fmu.response import Step
 
 NAMES = {"dual": "both actuators", "speed_only": "speed alone"}
 
 
-def judged_steps(tuned: Tuned, which: str) -> list[Step]:
-    """Steps of the wanted thrust in the loop with these gains; changes too small to judge are left out."""
-    return [s for s in steps(tuned.objective.run(tuned.gains[which])) if abs(s.after - s.before) >= tuned.objective.course.jump]
+def labels(found: Tuning, tuned: Tuned) -> dict[str, str]:
+    """What each of the gains is called."""
+    return {which: found.task.reference if which == "start" else which for which in tuned.gains}
 
 
 def step_error(run: Record, step: Step, following: float, scale: float) -> float:
@@ -39,21 +42,26 @@ def summary(found: Tuning) -> dict:
             "draws": task.draws if task.robust else 0,
             "seed": task.seed,
         },
-        "controllers": {name: _controller(each, task.reference) for name, each in found.tuned.items()},
+        "rig": task.parameters.rig.summary(),
+        "reference": task.reference,
+        "left_out": dict(task.left_out),
+        "controllers": {name: _controller(found, each) for name, each in found.tuned.items()},
         "dual_against_speed_only": against(found),
         "seconds": found.seconds,
     }
 
 
-def _controller(tuned: Tuned, reference: str) -> dict:
-    names = {"start": reference}
-    content = {names.get(which, which): _gains(tuned, which) for which in tuned.gains}
+def _controller(found: Tuning, tuned: Tuned) -> dict:
+    names, limits = labels(found, tuned), ("omega_min", "omega_max", "beta_min", "beta_max", "beta_fixed")
+    content: dict = {"handed_out": names[tuned.chosen], "limits": {name: tuned.objective.settings[name] for name in limits}}
+    content |= {"verdict": {which: each.summary() for which, each in tuned.verdicts.items()}}
+    content |= {names[which]: _gains(tuned, which) for which in tuned.gains}
     content["evaluations"] = {which: len(each.curve) for which, each in tuned.searches.items()}
     content["stages"] = {which: [list(stage) for stage in each.stages] for which, each in tuned.searches.items()}
     content["fmu_difference_thrust"] = tuned.fmu_difference
     if tuned.judged:
         content["judged"] = {
-            names.get(which, which): {
+            names[which]: {
                 "plants": JUDGED,
                 "worst": float(costs.max()),
                 "mean": float(costs.mean()),
@@ -75,20 +83,17 @@ def _gains(tuned: Tuned, which: str) -> dict:
         "gains": dict(zip(tuned.objective.names, gains.tolist(), strict=True)),
         "cost": tuned.cost(which),
         "squared_error": float(tuned.objective.nominal.merits(gains)[0, 0]),
-        "steps": [vars(step) for step in judged_steps(tuned, which)],
+        "steps": [vars(step) for step in tuned.objective.steps(gains)],
         "margins": points,
     }
 
 
 def against(found: Tuning) -> list[dict]:
-    """Each step, up and down, with both actuators and with speed alone: the gains that were asked for."""
+    """Each step, up and down, with both actuators and with speed alone: the gains that are handed out."""
     columns = {}
     for name, tuned in found.tuned.items():
-        which = list(tuned.gains)[-1]
-        run, judged = tuned.objective.run(tuned.gains[which]), judged_steps(tuned, which)
-        ends = [step.time for step in judged[1:]] + [float(run.time[-1])] * bool(judged)
-        scale = tuned.objective.course.scale
-        columns[name] = [(step, step_error(run, step, end, scale)) for step, end in zip(judged, ends, strict=True)]
+        run, scale = tuned.objective.run(tuned.final), tuned.objective.course.scale
+        columns[name] = [(step, step_error(run, step, step.end, scale)) for step in tuned.objective.steps(tuned.final)]
     rows = []
     for row in zip(*columns.values(), strict=True):
         step = row[0][0]
@@ -102,47 +107,86 @@ def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
     """(label, value, note) of what a reader must know first."""
     figures = []
     for name, tuned in found.tuned.items():
-        start, cost = tuned.cost("start"), tuned.cost("tuned")
-        told = [_told_steps(tuned, which) for which in ("tuned", "start")]
-        note = f"{cost / start - 1.0:+.1%}; {told[0]}, {found.task.reference}: {told[1]}"
-        figures.append((f"cost, {NAMES[name]}", f"{start:.4f} → {cost:.4f}", note))
-        figures.append((f"margins, {NAMES[name]}", *told_margins(tuned, found.task.reference)))
+        for which, each in tuned.verdicts.items():
+            word = "better" if each.better else "no better"
+            figures.append((f"{which} gains, {NAMES[name]}", word, each.words().partition(": ")[2]))
+        figures.append((f"cost, {NAMES[name]}", *_told_cost(found, tuned)))
+        figures.append((f"margins, {NAMES[name]}", *told_margins(found, tuned)))
     for row in against(found) if len(found.tuned) > 1 else ():
         errors = [row[name]["squared_error"] for name in found.tuned]
         times = " against ".join(settling(row[name]["settling"]) for name in found.tuned)
         label = f"step {row['before']:.3g} → {row['after']:.3g} N, dual against speed alone"
-        figures.append((label, times, f"squared error {errors[0]:.4f} against {errors[1]:.4f} s"))
+        figures.append((label, times, f"squared error {errors[0]:.4g} against {errors[1]:.4g} s"))
     for name, tuned in found.tuned.items():
         if tuned.judged:
             over = np.mean if found.task.robust == "mean" else np.max
             costs = [over(tuned.judged[which]) for which in ("tuned", "robust")]
-            price = tuned.cost("robust") / tuned.cost("tuned") - 1.0
-            note = f"{found.task.robust} of {JUDGED} other plants, nominal against robust; on the nominal plant {price:+.1%}"
-            figures.append((f"robust, {NAMES[name]}", f"{costs[0]:.4f} → {costs[1]:.4f}", note))
+            price = _percent(tuned.cost("robust") / tuned.cost("tuned") - 1.0)
+            note = f"{found.task.robust} of {JUDGED} other plants, nominal against robust; on the nominal plant {price}"
+            figures.append((f"robust, {NAMES[name]}", f"{costs[0]:.4g} → {costs[1]:.4g}", note))
     largest = max(tuned.fmu_difference for tuned in found.tuned.values())
-    figures.append(("through the FMUs", f"{largest:.2g} N", "largest difference of thrust to the tuned loop, both controllers"))
+    figures.append(("through the FMUs", f"{largest:.2g} N", "largest difference of thrust to the compiled loop"))
     return figures
 
 
-def told_margins(tuned: Tuned, reference: str) -> tuple[str, str]:
-    """(least margins of the gains that were asked for, where they belong)."""
-    margins = list(tuned.margins.values())[-1]
-    if not margins:
+def _told_cost(found: Tuning, tuned: Tuned) -> tuple[str, str]:
+    """(cost of the first gains and of those handed out, what they are called)."""
+    start, others = tuned.cost("start"), {which: tuned.cost(which) for which in tuned.verdicts}
+    if tuned.chosen == "start":
+        told = (f"{which} {cost:.4g}, {_percent(cost / start - 1.0)}" for which, cost in others.items())
+        return f"{start:.4g}, kept", f"{found.task.reference}; {'; '.join(told)}"
+    cost = others[tuned.chosen]
+    return f"{start:.4g} → {cost:.4g}", f"{_percent(cost / start - 1.0)}, {found.task.reference} → {tuned.chosen}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:+.2g} %"
+
+
+def told_margins(found: Tuning, tuned: Tuned) -> tuple[str, str]:
+    """(least margins of the gains that are handed out, where they belong)."""
+    own, first = (least(tuned.margins[which]) for which in (tuned.chosen, "start"))
+    if own is None:
         return "none", "no operating point at which a command is free"
-    if not all(m.stable for m in margins):
+    if not own.stable:
         return "unstable", "at one operating point at least"
-    gain, phase, delay = ([v for m in margins if (v := getattr(m, name)) is not None] for name in ("gain", "phase", "delay"))
-    parts = [f"{20.0 * np.log10(min(gain)):.1f} dB" if gain else "any gain"]
-    parts += [f"{min(phase):.0f} deg, {1e3 * min(delay):.0f} ms" if phase else "any phase"]
-    worst, before = (max(m.sensitivity for m in each) for each in (margins, tuned.margins["start"] or margins))
-    note = f"gain, phase, delay: the least of {len(margins)} operating points; sensitivity up to {worst:.2f}"
-    return ", ".join(parts), f"{note}, {reference} {before:.2f}"
+    points = len(tuned.margins[tuned.chosen])
+    note = f"gain, phase, delay: the least of {points} operating points; sensitivity up to {own.sensitivity:.3g}"
+    before = f", {found.task.reference} {first.sensitivity:.3g}" if first else ""
+    over = f", more than the limit {found.task.sensitivity:g}" if own.sensitivity > SLACK * found.task.sensitivity else ""
+    return margin_words(own), note + before + over
+
+
+def margin_words(margins: Margins) -> str:
+    """Gain, phase and delay margin as text."""
+    gain = "any gain" if margins.gain is None else f"{20.0 * np.log10(margins.gain):.3g} dB"
+    return f"{gain}, any phase" if margins.phase is None else f"{gain}, {margins.phase:.3g} deg, {1e3 * margins.delay:.3g} ms"
+
+
+def change_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
+    """(step, settling, overshoot, ringing), before and after, of every step; then the least margins."""
+    return [(s.name, *(c.told() + (" worse" if c.worse else "") for c in s.changes)) for s in verdict.steps]
+
+
+def margin_rows(verdict: Verdict) -> list[tuple[str, str]]:
+    """(margin, before and after) at the worst of the operating points."""
+    first, other = verdict.margins
+    if first is None or other is None:
+        return []
+
+    def both(name: str, digits: str, unit: str, scaled=lambda v: v) -> str:
+        shown = ("any" if (v := getattr(m, name)) is None else f"{scaled(v):{digits}}" for m in (first, other))
+        return f"{' → '.join(shown)}{unit}"
+
+    return [
+        ("gain margin", both("gain", ".3g", " dB", lambda v: 20.0 * np.log10(v))),
+        ("phase margin", both("phase", ".3g", " deg")),
+        ("delay margin", both("delay", ".3g", " ms", lambda v: 1e3 * v)),
+        ("largest sensitivity", both("sensitivity", ".3g", "")),
+        ("stable", " → ".join("everywhere" if m.stable else "not everywhere" for m in (first, other))),
+    ]
 
 
 def settling(seconds: float | None) -> str:
     """A settling time as text."""
-    return "not settled" if seconds is None else f"{seconds:.3f} s"
-
-
-def _told_steps(tuned: Tuned, which: str) -> str:
-    return " and ".join(f"{settling(s.settling)} {s.overshoot:.1f} %" for s in judged_steps(tuned, which)[:2]) or "no steps"
+    return "not settled" if seconds is None else f"{seconds:.3g} s"

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,11 +12,13 @@ from identification.tune.draws import doubt, draws
 from identification.tune.margins import Margins
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
+from identification.tune.profile import idle
 from identification.tune.rounds import rounds
 from identification.tune.search import Search
-from vpp_fmu.commands import idle
+from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import MEASUREMENT
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
@@ -41,6 +43,7 @@ class Task:
     `chain`: changes to the measurement chain; `noise_std` N: of a reading. `overshoot` (share of a step) and `sensitivity` are
     limits on the nominal loop. `reference`: what the gains are called that tuned ones are held against. `robust`: None,
     "worst" or "mean" over `draws` plants; `spread`: standard deviation, as a share of the value, of parameters that have none.
+    `left_out`: controllers that the rig can't have, with the reason.
     """
 
     parameters: ParameterSet
@@ -57,13 +60,18 @@ class Task:
     spread: float = 0.1
     knowledge: Prior | None = None
     seed: int = 0
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def controller(self) -> Model:
+        """The controller for the rig."""
+        return CONTROLLER.sized(self.parameters.rig.scales)
 
     def objective(self, settings: Mapping[str, float]) -> Objective:
         """The cost of the gains in a controller with these settings, on the nominal plant."""
-        settings, values = CONTROLLER.values(settings), self.parameters.values
-        dt, speed_only = settings["sample_time"], settings["speed_only"] > 0.5
-        rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)
-        course = Course.of(self.profile, dt, scale=values["thrust_scale"], rest=rest)
+        settings, values = self.controller.values(settings), self.parameters.values
+        dt = settings["sample_time"]
+        course = Course.of(self.profile, dt, values["thrust_scale"], rest=idle(settings))
         noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))
         return Objective(
             effects=self.parameters.model.optional,
@@ -71,6 +79,7 @@ class Task:
             settings=settings,
             chain=MEASUREMENT.values({**(self.chain or {}), "sample_time": dt}),
             course=replace(course, noise=noise),
+            time_scale=self.parameters.rig.scales.time_scale,
             alpha=self.alpha,
             over=self.robust or "worst",
             overshoot=self.overshoot,
@@ -87,24 +96,30 @@ class Task:
 class Tuned:
     """One controller. `gains`: "start" (published or given), "tuned", and "robust" where asked for, each (n,).
 
-    `searches` as they led to tuned and robust gains; `points` and `margins` around each of the gains' own operating points.
-    `judged`, `overshoots`: the cost and the overshoot (share of a step) of each of the gains on JUDGED other plants (JUDGED,).
-    `fmu_difference` N: the largest, of the thrust of the last gains through FMUs.
+    `searches` as they led to tuned and robust gains, and `verdicts` on these; `points` and `margins` around each of the gains'
+    own operating points. `judged`, `overshoots`: the cost and the overshoot (share of a step) of each of the gains on JUDGED
+    other plants (JUDGED,). `fmu_difference` N: the largest, of the thrust of the gains handed out through FMUs.
     """
 
     objective: Objective
     gains: Mapping[str, np.ndarray]
     searches: Mapping[str, Search]
+    verdicts: Mapping[str, Verdict]
     points: Mapping[str, tuple[Point, ...]]
     margins: Mapping[str, tuple[Margins, ...]]
     judged: Mapping[str, np.ndarray]
     overshoots: Mapping[str, np.ndarray]
-    fmu_difference: float
+    fmu_difference: float = float("nan")
+
+    @property
+    def chosen(self) -> str:
+        """Which gains are handed out: the last that are better than those the search started from, else these."""
+        return next((name for name in reversed(self.verdicts) if self.verdicts[name].better), "start")
 
     @property
     def final(self) -> np.ndarray:
-        """The gains that were asked for."""
-        return list(self.gains.values())[-1]
+        """The gains that are handed out."""
+        return self.gains[self.chosen]
 
     def cost(self, which: str) -> float:
         """The paper's cost on the nominal plant."""
@@ -113,12 +128,16 @@ class Tuned:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The gains of both controllers, "dual" and "speed_only"; `plants` (JUDGED, parameters): what they were judged on."""
+    """The gains of the controllers, "dual" and "speed_only"; `plants` (JUDGED, parameters): what they were judged on."""
 
     task: Task
     tuned: Mapping[str, Tuned]
     plants: np.ndarray | None
     seconds: float
+
+
+Found = Mapping[str, tuple[Objective, Search]]
+"""By controller: the best search, and the objective that it has made small."""
 
 
 def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1, scheduler: str | None = None) -> Tuning:
@@ -128,30 +147,29 @@ def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1
     """
     began = time.perf_counter()
     objectives = {name: task.objective(settings) for name, settings in starts.items()}
-    found = _nominal(objectives, workers, scheduler)
-    searches = {name: {"tuned": each} for name, (_, each) in found.items()}
+    found = {"tuned": _nominal(objectives, workers, scheduler)}
     plants = None
     if task.robust:
-        for name, (_, each) in _robust(task, found, workers, scheduler).items():
-            searches[name]["robust"] = each
+        found["robust"] = _robust(task, found["tuned"], workers, scheduler)
         plants = task.plants(JUDGED, stream=1)
-    finals = {name: objectives[name].with_gains(list(each.values())[-1].gains) for name, each in searches.items()}
-    model, values = task.parameters.model, task.parameters.values
+    tuned = {name: _tuned(o, {which: each[name] for which, each in found.items()}, plants) for name, o in objectives.items()}
+    finals = {name: each.objective.with_gains(each.final) for name, each in tuned.items()}
     courses = {name: objective.course for name, objective in objectives.items()}
     chain = next(iter(objectives.values())).chain
-    runs = through_fmus(model, values, finals, chain, courses, task.profile)
-    tuned = {name: _tuned(objectives[name], searches[name], plants, runs[name]) for name in objectives}
+    model, values = task.parameters.model, task.parameters.values
+    runs = through_fmus(model, values, task.controller, finals, chain, courses, task.profile)
+    tuned = {n: replace(t, fmu_difference=largest_difference(t.objective.run(t.final), runs[n])) for n, t in tuned.items()}
     return Tuning(task, tuned, plants, time.perf_counter() - began)
 
 
-def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> dict[str, tuple[Objective, Search]]:
-    """The best search for each controller, and the objective that it has made small."""
-    pointed = {name: replace(o, points=operating_points(o, o.gains)) for name, o in objectives.items()}
+def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> Found:
+    """The search over the nominal plant."""
+    limited = {n: replace(o, points=operating_points(o, o.gains), reference=o.steps(o.gains)) for n, o in objectives.items()}
     starts = {name: [(factor * o.gains, ("PI", "D", "all")) for factor in STARTS] for name, o in objectives.items()}
-    return rounds(pointed, starts, None, SHAKES[0], workers, scheduler, "tuning")
+    return rounds(limited, starts, None, SHAKES[0], workers, scheduler, "tuning")
 
 
-def _robust(task: Task, found: Mapping[str, tuple[Objective, Search]], workers, scheduler):
+def _robust(task: Task, found: Found, workers, scheduler) -> Found:
     """The same over many plants, from the nominal gains and from the first ones. Few plants make the worst case: for that the
     rest is kept in reserve."""
     drawn = task.plants(task.draws, stream=0)
@@ -166,16 +184,19 @@ def _robust(task: Task, found: Mapping[str, tuple[Objective, Search]], workers, 
     return rounds(many, starts, reserve, SHAKES[1], workers, scheduler, "robust tuning")
 
 
-def _tuned(objective: Objective, searches: Mapping[str, Search], plants: np.ndarray | None, by_fmus: Record) -> Tuned:
-    gains = {"start": objective.gains} | {name: each.gains for name, each in searches.items()}
+def _tuned(objective: Objective, found: Found, plants: np.ndarray | None) -> Tuned:
+    """What came of the searches, "tuned" and perhaps "robust"."""
+    gains = {"start": objective.gains} | {name: search.gains for name, (_, search) in found.items()}
     points = {name: operating_points(objective, own) for name, own in gains.items()}
     margins = {name: margins_at(objective, own, points[name]) for name, own in gains.items()}
+    verdicts = {}
+    for name, (searched, search) in found.items():
+        penalised = searched.penalised(objective.gains), search.cost
+        verdicts[name] = verdict(objective, search.gains, (margins["start"], margins[name]), penalised)
     judged, overshoots = {}, {}
     if plants is not None:
         others = replace(objective, plants=plants)
         judged = {name: others.costs(own) for name, own in gains.items()}
         overshoots = {name: others.merits(own)[:, 1] for name, own in gains.items()}
-    final = list(gains.values())[-1]
-    return Tuned(
-        objective, gains, searches, points, margins, judged, overshoots, largest_difference(objective.run(final), by_fmus)
-    )
+    searches = {name: search for name, (_, search) in found.items()}
+    return Tuned(objective, gains, searches, verdicts, points, margins, judged, overshoots)

@@ -4,26 +4,32 @@ The controller samples, saturates and sees thrust through a converter as on the 
 FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn from the parameters' doubt."""
 
 import json
+from collections.abc import Mapping
 
-from identification.demo import step_profile
+from identification.tune.controllers import controllers
 from identification.tune.objective import ALPHA
+from identification.tune.profile import common_reach, step_profile
 from identification.tune.report import tuning_page
-from identification.tune.summary import key_figures, summary
+from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
 from identification.tune.tune import Task, Tuning, tune
+from identification.tune.verdict import UNITS
 from identification.worth.information import read_knowledge
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.cli.output import add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
-from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
+from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
-from vpp_fmu.record import read_profile
+from vpp_fmu.record import Record, read_profile, write_record
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
+
+FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json"}
 
 RANGES = {
     "alpha": Number(0.0, 1.0),
@@ -33,6 +39,7 @@ RANGES = {
     "delay": Number(0.0, 10.0, "s"),
     "lag": Number(0.0, 1.0, "s"),
     "resolution": Number(0.0, 10.0, "N"),
+    "sample-time": Number(1e-5, 1.0, "s"),
     "draws": whole(1, 10000),
     "spread": Number(0.0, 1.0),
     "seed": SEED,
@@ -52,18 +59,19 @@ def configure(parser):
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
-    text = "limits, filter, sample time and first gains of the controller (default: the paper's)"
+    text = "limits, filter, sample time and first gains of the controller (default: the rig's limits, the paper's gains)"
     parser.add_argument("--gains", metavar="G", help=text)
-    parser.add_argument(
-        "--profile", metavar="P", help="CSV with time, thrust_set (default: 0.1 to 0.8 of full thrust and back)"
-    )
+    text = "CSV with time, thrust_set (default: 0.1 to 0.8 of the thrust scale and back, as far as the rig reaches)"
+    parser.add_argument("--profile", metavar="P", help=text)
+    text = "period of the controller in s (default: 0.004, other where the plant's faster channel needs it)"
+    number("sample-time", None, text, "S")
     number("alpha", ALPHA, "weight of the squared norm of the gains")
     number("overshoot", 1.0, "largest overshoot in %% of a step")
     number("sensitivity", 2.0, "largest amplification of a disturbance around the operating points")
     number("noise", None, "standard deviation of a thrust reading in N (default: that of --knowledge, else 0)")
     number("delay", 1.0 / CONVERSIONS, "how late a thrust reading is in s", "S")
     number("lag", 0.0, "time constant of the thrust reading in s", "S")
-    number("resolution", RESOLUTION, "step of the converter in N")
+    number("resolution", None, "step of the converter in N (default: 2e-4 of the thrust scale, the paper's)")
     parser.add_argument("--robust", choices=("worst", "mean"), help="tune over many plants as well")
     number("draws", 200, "plants to tune over", "N")
     number("spread", 0.1, "standard deviation, as a share, of assumed parameters and of those whose file has none")
@@ -79,54 +87,86 @@ def run(options):
     task, starts = _task(options, parameters)
     came = {"parameters": (options.parameters or PAPERS, parameters)}
     folder = OutputSet(options.output, "tune")
+    for line in _setting(task, starts):
+        print(line)
     found = tune(task, starts, options.workers, options.scheduler)
-    files = {
-        "gains.json": to_json(dated(_gains(found, "dual", options), **came)),
-        "gains_speed_only.json": to_json(dated(_gains(found, "speed_only", options), **came)),
-        "tuning.json": as_json(summary(found)),
-        "report.html": tuning_page(found).html(),
-    }
-    for name, content in files.items():
-        folder.write(name, content)
+    for name in found.tuned:
+        folder.write(FILES[name], to_json(dated(_gains(found, name, options), **came)))
+    folder.write("tuning.json", as_json(summary(found)))
+    write_record(folder, "profile.csv", task.profile)
+    folder.write("report.html", tuning_page(found).html())
+    for name, tuned in found.tuned.items():
+        for which, verdict in tuned.verdicts.items():
+            print(f"{NAMES[name]}, {task.reference} → {which}")
+            for step, *changes in change_rows(verdict):
+                print(f"  {step}: " + ", ".join(f"{n} {c}" for n, c in zip(UNITS, changes, strict=True)))
+            print("  " + ", ".join(f"{margin} {change}" for margin, change in margin_rows(verdict)))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     print(f"tuned in {found.seconds:.1f} s")
     say_written(folder, parameters)
 
 
-def _task(options, parameters: ParameterSet) -> tuple[Task, dict[str, dict[str, float]]]:
-    base = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
+def _setting(task: Task, starts) -> list[str]:
+    """What the rig gives: limits, sampling, the profile, and what it can't have."""
+    rig, settings = task.parameters.rig, next(iter(starts.values()))
+    ends = ((f"{settings[f'{u}_min']:g}", f"{settings[f'{u}_max']:g}", unit) for u, unit in (("omega", "rpm"), ("beta", "deg")))
+    limits = (f"{low} {unit}" if low == high else f"{low} to {high} {unit}" for low, high, unit in ends)
+    where = dict.fromkeys(rig.origin.get(name, "the model's scales") for name in ("speed", "pitch"))
+    lines = [f"limits: {', '.join(limits)} ({' and '.join(where)}); sampled every {1e3 * settings['sample_time']:.4g} ms"]
+    low, high = common_reach(task.parameters.model, task.parameters.values, starts.values(), rig)
+    wanted = task.profile["thrust_set"]
+    line = f"{task.profile.source}: {wanted.min():.4g} to {wanted.max():.4g} N; in reach are {low:.4g} to {high:.4g} N"
+    beyond = wanted.min() < low or wanted.max() > high
+    lines.append(line + (", so that a part of it can't be followed" if beyond else ""))
+    return lines + [f"no gains for {NAMES[name]}: {why}" for name, why in task.left_out.items()]
+
+
+def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     assumed = dict(_assumed(text, parameters) for text in options.assume)
     knowledge = read_knowledge(options.knowledge) if options.knowledge else None
     if options.knowledge:
         check_same_model(options.knowledge, parameters, options.parameters or PAPERS)
-    period = base.values["sample_time"]
+    parameters = parameters.replaced(assumed)
+    own = controllers(parameters, given, options.sample_time, options.gains)
+    period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
         raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
-    profile = read_profile(options.profile) if options.profile else step_profile(parameters.rig)
+    profile = read_profile(options.profile) if options.profile else _profile(options, parameters, own.settings)
     if profile.time[-1] < 10.0 * period:
         raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")
+    resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
+    if options.resolution is not None:
+        resolution = options.resolution
     task = Task(
-        parameters=parameters.replaced(assumed),
+        parameters=parameters,
         profile=profile,
         assumed=tuple(assumed),
-        chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": options.resolution},
+        chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
         noise_std=_noise(options),
         alpha=options.alpha,
         overshoot=options.overshoot / 100.0,
         sensitivity=options.sensitivity,
-        reference="given" if options.gains else "published",
+        reference=own.reference,
         robust=options.robust,
         draws=options.draws,
         spread=options.spread,
         knowledge=knowledge and knowledge[0],
         seed=options.seed,
+        left_out=own.left_out,
     )
-    scales = {name: value for name, value in parameters.values.items() if name in base.values}
-    settings = {**base.values, **scales}
-    own = base.values["speed_only"] > 0.5
-    alone = {k: v for k, v in SPEED_ONLY.items() if k != "beta_fixed" and not (own and k in base.estimates)}
-    return task, {"dual": {**settings, "speed_only": 0.0}, "speed_only": {**settings, **alone, "speed_only": 1.0}}
+    return task, own.settings
+
+
+def _profile(options, parameters: ParameterSet, settings: Mapping[str, Mapping[str, float]]) -> Record:
+    low, high = common_reach(parameters.model, parameters.values, settings.values(), parameters.rig)
+    if low >= high:
+        found = f"a plant of {low:.4g} N on the lowest commands and {high:.4g} N on the highest"
+        raise BadInput(
+            options.parameters or "the paper's set", "thrust", found, "thrust that grows with the commands, or --profile"
+        )
+    return step_profile((low, high), parameters.rig)
 
 
 def _noise(options) -> float:
@@ -158,6 +198,8 @@ def _gains(found: Tuning, name: str, options) -> ParameterSet:
         "made_by": "vpp tune",
         "assumed": {n: found.task.parameters.values[n] for n in found.task.assumed},
         "robust": options.robust,
-        "cost": tuned.cost(list(tuned.gains)[-1]),
+        "cost": tuned.cost(tuned.chosen),
+        "verdict": {which: each.words() for which, each in tuned.verdicts.items()},
+        "rig": found.task.parameters.rig.summary(),
     }
-    return ParameterSet(CONTROLLER, source=source).replaced(tuned.objective.with_gains(tuned.final))
+    return ParameterSet(found.task.controller, source=source).replaced(tuned.objective.with_gains(tuned.final))

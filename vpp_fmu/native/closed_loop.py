@@ -37,7 +37,7 @@ class Course:
     wanted: np.ndarray
     noise: np.ndarray
     dt: float
-    scale: float = 15.0
+    scale: float
     rest: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -46,12 +46,12 @@ class Course:
         return JUMP * float(np.ptp(self.wanted))
 
     @classmethod
-    def of(cls, references: Record, dt: float, noise: np.ndarray | None = None, **more) -> "Course":
+    def of(cls, references: Record, dt: float, scale: float, noise: np.ndarray | None = None, **more) -> "Course":
         """The course of a profile (`time` [s], `thrust_set` [N], each held to the next row), as `vpp_fmu.loop.run` has it."""
         count = round((references.time[-1] - references.time[0]) / dt) + 1
         held = np.searchsorted(references.time - references.time[0], np.arange(count) * dt + 1e-9, side="right") - 1
         wanted = np.ascontiguousarray(references["thrust_set"][held], float)
-        return cls(wanted, np.zeros(count) if noise is None else noise, dt, **more)
+        return cls(wanted, np.zeros(count) if noise is None else noise, dt, scale, **more)
 
 
 class ClosedLoop:
@@ -72,11 +72,16 @@ class ClosedLoop:
 
     def run(self, sets: Sequence[np.ndarray], course: Course) -> Record:
         """One run with the sets of `vectors`, as the record that `vpp_fmu.loop.run` gives. SimulationFailed."""
-        rows = np.empty((len(course.wanted), len(ROW)))
-        self._run(_batch(sets), course, (*course.rest, *self._extra), np.empty((1, 2)), rows)
+        rows = self.rows(sets, course)[1]
         time = np.arange(len(rows)) * course.dt
         columns = dict(zip(ROW, rows.T, strict=True))
         return Record({"time": time, "thrust_set": course.wanted, **columns}, source="closed loop")
+
+    def rows(self, sets: Sequence[np.ndarray], course: Course) -> tuple[np.ndarray, np.ndarray]:
+        """One run: its `merits` (2,), and what it shows at each communication point (points, ROW). SimulationFailed."""
+        merits, rows = np.empty((1, 2)), np.empty((len(course.wanted), len(ROW)))
+        self._run(_batch(sets), course, (*course.rest, *self._extra), merits, rows)
+        return merits[0], rows
 
     def merits(self, sets: Sequence[np.ndarray], course: Course) -> np.ndarray:
         """(count, 2) for each row of the sets, (count, parameters) or shared: the integral of the squared error over `scale`

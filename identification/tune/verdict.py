@@ -1,0 +1,159 @@
+"""Whether gains that a search found are better than those that it started from, whatever the cost says.
+
+Every step of the course is judged under both: how long the thrust takes to settle, how far it overshoots, how much it rings
+(`vpp_fmu.response.Step`). That is the response without noise of the reading, on one plant: only the gains differ, and only the
+clock's resolution is left, so a step settles later if it does by more than one sample. Overshoot and ringing up to the limit
+that was set for overshoot count as none; beyond it they are worse if they grow by more than that limit's slack. A loop must
+also stay stable, and within the limit on its sensitivity if it was.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from identification.tune.margins import Margins, least
+from identification.tune.objective import SLACK, Objective
+from identification.tune.search import RESOLVED
+from vpp_fmu.response import Step
+
+UNITS = {"settling": "s", "overshoot": "%", "ringing": "%"}
+"""The figures of a step."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A figure of a step under the first gains and under others; a settling that is None: not before the next step.
+
+    `grown`: by how much of what counts; `tolerance`: what that must exceed, either way.
+    """
+
+    name: str
+    first: float | None
+    other: float | None
+    grown: float
+    tolerance: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether it has grown."""
+        return self.grown > self.tolerance
+
+    @property
+    def better(self) -> bool:
+        """Whether it has shrunk."""
+        return -self.grown > self.tolerance
+
+    def told(self) -> str:
+        """Both values with their unit."""
+        digits = ".3g" if self.name == "settling" else ".2f"
+        first, other = ("not settled" if v is None else f"{v:{digits}}" for v in (self.first, self.other))
+        return f"{first} → {other}{'' if self.other is None else f' {UNITS[self.name]}'}"
+
+
+@dataclass(frozen=True)
+class StepChanges:
+    """A step of the wanted thrust from `before` to `after` [N] at `time` [s], and how its figures changed."""
+
+    time: float
+    before: float
+    after: float
+    changes: tuple[Change, ...]
+
+    @property
+    def name(self) -> str:
+        """As the reader knows it."""
+        return f"{self.before:.3g} → {self.after:.3g} N at {self.time:.3g} s"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of every step, of the least margins and of the cost with its limits, (first, other).
+
+    `worse`: what forbids the other gains, in words; `overshoot` (share of a step), `sensitivity`: the limits.
+    """
+
+    steps: tuple[StepChanges, ...]
+    margins: tuple[Margins | None, Margins | None]
+    penalised: tuple[float, float]
+    worse: tuple[str, ...]
+    overshoot: float
+    sensitivity: float
+
+    @property
+    def better(self) -> bool:
+        """Whether the gains are handed out: nothing is worse, and the cost is lower by what a search resolves, or lower at all
+        and a figure of a step better."""
+        first, other = self.penalised
+        gain = other < first * (1.0 - RESOLVED) or (other < first and bool(self.gains()))
+        return gain and not self.worse
+
+    def gains(self) -> list[str]:
+        """The figures that are better, in words."""
+        found = [f"{c.name} {c.told()} on the step {s.name}" for s in self.steps for c in s.changes if c.better]
+        first, other = (m and m.sensitivity for m in self.margins)
+        if first and other and other <= SLACK * self.sensitivity < first:
+            found.append(f"sensitivity {first:.3g} → {other:.3g}, limit {self.sensitivity:g}")
+        return found
+
+    def words(self) -> str:
+        """The verdict with its reason."""
+        if self.worse:
+            return f"no better: kept the gains it started from; {'; '.join(self.worse)}"
+        if not self.better:
+            first, other = self.penalised
+            return (
+                "no better: kept the gains it started from; no figure of any step is better, and the cost with its limits "
+                f"changes by {100.0 * (other / first - 1.0):+.2g} %, where a search resolves {100.0 * RESOLVED:g} %"
+            )
+        none = f"overshoot and ringing within the limit of {100.0 * self.overshoot:g} % count as none"
+        return f"better: {'; '.join(self.gains()) or 'less cost'}; no step is worse ({none})"
+
+    def summary(self) -> dict:
+        """As tuning.json has it."""
+        return {
+            "better": self.better,
+            "words": self.words(),
+            "steps": [{**asdict(s), "changes": [asdict(c) | {"worse": c.worse} for c in s.changes]} for s in self.steps],
+            "least_margins": [m and m.summary() for m in self.margins],
+            "cost_with_limits": list(self.penalised),
+        }
+
+
+def verdict(
+    objective: Objective, other: np.ndarray, margins: Sequence[Sequence[Margins]], penalised: tuple[float, float]
+) -> Verdict:
+    """Judge the gains `other` (n,) against the objective's own.
+
+    `margins`: at the operating points of both; `penalised`: the costs of both with their limits.
+    """
+    pairs = zip(objective.steps(objective.gains), objective.steps(other), strict=True)
+    changed = tuple(
+        StepChanges(first.time, first.before, first.after, _changes(first, own, objective.overshoot, objective.course.dt))
+        for first, own in pairs
+    )
+    ends = least(margins[0]), least(margins[1])
+    worse = [f"{c.name} {c.told()} on the step {s.name}" for s in changed for c in s.changes if c.worse]
+    worse += _worse_margins(*ends, objective.sensitivity)
+    return Verdict(changed, ends, penalised, tuple(worse), objective.overshoot, objective.sensitivity)
+
+
+def _changes(first: Step, other: Step, limit: float, dt: float) -> tuple[Change, ...]:
+    """`limit`: share of a step; `dt` s. A sample's tolerance has half a one more, for times are sums."""
+    spent = [s.end - s.time if s.settling is None else s.settling for s in (first, other)]
+    found = [Change("settling", first.settling, other.settling, spent[1] - spent[0], 1.5 * dt)]
+    for name in ("overshoot", "ringing"):
+        sizes = getattr(first, name), getattr(other, name)
+        beyond = [max(size, 100.0 * limit) for size in sizes]
+        found.append(Change(name, *sizes, beyond[1] - beyond[0], 100.0 * (SLACK - 1.0) * limit))
+    return tuple(found)
+
+
+def _worse_margins(first: Margins | None, other: Margins | None, limit: float) -> list[str]:
+    if first is None or other is None:
+        return []
+    if first.stable and not other.stable:
+        return ["a loop that was stable at every operating point is not at one of them"]
+    if other.sensitivity > SLACK * max(limit, first.sensitivity):
+        return [f"sensitivity {first.sensitivity:.3g} → {other.sensitivity:.3g}, limit {limit:g}"]
+    return []
