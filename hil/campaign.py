@@ -4,27 +4,26 @@ Each part is a run of its own: tare, arm, run, ramp down. A row holds what was s
 from it on; `omega` is the tachometer's held value.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hil import commands
-from hil.commands import Step
+from hil.commands import PAPERS, Step
+from hil.cycle import PERIOD
 from hil.rig import Rig
 from hil.safety.limits import Limits
+from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig as Ranges
 
 PARTS = ("static", "steps", "open_loop", "repeat", "validation")
 
-STEEP = {"omega_slew": 1e6, "beta_slew": 5000.0}
-"""4000 rpm and 20 deg in one tick, the paper's largest steps: what slews the rotor is its own speed loop, and an identification
-reads no ramp of commands as a step."""
-
-
-APPROACH = 5.0
-"""deg below its first value, from where pitch comes to it in one step: the ramp of the spin-up is many small commands, which a
-dead band may not hear, and leaves play where nobody knows."""
+APPROACH = 0.25
+"""Share of the pitch's range below its first value, from where pitch comes to it in one step: the ramp of the spin-up is many
+small commands, which a dead band may not hear, and leaves play where nobody knows. 5 of 20 deg."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +45,53 @@ class Plan:
     seed: int = 1
 
 
-def steep(limits: Limits) -> Limits:
-    """The limits of a campaign: as they are, but for the slew."""
-    return replace(limits, **STEEP)
+def plan_for(rig: Ranges) -> Plan:
+    """The paper's plan in a rig's own time: what takes it longer is given longer, nothing less than the paper's."""
+    plan, longer = Plan(), max(rig.scales.time_scale / PAPERS.scales.time_scale, 1.0)
+    times = ("settle", "before", "after", "section", "validation")
+    return replace(plan, **{name: longer * getattr(plan, name) for name in times})
 
 
-def seconds(plan: Plan, parts: Iterable[str]) -> float:
+def steep(limits: Limits, rig: Ranges = PAPERS) -> Limits:
+    """The limits of a campaign: as they are, but that a command may run through its range in one tick where the rig allows
+    steps. What slews the rotor is its own speed loop, and an identification reads no ramp of commands as a step."""
+    omega, beta = limits.omega_max - limits.omega_min, limits.beta_max - limits.beta_min
+    slews = {
+        "omega_slew": max(limits.omega_slew, omega / PERIOD) if math.isinf(rig.speed_slew) else limits.omega_slew,
+        "beta_slew": max(limits.beta_slew, beta / PERIOD) if math.isinf(rig.pitch_slew) else limits.beta_slew,
+    }
+    return replace(limits, **slews)
+
+
+def within(rig: Ranges, limits: Limits, freely: Limits) -> Ranges:
+    """The rig as far as its limits let it go; slews where these are below what they would be `freely`. A campaign that asked
+    for more would measure what it was not asked for. BadInput where the two have nothing in common."""
+    found = {
+        "speed": (max(rig.speed[0], limits.omega_min), min(rig.speed[1], limits.omega_max)),
+        "pitch": (max(rig.pitch[0], limits.beta_min), min(rig.pitch[1], limits.beta_max)),
+    }
+    if limits.omega_slew < freely.omega_slew:
+        found["speed_slew"] = min(rig.speed_slew, limits.omega_slew)
+    if limits.beta_slew < freely.beta_slew:
+        found["pitch_slew"] = min(rig.pitch_slew, limits.beta_slew)
+    for name in ("speed", "pitch"):
+        if found[name][0] > found[name][1]:
+            low, high = getattr(rig, name)
+            raise BadInput("limits", f"range of {name}", "nothing", f"something within the rig's {low:g} to {high:g}")
+    changed = {name: value for name, value in found.items() if value != getattr(rig, name)}
+    return replace(rig, **changed, origin={**rig.origin, **dict.fromkeys(changed, "the limits")})
+
+
+def parts_for(rig: Ranges) -> tuple[str, ...]:
+    """What a campaign consists of; a rig whose speed and pitch both stand has no steps."""
+    return tuple(part for part in PARTS if part != "steps" or commands.steps(1, rig))
+
+
+def seconds(plan: Plan, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
     """How long the parts take on the rig [s], without tare and spin-up."""
     takes = {
-        "static": plan.points**2 * (plan.settle + 0.004 * plan.samples),
-        "steps": len(commands.steps(plan.levels)) * (plan.settle + plan.before + plan.after),
+        "static": len(commands.grid(plan.points, rig)) * (plan.settle + PERIOD * plan.samples),
+        "steps": len(commands.steps(plan.levels, rig)) * (plan.settle + plan.before + plan.after),
         "open_loop": 3.0 * plan.section,
         "repeat": 3.0 * plan.section,
         "validation": plan.validation,
@@ -63,15 +99,16 @@ def seconds(plan: Plan, parts: Iterable[str]) -> float:
     return sum(takes[part] for part in parts)
 
 
-def measure(rig: Rig, part: str, plan: Plan, progress: Callable[[float], None]) -> Record:
-    """One part as its file holds it; `progress` is told the share done. RunEnded where the rig ended it."""
+def measure(rig: Rig, part: str, plan: Plan, progress: Callable[[float], None], allowed: Ranges = PAPERS) -> Record:
+    """One part as its file holds it, with commands within what is `allowed`; `progress` is told the share done. RunEnded where
+    the rig ended it."""
     if part == "static":
-        return static_map(rig, commands.grid(plan.points), plan.settle, plan.samples, progress)
+        return static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, progress)
     if part == "steps":
-        return step_responses(rig, commands.steps(plan.levels), plan, progress)
+        return step_responses(rig, commands.steps(plan.levels, allowed), plan, progress)
     if part == "validation":
-        return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt), plan.settle, progress)
-    return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt), plan.settle, progress)
+        return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt, allowed), plan.settle, progress)
+    return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt, allowed), plan.settle, progress)
 
 
 def static_map(rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress) -> Record:
@@ -115,7 +152,8 @@ def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
     told = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
     omega, beta = told[0].tolist()
     rig.start(omega, beta)
-    for pitch in (beta - APPROACH, beta):
+    below = beta - APPROACH * (rig.limits.beta_max - rig.limits.beta_min)
+    for pitch in (max(below, rig.limits.beta_min), beta):
         for _ in range(round(settle / rig.dt)):
             rig.step(omega, pitch)
     record = recorded(rig, told, progress)

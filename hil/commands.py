@@ -1,21 +1,27 @@
-"""What a campaign tells the rig, in rpm and deg: the paper's grid and steps (section 3), and sequences for the fine-tuning."""
+"""What a campaign tells the rig, in rpm and deg: the paper's grid and steps (section 3), and sequences for the fine-tuning.
 
-from dataclasses import dataclass
+Everything stands in shares of the rig's ranges; the numbers in rpm and deg beside them are the paper's.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vpp_fmu.commands import commanded
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig
 
-SPEEDS, PITCHES = (2000.0, 6000.0), (-10.0, 10.0)
-"""Ranges of the static map [rpm], [deg]."""
+PAPERS = replace(Rig(), name="the paper's", pitch=(-10.0, 10.0), origin=dict.fromkeys(("speed", "pitch"), "the paper"))
+"""The paper's rig: its static map goes from 2000 to 6000 rpm and from -10 to 10 deg."""
 
-REGION = (2200.0, 5900.0), (-4.5, 9.5)
-"""Ranges of the open-loop sequences: within what the paper's model is for, and off its edges."""
+EDGES = (0.05, 0.975), (1.0 / 30.0, 29.0 / 30.0)
+"""Shares of speed, and of the operating region's pitch, between which the open-loop sequences stay, off the edges: 2200 to
+5900 rpm, -4.5 to 9.5 deg."""
 
-RESTING = 4500.0, 4.0
-"""rpm, deg of the channel that is not in play."""
+RESTING = 0.625, 0.6
+"""Shares at which the channel that is not in play rests: 4500 rpm, 4 deg."""
 
-_HOLDS = (0.4, 2.8)  # s, for how long one command is held
+_HOLDS = (0.8, 5.6)  # time scales for which one command is held: 0.4 to 2.8 s
 _SMALLEST, _LARGEST = -1.3, -0.05  # decades of a move's share of the range
 
 
@@ -27,41 +33,44 @@ class Step:
     after: tuple[float, float]
 
 
-def grid(points: int) -> list[tuple[float, float]]:
-    """points x points commands of the static map, speed by speed as the paper's two loops."""
-    speeds, pitches = np.linspace(*SPEEDS, points), np.linspace(*PITCHES, points)
-    return [(round(float(w), 3), round(float(b), 4)) for w in speeds for b in pitches]
+def grid(points: int, rig: Rig = PAPERS) -> list[tuple[float, float]]:
+    """points x points commands of the static map, speed by speed as the paper's two loops; a channel that stands has one."""
+    speeds, pitches = (np.linspace(*span, points if _moves(span) else 1) for span in (rig.speed, rig.pitch))
+    return _points(rig, [(w, b) for w in speeds for b in pitches])
 
 
-def steps(levels: int = 5) -> list[Step]:
-    """The paper's steps: five sizes up, five down, of speed at `levels` pitches and of pitch at `levels` speeds."""
-    found = []
-    for pitch in np.linspace(-4.0, 8.0, levels).tolist():
-        for end in np.linspace(2500.0, 6000.0, 5).tolist():
-            found.append(Step((2000.0, pitch), (end, pitch)))
-        for end in np.linspace(5500.0, 2000.0, 5).tolist():
-            found.append(Step((6000.0, pitch), (end, pitch)))
-    for speed in np.linspace(2800.0, 6000.0, levels).tolist():
-        for end in np.linspace(-6.0, 10.0, 5).tolist():
-            found.append(Step((speed, -10.0), (speed, end)))
-        for end in np.linspace(6.0, -10.0, 5).tolist():
-            found.append(Step((speed, 10.0), (speed, end)))
-    return found
+def steps(levels: int = 5, rig: Rig = PAPERS) -> list[Step]:
+    """The paper's steps: five sizes up, five down, of speed at `levels` pitches and of pitch at `levels` speeds. A channel that
+    stands has none, and is one level for the other."""
+    pairs = []
+    up, down = np.linspace(0.125, 1.0, 5), np.linspace(0.875, 0.0, 5)
+    if _moves(rig.speed):
+        for b in np.linspace(0.3, 0.9, levels if _moves(rig.pitch) else 1):
+            pairs += [((0.0, b), (w, b)) for w in up] + [((1.0, b), (w, b)) for w in down]
+    up, down = np.linspace(0.2, 1.0, 5), np.linspace(0.8, 0.0, 5)
+    if _moves(rig.pitch):
+        for w in np.linspace(0.2, 1.0, levels if _moves(rig.speed) else 1):
+            pairs += [((w, 0.0), (w, b)) for b in up] + [((w, 1.0), (w, b)) for b in down]
+    if not pairs:
+        return []
+    ends = _points(rig, [(_at(rig.speed, w), _at(rig.pitch, b)) for pair in pairs for w, b in pair])
+    return [Step(*pair) for pair in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def open_loop(seed: int, section: float, dt: float) -> Record:
+def open_loop(seed: int, section: float, dt: float, rig: Rig = PAPERS) -> Record:
     """Three sections of `section` s each: speed moves, pitch moves, both move."""
     rng, rows = np.random.default_rng(seed), round(section / dt)
-    (speed, pitch), (still_speed, still_pitch) = REGION, (np.full(rows, RESTING[0]), np.full(rows, RESTING[1]))
-    omega = np.concatenate([_levels(rng, rows, *speed, 1, dt), still_speed, _levels(rng, rows, *speed, 1, dt)])
-    beta = np.concatenate([still_pitch, _levels(rng, rows, *pitch, 3, dt), _levels(rng, rows, *pitch, 3, dt)])
-    return _record(omega, beta, dt, "open loop")
+    (speed, pitch), rest = _region(rig), np.ones(rows)
+    still_speed, still_pitch = _at(rig.speed, RESTING[0]) * rest, _at(operating_pitch(rig), RESTING[1]) * rest
+    omega = np.concatenate([_levels(rng, rows, speed, rig, dt), still_speed, _levels(rng, rows, speed, rig, dt)])
+    beta = np.concatenate([still_pitch, _levels(rng, rows, pitch, rig, dt), _levels(rng, rows, pitch, rig, dt)])
+    return _record(rig, omega, beta, dt, "open loop")
 
 
-def validation(seed: int, seconds: float, dt: float) -> Record:
+def validation(seed: int, seconds: float, dt: float, rig: Rig = PAPERS) -> Record:
     """Both move, by other numbers than `open_loop` has."""
     rng, rows = np.random.default_rng([seed, 1]), round(seconds / dt)
-    return _record(_levels(rng, rows, *REGION[0], 1, dt), _levels(rng, rows, *REGION[1], 3, dt), dt, "validation")
+    return _record(rig, *(_levels(rng, rows, span, rig, dt) for span in _region(rig)), dt, "validation")
 
 
 def resampled(commands: Record, dt: float) -> Record:
@@ -71,14 +80,43 @@ def resampled(commands: Record, dt: float) -> Record:
     return Record({"time": time, **{n: commands[n][held] for n in ("omega_ref", "beta_ref")}}, commands.source)
 
 
-def _levels(rng: np.random.Generator, rows: int, low: float, high: float, digits: int, dt: float) -> np.ndarray:
+def operating_pitch(rig: Rig) -> tuple[float, float]:
+    """deg: of the pitch range what the model's map is normalised for (0 to 1), where that is half of it or more: blades that
+    stall below are a matter for the static map."""
+    low, high = (rig.scales.absolute(share, "position") for share in (0.0, 1.0))
+    low, high = max(low, rig.pitch[0]), min(high, rig.pitch[1])
+    return (low, high) if high - low >= 0.5 * (rig.pitch[1] - rig.pitch[0]) else rig.pitch
+
+
+def _region(rig: Rig) -> list[tuple[float, float]]:
+    """Of speed and pitch, between what open-loop sequences stay."""
+    spans = rig.speed, operating_pitch(rig)
+    return [tuple(_at(span, share) for share in edges) for span, edges in zip(spans, EDGES, strict=True)]
+
+
+def _moves(span: tuple[float, float]) -> bool:
+    return span[0] < span[1]
+
+
+def _at(span: tuple[float, float], share: float) -> float:
+    return span[0] + share * (span[1] - span[0])
+
+
+def _points(rig: Rig, targets: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Single commands, which the rig has all the time for."""
+    return [tuple(point) for point in commanded(rig, np.array(targets), np.inf).tolist()]
+
+
+def _levels(rng: np.random.Generator, rows: int, span: tuple[float, float], rig: Rig, dt: float) -> np.ndarray:
     """(rows,) from level to level. Small moves are as frequent as large ones: thresholds show in them."""
+    low, high = span
     values, now = [], rng.uniform(low, high)
     while len(values) < rows:
-        values += [now] * round(rng.uniform(*_HOLDS) / dt)
+        values += [now] * max(1, round(rng.uniform(*_HOLDS) * rig.scales.time_scale / dt))
         now = float(np.clip(now + rng.choice([-1, 1]) * (high - low) * 10 ** rng.uniform(_SMALLEST, _LARGEST), low, high))
-    return np.round(values[:rows], digits)
+    return np.array(values[:rows])
 
 
-def _record(omega: np.ndarray, beta: np.ndarray, dt: float, source: str) -> Record:
-    return Record({"time": np.arange(len(omega)) * dt, "omega_ref": omega, "beta_ref": beta}, source)
+def _record(rig: Rig, omega: np.ndarray, beta: np.ndarray, dt: float, source: str) -> Record:
+    told = commanded(rig, np.column_stack([omega, beta]), dt)
+    return Record({"time": np.arange(len(omega)) * dt, "omega_ref": told[:, 0], "beta_ref": told[:, 1]}, source)

@@ -15,7 +15,7 @@ from hil.safety.plausibility import Plausibility
 from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
-from hil.safety.tare import Tare, TareRefused, tare
+from hil.safety.tare import Tare, TareGate, TareRefused, tare
 from hil.twin.twin import Twin
 from vpp_fmu.errors import VppError
 
@@ -57,7 +57,7 @@ class Rig:
 
     Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
     `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
-    a run's readings. `tares`: the zeros that were found.
+    a run's readings, `gate` says what is a zero. `tares`: the zeros that were found.
     """
 
     def __init__(
@@ -70,8 +70,9 @@ class Rig:
         twin: Twin | None = None,
         view: View | None = None,
         plausibility: Callable[[], Plausibility] | None = None,
+        gate: TareGate | None = None,
     ):
-        self.dt, self.bench, self.limits = PERIOD, bench, limits
+        self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
         self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility)
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
@@ -186,7 +187,7 @@ class Rig:
         for _ in range(TARE_SAMPLES):
             self._idle_tick()
             counts.append(senses.counts)
-        found = tare(counts, calibration.newton_per_count, calibration.zero)
+        found = tare(counts, calibration.newton_per_count, calibration.zero, self._gate)
         self._cycle.zero = senses.zero = found.zero
         self.tares.append(found)
         return found

@@ -12,12 +12,10 @@ from hil.rig import ENDINGS, Rig
 from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, read_log, session
 from hil.twin.twin import Twin
+from vpp_fmu.commands import idle
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import Controller, Plant
 from vpp_fmu.record import Record
-
-START = (2000.0, 0.0)
-"""rpm, deg: what a run begins from, the lowest speed of the operating region."""
 
 LOG = "log.csv"
 
@@ -72,12 +70,13 @@ def run_on_rig(
     controller: Controller,
     profile: Record,
     folder: Path,
-    start: tuple[float, float] = START,
+    start: tuple[float, float] | None = None,
     twin: Twin | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Run:
-    """Close the loop over the profile. Writes the full-rate log to `folder` and keeps what was measured, however it ended."""
-    ended = ""
+    """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
+    log to `folder` and keeps what was measured, however it ended."""
+    ended, start = "", start or idle(setup.allowed)
     with session(setup, folder, LOG, twin) as one:
         try:
             run_loop(one.rig, Told(controller, one.rig), profile, start, progress)

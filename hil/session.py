@@ -5,7 +5,7 @@ import math
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
 from hil.columns import COLUMNS, SHOWN, STATES
+from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import Rig as Emulated
@@ -24,13 +25,15 @@ from hil.log import Logged, MemoryLog, ProcessLog
 from hil.realtime import real_time
 from hil.rig import Rig
 from hil.safety.limits import Limits
-from hil.safety.plausibility import Plausibility, Thresholds
+from hil.safety.plausibility import Plausibility, thresholds_of
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
+from hil.safety.tare import gate_of
 from hil.timing import Timing, timing
 from hil.twin.twin import Twin
 from vpp_fmu.files import read_table
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig as Ranges
 
 REPORT = "supervisor.log"
 _PACKAGES = ("vpp-fmu", "numpy", "fmpy", "pyserial", "smbus2")
@@ -40,7 +43,8 @@ _PACKAGES = ("vpp-fmu", "numpy", "fmpy", "pyserial", "smbus2")
 class Setup:
     """Which rig: `emulated`, in virtual time or not, or the real one by its `wiring`; how it is calibrated, what it may do.
 
-    `plant`: what is known of it, parameters by the kernel's names (default: the paper's).
+    `plant`: what is known of it, parameters by the kernel's names (default: the paper's). `allowed`: the ranges, slews and
+    scales that were measured or declared, from which the limits followed.
     """
 
     calibration: Calibration
@@ -50,11 +54,14 @@ class Setup:
     wiring: Wiring | None = None
     plant: Mapping[str, float] | None = None
     map_is_known: bool = True
+    allowed: Ranges = PAPERS
 
     def plausibility(self) -> Plausibility:
         """The checks of a run's readings. Where the map is not known yet, thrust can't tell whether the blades follow."""
-        thresholds = Thresholds() if self.map_is_known else Thresholds(effect=-math.inf)
-        return Plausibility(self.limits, PERIOD, self.plant, thresholds)
+        thresholds = thresholds_of(self.allowed)
+        if not self.map_is_known:
+            thresholds = replace(thresholds, effect=-math.inf)
+        return Plausibility(self.limits, PERIOD, self.plant, thresholds, self.allowed.scales.time_scale)
 
     def bench(self) -> Bench:
         """Its devices, ready to use. DeviceFault NOT_READY."""
@@ -67,6 +74,7 @@ class Setup:
         kind = "real" if self.emulated is None else "emulated"
         hidden = list(self.emulated.hidden) if self.emulated else []
         told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
+        told |= {"allowed": self.allowed.summary()}
         if self.emulated:
             told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
         return told
@@ -123,7 +131,7 @@ def session(setup: Setup, folder: Path, log_name: str, twin: Twin | None = None,
         report.unlink(missing_ok=True)
         supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report)
         with StopSignals() as signals, contextlib.nullcontext("virtual time") if in_virtual_time else real_time() as granted:
-            rig = Rig(bench, setup.limits, log, supervise, signals, twin, shown, setup.plausibility)
+            rig = Rig(bench, setup.limits, log, supervise, signals, twin, shown, setup.plausibility, gate_of(setup.allowed))
             one = Session(rig, setup, str(granted), folder)
             try:
                 yield one

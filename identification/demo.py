@@ -11,6 +11,7 @@ import numpy as np
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.worth.quality import rmse
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.commands import idle
 from vpp_fmu.export.toolchain import host
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
@@ -19,11 +20,16 @@ from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import FmuController, FmuPlant
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig
 
 STEP = 0.004
 
-IDLE = (2000.0, 0.0)
-"""Commands that the loop starts from, rpm and deg: the lowest speed of the operating region."""
+LEVELS = (0.1, 0.8)
+"""Of the step profile, in shares of the thrust scale: the paper's 1.5 and 12 N."""
+
+RESERVE = 0.03
+"""Share of the rig's thrust, at either end, that the profile leaves to the controller: one that is asked for the last newton
+can only saturate."""
 
 Export = Callable[[Sequence[ParameterSet], str], Mapping[str, bytes | str]]
 """(plant's parameters, and controller's where there is one; flavour) -> contents of files by name."""
@@ -55,10 +61,14 @@ def example_folder() -> Path:
     return Path(str(files("identification") / "example"))
 
 
-def step_profile(thrust_scale: float = 15.0) -> Record:
-    """Thrust 0.1 -> 0.8 -> 0.1 of the scale, as the paper's tests; `time` [s], `thrust_set` [N]."""
-    levels = np.array([0.1, 0.8, 0.1, 0.1]) * thrust_scale
-    return Record({"time": np.array([0.0, 3.0, 6.0, 9.0]), "thrust_set": levels}, "step profile")
+def step_profile(rig: Rig | None = None) -> Record:
+    """Thrust up and down between LEVELS, as the paper's tests, as far as the rig gives it (default: the paper's); `time` [s],
+    `thrust_set` [N]."""
+    rig = rig or Rig()
+    reserve = RESERVE * (rig.thrust[1] - rig.thrust[0])
+    low, high = np.clip(np.array(LEVELS) * rig.scales.thrust_scale, rig.thrust[0] + reserve, rig.thrust[1] - reserve)
+    time = 6.0 * rig.scales.time_scale * np.arange(4.0)
+    return Record({"time": time, "thrust_set": np.array([low, high, low, low])}, "step profile")
 
 
 def local_flavour() -> str:
@@ -83,16 +93,16 @@ def demo(campaign: Campaign, folder: OutputFolder, export: Export, workers: int,
         name: simulate_in_fmpy(path, campaign.validation) for name, path in (("before", paths["before"]), ("after", plant))
     }
     stage("close the loop")
-    return Demo(found, flavour, thrust, {name: _loop(plant, controller, g) for name, g in _GAINS.items()})
+    return Demo(found, flavour, thrust, {name: _loop(plant, controller, g, found.rig) for name, g in _GAINS.items()})
 
 
 _GAINS = {"dual": DUAL, "speed only": SPEED_ONLY}
 
 
-def _loop(plant: Path, controller: Path, gains: Mapping[str, float]) -> Record:
+def _loop(plant: Path, controller: Path, gains: Mapping[str, float], rig: Rig) -> Record:
     """The step profile through both FMUs."""
     parts = FmuPlant(plant, dt=STEP), FmuController(controller, gains, dt=STEP)
-    done = run_loop(*parts, step_profile(), IDLE)
+    done = run_loop(*parts, step_profile(rig), idle(rig))
     for part in parts:
         part.close()
     return done

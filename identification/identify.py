@@ -8,7 +8,9 @@ import numpy as np
 from identification.fit.coordinates import CHANNELS
 from identification.fit.problem import Prior
 from identification.fit.refine import Refinement, refine
-from identification.screening import screen
+from identification.gate.finding import Finding
+from identification.gate.fitted import of_fit
+from identification.gate.gate import passed
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
@@ -32,8 +34,8 @@ class Identification:
 
     `fitted`: names of the records that the parameters were fitted to; the other predictions are of records that no fit has
     seen. `bands`: standard deviation of a predicted reading (rows,) N by record, of parameters and noise together. `tests`: of
-    the thrust residual of the first fitted record. `left_out`: in words, rows of the fitted records that were not trusted.
-    `bootstrap` where it was asked for.
+    the thrust residual of the first fitted record. `quality`: what the gate found in the files and in the fit. `bootstrap`
+    where it was asked for.
     """
 
     campaign: Campaign
@@ -47,7 +49,7 @@ class Identification:
     bands: Mapping[str, np.ndarray]
     tests: ResidualTests
     noise_floor: float | None
-    left_out: tuple[str, ...]
+    quality: tuple[Finding, ...]
     bootstrap: Bootstrap | None = None
 
     @property
@@ -92,7 +94,7 @@ class Identification:
             "steps": self.steps and self.steps.summary(),
             "static_map": static and static.summary(),
             "missing": list(self.campaign.missing),
-            "left_out": list(self.left_out),
+            "quality": [finding.summary() for finding in self.quality],
         }
 
 
@@ -106,16 +108,21 @@ def identify(
     workers: int = 1,
     scheduler: str | None = None,
     records: Mapping[str, Record] | None = None,
+    accept: Iterable[str] = (),
     stage: Callable[[str], None] = lambda text: None,
 ) -> Identification:
     """Static map by least squares, lags by step responses, then all parameters on the fitted records, the map as prior.
 
     Fitted are the campaign's open-loop record, its repeat, and further `records` by name, all together. What is missing of the
     campaign is left out, down to one record to fit: BadInput without any. Without means of steady points these are taken from
-    their raw samples. `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is told what
-    begins. Other options as in `refine`.
+    their raw samples. `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. What the quality gate
+    finds wrong is BadInput, too, but for the codes that `accept` names. `stage` is told what begins. Other options as in
+    `refine`.
     """
-    screened = {name: screen(record) for name, record in _to_fit(campaign, records or {}).items()}
+    stage("quality")
+    shown = _to_fit(campaign, records or {})
+    gate = passed(campaign, records, accept)
+    fitted = _to_fit(gate.campaign, gate.further)
     if campaign.static is None and campaign.static_raw is not None:
         campaign = replace(campaign, static=steady_points(campaign.static_raw))
     model = model.sized(campaign.rig.scales)
@@ -127,16 +134,17 @@ def identify(
     start = slow_first(AVERAGED) | coefficients | (dict(steps.start) if steps else {})
     prior = static and Prior(tuple(coefficients), np.array(list(coefficients.values())), static.covariance)
     stage("refine")
-    found = refine(model, [s.record for s in screened.values()], start, prior=prior, method=method, starts=starts, seed=seed)
+    found = refine(model, list(fitted.values()), start, prior=prior, method=method, starts=starts, seed=seed)
     stage("intervals")
     found = replace(found, uncertainty=profiled(found.problem, found.solution, found.uncertainty))
-    shown = _to_fit(campaign, records or {}) | ({"validation": campaign.validation} if campaign.validation is not None else {})
+    shown |= {"validation": campaign.validation} if campaign.validation is not None else {}
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
-    first = predictions[next(iter(screened))]
+    first = predictions[next(iter(fitted))]
+    noise = noise_floor(campaign.open_loop, campaign.repeat) if {"open_loop", "repeat"} <= set(fitted) else None
     rig = campaign.rig.timed(slowest(found.values, found.names))
     source = {"made_by": "vpp identify", "campaign": campaign.folder.name, "record_seconds": float(first.record.time[-1])}
-    source |= {"rig": rig.summary()}
+    source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
         parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, found.std),
@@ -144,12 +152,12 @@ def identify(
         static=static,
         steps=steps,
         refinement=found,
-        fitted=tuple(screened),
+        fitted=tuple(fitted),
         predictions=predictions,
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},
         tests=residual_tests(first.record, first.record["thrust"] - first.thrust),
-        noise_floor=noise_floor(campaign.open_loop, campaign.repeat) if {"open_loop", "repeat"} <= set(screened) else None,
-        left_out=tuple(f"{name}: {note}" for name, s in screened.items() for note in s.notes),
+        noise_floor=noise,
+        quality=(*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig)),
         bootstrap=bootstrap(found, resamples, seed, workers, scheduler) if resamples else None,
     )
 
@@ -159,6 +167,11 @@ def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
     sums = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in CHANNELS}
     told = [total for u, total in sums.items() if f"tau_{u}_1" in set(known)]
     return max(told or sums.values())
+
+
+def _steady_noise(campaign: Campaign) -> float | None:
+    """N: the usual spread of single readings at the steady points."""
+    return None if campaign.static is None else float(np.median(campaign.static.thrust_std))
 
 
 def _to_fit(campaign: Campaign, more: Mapping[str, Record]) -> dict[str, Record]:

@@ -1,6 +1,7 @@
 """The report of an identification: what was found, how good it is, what it rests on."""
 
 from identification.found_report import add_found
+from identification.gate.report import add_quality, quality_tile
 from identification.identify import Identification
 from identification.static.report import add_static
 from vpp_fmu.report import (
@@ -15,7 +16,7 @@ from vpp_fmu.report.steps import step_responses
 
 def key_figures(found: Identification) -> list[tuple[str, str, str]]:
     """(label, value, note) of what a reader must know first."""
-    figures = []
+    figures = [quality_tile(found.quality)] if found.quality else []
     for name in _shown(found):
         p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
         figures.append((f"thrust error, {name}", f"{p.rmse_thrust:.3f} N", f"rmse, fit {p.fit_thrust:.1f} %, {role}"))
@@ -51,8 +52,7 @@ def add_identification(page: Page, found: Identification) -> None:
     page.tiles(key_figures(found))
     for missing in found.campaign.missing:
         page.note(f"{missing} is missing: what it would have told is left out.")
-    for left_out in found.left_out:
-        page.note(f"{left_out}.")
+    add_quality(page, found.quality)
     page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
     for name in _shown(found):
         page.figure(*_record_figure(found, name))

@@ -1,6 +1,7 @@
 import contextlib
 import gzip
 import os
+import pickle
 import stat
 import tempfile
 from pathlib import Path
@@ -237,3 +238,9 @@ def test_read_table_says_what_is_wrong(tmp_path, text, message):
         read_table(path)
     assert str(error.value).startswith(f"{path}: {message}")
     assert "\n" not in str(error.value)
+
+
+def test_bad_input_in_a_worker_process_arrives_as_what_it_is():
+    sent = BadInput("steps.csv", "omega", 7, "less")
+    found = pickle.loads(pickle.dumps(sent))
+    assert (type(found), str(found), found.allowed) == (BadInput, str(sent), "less")

@@ -127,6 +127,6 @@ def test_a_further_record_that_is_none_is_one_line(folder, tmp_path, capsys, tex
 def test_what_was_left_out_names_its_record(folder):
     campaign = read_campaign(folder)
     clipped = campaign.repeat.with_columns(thrust=np.minimum(campaign.repeat["thrust"], 9.0))
-    notes = identify(replace(campaign, repeat=clipped), starts=1).left_out
-    assert notes
-    assert all(note.startswith("repeat: thrust: ") for note in notes)
+    found = identify(replace(campaign, repeat=clipped), starts=1)
+    (finding,) = [f for f in found.quality if f.code == "clipped"]
+    assert (finding.file, finding.field, finding.level) == ("repeat.csv", "thrust", "warning")

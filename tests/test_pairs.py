@@ -1,4 +1,5 @@
-"""The order in which a channel's two lags are written: agreed where nothing tells it, the data's where an effect stands between."""
+"""The order in which a channel's two lags are written: agreed where nothing tells it, the data's where an effect stands
+between."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,7 @@
-"""The next experiment: within limits, better than the paper's, and right about what it will bring."""
+"""The next experiment: within the rig's range, better than the paper's, and right about what it will bring."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,32 +9,36 @@ from builders import simulator
 
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS
-from identification.plan.excitation import Limits, candidate, paper_plan
+from identification.plan.excitation import candidate, paper_plan
 from identification.plan.plan import free_parameters, plan
 from identification.worth.information import Information, read_knowledge
 from vpp_fmu import cli
+from vpp_fmu.commands import ends
 from vpp_fmu.errors import BadInput, NotIdentifiable
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED, LIBRARY, plant
+from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.types import Effect, Parameter, Signal
 from vpp_fmu.parameters import ParameterSet, to_json
-from vpp_fmu.record import read_record
+from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.rig import Rig
 
 SORTED = FINE_TUNED | {"tau_beta_1": 0.374, "tau_beta_2": 0.207}
 """The paper's values, the slower constant of each channel first, as a fit orders them."""
 
-NARROW = Limits((2500.0, 5000.0), (-2.0, 8.0), 6000.0, 45.0, 0.005)
+NARROW = Rig(speed=(2500.0, 5000.0), pitch=(-2.0, 8.0), speed_slew=6000.0, pitch_slew=45.0)
 
 
 @pytest.fixture(scope="module")
 def planned():
     """A plan of 20 s for the paper's plant."""
-    return plan(BASE, SORTED, Limits(), 20.0, 0.3, evaluations=200)
+    return plan(BASE, SORTED, Rig(), 20.0, 0.3, evaluations=200)
 
 
 @pytest.fixture(scope="module")
 def narrow():
     """A plan of 12 s within narrow limits."""
-    return plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=3, evaluations=50)
+    return plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=3, evaluations=50, step=0.005)
 
 
 def test_limits_and_slew_hold_at_every_row(narrow):
@@ -52,19 +57,31 @@ def test_limits_and_slew_hold_at_every_row(narrow):
 
 def test_every_family_stays_within_the_limits_and_some_reach_them():
     rng = np.random.default_rng(0)
-    drawn = np.array([candidate(rng, 300, 0.02, NARROW) for _ in range(200)])
-    assert (drawn >= NARROW.low).all()
-    assert (drawn <= NARROW.high).all()
-    np.testing.assert_array_equal(drawn.min(axis=(0, 1)), NARROW.low)
-    np.testing.assert_array_equal(drawn.max(axis=(0, 1)), NARROW.high)
+    drawn, (low, high) = np.array([candidate(rng, 300, 0.02, NARROW) for _ in range(200)]), ends(NARROW)
+    assert (drawn >= low).all()
+    assert (drawn <= high).all()
+    np.testing.assert_array_equal(drawn.min(axis=(0, 1)), low)
+    np.testing.assert_array_equal(drawn.max(axis=(0, 1)), high)
     moved = (np.ptp(drawn, axis=1) > 0.0).T
     assert (moved[0] & moved[1]).any()
     assert (moved[0] & ~moved[1]).any()
     assert (~moved[0] & moved[1]).any()
 
 
+@pytest.mark.parametrize("fixed", [{"pitch": (4.0, 4.0)}, {"speed": (3000.0, 3000.0)}])
+def test_what_stands_is_not_moved_and_the_other_always_is(fixed):
+    rng, rig = np.random.default_rng(0), Rig(**fixed)
+    channel = 1 if "pitch" in fixed else 0
+    drawn = np.array([candidate(rng, 500, 0.02, rig) for _ in range(100)])
+    assert (drawn[:, :, channel] == next(iter(fixed.values()))[0]).all()
+    assert (np.ptp(drawn[:, :, 1 - channel], axis=1) > 0.0).all()
+    found = plan(BASE, SORTED, rig, 10.0, 0.3, evaluations=1)
+    assert set(found.commands[("omega_ref", "beta_ref")[channel]]) == {next(iter(fixed.values()))[0]}
+    assert {f"tau_{('omega', 'beta')[channel]}_{k}" for k in (1, 2)} <= set(found.untold)
+
+
 def test_the_paper_s_plan_is_the_paper_s():
-    commands = paper_plan(np.random.default_rng(0), 3000, 0.02, Limits())
+    commands = paper_plan(np.random.default_rng(0), 3000, 0.02, Rig())
     moves = np.diff(commands, axis=0) != 0.0
     assert not moves[:999, 1].any()
     assert not moves[1000:1999, 0].any()
@@ -75,7 +92,7 @@ def test_the_paper_s_plan_is_the_paper_s():
 
 
 def test_the_same_seed_gives_the_same_plan(narrow):
-    again, other = (plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=seed, evaluations=50) for seed in (3, 4))
+    again, other = (plan(BASE, SORTED, NARROW, 12.0, 0.3, seed=seed, evaluations=50, step=0.005) for seed in (3, 4))
     for name in ("time", "omega_ref", "beta_ref"):
         np.testing.assert_array_equal(again.commands[name], narrow.commands[name])
     assert again.summary() == narrow.summary()
@@ -90,6 +107,25 @@ def test_it_beats_the_paper_s_plan(planned, narrow):
     assert (planned.after.relative[taus] < 0.5 * planned.paper.relative[taus]).all()
     assert narrow.gain > 1.3
     assert narrow.after.typical < 0.75 * narrow.paper.typical
+
+
+def test_a_rig_ten_times_as_slow_gets_the_same_plan_ten_times_as_slowly():
+    """Time has no other scale than the rig's: the same draws, the same shares of the ranges, the same information a reading."""
+    slow_values = {name: 10.0 * value if name.startswith("tau") else value for name, value in SORTED.items()}
+    fast, slow = (
+        plan(BASE, values, Rig().timed(unit), 20.0 * unit, 0.3, evaluations=20)
+        for unit, values in ((0.5, SORTED), (5.0, slow_values))
+    )
+    assert (fast.step, slow.step) == (0.004, 0.04)
+    np.testing.assert_allclose(slow.commands.time, 10.0 * fast.commands.time, atol=1e-9)
+    for name in ("omega_ref", "beta_ref"):
+        np.testing.assert_array_equal(slow.commands[name], fast.commands[name])
+    np.testing.assert_allclose(slow.after.relative, fast.after.relative, rtol=1e-6)
+
+
+def test_noise_and_length_nobody_tells_are_the_rig_s():
+    found = plan(BASE, SORTED, replace(Rig(), scales=Scales(thrust_scale=150.0)).timed(1.0), evaluations=1)
+    assert (found.noise_std, found.commands.time[-1], found.step) == (3.0, 120.0, 0.008)
 
 
 def test_information_on_a_coefficient_is_the_closed_form():
@@ -127,7 +163,7 @@ def test_what_is_known_adds_up_and_steers():
     names = BASE_PARAMETERS[4:]
     mean = np.array([SORTED[n] for n in names])
     knowledge = Prior(names, mean, np.diag((1e-3 * mean) ** 2))
-    found = plan(BASE, SORTED, Limits(), 12.0, 0.3, knowledge, evaluations=50)
+    found = plan(BASE, SORTED, Rig(), 12.0, 0.3, knowledge, evaluations=50)
     information = Information(BASE, SORTED, BASE_PARAMETERS, 0.3, 0.004)
     commands = np.column_stack([found.commands["omega_ref"], found.commands["beta_ref"]])
     alone = information.of(commands, 0.004) / np.outer(information.size, information.size)
@@ -135,7 +171,7 @@ def test_what_is_known_adds_up_and_steers():
     np.testing.assert_allclose(found.after.covariance, np.linalg.inv(alone), rtol=1e-4, atol=1e-9)
     assert found.before.relative[4:] == pytest.approx(np.full(5, 1e-3), rel=1e-6)
     assert (found.before.relative[:4] > 1e3).all()
-    without = plan(BASE, SORTED, Limits(), 12.0, 0.3, evaluations=50)
+    without = plan(BASE, SORTED, Rig(), 12.0, 0.3, evaluations=50)
     taus = information.of(np.column_stack([without.commands[n] for n in ("omega_ref", "beta_ref")]), 0.004)
     told = information.forecast(taus + information.known(knowledge))
     assert np.sum(found.after.relative[:4] ** 2) < np.sum(told.relative[:4] ** 2)
@@ -145,13 +181,13 @@ def test_a_model_with_effects_is_planned_for_and_what_cannot_be_told_is_said():
     """A threshold has no slope anywhere; under much noise some coefficients drown before others."""
     model, delay = plant(["pitch_delay", "pitch_command_deadband"]), "pitch_delay.delay"
     values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
-    found = plan(model, values, Limits(), 20.0, 0.1, evaluations=20)
+    found = plan(model, values, Rig(), 20.0, 0.1, evaluations=20)
     assert found.after.relative[found.after.names.index(delay)] < 0.05
     assert list(found.untold) == ["pitch_command_deadband.half_width"]
     assert "first order" in found.untold["pitch_command_deadband.half_width"]
     assert set(found.after.names) | set(found.untold) == set(free_parameters(model))
 
-    noisy = plan(BASE, SORTED, Limits(), 10.0, 15.0, evaluations=1)
+    noisy = plan(BASE, SORTED, Rig(), 10.0, 15.0, evaluations=1)
     assert 0 < len(noisy.untold) < 9
     assert all("times its size" in why for why in noisy.untold.values())
     assert (noisy.after.relative < 1.1).all()
@@ -178,7 +214,7 @@ WIND = Effect(
 def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value():
     model = plant(["wind"], (*LIBRARY, WIND))
     assert free_parameters(model) == (*BASE_PARAMETERS, "wind.share")
-    found = plan(model, {"wind.share": 0.05}, Limits(), 5.0, 0.3, names=("wind.share", "tau_beta_1"), evaluations=1)
+    found = plan(model, {"wind.share": 0.05}, Rig(), 5.0, 0.3, names=("wind.share", "tau_beta_1"), evaluations=1)
     assert found.after.names == ("wind.share", "tau_beta_1")
     rest = Information(model, {"wind.share": 0.05}, ("wind.share",), 0.3, 0.004).thrust(np.full((2, 2), [4000.0, 5.0]), 0.004)
     none = Information(BASE, {}, ("c20",), 0.3, 0.004).thrust(np.full((2, 2), [4000.0, 5.0]), 0.004)
@@ -186,26 +222,23 @@ def test_a_form_is_not_planned_for_and_other_inputs_stand_at_their_nominal_value
 
 
 def test_a_tachometer_tells_of_the_speed_channel():
-    deaf, hearing = (plan(BASE, SORTED, Limits(), 10.0, 0.3, evaluations=1, omega_std=std) for std in (None, 20.0))
+    deaf, hearing = (plan(BASE, SORTED, Rig(), 10.0, 0.3, evaluations=1, omega_std=std) for std in (None, 20.0))
     improved = hearing.after.relative / deaf.after.relative
     assert (improved[:2] < 0.7).all()
 
 
 def test_noise_that_drowns_everything_is_said():
     with pytest.raises(NotIdentifiable, match="tell"):
-        plan(BASE, SORTED, Limits(), 10.0, 1e6, evaluations=1)
+        plan(BASE, SORTED, Rig(), 10.0, 1e6, evaluations=1)
 
 
 BAD = [
-    (lambda: Limits(omega=(6000.0, 2000.0)), "range of speed: found 6000 to 2000 rpm"),
-    (lambda: Limits(beta=(-50.0, 10.0)), "range of pitch"),
-    (lambda: Limits(omega=(2000.0, float("nan"))), "range of speed"),
-    (lambda: Limits(omega_slew=0.0), "slew of speed"),
-    (lambda: Limits(beta_slew=-3.0), "slew of pitch"),
-    (lambda: Limits(step=0.1), "step"),
-    (lambda: plan(BASE, {}, Limits(), 1.0), "seconds: found 1 s, allowed is 5 to 3600 s"),
-    (lambda: plan(BASE, {}, Limits(), noise_std=0.0), "noise of thrust"),
-    (lambda: plan(BASE, {}, Limits(), omega_std=float("inf")), "noise of speed"),
+    (lambda: plan(BASE, {}, Rig(), 1.0), "seconds: found 1 s, allowed is 5 to 3600 s"),
+    (lambda: plan(BASE, {}, Rig().timed(5.0), 20.0), "seconds: found 20 s, allowed is 50 to 36000 s"),
+    (lambda: plan(BASE, {}, Rig(), step=0.1), "step: found 0.1 s, allowed is 0.0001 to 0.05 s"),
+    (lambda: plan(BASE, {}, Rig(), step=float("nan")), "step"),
+    (lambda: plan(BASE, {}, Rig(), noise_std=0.0), "noise of thrust"),
+    (lambda: plan(BASE, {}, Rig(), omega_std=float("inf")), "noise of speed"),
 ]
 
 
@@ -217,15 +250,24 @@ def test_what_makes_no_sense_is_bad_input_in_one_line(call, says):
     assert "\n" not in str(bad.value)
 
 
+MEASURED = Rig(speed=(2100.0, 5800.0), pitch=(-5.0, 10.0), origin={"speed": "the campaign", "pitch": "the campaign"})
+SOURCE = {"rig": MEASURED.summary(), "sample_period": 0.005}
+
+
 @pytest.fixture
 def parameters(tmp_path, monkeypatch):
     """A parameter file, and an identification.json beside it."""
     monkeypatch.setitem(cli.VERBS, "plan", "the next experiment for a model")
     path = tmp_path / "parameters.json"
-    path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
+    path.write_text(to_json(ParameterSet(BASE, source=SOURCE).replaced(SORTED)))
     fitted = {name: {"value": SORTED[name], "std": 0.1 * abs(SORTED[name])} for name in BASE_PARAMETERS}
     correlation = {"names": list(BASE_PARAMETERS), "matrix": np.eye(9).tolist()}
-    content = {"parameters": fitted, "correlation": correlation, "inflation_by_coloured_residuals": dict.fromkeys(fitted, 4.0)}
+    content = {
+        "parameters": fitted,
+        "correlation": correlation,
+        "noise_floor_thrust": 0.3,
+        "inflation_by_coloured_residuals": dict.fromkeys(fitted, 4.0),
+    }
     (tmp_path / "identification.json").write_text(json.dumps(content))
     return path
 
@@ -236,8 +278,8 @@ def test_the_verb_writes_a_record_that_can_be_run(parameters, tmp_path, capsys):
     assert cli.main(["plan", "--parameters", str(parameters), "--knowledge", known, *limits, "-o", str(out)]) == 0
     record = read_record(out / "plan.csv")
     assert list(record.columns) == ["time", "omega_ref", "beta_ref"]
-    assert len(record) == 2001
-    assert np.abs(np.diff(record["omega_ref"])).max() <= 24.0 * (1 + 1e-6)
+    assert len(record) == 1601  # as the parameters' campaign was sampled
+    assert np.abs(np.diff(record["omega_ref"])).max() <= 30.0 * (1 + 1e-9)
     said = json.loads((out / "plan.json").read_text())
     for when in ("before", "after", "paper_plan"):
         assert set(said[when]["parameters"]) == set(BASE_PARAMETERS)
@@ -249,6 +291,65 @@ def test_the_verb_writes_a_record_that_can_be_run(parameters, tmp_path, capsys):
     told = capsys.readouterr().out
     assert "gain over the paper's plan" in told
     assert "--noise 1.2" in told  # residuals were coloured, four times as wide
+    assert "noise of a thrust reading 0.3 N (of a repeated record)" in told
+    assert "speed 2500 to 5000 rpm (the command line, within 2100 to 5800 of the campaign)" in told
+    assert "slew of speed 6000 rpm/s (the command line)" in told
+    assert said["rig"]["origin"]["pitch_slew"] == "the command line"
+
+
+def ranges(record):
+    return record["omega_ref"].min(), record["omega_ref"].max(), record["beta_ref"].min(), record["beta_ref"].max()
+
+
+def test_a_plan_goes_where_the_campaign_was_and_further_only_where_a_rig_json_says_so(parameters, tmp_path, capsys):
+    words = ["plan", "--parameters", str(parameters), "--seconds", "8", "-o", str(tmp_path)]
+    assert cli.main(words) == 0
+    low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
+    assert (low >= 2100.0, high <= 5800.0) == (True, True)
+    assert (min(pitch) >= -5.0, max(pitch) <= 10.0) == (True, True)
+    assert "commands within speed 2100 to 5800 rpm (the campaign), pitch -5 to 10 deg (the campaign)" in capsys.readouterr().out
+    assert cli.main([*words, "--omega", "2100", "6000"]) == 2
+    assert "--omega: found 2100 to 6000 rpm, allowed is within 2100 to 5800 rpm" in capsys.readouterr().err
+    rig = {"format": "vpp-rig/1", "speed": {"min": 2100, "max": 6500}, "thrust": {"min": 0, "max": 4}, "slew": {"speed": 9000}}
+    (tmp_path / "rig.json").write_text(json.dumps(rig))
+    words += ["--rig", str(tmp_path / "rig.json")]
+    assert cli.main([*words, "--omega", "5900", "6500"]) == 0
+    told = capsys.readouterr().out
+    assert "speed 5900 to 6500 rpm (the command line, within 2100 to 6500 of rig.json)" in told
+    assert "the rig is declared for 0 to 4 N" in told
+    low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
+    assert (low >= 5900.0, high <= 6500.0, min(pitch) >= -5.0, max(pitch) <= 10.0) == (True,) * 4
+    assert cli.main([*words, "--omega-slew", "9001"]) == 2
+    assert "--omega-slew: found 9001 rpm/s, allowed is more than 0 and at most 9000" in capsys.readouterr().err
+
+
+def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
+    path = tmp_path / "unknown.json"
+    path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
+    words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
+    assert cli.main(words) == 2
+    assert "range of speed and pitch: found none, allowed is one that was measured or declared" in capsys.readouterr().err
+    assert not (tmp_path / "plan.csv").exists()
+    assert cli.main([*words, "--omega", "3000", "4000"]) == 2
+    assert "range of pitch: found none" in capsys.readouterr().err
+    assert cli.main([*words, "--omega", "3000", "4000", "--pitch", "2", "2"]) == 0
+    assert "pitch 2 deg, fixed (the command line)" in capsys.readouterr().out
+    assert ranges(read_record(tmp_path / "plan.csv"))[2:] == (2.0, 2.0)
+
+
+def test_a_campaign_tells_range_sampling_and_noise(parameters, tmp_path, capsys):
+    rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
+    commands = {"time": time, "omega_ref": 2000.0 + 500.0 * (time // 3 % 3), "beta_ref": 6.0 * (time // 1 % 2)}
+    folder = tmp_path / "campaign"
+    for name in ("open_loop", "repeat"):
+        noisy = Record({**commands, "thrust": 5.0 + rng.normal(0.0, 0.07, len(time))}, "")
+        write_record(OutputFolder(folder), f"{name}.csv", noisy)
+    words = ["plan", "--parameters", str(parameters), "--campaign", str(folder), "--seconds", "8", "-o", str(tmp_path / "out")]
+    assert cli.main(words) == 0
+    told = capsys.readouterr().out
+    assert "speed 2000 to 3000 rpm (the campaign), pitch 0 to 6 deg (the campaign)" in told
+    assert float(told.partition("noise of a thrust reading ")[2].split()[0]) == pytest.approx(0.07, rel=0.05)
+    assert read_record(tmp_path / "out" / "plan.csv").period == 0.01
 
 
 def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
@@ -259,7 +360,10 @@ def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
     both = {"names": ["c11", "c20"], "matrix": [[1.0, 1.0], [1.0, 1.0]]}
     singular.write_text(json.dumps({"parameters": {"c11": entry, "c20": entry}, "correlation": both}))
     calls = [
-        (["--pitch", "10", "-5"], "range of pitch"),
+        (["--pitch", "10", "-5"], "--pitch"),
+        (["--pitch-slew", "-3"], "--pitch-slew"),
+        (["--step", "0"], "step"),
+        (["--rig", str(broken)], "broken.json"),
         (["--seconds", "1e9"], "seconds"),
         (["--noise", "nan"], "noise"),
         (["--knowledge", str(parameters)], "parameters.json"),

@@ -15,6 +15,9 @@ class BadInput(VppError):
         self.where, self.field, self.found, self.allowed = str(where), field, str(found), allowed
         super().__init__(f"{where}: {field}: found {found}, allowed is {allowed}")
 
+    def __reduce__(self):  # from a worker process it must arrive as what it is
+        return type(self), (self.where, self.field, self.found, self.allowed)
+
 
 class SimulationFailed(VppError):
     """A model or FMU could not take a step: the message says which, when, and with what inputs."""

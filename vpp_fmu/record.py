@@ -65,6 +65,11 @@ class Record:
         """(n - 1,) s from row to row, rounded to the nanosecond: a grid written as 0.004 s gives exactly 0.004 each time."""
         return np.round(np.diff(self.time), 9)
 
+    @property
+    def period(self) -> float:
+        """s from row to row, the median; NaN for a single row."""
+        return float(np.median(self.steps)) if len(self) > 1 else math.nan
+
     def part(self, rows: slice | np.ndarray) -> "Record":
         """The rows that a slice, mask or index array selects. Their times stay as they are."""
         return Record({name: column[rows] for name, column in self.columns.items()}, self.source)

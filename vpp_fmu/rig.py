@@ -64,16 +64,32 @@ class Rig:
 
     def lines(self) -> list[str]:
         """In words, entry by entry, with where each comes from."""
-        found = []
-        for name, signal in RANGES.items():
-            low, high = getattr(self, name)
-            found.append(f"{name} {low:.6g} to {high:.6g} {signal.unit} ({self.origin.get(name, ASSUMED)})")
-        for name, unit in SLEWS.items():
-            if math.isfinite(slew := getattr(self, f"{name}_slew")):
-                found.append(f"slew of {name} {slew:.6g} {unit} ({self.origin.get(f'{name}_slew', ASSUMED)})")
         s = self.scales
         text = f"w = omega / {s.omega_scale:g} rpm, b = (beta {s.beta_offset:+g} deg) / {s.beta_scale:g} deg, "
-        return [*found, f"{text}T = thrust / {s.thrust_scale:g} N ({self.origin.get('scales', ASSUMED)})"]
+        text += f"T = thrust / {s.thrust_scale:g} N ({self.origin.get('scales', ASSUMED)})"
+        return [*(self._range(name) for name in RANGES), *self._slews(), text]
+
+    def command_lines(self) -> list[str]:
+        """The same of what may be commanded alone."""
+        return [*(self._range(name) for name in SLEWS), *self._slews()]
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Of speed and pitch, whose range nobody measured or declared: what the model's scales span is no leave to go there."""
+        return tuple(name for name in SLEWS if self.origin.get(name, ASSUMED) == ASSUMED)
+
+    def _range(self, name: str) -> str:
+        (low, high), unit = getattr(self, name), RANGES[name].unit
+        span = f"{low:.6g} to {high:.6g} {unit}" if low < high else f"{low:.6g} {unit}, fixed"
+        return f"{name} {span} ({self.origin.get(name, ASSUMED)})"
+
+    def _slews(self) -> list[str]:
+        slews = ((name, unit, getattr(self, f"{name}_slew")) for name, unit in SLEWS.items())
+        return [
+            f"slew of {name} {slew:.6g} {unit} ({self.origin.get(f'{name}_slew', ASSUMED)})"
+            for name, unit, slew in slews
+            if math.isfinite(slew)
+        ]
 
     def timed(self, seconds: float) -> "Rig":
         """The rig with its `time_scale` [s], rounded."""
@@ -83,13 +99,38 @@ class Rig:
 def rounded(size: float) -> float:
     """The round number nearest to a positive size, by ratio."""
     power = 10.0 ** math.floor(math.log10(size))
-    return min((d * power for d in ROUND), key=lambda r: abs(math.log(r / size)))
+    return _tidy(min((d * power for d in ROUND), key=lambda r: abs(math.log(r / size))))
 
 
 def rounded_up(size: float) -> float:
     """The least round number that is no smaller than a positive size."""
     power = 10.0 ** math.floor(math.log10(size))
-    return next(d * power for d in ROUND if d * power >= size * (1.0 - 1e-9))
+    return _tidy(next(d * power for d in ROUND if d * power >= size * (1.0 - 1e-9)))
+
+
+def _tidy(number: float) -> float:
+    """0.3 for 3 times a tenth."""
+    return float(f"{number:.6g}")
+
+
+def declared_rig(path: str | os.PathLike, rest: Rig | None = None) -> Rig:
+    """The rig that a rig.json declares. What it leaves open is as of `rest`, and so are the scales of the map, which belong to
+    a model; without `rest` the file must tell all three ranges, and its scales are round numbers for these where it tells none.
+
+    BadInput names the field that is wrong or missing.
+    """
+    entries = read_rig(path)
+    scales = entries.pop("scales", {})
+    if rest is not None:
+        time_scale = {name: value for name, value in scales.items() if name == "time_scale"}
+        origin = {**rest.origin, **dict.fromkeys(entries, DECLARED)}
+        return replace(rest, **entries, scales=replace(rest.scales, **time_scale), origin=origin)
+    for name, signal in RANGES.items():
+        if name not in entries:
+            raise BadInput(path, name, "nothing", f"its min and max in {signal.unit}")
+    inferred, kind = _inferred(*(entries[name] for name in RANGES))
+    origin = {**dict.fromkeys(entries, DECLARED), "scales": DECLARED if scales else kind}
+    return Rig(**entries, scales=replace(inferred, **scales), origin=origin)
 
 
 def rig_of(scales: Scales, source: Mapping) -> Rig:

@@ -2,38 +2,82 @@
 
 import math
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import IntFlag
 from typing import NamedTuple
 
+from hil.commands import PAPERS
 from hil.entries import Entries, Number, read_json
 from hil.safety.faults import Fault, FaultKind
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.rig import DECLARED, Rig
 
 FORMAT = "vpp-limits/1"
 
+OVER_SPEED, OVER_THRUST = 1.15, 5.0 / 3.0
+"""What stops the rotor at once, as multiples of the rig's highest speed and of its largest thrust of either sign: beyond what
+overshoot and noise reach, 6900 rpm and 25 N for the paper's rig."""
 
-def _limit(default: float, unit: str, lowest: float, highest: float, meaning: str):
-    return field(default=default, metadata={"number": Number(unit, lowest, highest), "meaning": meaning})
+SLEW = 5.0 / 3.0, 1.5
+"""Of the highest speed and of the pitch's range, what a command may run through in a time scale where the rig declares no slew:
+20 000 rpm/s and 60 deg/s for the paper's rig. The steepest that its rotor answers a step of 4000 rpm is 13 800 rpm/s (two lags,
+0.172 and 0.053 s), its fastest pitch 46 deg/s (15 deg, 0.207 and 0.05 s): limits above that take nothing from a step."""
+
+RAMP = 1.5, 1.0
+"""s that spin-up to the highest speed, and the whole of the pitch, take along the slow slopes; longer for a rig that is slower
+than the paper's."""
+
+
+def _derived(rig: Rig) -> dict[str, float]:
+    """The limits that follow from a rig, by name: its ranges, and margins over them."""
+    unit, (low, high), (least, most) = rig.scales.time_scale, rig.speed, rig.pitch
+    longer = max(unit / PAPER.time_scale, 1.0)
+    turned = max(most - least, PAPER.beta_scale)  # blades that stand, or nearly, still have to come from where they rest
+    slews = [
+        declared if math.isfinite(declared) else share * size / unit
+        for declared, share, size in zip((rig.speed_slew, rig.pitch_slew), SLEW, (high, turned), strict=True)
+    ]
+    return {
+        "omega_min": low,
+        "omega_max": high,
+        "omega_trip": round(OVER_SPEED * high, 6),
+        "beta_min": least,
+        "beta_max": most,
+        "thrust_trip": round(OVER_THRUST * max(map(abs, rig.thrust)), 6),
+        "omega_slew": slews[0],
+        "beta_slew": slews[1],
+        "omega_ramp": min(high / (RAMP[0] * longer), slews[0]),
+        "beta_ramp": min(turned / (RAMP[1] * longer), slews[1]),
+    }
+
+
+_OF_PAPERS = _derived(PAPERS)
+
+
+def _limit(default: float | str, unit: str, lowest: float, highest: float, meaning: str):
+    """A field; its default is a number, or what follows from the paper's rig under a name."""
+    value = _OF_PAPERS[default] if isinstance(default, str) else default
+    return field(default=value, metadata={"number": Number(unit, lowest, highest), "meaning": meaning})
 
 
 @dataclass(frozen=True)
 class Limits:
     """The limits with the paper's rig as default; each field's metadata hold its `number` (unit and range) and its `meaning`.
 
-    The steepest that the paper's rotor answers a step of 4000 rpm is 13 800 rpm/s (two lags, 0.172 and 0.053 s), its fastest
-    pitch 46 deg/s (15 deg, 0.207 and 0.05 s): the slew limits above that take nothing from a step.
+    What is no rig's is refused: a rotor of 100 000 rpm, a thrust of a tonne.
     """
 
-    omega_min: float = _limit(1500.0, "rpm", 0.0, 12000.0, "lowest commanded speed of a run")
-    omega_max: float = _limit(6000.0, "rpm", 100.0, 12000.0, "highest commanded speed")
-    omega_trip: float = _limit(6900.0, "rpm", 100.0, 13200.0, "measured speed that stops the rotor at once")
-    beta_min: float = _limit(-10.0, "deg", -45.0, 45.0, "lowest commanded pitch")
-    beta_max: float = _limit(10.0, "deg", -45.0, 45.0, "highest commanded pitch")
-    thrust_trip: float = _limit(25.0, "N", 1.0, 98.0, "measured thrust, of either sign, that stops the rotor at once")
-    omega_slew: float = _limit(20000.0, "rpm/s", 100.0, 1e6, "steepest commanded speed")
-    beta_slew: float = _limit(60.0, "deg/s", 1.0, 5000.0, "steepest commanded pitch")
-    omega_ramp: float = _limit(4000.0, "rpm/s", 100.0, 20000.0, "slope of spin-up and ramp-down")
-    beta_ramp: float = _limit(20.0, "deg/s", 1.0, 200.0, "slope of pitch in spin-up and ramp-down")
+    omega_min: float = _limit("omega_min", "rpm", 0.0, 1e5, "lowest commanded speed of a run")
+    omega_max: float = _limit("omega_max", "rpm", 10.0, 1e5, "highest commanded speed")
+    omega_trip: float = _limit("omega_trip", "rpm", 10.0, 1.2e5, "measured speed that stops the rotor at once")
+    beta_min: float = _limit("beta_min", "deg", -90.0, 90.0, "lowest commanded pitch")
+    beta_max: float = _limit("beta_max", "deg", -90.0, 90.0, "highest commanded pitch")
+    thrust_trip: float = _limit("thrust_trip", "N", 0.01, 1e4, "measured thrust, of either sign, that stops the rotor at once")
+    omega_slew: float = _limit("omega_slew", "rpm/s", 1.0, 1e9, "steepest commanded speed")
+    beta_slew: float = _limit("beta_slew", "deg/s", 0.01, 1e9, "steepest commanded pitch")
+    omega_ramp: float = _limit("omega_ramp", "rpm/s", 1.0, 1e7, "slope of spin-up and ramp-down")
+    beta_ramp: float = _limit("beta_ramp", "deg/s", 0.01, 1e5, "slope of pitch in spin-up and ramp-down")
     run_time: float = _limit(3600.0, "s", 1.0, 86400.0, "longest time in RUN")
     late: float = _limit(0.05, "s", 0.001, 0.1, "lateness of one tick that ends the run")
     missed_share: float = _limit(0.1, "1", 0.0, 0.5, "share of the ticks of a second that may be missed")
@@ -43,25 +87,60 @@ class Limits:
             number, value = one.metadata["number"], getattr(self, one.name)
             if not number.lowest <= value <= number.highest:
                 raise ValueError(one.name, value, number.allowed)
-        for lower, upper in (("omega_min", "omega_max"), ("omega_max", "omega_trip"), ("beta_min", "beta_max")):
-            if not getattr(self, lower) < getattr(self, upper):
-                raise ValueError(upper, getattr(self, upper), f"more than {lower}, {getattr(self, lower):g}")
+        for lower, upper in (("omega_min", "omega_max"), ("beta_min", "beta_max")):
+            if not getattr(self, lower) <= getattr(self, upper):
+                raise ValueError(upper, getattr(self, upper), f"at least {lower}, {getattr(self, lower):g}")
+        if not self.omega_max < self.omega_trip:
+            raise ValueError("omega_trip", self.omega_trip, f"more than omega_max, {self.omega_max:g}")
 
 
-def read_limits(path: str | os.PathLike) -> Limits:
-    """Read `{"format": "vpp-limits/1", "limits": {NAME: {"value": x, "unit": u}}}`; what it doesn't name keeps its default.
+def limits_of(rig: Rig, where: str = "rig") -> Limits:
+    """The limits that follow from a rig. BadInput names, under `where`, what no rig has."""
+    try:
+        return Limits(**_derived(rig))
+    except ValueError as error:
+        name, found, allowed = error.args
+        raise BadInput(where, name, f"{found:g}", allowed) from error
 
-    BadInput names the field: unknown, without its unit or with another one, outside its range, or at odds with another.
+
+def read_limits(path: str | os.PathLike, rig: Rig = PAPERS, rest: Limits | None = None) -> Limits:
+    """Read `{"format": "vpp-limits/1", "limits": {NAME: {"value": x, "unit": u}}}`; what it doesn't name is as of `rest`
+    (default: what follows from the rig).
+
+    BadInput names the field: unknown, without its unit or with another one, outside its range, at odds with another, or beyond
+    what a rig.json declares for the rig.
     """
     content = Entries(path, read_json(path), ("format", "limits"))
     content.choice("format", (FORMAT,))
     known, given = {one.name: one.metadata["number"] for one in fields(Limits)}, content.free("limits")
     entries = Entries(path, given, (), known, "limits")
+    named = {name: entries.number(name, known[name]) for name in given}
+    for name, value in named.items():
+        allowed = _declared(rig, name, value)
+        if allowed:
+            raise entries.wrong(name, f"{value:g}", f"{allowed}, as {DECLARED} has it")
     try:
-        return Limits(**{name: entries.number(name, known[name]) for name in given})
+        return replace(rest or limits_of(rig), **named)
     except ValueError as error:
         name, found, allowed = error.args
         raise entries.wrong(name, f"{found:g}", allowed) from error
+
+
+def _declared(rig: Rig, name: str, value: float) -> str:
+    """What a rig.json allows a limit to be, where this value is beyond it; else nothing."""
+    ranges = {"omega_min": ("speed", 0), "omega_max": ("speed", 1), "beta_min": ("pitch", 0), "beta_max": ("pitch", 1)}
+    slews = {"omega_slew": "speed_slew", "omega_ramp": "speed_slew", "beta_slew": "pitch_slew", "beta_ramp": "pitch_slew"}
+    if name in ranges:
+        entry, end = ranges[name]
+        bound = getattr(rig, entry)[end]
+        beyond = value > bound if end else value < bound
+    elif name in slews:
+        entry = slews[name]
+        bound = getattr(rig, entry)
+        end, beyond = 1, value > bound
+    else:
+        return ""
+    return f"at {'most' if end else 'least'} {bound:g}" if beyond and rig.origin.get(entry) == DECLARED else ""
 
 
 class Cut(IntFlag):
@@ -84,10 +163,11 @@ class Limited(NamedTuple):
 
 
 class Limiter:
-    """Holds commands to the limits, one tick after another. It starts at `omega_ref` [rpm], `beta_ref` [deg]."""
+    """Holds commands to the limits, one tick after another. It starts at `omega_ref` [rpm], `beta_ref` [deg], from where it
+    comes into the ranges along the slopes: a rotor stands at first, and blades may rest where they never work."""
 
     def __init__(self, limits: Limits, omega_ref: float = 0.0, beta_ref: float = 0.0):
-        self.limits, self._omega, self._beta = limits, omega_ref, min(max(beta_ref, limits.beta_min), limits.beta_max)
+        self.limits, self._omega, self._beta = limits, omega_ref, beta_ref
 
     def apply(self, omega_ref: float, beta_ref: float, dt: float) -> Limited:
         """What of the controller's commands may go out for the next dt [s].

@@ -17,14 +17,17 @@ from types import SimpleNamespace
 
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.scales import PAPER
 
-BLOCK = 0.02
-"""s; readings are averaged over this: faster than the actuator, slower than the noise."""
+BLOCK = 0.04
+"""Readings are averaged over this: faster than the actuator, slower than the noise. In the rig's time scales, half a second for
+the paper's, as all times here."""
 
-SPAN = 1.0
-"""s between before and now: longer than the pitch actuator takes, shorter than the load cell drifts."""
+SPAN = 2.0
+"""Between before and now: longer than the pitch actuator takes, shorter than the load cell drifts."""
 
-FORGET = 2.0  # s
+FORGET = 4.0
+"""Until what was seen counts for 1 / e."""
 
 SPEED_DOUBT = 0.25
 """Share of the speed's part of the change that may be wrong, as a stuck pitch and a wrong map make it."""
@@ -34,17 +37,17 @@ class PitchEffect:
     """`effect` [1] and how much command stands behind it: `moved` [N^2 s], the integral of G^2. Both are 0 at the start.
 
     `bound` [1] is as much as the effect can be if the speed's part is in doubt. `parameters`: of the plant, by the kernel's
-    names; what it doesn't name has its default. `dt`: s from one `update` to the next.
+    names; what it doesn't name has its default. `dt`: s from one `update` to the next; `time_scale` [s]: of the rig.
     """
 
-    def __init__(self, dt: float, parameters: Mapping[str, float] | None = None):
+    def __init__(self, dt: float, parameters: Mapping[str, float] | None = None, time_scale: float = PAPER.time_scale):
         known = BASE.values()
         values = {**known, **{name: value for name, value in (parameters or {}).items() if name in known}}
         self._map = SimpleNamespace(**values)
         self._gains = tuple(1.0 - exp(-dt / values[name]) for name in ("tau_beta_2", "tau_beta_1"))
-        self._rows = max(1, round(BLOCK / dt))
-        self._step, self._keep = self._rows * dt, exp(-self._rows * dt / FORGET)
-        self._past: deque[tuple[float, float, float]] = deque(maxlen=max(1, round(SPAN / self._step)))
+        self._rows = max(1, round(BLOCK * time_scale / dt))
+        self._step, self._keep = self._rows * dt, exp(-self._rows * dt / (FORGET * time_scale))
+        self._past: deque[tuple[float, float, float]] = deque(maxlen=max(1, round(SPAN * time_scale / self._step)))
         self._inner = self._beta = None
         self._sums, self._count = [0.0, 0.0], 0
         self.moved = self._product = self._doubt = 0.0

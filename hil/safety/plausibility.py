@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limits
 from hil.safety.pitch_effect import PitchEffect
 from hil.safety.rotor_bounds import RotorBounds, RotorPhysics
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.rig import Rig
 
 HELD_REVOLUTIONS = 3
 """A mark that is missed once makes one late pass and one halved speed; the revolution behind it is right again."""
@@ -42,7 +44,8 @@ class Reading(NamedTuple):
 class Thresholds:
     """From what on a reading is a fault.
 
-    `hold` [s]: how long a speed that can't be may last while the speed loop is frozen, three revolutions at least. `stale`
+    `hold` [s]: how long a speed that can't be may last while the speed loop is frozen, three revolutions at least, which are
+    those of a rotor at `slow` [rpm] where the bounds know of no faster one. `stale`
     [s]: oldest reading. `frozen`: equal ADC readings in a row; with an amplifier's noise of 2 counts two neighbours are equal
     in 1 of 7, twelve in a row once in 100 days at 250 Hz, and the rig's noise is ten times that. `saturated`, `over_thrust`:
     readings in a row, since one can be a spark. `starts` [s] with a throttle of `open` and no revolution is longer than an
@@ -52,6 +55,7 @@ class Thresholds:
     """
 
     hold: float = 0.05
+    slow: float = 600.0
     stale: float = 0.05
     frozen: int = 12
     saturated: int = 3
@@ -64,10 +68,27 @@ class Thresholds:
     rotor: RotorPhysics = field(default_factory=RotorPhysics)
 
 
+def thresholds_of(rig: Rig) -> Thresholds:
+    """The thresholds of a rig: the paper's, what has a size in proportion to the rig's scales, which a narrowed range leaves as
+    they are. Its motor counts as having the paper's reserve of speed, since no file says better; the time constants' bounds
+    widen with the rig's and never narrow."""
+    size, own, whole = rig.scales.omega_scale / PAPER.omega_scale, RotorPhysics(), Thresholds()
+    force, longer = rig.scales.thrust_scale / PAPER.thrust_scale, rig.scales.time_scale / PAPER.time_scale
+    rotor = replace(
+        own,
+        free=size * own.free,
+        jitter=size * own.jitter,
+        tau_fast=min(longer, 1.0) * own.tau_fast,
+        tau_slow=max(longer, 1.0) * own.tau_slow,
+    )
+    return replace(whole, slow=size * whole.slow, moved=force**2 * longer * whole.moved, rotor=rotor)
+
+
 class Plausibility:
     """The checks with their memory. `speed_trusted`: whether the speed loop may use the last reading; frozen if not.
 
-    `parameters` of the plant by the kernel's names tell what pitch does to the thrust (default: the paper's).
+    `parameters` of the plant by the kernel's names tell what pitch does to the thrust (default: the paper's), `time_scale` [s]
+    how long that takes.
     """
 
     def __init__(
@@ -76,9 +97,10 @@ class Plausibility:
         dt: float,
         parameters: Mapping[str, float] | None = None,
         thresholds: Thresholds | None = None,
+        time_scale: float = PAPER.time_scale,
     ):
         self._limits, self._thresholds = limits, thresholds or Thresholds()
-        self._rotor, self._pitch = RotorBounds(self._thresholds.rotor), PitchEffect(dt, parameters)
+        self._rotor, self._pitch = RotorBounds(self._thresholds.rotor), PitchEffect(dt, parameters, time_scale)
         self._last: Reading | None = None
         self._equal = self._saturated = self._heavy = 0
         self._doubted: Reading | None = None
@@ -146,8 +168,8 @@ class Plausibility:
         return self._doubtful(now) or self._over_speed(now) or self._at_standstill(now)
 
     def _doubtful(self, now: Reading) -> Fault | None:
-        low, high, first = self._rotor.low, self._rotor.high, self._doubted
-        if first is None or now.t - first.t < max(self._thresholds.hold, HELD_REVOLUTIONS * 60.0 / max(low, 600.0)):
+        low, high, first, own = self._rotor.low, self._rotor.high, self._doubted, self._thresholds
+        if first is None or now.t - first.t < max(own.hold, HELD_REVOLUTIONS * 60.0 / max(low, own.slow)):
             return None
         if now.pulses == first.pulses or now.omega == 0.0:
             detail = f"no revolution for {1e3 * now.mark_age:.0f} ms, the rotor turns at {low:.0f} rpm at least"

@@ -1,11 +1,13 @@
 """The load cell's zero, measured before every run, and refused where it would be wrong."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vpp_fmu.errors import VppError
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.rig import Rig
 
 BLOCKS = 10
 """The standard error is taken from the means of this many blocks: an amplifier's noise is coloured."""
@@ -32,6 +34,12 @@ class TareGate:
     drift_max: float = 0.05
     offset_max: float = 5.0
     samples_min: int = 200
+
+
+def gate_of(rig: Rig) -> TareGate:
+    """The gate of a rig: forces in proportion to its thrust, as a load cell's range, noise and drift are."""
+    force, own = rig.scales.thrust_scale / PAPER.thrust_scale, TareGate()
+    return replace(own, noise_max=force * own.noise_max, drift_max=force * own.drift_max, offset_max=force * own.offset_max)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ from identification.diagnose.uncertainty import standard_deviations
 from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS
 from identification.fit.tachometer import Tachometer
+from identification.gate.finding import Finding
+from identification.gate.gate import passed
 from identification.identify import Identification, slowest
 from identification.worth.pairs import agreed_order, exchangeable
 from identification.worth.prediction import Prediction, predict
@@ -49,13 +51,15 @@ CLEARING = 3
 class Diagnosis:
     """What a campaign's residual was traced to.
 
-    `base`: the model without any further effect, on the same likelihood as all others. `given`: the model that was brought, as it
-    was brought; None where the campaign was identified first. `before`, `after`: what base and set lack. `held_before`,
-    `held_after`: cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the
-    model stood. `refuted`: why what was found does not ship, in words; "" where it does.
+    `quality`: what the gate found in the files, and in the fit of the identification. `base`: the model without any further
+    effect, on the same likelihood as all others. `given`: the model that was brought, as it was brought; None where the
+    campaign was identified first. `before`, `after`: what base and set lack. `held_before`, `held_after`: cross-validation of
+    the model before and of the one that ships. `unseen`: the validation record, opened when the model stood. `refuted`: why
+    what was found does not ship, in words; "" where it does.
     """
 
     campaign: Campaign
+    quality: tuple[Finding, ...]
     identification: Identification | None
     given: ParameterSet | None
     rig: Rig
@@ -148,6 +152,7 @@ def diagnose(
     given: ParameterSet | None = None,
     smallest: float | None = None,
     records: Mapping[str, Record] | None = None,
+    accept: Iterable[str] = (),
 ) -> Diagnosis:
     """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
 
@@ -160,12 +165,13 @@ def diagnose(
         ThreadPoolExecutor(workers) as pool,
     ):  # the fits run side by side: threads in each would only fight
         stage("identify")
-        groups, unseen = roles(campaign, records or {})
+        gate, accept = passed(campaign, records, accept), tuple(accept)
+        groups, unseen = roles(gate.campaign, gate.further)
         fitted = tuple(one for group in groups for one in group)
         if given:
-            at = from_given(campaign, given, library, [one.record for one in fitted])
+            at = from_given(gate.campaign, given, library, [one.record for one in fitted])
         else:
-            at = from_identification(campaign, library, seed, records or {})
+            at = from_identification(campaign, library, seed, records or {}, accept)
         options = candidates(at.library, [one.record for one in fitted])
         stage("noise")
         searcher, base = _prepared(groups, at, options, pool)
@@ -183,6 +189,7 @@ def diagnose(
         shown = predict(final.evidence.model, final.values, fitted[0].record)
         return Diagnosis(
             campaign=campaign,
+            quality=at.identification.quality if at.identification else gate.findings,
             identification=at.identification,
             given=given,
             rig=at.rig,
@@ -195,7 +202,7 @@ def diagnose(
             after=after,
             apart=apart,
             location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
-            experiment=discriminating_experiment(seed, at.rig.speed, at.rig.pitch),
+            experiment=discriminating_experiment(at.rig, seed, fitted[0].record.period),
             held_before=judge.held(base),
             held_after=judge.held(final),
             unseen=unseen,
@@ -249,8 +256,8 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
 
 
 RUN_IN = 4.0
-"""Times by which the mean square of the whitened residual must be larger in the run-in than behind it for the record not to have
-started settled; of its 50 or more rows, noise reaches 2 in less than one case in 10^5."""
+"""Times by which the mean square of the whitened residual must be larger in the run-in than behind it for the record not to
+have started settled; of its 50 or more rows, noise reaches 2 in less than one case in 10^5."""
 
 
 def _unsettled(base: Fit, number: int, settled: float) -> bool:

@@ -1,82 +1,131 @@
-"""A discriminating experiment of 90 s, as a record of commands.
+"""A discriminating experiment, as a record of commands: a minute and a half for a rig of the paper's time scale.
 
 Each part asks what another can't answer: small stairs and reversals for dead bands and play, two amplitudes of the same
-spectrum for anything nonlinear in size, full steps for limits, slow sections for drift, holds at rest for offsets.
+spectrum for anything nonlinear in size, full steps for limits, slow sections for drift, holds at rest for offsets. Where the
+pitch is fixed, the speed is asked the same.
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from identification.plan.excitation import FASTEST, STEP
+from vpp_fmu.commands import commanded, ends
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig, rounded
 
-STEP = 0.004
+LONGEST = 0.04
+"""Time scales between commands that still draw the fastest moves: five a period of a multisine's highest line at least."""
 
+STAIRS = (0.02, 0.05, 0.1, 0.2)
+"""Sizes of the stairs' steps, in shares of the range."""
 
-def discriminating_experiment(
-    seed: int = 0, speed: tuple[float, float] = (2000.0, 6000.0), pitch: tuple[float, float] = (-5.0, 10.0)
-) -> Record:
-    """Commands `time` [s], `omega_ref` [rpm], `beta_ref` [deg] within the given ranges; run it twice."""
-    rng = np.random.default_rng(seed)
-    low, high = speed
-    middle, span = 0.5 * sum(pitch), 0.5 * (pitch[1] - pitch[0])
-    parts = [_rest(3.0, low, middle)]
-    parts.append(_random_steps(rng, 20.0, speed, pitch))
-    parts.append(_stairs(24.0, high, middle, span))
-    parts += [_multisine(rng, 8.0, 0.5 * (low + high), 0.0, middle, a * span) for a in (0.15, 0.6)]
-    parts.append(_multisine(rng, 8.0, 0.5 * (low + high), 0.4 * (high - low), middle, 0.0))
-    parts.append(_full_steps(8.0, speed, pitch[1]))
-    parts += [_doublets(7.0, w, middle, 0.4 * span) for w in (low + 0.25 * (high - low), high)]
-    parts.append(_rest(3.0, low, middle))
-    omega, beta = (np.concatenate(column) for column in zip(*parts, strict=True))
-    time = np.arange(len(omega)) * STEP
-    return Record({"time": time, "omega_ref": np.round(omega, 1), "beta_ref": np.round(beta, 3)}, "discriminating experiment")
+AMPLITUDES = (0.075, 0.3)
+"""Of the two multisines, in shares of the range."""
+
+LINES, BAND = 14, (0.075, 3.0)
+"""Lines of a multisine and the band that they are spread over, in lines a time scale: 0.15 to 6 Hz for the paper's rig."""
+
+SLOWEST = 40.0
+"""Time scales that a full step may take at most where a slew draws it out."""
+
+REVERSALS = (0.7, 1.6, 3.0)
+"""Time scales after which a doublet reverses: before, about, and after the rig has settled."""
 
 
-def _count(seconds):
-    return round(seconds / STEP)
+@dataclass(frozen=True)
+class Clock:
+    """Rows of `step` s that so many time scales of `unit` s take: of a move, and of a `section`."""
+
+    unit: float
+    step: float
+
+    def move(self, times: float) -> int:
+        return max(1, round(times * self.unit / self.step))
+
+    def section(self, times: float) -> int:
+        return max(1, round(times * max(self.unit, FASTEST) / self.step))
 
 
-def _rest(seconds, omega, beta):
-    return np.full(_count(seconds), omega), np.full(_count(seconds), beta)
+def discriminating_experiment(rig: Rig, seed: int = 0, period: float | None = None) -> Record:
+    """Commands `time` [s], `omega_ref` [rpm], `beta_ref` [deg] that the rig may be given; run it twice.
+
+    `period` s: how the rig is sampled, for the time between commands.
+    """
+    unit, rng = rig.scales.time_scale, np.random.default_rng(seed)
+    step = period if period and period <= LONGEST * unit else rounded((LONGEST if period else STEP) * unit)
+    low, high = ends(rig)
+    travel = (rig.speed[1] - rig.speed[0]) / rig.speed_slew / unit
+    shares = np.concatenate(_sections(rng, Clock(unit, step), *(high > low).tolist(), travel))
+    commands = commanded(rig, low + shares * (high - low), step)
+    time = np.round(np.arange(len(commands)) * step, 9)
+    columns = {"time": time, "omega_ref": commands[:, 0], "beta_ref": commands[:, 1]}
+    return Record(columns, "discriminating experiment")
 
 
-def _random_steps(rng, seconds, speed, pitch):
-    omega, beta = [], []
-    while len(omega) < _count(seconds):
-        hold = _count(rng.uniform(0.3, 1.2))
-        omega += [rng.uniform(*speed)] * hold
-        beta += [rng.uniform(*pitch)] * hold
-    return np.array(omega[: _count(seconds)]), np.array(beta[: _count(seconds)])
+def _sections(rng, clock: Clock, speed: bool, pitch: bool, travel: float) -> list[np.ndarray]:
+    """The sections (rows, 2) in shares of the ranges; `speed`, `pitch`: whether these move at all; `travel`: time scales that
+    the speed's slew takes from end to end."""
+    rest = _section(clock.section(6.0), 0.0, 0.5)
+    if not speed and not pitch:
+        return [rest]
+    stairs, sines = clock.section(48.0), clock.section(16.0)
+    found = [rest, _random_steps(rng, clock, clock.section(40.0))]
+    if pitch:
+        found.append(_section(stairs, 1.0, _stairs(stairs)))
+        found += [_section(sines, 0.5, 0.5 + a * _multisine(rng, clock, sines)) for a in AMPLITUDES]
+    elif speed:
+        found.append(_section(stairs, _stairs(stairs), 0.0))
+        found += [_section(sines, 0.5 + a * _multisine(rng, clock, sines), 0.0) for a in AMPLITUDES]
+    if speed:
+        if pitch:
+            found.append(_section(sines, 0.5 + 0.4 * _multisine(rng, clock, sines), 0.5))
+        full = 4 * clock.section(min(max(travel + 2.0, 4.0), SLOWEST))
+        found.append(_section(full, _held((0.0, 1.0, 0.0, 1.0), full), 1.0))
+    doublets = clock.section(14.0)
+    if pitch:
+        found += [_section(doublets, w, _doublets(clock, doublets)) for w in ((0.25, 1.0) if speed else (0.0,))]
+    else:
+        found.append(_section(doublets, _doublets(clock, doublets), 0.0))
+    return [*found, rest]
 
 
-def _stairs(seconds, omega, middle, span):
-    """Pitch up and down by 0.02, 0.05, 0.1 and 0.2 of its range."""
-    offsets = [0.0]
-    for size in (0.02, 0.05, 0.1, 0.2):
-        offsets += [size, 2 * size, size, 0.0, -size, 0.0]
-    hold = _count(seconds) // len(offsets)
-    beta = np.repeat(middle + 2 * span * np.array(offsets), hold)
-    return np.full(len(beta), omega), beta
+def _section(rows: int, speed: np.ndarray | float, pitch: np.ndarray | float) -> np.ndarray:
+    return np.column_stack([np.broadcast_to(speed, rows), np.broadcast_to(pitch, rows)])
 
 
-def _multisine(rng, seconds, omega, omega_size, beta, beta_size):
-    """0.15 to 6 Hz, equal power a line, random phases, peak at the given size."""
-    t = np.arange(_count(seconds)) * STEP
-    lines = np.geomspace(0.15, 6.0, 14)
-    wave = np.sin(2 * np.pi * np.outer(t, lines) + rng.uniform(0, 2 * np.pi, len(lines))).sum(axis=1)
-    wave /= np.max(np.abs(wave))
-    return omega + omega_size * wave, beta + beta_size * wave
+def _random_steps(rng, clock: Clock, rows: int) -> np.ndarray:
+    parts = []
+    while sum(map(len, parts)) < rows:
+        parts.append(_section(clock.move(rng.uniform(0.6, 2.4)), *rng.uniform(size=2)))
+    return np.concatenate(parts)[:rows]
 
 
-def _full_steps(seconds, speed, pitch):
-    hold = _count(seconds / 4)
-    return np.repeat([speed[0], speed[1], speed[0], speed[1]], hold), np.full(4 * hold, pitch)
+def _stairs(rows: int) -> np.ndarray:
+    """About the middle, up and down by each of STAIRS."""
+    levels = [0.5]
+    for size in STAIRS:
+        levels += [0.5 + size * k for k in (1, 2, 1, 0, -1, 0)]
+    return _held(levels, rows)
 
 
-def _doublets(seconds, omega, middle, size):
-    """Pitch reversed after 0.35, 0.8 and 1.5 s: before, about, and after it has settled."""
-    beta = []
-    for hold in (0.35, 0.8, 1.5):
-        beta += [middle + size] * _count(hold) + [middle - size] * _count(hold) + [middle] * _count(0.5)
-    beta += [middle] * max(0, _count(seconds) - len(beta))
-    beta = np.array(beta[: _count(seconds)])
-    return np.full(len(beta), omega), beta
+def _multisine(rng, clock: Clock, rows: int) -> np.ndarray:
+    """Equal power a line, random phases, peak 1."""
+    lines = np.geomspace(*BAND, LINES) / clock.unit
+    t = np.arange(rows) * clock.step
+    wave = np.sin(2 * np.pi * np.outer(t, lines) + rng.uniform(0, 2 * np.pi, LINES)).sum(axis=1)
+    return wave / np.max(np.abs(wave))
+
+
+def _doublets(clock: Clock, rows: int) -> np.ndarray:
+    """About the middle, 0.2 up and down, held for each of REVERSALS; over and over."""
+    once = []
+    for hold in REVERSALS:
+        once += [0.7] * clock.move(hold) + [0.3] * clock.move(hold) + [0.5] * clock.move(1.0)
+    return np.resize(once, rows)
+
+
+def _held(levels: Sequence[float], rows: int) -> np.ndarray:
+    """(rows,) the levels one after another, each as long."""
+    return np.asarray(levels)[np.arange(rows) * len(levels) // rows]

@@ -13,15 +13,15 @@ LEVEL = 0.01
 likelihood ratio test, shared evenly among the points that the search looks at (Bonferroni)."""
 
 STRONG = 5.0
-"""Natural logarithm of the penalised likelihood ratio (half a difference of the BIC) from which evidence is very strong (Kass and
-Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
+"""Natural logarithm of the penalised likelihood ratio (half a difference of the BIC) from which evidence is very strong (Kass
+and Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
 
 CERTAIN = 0.001
 """Level of each test of lack of fit: of the pure error in a band, and of the score test on generic shapes."""
 
 SMALLEST = 0.002
-"""Least size of interest where the user names none: the power that an effect adds below SLOW, as a share of the noise's there. An
-effect's declared `common` share takes its place for what every rig has a little of."""
+"""Least size of interest where the user names none: the power that an effect adds below SLOW, as a share of the noise's there.
+An effect's declared `common` share takes its place for what every rig has a little of."""
 
 SLOW = 10.0
 """Hz: what lies below is the rig's; above, bearings and blades hum in phase with themselves."""
@@ -30,8 +30,8 @@ MOST = 3
 """Effects that one diagnosis may name."""
 
 REFITTED = (6, 3)
-"""Candidates that are refitted in the first round and in later ones, the most promising first; screening misplaces the best by more
-in less than one case in a hundred of the study."""
+"""Candidates that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
+of them stands and a lack of fit says that something is missing, as many again are."""
 
 FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
@@ -45,9 +45,9 @@ class Judgement:
     """What an effect of a set rests on, against the set without it.
 
     `fall`: of half the deviance on the fitted records; `needed`: what chance alone reaches in a share LEVEL of rigs without
-    any effect. `evidence`: the fall less BIC's penalty. `gain`: cross-validated log-likelihood by channel. `size` [N]: what the
-    effect changes of the thrust below SLOW, rms; `least`: the least size of interest. `refused`: reasons in words; none: it stands.
-    """
+    any effect. `evidence`: the fall less BIC's penalty. `gain`: cross-validated log-likelihood by channel. `size` [N]: what
+    the effect changes of the thrust below SLOW, rms; `least`: the least size of interest. `refused`: reasons in words; none:
+    it stands."""
 
     effect: str
     fall: float
@@ -69,8 +69,8 @@ def refusals(
 ) -> list[str]:
     """Why an effect does not stand, in words; empty where it does.
 
-    Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose what
-    free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more than that.
+    Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose
+    what free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more than that.
     """
     found = []
     if fall < needed:

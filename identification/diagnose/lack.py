@@ -39,8 +39,8 @@ class Band:
 class Lack:
     """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes, with its `p`.
 
-    `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of interest.
-    """
+    `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
+    interest."""
 
     bands: tuple[Band, ...]
     score: Following
@@ -117,7 +117,8 @@ def _filled(means: np.ndarray) -> np.ndarray:
 
 
 def spectra(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(power of the mean of records times their number, power about the mean), each (frequencies,) N^2, of `errors` (records, n).
+    """(power of the mean of records times their number, power about the mean), each (frequencies,) N^2, of `errors` (records,
+    n).
 
     The analysis of variance, frequency by frequency: of noise alone both are the noise's power, and independent; sums over M
     ordinates have a ratio with the distribution F(2 M, 2 M (records - 1)). Over all frequencies they sum to mean squares.

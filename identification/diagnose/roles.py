@@ -1,11 +1,11 @@
-"""What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the end."""
+"""What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the
+end."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from identification.screening import screen
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
@@ -13,11 +13,10 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A screened record that fits and choices may use. `notes`: in words, what of it was left out."""
+    """A record that has passed the gate, which fits and choices may use."""
 
     name: str
     record: Record
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +28,7 @@ class Unseen:
 
 
 def roles(campaign: Campaign, more: Mapping[str, Record]) -> tuple[list[list[Fitted]], Unseen | None]:
-    """(fitted records, those of the same commands together; the unseen one). BadInput without a record to fit.
+    """(fitted records, those of the same commands together; the unseen one) of what has passed the gate. BadInput without any.
 
     A validation record that stands alone is fitted: there is nothing else.
     """
@@ -42,8 +41,7 @@ def roles(campaign: Campaign, more: Mapping[str, Record]) -> tuple[list[list[Fit
         raise BadInput(campaign.folder, "open_loop.csv", "no such file", "a record with time, omega_ref, beta_ref, thrust")
     groups: list[list[Fitted]] = []
     for name, record in fitted.items():
-        screened = screen(record)
-        one = Fitted(name, screened.record, screened.notes)
+        one = Fitted(name, record)
         same = next((g for g in groups if _same_commands(g[0].record, one.record)), None)
         if same is None:
             groups.append([one])

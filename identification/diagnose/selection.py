@@ -64,7 +64,8 @@ class Judge:
         return self.smallest if self.smallest is not None else float(np.sqrt(SMALLEST * slow))
 
     def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
-        """(what the effect changes of the thrust [N], rms; the least size; whether it, or what it does to speed, reaches that)."""
+        """(what the effect changes of the thrust [N], rms; the least size; whether it, or what it does to speed, reaches
+        that)."""
         thrust, rows, speed = [], [], []
         for e in self.searcher.experiments:
             shown = [_outputs(fit, e) for fit in (with_it, without)]
@@ -140,7 +141,8 @@ def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[Tri
 
 
 SAME = 1.0
-"""Evidence by which an effect must be ahead of one that it contains: less is rounding, and the simpler name is the better one."""
+"""Evidence by which an effect must be ahead of one that it contains: less is rounding, and the simpler name is the better
+one."""
 
 
 def _ranked(refits: Sequence[Tried]) -> list[Tried]:

@@ -62,9 +62,11 @@ class Starting:
     identification: Identification | None = None
 
 
-def from_identification(campaign: Campaign, library: Iterable[Effect], seed: int, records: Mapping[str, Record]) -> Starting:
-    """Start at what an identification of the campaign, and of further `records`, finds."""
-    found = identify(campaign, seed=seed, records=records)
+def from_identification(
+    campaign: Campaign, library: Iterable[Effect], seed: int, records: Mapping[str, Record], accept: Iterable[str] = ()
+) -> Starting:
+    """Start at what an identification of the campaign, and of further `records`, finds; `accept` as there."""
+    found = identify(campaign, seed=seed, records=records, accept=accept)
     names = tuple(found.refinement.names)
     rig, knowledge = found.parameters.rig, _knowledge(found.static, names)
     return Starting(sized(library, rig.scales), names, found.refinement.values, found.start, knowledge, rig, found)

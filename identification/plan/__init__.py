@@ -1,1 +1,1 @@
-"""The next experiment: commands that tell most about a model, within a rig's limits."""
+"""The next experiment: commands that tell most about a model, within a rig's ranges."""

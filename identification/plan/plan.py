@@ -1,4 +1,4 @@
-"""The next experiment: commands that would tell most about a model, within a rig's limits. See `plan_search` for how.
+"""The next experiment: commands that would tell most about a model, within a rig's ranges. See `search` for how.
 
 The optimum belongs to the given values, and is as good as these are.
 """
@@ -10,23 +10,32 @@ import numpy as np
 
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS
-from identification.plan.excitation import Limits, paper_plan
+from identification.plan.excitation import FASTEST, STEP, paper_plan
 from identification.plan.search import Search
 from identification.worth.information import Forecast, Information
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig, rounded
 
 EVALUATIONS, DRAWS = 1000, 9
 """Whole plans that are tried; plans of the paper's kind to compare with."""
 
-DURATION = (5.0, 3600.0)
-"""s"""
+DURATION, LENGTH = (10.0, 7200.0), 120.0
+"""How long an experiment may be, and how long it is by default, in time scales: 5 s to an hour, and a minute, for the paper's
+rig."""
+
+STEPS = (1e-4, 0.1)
+"""Time between commands: s at least, time scales at most."""
+
+NOISE = 0.02
+"""Standard deviation of a thrust reading where nobody knows it, as a share of the thrust scale: the paper's 0.3 N."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """An experiment. `commands`: a record of time, omega_ref, beta_ref; `thrust` (rows,) N as the model predicts it.
+    """An experiment. `commands`: a record of time, omega_ref, beta_ref, every `step` s; `thrust` (rows,) N as the model
+    predicts it; `rig`: whose ranges and slews they keep.
 
     `before`: what was known (None: nothing); `after`: with this plan; `paper`: with the paper's plan of the same length
     instead, the median of DRAWS. `untold`: parameters that it does not tell, and why; they count as known.
@@ -34,7 +43,8 @@ class Plan:
 
     commands: Record
     thrust: np.ndarray
-    limits: Limits
+    rig: Rig
+    step: float
     noise_std: float
     seed: int
     before: Forecast | None
@@ -49,12 +59,11 @@ class Plan:
 
     def summary(self) -> dict:
         """The content of `plan.json`."""
-        limits, forecasts = self.limits, {"before": self.before, "after": self.after, "paper_plan": self.paper}
-        slews = {"omega_slew": limits.omega_slew, "beta_slew": limits.beta_slew}
+        forecasts = {"before": self.before, "after": self.after, "paper_plan": self.paper}
         return {
             "seconds": float(self.commands.time[-1]),
-            "limits": {"omega": list(limits.omega), "beta": list(limits.beta), "step": limits.step}
-            | {name: slew if np.isfinite(slew) else None for name, slew in slews.items()},
+            "step": self.step,
+            "rig": self.rig.summary(),
             "noise_thrust": self.noise_std,
             "seed": self.seed,
             "gain_over_paper_plan": self.gain,
@@ -72,42 +81,53 @@ def free_parameters(model: Model) -> tuple[str, ...]:
 def plan(
     model: Model,
     values: Mapping[str, float],
-    limits: Limits,
-    seconds: float = 60.0,
-    noise_std: float = 0.3,
+    rig: Rig,
+    seconds: float | None = None,
+    noise_std: float | None = None,
     knowledge: Prior | None = None,
     seed: int = 0,
     names: Sequence[str] | None = None,
     omega_std: float | None = None,
     evaluations: int = EVALUATIONS,
+    step: float | None = None,
 ) -> Plan:
     """Plan `seconds` of commands for `model` at `values` (changes to its defaults); the same seed gives the same plan.
 
-    `noise_std` N: white noise of one thrust reading; `omega_std` rpm: of a tachometer's, None: speed is not measured.
-    `knowledge`: covariance from earlier data. `names`: what to learn, default `free_parameters`. BadInput for what makes no
-    sense, NotIdentifiable where the commands move nothing.
+    They keep the ranges and slews of `rig`; how fast they change goes with its time scale. `step` s: time between commands and
+    between readings. `noise_std` N: white noise of one thrust reading; `omega_std` rpm: of a tachometer's, None: speed is not
+    measured. `knowledge`: covariance from earlier data. `names`: what to learn, default `free_parameters`. BadInput for what
+    makes no sense, NotIdentifiable where the commands move nothing.
     """
-    if not DURATION[0] <= seconds <= DURATION[1]:
-        raise BadInput("experiment", "seconds", f"{seconds:g} s", f"{DURATION[0]:g} to {DURATION[1]:g} s")
+    unit = rig.scales.time_scale
+    seconds = rounded(LENGTH * max(unit, FASTEST)) if seconds is None else seconds
+    noise_std = NOISE * rig.scales.thrust_scale if noise_std is None else noise_std
+    step = rounded(max(STEP * unit, STEPS[0])) if step is None else step
+    shortest, longest = (unit * end for end in DURATION)
+    if not shortest <= seconds <= longest:
+        raise BadInput("experiment", "seconds", f"{seconds:g} s", f"{shortest:g} to {longest:g} s")
+    if not STEPS[0] <= step <= STEPS[1] * unit:
+        allowed = f"{STEPS[0]:g} to {STEPS[1] * unit:g} s for a rig that takes {unit:g} s"
+        raise BadInput("experiment", "step", f"{step:g} s", allowed)
     for field, std in (("noise of thrust", noise_std), ("noise of speed", omega_std)):
         if std is not None and not 0.0 < std < np.inf:
             raise BadInput("experiment", field, f"{std:g}", "a number above 0")
     names = free_parameters(model) if names is None else tuple(names)
-    information = Information(model, values, names, noise_std, limits.step, omega_std)
-    search = Search(information, limits, seconds, knowledge, np.random.default_rng(seed))
+    information = Information(model, values, names, noise_std, step, omega_std)
+    search = Search(information, rig, step, seconds, knowledge, np.random.default_rng(seed))
     search.assemble()
     untold = search.give_up()
     search.improve(evaluations)
     information, commands = search.information, search.commands()
-    time = np.round(np.arange(len(commands)) * limits.step, 9)
+    time = np.round(np.arange(len(commands)) * step, 9)
     return Plan(
         commands=Record({"time": time, "omega_ref": commands[:, 0], "beta_ref": commands[:, 1]}, "vpp plan"),
-        thrust=information.thrust(commands, limits.step),
-        limits=limits,
+        thrust=information.thrust(commands, step),
+        rig=rig,
+        step=step,
         noise_std=noise_std,
         seed=seed,
         before=None if knowledge is None else information.forecast(search.known),
-        after=information.forecast(search.known + information.of(commands, limits.step)),
+        after=information.forecast(search.known + information.of(commands, step)),
         paper=_paper(search, np.random.default_rng([seed, 1])),
         untold=untold,
     )
@@ -115,7 +135,7 @@ def plan(
 
 def _paper(search: Search, rng: np.random.Generator) -> Forecast:
     """The median of some plans of the paper's kind."""
-    plans = [paper_plan(rng, len(search.targets), search.step, search.limits) for _ in range(DRAWS)]
+    plans = [paper_plan(rng, len(search.targets), search.step, search.rig) for _ in range(DRAWS)]
     found = [search.information.forecast(search.of(each)) for each in plans]
     return sorted(found, key=lambda forecast: forecast.typical)[DRAWS // 2]
 

@@ -14,15 +14,18 @@ import numpy as np
 from tqdm import tqdm
 
 from identification.fit.problem import Prior
-from identification.plan.excitation import Limits, candidate, variant
+from identification.plan.excitation import candidate, variant
 from identification.worth.information import Information
+from vpp_fmu.commands import commanded
 from vpp_fmu.errors import NotIdentifiable
+from vpp_fmu.rig import Rig
 
-SEGMENT = 5.0
-"""Length of the pieces that a plan is put together from, s: several times the plant's memory. 2 and 10 s do as well."""
+SEGMENT = 10.0
+"""Length of the pieces that a plan is put together from, in time scales: several times the plant's memory. 4 and 20 do as
+well."""
 
-GRID = 0.02
-"""Targets change on this grid [s], and the search looks at it only. 8 and 40 ms give plans as good."""
+GRID = 0.04
+"""Targets change on this grid, in time scales, and the search looks at it only. 0.016 and 0.08 give plans as good."""
 
 POOL, ROUNDS = 400, 3
 """Segments to choose from; times that each segment of the plan is tried anew."""
@@ -37,17 +40,25 @@ def criterion(information: np.ndarray) -> np.ndarray:
 
 
 class Search:
-    """A plan of `seconds` in the making: `targets` (rows, 2) on the grid of `step` seconds, for what `information` covers."""
+    """A plan of `seconds` in the making: `targets` (rows, 2) on a grid of `step` seconds, for what `information` covers.
+    Commands will come every `fine` seconds."""
 
     def __init__(
-        self, information: Information, limits: Limits, seconds: float, knowledge: Prior | None, rng: np.random.Generator
+        self,
+        information: Information,
+        rig: Rig,
+        fine: float,
+        seconds: float,
+        knowledge: Prior | None,
+        rng: np.random.Generator,
     ):
-        self.information, self.limits, self.knowledge, self.rng = information, limits, knowledge, rng
-        self._fold = max(1, round(GRID / limits.step))
-        self.step = self._fold * limits.step
-        self._fine_rows = round(seconds / limits.step) + 1
+        self.information, self.rig, self.knowledge, self.rng = information, rig, knowledge, rng
+        self._fold, self._fine = max(1, round(GRID * rig.scales.time_scale / fine)), fine
+        self.step = self._fold * fine
+        self._fine_rows = round(seconds / fine) + 1
         rows = -(-self._fine_rows // self._fold)
-        self._edges = np.linspace(0, rows, max(3, round(seconds / SEGMENT)) + 1).round().astype(int)
+        segments = max(3, round(seconds / (SEGMENT * rig.scales.time_scale)))
+        self._edges = np.linspace(0, rows, segments + 1).round().astype(int)
         self.targets = np.empty((rows, 2))
 
     @property
@@ -57,12 +68,12 @@ class Search:
 
     def of(self, targets: np.ndarray) -> np.ndarray:
         """Information (n, n) with these targets (any rows, 2) carried out."""
-        return self.known + self.information.of(self.limits.ramped(targets, self.step), self.step)
+        return self.known + self.information.of(commanded(self.rig, targets, self.step), self.step)
 
     def assemble(self) -> None:
         """Take segments from a pool greedily, then exchange until no exchange helps: as if they did not touch in time."""
         length, count = int(np.diff(self._edges).max()), len(self._edges) - 1
-        pool = [candidate(self.rng, length, self.step, self.limits) for _ in range(POOL)]
+        pool = [candidate(self.rng, length, self.step, self.rig) for _ in range(POOL)]
         alone = np.array([self.of(segment) for segment in tqdm(pool, desc="segments", disable=None, leave=False)]) - self.known
         chosen, total = [], self.known
         for _ in range(count):
@@ -95,7 +106,7 @@ class Search:
             )
             if len(names) == 1:
                 raise NotIdentifiable(
-                    f"{self.information.model.name}: no commands within these limits and this time tell anything"
+                    f"{self.information.model.name}: no commands within these ranges and this time tell anything"
                 )
             self.information = self.information.only([n for n in names if n != names[worst]])
 
@@ -107,13 +118,13 @@ class Search:
         for start, end in tqdm(places, desc="plan", disable=None, leave=False):
             new = self.targets.copy()
             if self.rng.random() < 0.5:
-                new[start:end] = candidate(self.rng, end - start, self.step, self.limits)
+                new[start:end] = candidate(self.rng, end - start, self.step, self.rig)
             else:
-                new[start:end] = variant(self.rng, self.targets[start:end], self.step, self.limits)
+                new[start:end] = variant(self.rng, self.targets[start:end], self.step, self.rig)
             value = criterion(self.of(new))
             if value < best:
                 best, self.targets = value, new
 
     def commands(self) -> np.ndarray:
         """The plan as commands (rows, 2), one row every sample."""
-        return self.limits.ramped(self.targets.repeat(self._fold, axis=0)[: self._fine_rows], self.limits.step)
+        return commanded(self.rig, self.targets.repeat(self._fold, axis=0)[: self._fine_rows], self._fine)

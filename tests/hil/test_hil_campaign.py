@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from rigs import LIMITS, virtual_rig
 
-from hil.campaign import PARTS, Plan, measure, recorded, same_commands, seconds, steep, step_responses
+from hil.campaign import PARTS, Plan, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
 from hil.columns import COLUMNS
-from hil.commands import Step, grid, open_loop, resampled, steps, validation
+from hil.commands import PAPERS, Step, grid, open_loop, resampled, steps, validation
 from hil.cycle import PERIOD
 from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
@@ -34,7 +34,7 @@ def test_the_grid_and_the_steps_are_the_papers():
     assert len(points) == 100
     assert points[0] == (2000.0, -10.0)
     assert points[-1] == (6000.0, 10.0)
-    assert [w for w, _ in points[::10]] == pytest.approx(np.linspace(2000.0, 6000.0, 10), abs=1e-3)
+    assert [w for w, _ in points[::10]] == pytest.approx(np.linspace(2000.0, 6000.0, 10), abs=0.05)
     found = steps(5)
     speed = [s for s in found if s.before[1] == s.after[1]]
     pitch = [s for s in found if s.before[0] == s.after[0]]
@@ -165,6 +165,57 @@ def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
     record = read_record(out / "record.csv")
     assert len(record) == 501
     assert record["thrust"][-50:].mean() > record["thrust"][:50].mean() + 1.0
+
+
+def declared(path, **entries):
+    path.write_text(json.dumps({"format": "vpp-rig/1", **entries}))
+    return path
+
+
+NARROW = {"speed": {"min": 2513.37, "max": 4000.0}, "pitch": {"min": 4.0, "max": 4.0}, "slew": {"speed": 3000.0}}
+
+
+def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path, capsys):
+    file, out = declared(tmp_path / "rig.json", **NARROW), tmp_path / "campaign"
+    short = ["--points", "3", "--samples", "10", "--settle", "0.2", "--section", "5", "--validation-seconds", "5"]
+    assert main(["hil", "campaign", "--virtual", "--rig", str(file), *short, "--levels", "1", "-o", str(out)]) == 0
+    assert "speed 2513.37 to 4000 rpm (rig.json), pitch 4 deg, fixed (rig.json)" in capsys.readouterr().out
+    found = read_campaign(out)
+    assert found.static.omega_ref.tolist() == [2513.4, 3256.7, 4000.0]
+    assert len(found.steps) == 10
+    for record in (found.open_loop, found.repeat, found.validation, *found.steps):
+        assert record["omega_ref"].min() >= 2513.37
+        assert record["omega_ref"].max() <= 4000.0
+        assert set(record["beta_ref"]) == {4.0}
+        assert np.abs(np.diff(record["omega_ref"])).max() <= 3000.0 * PERIOD * (1.0 + 1e-9)
+    assert max(np.ptp(r["omega_ref"]) for r in found.steps) == 4000.0 - 2513.4
+    assert found.rig.origin["speed"] == "rig.json"  # it stands beside the records now
+    assert json.loads((out / "hil.json").read_text())["parts"]["steps"]["allowed"]["speed"]["max"] == 4000.0
+
+
+def test_limits_narrow_what_a_campaign_asks_for(tmp_path):
+    limits = {"format": "vpp-limits/1", "limits": {"omega_max": {"value": 3000, "unit": "rpm"}}}
+    (tmp_path / "limits.json").write_text(json.dumps(limits))
+    words = ["--limits", str(tmp_path / "limits.json"), "--parts", "static", "--points", "2", "--samples", "5"]
+    assert main(["hil", "campaign", "--virtual", "--settle", "0.2", *words, "-o", str(tmp_path)]) == 0
+    assert set(read_campaign(tmp_path).static.omega_ref) == {2000.0, 3000.0}
+
+
+def test_what_the_limits_would_cut_is_not_begun(tmp_path, capsys):
+    told = {"time": np.array([0.0, 1.0]), "omega_ref": np.array([3e3, 6500.0]), "beta_ref": np.zeros(2)}
+    write_record(OutputFolder(tmp_path), "orders.csv", Record(told, ""))
+    words = ["hil", "campaign", "--virtual", "-o", str(tmp_path)]
+    assert main([*words, "--commands", str(tmp_path / "orders.csv")]) == 2
+    assert "omega_ref, row 2 of the data: found 6500, allowed is 2000 to 6000 rpm" in capsys.readouterr().err
+    far = declared(tmp_path / "far.json", pitch={"min": 12.0, "max": 25.0})
+    assert main([*words, "--rig", str(far)]) == 2
+    assert "beta_min" in capsys.readouterr().err  # beyond what the calibration has a pulse for
+
+
+def test_a_slow_rig_is_given_time():
+    slow = plan_for(PAPERS.timed(5.0))
+    assert (slow.settle, slow.after, slow.section, slow.points) == (30.0, 50.0, 300.0, 10)
+    assert plan_for(PAPERS.timed(0.05)) == Plan()
 
 
 def test_a_hidden_effect_is_in_the_campaign(rig):

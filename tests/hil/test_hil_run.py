@@ -6,14 +6,16 @@ import pytest
 from rigs import CALIBRATION, LIMITS, setup, step_profile
 
 from hil.columns import COLUMNS
+from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
 from hil.report import judged_steps, smoothed
 from hil.rig import RunEnded
-from hil.run import START, LimitedPlant, loop_part, run_on_rig, write_run
+from hil.run import LimitedPlant, loop_part, run_on_rig, write_run
 from hil.session import Setup, read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin
 from vpp_fmu.cli import main
+from vpp_fmu.commands import idle
 from vpp_fmu.comparison import compare
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE
@@ -28,7 +30,7 @@ def done(tmp_path_factory):
 
 
 def beside():
-    return run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(), START)
+    return run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(), idle(PAPERS))
 
 
 def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
@@ -146,7 +148,7 @@ def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu
     out = tmp_path / "out"
     assert main(["hil", "run", "--rig", "fmu", str(fmu_files["plain"]), "--profile", str(profile), "-o", str(out)]) == 0
     run = read_log_without_state(out / "run.csv")
-    expected = run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(hold=1.0), START)
+    expected = run_loop(LimitedPlant(KernelPlant(), LIMITS), KernelController(), step_profile(hold=1.0), idle(PAPERS))
     np.testing.assert_array_equal(run["thrust"], expected["thrust"])
     assert json.loads((out / "hil.json").read_text())["rig"] == "fmu"
 
@@ -159,7 +161,8 @@ def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu
         (["--hide", "linkage_play.size=1"], "linkage_play.half_gap"),
         (["--rig", "kettle"], "allowed is emulated or real"),
         (["--rig", "real"], "the real rig's own calibration"),
-        (["--rig", "fmu"], "allowed is fmu PLANT.fmu"),
+        (["--rig", "fmu"], "or fmu PLANT.fmu"),
+        (["--start", "9000", "0"], "--start: found 9000 rpm, allowed is 2000 to 6000 rpm"),
         (["--start", "-5", "0"], "--start"),
         (["--twin"], "no --parameters"),
         (["--controller", "c.fmu", "--gains", "g.json"], "one of the two"),
@@ -172,10 +175,28 @@ def test_wrong_options_are_told_in_one_line(profile, capsys, words, said, tmp_pa
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("time", "thrust", "said"),
+    [
+        ([0.0, 2.0], [1.5, 400.0], "thrust_set: found 400 N, allowed is less than 25 N"),
+        ([0.0, 9000.0], [1.5, 12.0], "time: found 9000 s, allowed is at most the run time, 3600 s"),
+    ],
+)
+def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tmp_path, capsys):
+    write_record(OutputFolder(tmp_path), "far.csv", Record({"time": np.array(time), "thrust_set": np.array(thrust)}, ""))
+    assert main(["hil", "run", "--virtual", "--profile", str(tmp_path / "far.csv"), "-o", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path):
     calibration = tmp_path / "calibration.json"
     calibration.write_text((__import__("pathlib").Path("hil/emulator/calibration.json")).read_text())
-    words = ["hil", "run", "--rig", "real", "--calibration", str(calibration), "--profile", str(profile)]
+    words = ["hil", "run", "--calibration", str(calibration), "--profile", str(profile), "--rig", "real"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    assert "without a range of speed and pitch" in capsys.readouterr().err  # nobody has said how fast it may turn
+    rig = {"format": "vpp-rig/1", "speed": {"min": 2000, "max": 5000}, "pitch": {"min": -5, "max": 8}}
+    (tmp_path / "rig.json").write_text(json.dumps({**rig, "thrust": {"min": 0, "max": 12}}))
+    words.append(str(tmp_path / "rig.json"))
 
     class Typed:
         def __init__(self, text):
@@ -186,7 +207,9 @@ def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path)
 
     monkeypatch.setattr("sys.stdin", Typed("yes\n"))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "typed word" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "typed word" in told.err
+    assert "speed 2000 to 5000 rpm (rig.json), pitch -5 to 8 deg (rig.json)" in told.out
     monkeypatch.setattr("sys.stdin", Typed("spin\n"))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
     assert "pwm: not ready" in capsys.readouterr().err  # this machine has no rig

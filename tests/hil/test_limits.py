@@ -7,9 +7,11 @@ import random
 
 import pytest
 
+from hil.commands import PAPERS
 from hil.safety.faults import FaultKind
-from hil.safety.limits import Cut, Limiter, Limits, read_limits
+from hil.safety.limits import Cut, Limiter, Limits, limits_of, read_limits
 from vpp_fmu.errors import BadInput
+from vpp_fmu.rig import DECLARED, Rig
 
 DT = 0.004
 
@@ -31,10 +33,12 @@ def test_a_file_changes_what_it_names(tmp_path):
         ({"omega_max": 5000}, "limits, omega_max: found 5000"),
         ({"omega_max": {"value": 80.0, "unit": "Hz"}}, 'limits, omega_max, unit: found "Hz", allowed is "rpm"'),
         ({"omega_max": {"value": True, "unit": "rpm"}}, "omega_max, value: found true, allowed is a number"),
-        ({"omega_max": {"value": 20000, "unit": "rpm"}}, "found 20000, allowed is a number from 100 to 12000 rpm"),
+        ({"omega_max": {"value": 20000, "unit": "rpm"}}, "omega_trip: found 6900, allowed is more than omega_max, 20000"),
+        ({"omega_max": {"value": 200000, "unit": "rpm"}}, "found 200000, allowed is a number from 10 to 100000 rpm"),
+        ({"thrust_trip": {"value": 20000, "unit": "N"}}, "found 20000, allowed is a number from 0.01 to 10000 N"),
         ({"omega_max": {"value": math.nan, "unit": "rpm"}}, "found NaN, allowed is finite numbers"),
         ({"omega_trip": {"value": 5500, "unit": "rpm"}}, "omega_trip: found 5500, allowed is more than omega_max, 6000"),
-        ({"beta_min": {"value": 20, "unit": "deg"}}, "beta_max: found 10, allowed is more than beta_min, 20"),
+        ({"beta_min": {"value": 20, "unit": "deg"}}, "beta_max: found 10, allowed is at least beta_min, 20"),
     ],
 )
 def test_a_wrong_file_is_refused(tmp_path, limits, said):
@@ -43,6 +47,56 @@ def test_a_wrong_file_is_refused(tmp_path, limits, said):
         read_limits(path)
     assert said in str(raised.value)
     assert str(path) in str(raised.value)
+
+
+def test_the_papers_limits_are_what_follows_from_its_rig():
+    own = Limits()
+    assert own == limits_of(PAPERS)
+    assert (own.omega_min, own.omega_max, own.omega_trip) == (2000.0, 6000.0, 6900.0)
+    assert (own.beta_min, own.beta_max, own.thrust_trip) == (-10.0, 10.0, 25.0)
+    assert (own.omega_slew, own.beta_slew, own.omega_ramp, own.beta_ramp) == (20000.0, 60.0, 4000.0, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("speed", "pitch", "thrust", "trips"),
+    [
+        ((6660.0, 20000.0), (-12.0, 12.0), (-0.1, 1.2), (23000.0, 2.0)),
+        ((830.0, 2500.0), (12.0, 25.0), (-180.0, 160.0), (2875.0, 300.0)),
+        ((5000.0, 5000.0), (4.0, 4.0), (3.0, 15.0), (5750.0, 25.0)),
+    ],
+)
+def test_another_rigs_limits_are_its_ranges_and_trips_beyond_them(speed, pitch, thrust, trips):
+    own = limits_of(Rig(speed=speed, pitch=pitch, thrust=thrust))
+    assert (own.omega_min, own.omega_max, own.beta_min, own.beta_max) == (*speed, *pitch)
+    assert (own.omega_trip, own.thrust_trip) == pytest.approx(trips)
+    slow = limits_of(Rig(speed=speed, pitch=pitch, thrust=thrust, speed_slew=500.0, pitch_slew=3.0))
+    assert (slow.omega_slew, slow.beta_slew) == (500.0, 3.0)
+    assert slow.omega_ramp <= 500.0
+    assert slow.beta_ramp <= 3.0
+
+
+@pytest.mark.parametrize(
+    ("rig", "said"),
+    [
+        (Rig(speed=(2000.0, 150000.0)), "omega_max: found 150000, allowed is a number from 10 to 100000 rpm"),
+        (Rig(thrust=(0.0, 90000.0)), "thrust_trip: found 150000"),
+    ],
+)
+def test_what_is_no_rig_has_no_limits(rig, said):
+    with pytest.raises(BadInput, match=said):
+        limits_of(rig, "rig.json")
+
+
+def test_a_file_goes_no_further_than_a_rig_json_and_as_far_as_it_wants_where_none_declares(tmp_path):
+    path = written(tmp_path / "limits.json", {"omega_max": {"value": 5500, "unit": "rpm"}})
+    measured = Rig(speed=(2000.0, 5000.0), origin={"speed": "the campaign"})
+    assert read_limits(path, measured).omega_max == 5500.0
+    declared = dataclasses.replace(measured, origin={"speed": DECLARED})
+    with pytest.raises(BadInput, match=r"omega_max: found 5500, allowed is at most 5000, as rig.json has it"):
+        read_limits(path, declared)
+    path = written(tmp_path / "limits.json", {"beta_slew": {"value": 90, "unit": "deg/s"}})
+    with pytest.raises(BadInput, match=r"beta_slew: found 90, allowed is at most 45"):
+        read_limits(path, Rig(pitch_slew=45.0, origin={"pitch_slew": DECLARED}))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "vpp-limits/2", "limits": {}}', '{"format": "vpp-limits/1"}'])
@@ -66,15 +120,26 @@ def test_a_step_comes_out_as_a_ramp_of_the_slews_slope():
 
 
 def test_spin_up_and_ramp_down_take_the_slow_slope_and_reach_standstill():
-    limiter, ticks = Limiter(Limits()), 0
+    limits = dataclasses.replace(Limits(), omega_min=1500.0)
+    limiter, ticks = Limiter(limits), 0
     while limiter.ramp(2000.0, 0.0, DT).cut:
         ticks += 1
     assert ticks == pytest.approx(2000.0 / 4000.0 / DT, abs=1)
     assert limiter.apply(0.0, 0.0, DT).cut == Cut.OMEGA_RANGE | Cut.OMEGA_SLEW
-    assert limiter.apply(0.0, 0.0, 1.0)[0] == Limits().omega_min
+    assert limiter.apply(0.0, 0.0, 1.0)[0] == 1500.0
     for _ in range(400):
         out = limiter.ramp(0.0, 0.0, DT)
     assert out.omega_ref == 0.0
+
+
+def test_blades_that_rest_outside_their_range_come_into_it_along_the_slope():
+    limits = limits_of(Rig(pitch=(12.0, 25.0), pitch_slew=30.0))
+    limiter = Limiter(limits, 0.0, 0.0)
+    told = [limiter.ramp(2000.0, 14.0, DT).beta_ref for _ in range(600)]
+    steps = [b - a for a, b in zip([0.0, *told], told, strict=False)]
+    assert max(steps) <= limits.beta_ramp * DT * (1 + 1e-9)
+    assert limits.beta_ramp <= 30.0
+    assert told[-1] == 14.0
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 0.0), (3000.0, math.nan), (math.inf, 0.0), (3000.0, -math.inf)])

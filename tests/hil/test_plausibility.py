@@ -9,12 +9,14 @@ from rig_readings import DT, NEWTON_PER_COUNT, Tachometer, run, steps
 
 from hil.physics.rig_model import library
 from hil.safety.faults import FaultKind, Reaction
-from hil.safety.limits import Limits
+from hil.safety.limits import Limits, limits_of
 from hil.safety.pitch_effect import PitchEffect
-from hil.safety.plausibility import Plausibility, Reading, Thresholds
+from hil.safety.plausibility import Plausibility, Reading, Thresholds, thresholds_of
 from hil.safety.rotor_bounds import RotorBounds, RotorPhysics
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.rig import Rig
 
 AT = 1.0
 HIDDEN = [e.name for e in library(False) if e.off is not None and e.name != "rod_stuck"]
@@ -198,6 +200,45 @@ def test_over_speed_is_idle_at_once():
             break
     assert (fault.kind, fault.kind.reaction) == (FaultKind.OVER_SPEED, Reaction.IDLE)
     assert 3300.0 < seen <= omega <= 3300.0 + 0.04 * 13200.0 * (1.5 * 60.0 / 3300.0 + 2 * DT)
+
+
+def test_a_rig_of_another_size_runs_up_and_the_papers_bounds_would_not_let_it():
+    """A motor of 44 000 rpm on a rotor of 20 000: no reading is odd."""
+    rig = Rig(speed=(6660.0, 20000.0), pitch=(-12.0, 12.0), thrust=(0.0, 1.2), scales=Scales(20000.0, 18.0, 6.0, 1.2, 0.2))
+    found = []
+    for thresholds in (thresholds_of(rig), Thresholds()):
+        checks, mark, omega, angle, fault = Plausibility(limits_of(rig), DT, None, thresholds), Tachometer(), 0.0, 0.0, None
+        for k in range(1000):
+            throttle = min(0.1 * k * DT, 20000.0 / 44000.0)
+            omega += (44000.0 * throttle - omega) * DT / 0.1
+            angle += omega / 60.0 * DT
+            mark.see(k * DT, DT, angle)
+            now = (k + 1) * DT
+            age, turning = now - mark.last, {"omega": mark.speed(now), "pulses": mark.pulses, "throttle": throttle}
+            fault = fault or checks.check(quiet(k)._replace(t=now, mark_age=age, **turning))
+        found.append(fault and fault.kind)
+    assert found == [None, FaultKind.SPEED_JUMP]
+
+
+def test_stuck_blades_show_alike_on_a_rig_of_another_size():
+    """Twelve times the thrust and four times the time: the same share, and that much more must have been commanded."""
+    large = Scales(2500.0, 20.0, -6.0, 180.0, 2.0)
+    seen = []
+    for scales in (PAPER, large):
+        longer, model = scales.time_scale / PAPER.time_scale, plant().sized(scales)
+        lags = {name: longer * model.values()[name] for name in ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2")}
+        values, dt = {**model.values(), **lags}, longer * DT
+        effect, simulation = PitchEffect(dt, values, scales.time_scale), Simulation(model, values)
+        omega = 0.7 * scales.omega_scale
+        simulation.start({"omega_ref": omega, "beta_ref": scales.absolute(0.5, "position")})
+        for k in range(3000):
+            share = 0.5 + 0.2 * (1.0 if k // 500 % 2 else -1.0)
+            shown = simulation.advance({"omega_ref": omega, "beta_ref": scales.absolute(0.5, "position")}, dt)
+            effect.update(shown["thrust"], shown["omega"], scales.absolute(share, "position"))
+        rig = Rig(scales=scales)
+        seen.append((effect.effect, effect.moved / thresholds_of(rig).moved))
+    assert seen[1] == pytest.approx(seen[0], abs=1e-6)
+    assert seen[0][1] > 1.0
 
 
 def test_the_bounds_hold_any_motor_within_the_stated_physics():

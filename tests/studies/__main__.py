@@ -5,11 +5,13 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, fmus, identification, long, measured, rigs, tuning
+from . import commands, diagnosis, fmus, gate, identification, long, measured, rigs, tuning
 
 STUDIES = {
+    "commands": commands.main,
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
+    "gate": gate.main,
     "identification": identification.main,
     "long": long.main,
     "measured": measured.main,

@@ -134,7 +134,8 @@ COLUMNS = (
     Column("ships", "worse", ships, worse),
 )
 """Singles, pairs, and what is in no list count where they are detectable. `missing`: false "something is missing"; `open`:
-neither named nor called none; `honest`: says that something is left and names nothing false; `passed`: one passed over in silence."""
+neither named nor called none; `honest`: says that something is left and names nothing false; `passed`: one passed over in
+silence."""
 
 FACTORS: dict[str, Callable[[dict], object]] = {
     "all": lambda c: "",

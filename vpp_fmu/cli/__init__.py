@@ -14,6 +14,7 @@ from vpp_fmu.stopping import Stopped, said, stoppable
 
 VERBS = {
     "demo": "the whole job on the campaign that ships with the project",
+    "check": "what a campaign's files are, hold and lack, and whether they can be trusted",
     "identify": "a campaign to parameters",
     "diagnose": "what the model lacks, and the model with it",
     "tune": "gains for a model",

@@ -63,7 +63,7 @@ def _write(folder: OutputFolder, done: Demo) -> None:
     write_diagnosis(folder, found)
     for name, gains in (("gains.json", DUAL), ("gains_speed_only.json", SPEED_ONLY)):
         folder.write(name, to_json(dated(ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(gains))))
-    write_record(folder, "profile.csv", step_profile())
+    write_record(folder, "profile.csv", step_profile(found.rig))
     commands = {name: done.validation[name] for name in ("time", "omega_ref", "beta_ref")}
     for name, file in (("before", "prediction_base.csv"), ("after", "prediction.csv")):
         write_record(folder, file, Record({**commands, "thrust": done.thrust[name]}, "vpp demo"))

@@ -9,7 +9,7 @@ from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.identify import named_records
 from vpp_fmu.cli.options import SEED, WORKERS, Number
-from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_accept, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY, plant
@@ -33,6 +33,7 @@ def configure(parser):
         "--workers", type=WORKERS, default=2, metavar="N", help="fits that run side by side (default: %(default)s)"
     )
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of random starts (default: %(default)s)")
+    add_accept(parser)
     add_output(parser)
 
 
@@ -51,13 +52,17 @@ def run(options):
             given,
             options.smallest,
             named_records(options.record),
+            options.accept,
         )
         bar.set_description("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
+    for finding in found.quality:
+        print(finding.text)
     print(headline(found))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")
+    print(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     say_written(folder, found.parameters(found.final))
 
 

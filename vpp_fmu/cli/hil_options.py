@@ -1,13 +1,17 @@
 """What the sub-verbs of `vpp hil` share: which rig, how it is calibrated, what it may do, what is hidden in it."""
 
 import sys
+from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 
 from hil.bench import Wiring, check_limits
 from hil.calibration import read_calibration
-from hil.emulator.rig import Rig
+from hil.campaign import steep, within
+from hil.commands import PAPERS
+from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import library
-from hil.safety.limits import Limits, read_limits
+from hil.safety.limits import Limits, limits_of, read_limits
 from hil.session import Setup
 from vpp_fmu.cli.options import SEED, whole
 from vpp_fmu.errors import BadInput
@@ -15,6 +19,7 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.plants import Controller, FmuController, KernelController
+from vpp_fmu.rig import Rig, declared_rig
 
 EMULATED = files("hil.emulator") / "calibration.json"
 WORD = "spin"
@@ -23,9 +28,11 @@ WORD = "spin"
 def add_rig(parser, fmu: bool = False) -> None:
     """The options that choose and describe the rig."""
     kinds = "emulated (default) or real" + (", or fmu PLANT.fmu" if fmu else "")
-    parser.add_argument("--rig", nargs="+", default=["emulated"], metavar=("KIND", "PLANT.fmu") if fmu else "KIND", help=kinds)
+    text = f"{kinds}; and the rig's rig.json, which declares what it may do (default: what --parameters tells of its campaign, "
+    text += "the paper's rig for the emulated one; the real rig needs one of the two)"
+    parser.add_argument("--rig", nargs="+", default=["emulated"], metavar=("KIND", "FILE"), help=text)
     parser.add_argument("--calibration", metavar="C", help="the rig's calibration (default for the emulated rig: its own)")
-    parser.add_argument("--limits", metavar="L", help="limits outside the controller (default: the paper's rig's)")
+    parser.add_argument("--limits", metavar="L", help="limits outside the controller (default: what follows from the rig)")
     parser.add_argument("--virtual", action="store_true", help="emulated rig on a clock of its own: fast, the same every time")
     text = "hide an effect in the emulated rig: NAME, NAME=SIZE or NAME.PARAMETER=SIZE; more than one may be given"
     parser.add_argument("--hide", action="append", default=[], metavar="EFFECT[=SIZE]", help=text)
@@ -42,29 +49,74 @@ def add_controller(parser) -> None:
     parser.add_argument("--controller", metavar="FMU", help="a controller FMU instead")
 
 
-def setup_of(options) -> Setup:
-    """The rig that the options describe."""
-    kind = options.rig[0]
-    if kind not in ("emulated", "real") or len(options.rig) > 1:
-        raise BadInput("command line", "--rig", " ".join(options.rig), "emulated or real")
+@dataclass(frozen=True)
+class Which:
+    """The words of --rig: `kind`, the `plant` FMU in the rig's place, the rig.json."""
+
+    kind: str
+    plant: str | None
+    file: str | None
+
+
+def which(options, fmu: bool = False) -> Which:
+    """Which rig the options name."""
+    words = list(options.rig)
+    kind = words.pop(0) if words[0] in ("emulated", "real", "fmu") else "emulated"
+    plant = words.pop(0) if kind == "fmu" and words else None
+    file = words.pop(0) if words else None
+    if words or (kind == "fmu" and not (fmu and plant)) or (file and not Path(file).is_file()):
+        allowed = "emulated or real" + (", or fmu PLANT.fmu" if fmu else "") + ", and a rig.json that is there"
+        raise BadInput("command line", "--rig", " ".join(options.rig), allowed)
+    return Which(kind, plant, file)
+
+
+def allowed_of(options, turning: bool = True) -> Rig:
+    """What the rig may be asked for: as its rig.json declares, else as the campaign of --parameters measured it, else, of what
+    is no real rig, the paper's. BadInput where a real one is to turn and nobody knows how far."""
+    rig, rest = which(options, fmu=True), None
+    if getattr(options, "parameters", None):
+        told = plant_of(options).rig
+        rest = None if told.unknown else told
+    if rest is None and (rig.kind != "real" or not turning):
+        rest = PAPERS
+    if rig.file:
+        return declared_rig(rig.file, rest)
+    if rest is None:
+        allowed = "real RIG.json, or --parameters that were identified from a campaign on it"
+        raise BadInput("command line", "--rig", "real, without a range of speed and pitch", allowed)
+    return rest
+
+
+def limits_for(options, allowed: Rig, steps: bool = False) -> tuple[Limits, Rig]:
+    """(limits outside the controller, the rig as far as they let it go). `steps`: commands may jump where the rig allows it."""
+    freely = limits_of(allowed, which(options, fmu=True).file or getattr(options, "parameters", None) or "rig")
+    freely = steep(freely, allowed) if steps else freely
+    limits = read_limits(options.limits, allowed, freely) if options.limits else freely
+    return limits, within(allowed, limits, freely)
+
+
+def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
+    """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether it will."""
+    kind = which(options).kind
     real = kind == "real"
     if real and (options.virtual or options.hide):
         raise BadInput("command line", "--rig", "real with --virtual or --hide", "these for the emulated rig only")
     if real and not options.calibration:
         raise BadInput("command line", "--calibration", "none", "the real rig's own calibration (see hil/README.md)")
     calibration = read_calibration(options.calibration or str(EMULATED))
-    limits = limits_of(options)
+    limits, allowed = limits_for(options, allowed_of(options, turning), steps)
     check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
     if real:
-        return Setup(calibration, limits, wiring=Wiring(options.bus, port=options.port, pwm=options.pwm))
+        return Setup(calibration, limits, wiring=Wiring(options.bus, port=options.port, pwm=options.pwm), allowed=allowed)
     hidden = [_hidden(text) for text in options.hide]
     parameters = {name: value for _, values in hidden for name, value in values.items()}
-    return Setup(calibration, limits, Rig(parameters, tuple(name for name, _ in hidden), options.seed), options.virtual)
+    emulated = Emulated(parameters, tuple(name for name, _ in hidden), options.seed)
+    return Setup(calibration, limits, emulated, options.virtual, allowed=allowed)
 
 
-def limits_of(options) -> Limits:
-    """The limits as given, or the paper's rig's."""
-    return read_limits(options.limits) if options.limits else Limits()
+def say_allowed(allowed: Rig) -> None:
+    """Within what the rig will be commanded, and where that comes from."""
+    print(f"commands within {', '.join(allowed.command_lines())}")
 
 
 def _hidden(text: str) -> tuple[str, dict[str, float]]:

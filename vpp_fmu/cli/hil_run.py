@@ -10,12 +10,14 @@ from tqdm import tqdm
 
 from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
 from hil.rig import RunEnded
-from hil.run import START, LimitedPlant, Run, run_on_rig, write_run
+from hil.run import LimitedPlant, Run, run_on_rig, write_run
+from hil.safety.limits import Limits
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.options import Number
 from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.commands import idle
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
@@ -23,6 +25,7 @@ from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import FmuPlant, KernelPlant
 from vpp_fmu.record import Record, read_profile
 from vpp_fmu.report import Page
+from vpp_fmu.rig import Rig
 
 EXAMPLE = "vpp hil run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out"
 
@@ -34,29 +37,30 @@ def configure(parser):
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
     hil_options.add_controller(parser)
     hil_options.add_rig(parser, fmu=True)
-    parser.add_argument("--parameters", metavar="F", help="the plant's parameters, for --twin (default: the paper's)")
+    text = "the plant's parameters, for --twin and for what the rig may do (default: the paper's)"
+    parser.add_argument("--parameters", metavar="F", help=text)
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
-    text = "commands that the run starts from, rpm and deg (default: 2000 0)"
-    parser.add_argument("--start", nargs=2, type=EITHER, default=START, metavar=("RPM", "DEG"), help=text)
+    text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
+    parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
     add_output(parser)
 
 
 def run(options):
-    for value, signal in zip(options.start, (OMEGA_REF, BETA_REF), strict=True):
-        if not signal.minimum <= value <= signal.maximum:
-            raise BadInput("command line", "--start", value, f"{signal.minimum:g} to {signal.maximum:g} {signal.unit}")
     profile = read_profile(options.profile)
-    if options.rig[0] == "fmu":
+    if hil_options.which(options, fmu=True).kind == "fmu":
         _on_fmu(options, profile)
         return
     setup, controller = hil_options.setup_of(options), hil_options.controller_of(options)
+    _check_profile(profile, setup.limits)
+    start = _start(options, setup.limits, setup.allowed)
     if options.parameters:
         setup = replace(setup, plant=hil_options.plant_of(options).values)
     twin, band = _twin(options)
     beside = _beside(options.beside, options, profile) if options.beside else None
     folder = OutputFolder(options.output)
+    hil_options.say_allowed(setup.allowed)
     hil_options.confirm(setup)
     with tqdm(total=100, unit="%", disable=None if setup.virtual else True, leave=False) as bar:
         done = run_on_rig(
@@ -64,7 +68,7 @@ def run(options):
             controller,
             profile,
             folder.path,
-            tuple(options.start),
+            start,
             twin,
             lambda share: bar.update(round(100 * share) - bar.n),
         )
@@ -77,13 +81,11 @@ def run(options):
 
 def _on_fmu(options, profile: Record) -> None:
     """The plant FMU in the rig's place: limits, controller, report and files are the same."""
-    if len(options.rig) != 2:
-        raise BadInput("command line", "--rig", " ".join(options.rig), "fmu PLANT.fmu")
-    folder = OutputFolder(options.output)
-    record = _beside(options.rig[1], options, profile)
+    plant, folder = hil_options.which(options, fmu=True).plant, OutputFolder(options.output)
+    record = _beside(plant, options, profile)
     write_run(folder.path / "run.csv", record)
-    folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(options.rig[1]).name}))
-    page = Page("Hardware in the loop, with a plant FMU", f"{options.rig[1]} over {options.profile}.")
+    folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}))
+    page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {options.profile}.")
     add_loops(page, {"plant FMU": record}, "")
     folder.write("report.html", page.html())
     _say({"plant FMU": record})
@@ -92,11 +94,35 @@ def _on_fmu(options, profile: Record) -> None:
 
 def _beside(path: str, options, profile: Record) -> Record:
     """The same loop with a plant FMU behind the same limits."""
-    plant, controller = LimitedPlant(FmuPlant(path), hil_options.limits_of(options)), hil_options.controller_of(options)
-    record = run_loop(plant, controller, profile, tuple(options.start))
+    limits, allowed = hil_options.limits_for(options, hil_options.allowed_of(options))
+    _check_profile(profile, limits)
+    start = _start(options, limits, allowed)
+    plant, controller = LimitedPlant(FmuPlant(path), limits), hil_options.controller_of(options)
+    record = run_loop(plant, controller, profile, start)
     plant.close()
     controller.close()
     return record
+
+
+def _start(options, limits: Limits, allowed: Rig) -> tuple[float, float]:
+    """Commands [rpm, deg] that the run starts from, which the limits let pass."""
+    if options.start is None:
+        return idle(allowed)
+    ranges = (limits.omega_min, limits.omega_max, "rpm"), (limits.beta_min, limits.beta_max, "deg")
+    for value, (low, high, unit) in zip(options.start, ranges, strict=True):
+        if not low <= value <= high:
+            raise BadInput("command line", "--start", f"{value:g} {unit}", f"{low:g} to {high:g} {unit}, as the limits have it")
+    return tuple(options.start)
+
+
+def _check_profile(profile: Record, limits: Limits) -> None:
+    """BadInput where the limits would end the run before the profile does."""
+    largest = float(np.max(np.abs(profile["thrust_set"])))
+    if largest >= limits.thrust_trip:
+        allowed = f"less than {limits.thrust_trip:g} N of either sign, which stops the rotor"
+        raise BadInput(profile.source, "thrust_set", f"{largest:g} N", allowed)
+    if profile.time[-1] > limits.run_time:
+        raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")
 
 
 def _twin(options) -> tuple[Twin | None, Band | None]:

@@ -27,7 +27,7 @@ def configure(parser):
 
 
 def run(options):
-    setup, folder = hil_options.setup_of(options), OutputFolder(options.output)
+    setup, folder = hil_options.setup_of(options, turning=False), OutputFolder(options.output)
     found = selftest(setup, options.seconds, folder.path, options.load)
     told = found.session.told()
     told |= {"load": options.load, "checks": [{"what": c.what, "good": c.good, "found": c.found} for c in found.checks]}

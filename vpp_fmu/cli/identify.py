@@ -9,7 +9,7 @@ from identification.identify import identify
 from identification.report import identification_page, key_figures
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.options import SEED, WORKERS, whole
-from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_accept, add_output, as_json, dated, say_written
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import to_json, to_ssv
 from vpp_fmu.record import Record, read_record
@@ -30,6 +30,7 @@ def configure(parser):
     text = "processes for the bootstrap (default: %(default)s)"
     parser.add_argument("--workers", type=WORKERS, default=1, metavar="N", help=text)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the bootstrap on instead")
+    add_accept(parser)
     add_output(parser)
 
 
@@ -47,6 +48,7 @@ def run(options):
             workers=options.workers,
             scheduler=options.scheduler,
             records=records,
+            accept=options.accept,
             stage=bar.set_description,
         )
         bar.set_description("report")
@@ -54,8 +56,8 @@ def run(options):
         folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
         folder.write("identification.json", as_json(found.summary()))
         folder.write("report.html", identification_page(found).html())
-    for left_out in found.left_out:
-        print(left_out)
+    for finding in found.quality:
+        print(finding.text)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder, found.parameters)

@@ -21,6 +21,12 @@ def add_output(parser) -> None:
     parser.add_argument("-o", "--output", default="out", metavar="DIR", help="folder to write to (default: out)")
 
 
+def add_accept(parser) -> None:
+    """The option that overrides the quality gate."""
+    text = "go on in spite of a finding of the quality gate, by its code, and keep its rows; may be repeated (vpp check --help)"
+    parser.add_argument("--accept", action="append", default=[], metavar="CODE", help=text)
+
+
 def as_json(content: dict) -> str:
     """JSON as this project writes it."""
     return json.dumps(content, indent=2) + "\n"

@@ -1,22 +1,30 @@
-"""Plan the next experiment: commands that shrink the model's weakest direction, within limits, and what they would bring."""
+"""Plan the next experiment: commands that shrink the model's weakest direction, and what they would bring.
 
+They stay within the range that the parameters' campaign was measured over, or that its rig.json declares."""
+
+import json
 from collections.abc import Sequence
-from math import inf
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.fit.uncertainty import NORMAL_95
-from identification.plan.excitation import Limits
-from identification.plan.plan import DURATION, Plan, plan
+from identification.plan.excitation import PAPERS_HOLD
+from identification.plan.plan import NOISE, Plan, plan
 from identification.worth.information import read_knowledge
+from identification.worth.quality import noise_floor
+from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.parameters import check_same_model, read_parameters
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters
 from vpp_fmu.record import write_record
 from vpp_fmu.report import Page, thinning
 from vpp_fmu.report.plan import interval_widths, planned_commands
+from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
 
 EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
 
@@ -26,39 +34,61 @@ UNKNOWN = 10.0
 COLOURED = 1.5
 """What was known before counts as hampered by coloured residuals when its intervals are wider by this factor."""
 
-RANGES = {
-    "--seconds": Number(*DURATION, "s"),
+OPTIONS = {
+    "--seconds": Number(0.01, 1e6, "s"),
     "--omega": Number(OMEGA_REF.minimum, OMEGA_REF.maximum, OMEGA_REF.unit),
     "--pitch": Number(BETA_REF.minimum, BETA_REF.maximum, BETA_REF.unit),
     "--omega-slew": Number(0.0, 1e9, "rpm/s", above=True),
     "--pitch-slew": Number(0.0, 1e9, "deg/s", above=True),
-    "--step": Number(0.0005, 0.05, "s"),
+    "--step": Number(1e-5, 10.0, "s"),
     "--noise": Number(0.0, 1e6, "N", above=True),
     "--omega-noise": Number(0.0, 1e6, "rpm", above=True),
 }
-"""What the options may be."""
+"""What the options may be on any rig."""
+
+ASKED = "the command line"
+"""Where a range comes from that the user named."""
 
 
 def configure(parser):
     def number(name, default, text, metavar="X"):
-        shown = "" if default is None else " (default: %(default)s)"
-        parser.add_argument(name, type=RANGES[name], default=default, metavar=metavar, help=text + shown)
+        parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
 
     parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
     parser.add_argument(
         "--knowledge", metavar="F", help="identification.json of the data there are (default: nothing is known)"
     )
-    number("--seconds", 60.0, "length of the experiment", "S")
-    for name, pair, what in (("--omega", (2000.0, 6000.0), "speed in rpm"), ("--pitch", (-5.0, 10.0), "pitch in deg")):
-        text = f"range of {what} (default: {pair[0]:g} {pair[1]:g})"
-        parser.add_argument(name, nargs=2, type=RANGES[name], default=pair, metavar=("LOW", "HIGH"), help=text)
-    number("--omega-slew", None, "largest slew of the speed command in rpm/s (default: it may jump)")
-    number("--pitch-slew", None, "largest slew of the pitch command in deg/s (default: it may jump)")
-    number("--step", 0.004, "time between commands and between readings in s", "S")
-    number("--noise", 0.3, "standard deviation of a thrust reading in N")
-    number("--omega-noise", None, "standard deviation of a speed reading in rpm (default: speed is not measured)")
+    text = "take range, sampling and noise from this campaign (default: what --parameters tells of its own)"
+    parser.add_argument("--campaign", metavar="DIR", help=text)
+    text = "a rig.json: the range and slew that it declares go before what was measured"
+    parser.add_argument("--rig", metavar="FILE", help=text)
+    number("--seconds", "120 time scales of the rig, a minute for the paper's", "length of the experiment", "S")
+    for name, what in (("--omega", "speed in rpm"), ("--pitch", "pitch in deg")):
+        text = f"range of {what}, within the rig's (default: the rig's)"
+        parser.add_argument(name, nargs=2, type=OPTIONS[name], metavar=("LOW", "HIGH"), help=text)
+    for name, what in (("--omega-slew", "speed command in rpm/s"), ("--pitch-slew", "pitch command in deg/s")):
+        number(name, "the rig's; without one it may jump", f"largest slew of the {what}")
+    number("--step", "the campaign's", "time between commands and between readings in s", "S")
+    text = "standard deviation of a thrust reading in N"
+    number("--noise", f"that of --knowledge or --campaign, else {NOISE:g} of the thrust scale", text)
+    number("--omega-noise", "speed is not measured", "standard deviation of a speed reading in rpm")
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the search (default: %(default)s)")
     add_output(parser)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What a plan stands on: the `rig`, the `noise` of a thrust reading [N] and where it comes from, the `step` [s] or None."""
+
+    rig: Rig
+    noise: float
+    noise_from: str
+    step: float | None
+
+    def lines(self) -> list[str]:
+        """In words."""
+        commands = f"commands within {', '.join(self.rig.command_lines())}"
+        return [commands, f"noise of a thrust reading {self.noise:.3g} N ({self.noise_from})"]
 
 
 def run(options):
@@ -66,28 +96,111 @@ def run(options):
     knowledge, inflation = read_knowledge(options.knowledge) if options.knowledge else (None, 1.0)
     if options.knowledge:
         check_same_model(options.knowledge, parameters, options.parameters)
-    slews = (inf if slew is None else slew for slew in (options.omega_slew, options.pitch_slew))
-    limits = Limits(tuple(options.omega), tuple(options.pitch), *slews, step=options.step)
+    basis = _basis(options, parameters)
     folder = OutputSet(options.output, "plan")
     found = plan(
         parameters.model,
         parameters.values,
-        limits,
+        basis.rig,
         options.seconds,
-        options.noise,
+        basis.noise,
         knowledge,
         options.seed,
         omega_std=options.omega_noise,
+        step=basis.step,
     )
     write_record(folder, "plan.csv", found.commands)
     folder.write("plan.json", as_json(found.summary()))
-    remarks = [_coloured(inflation, options.noise)] if inflation > COLOURED else []
-    folder.write("report.html", plan_page(found, remarks).html())
+    remarks = [_coloured(inflation, basis.noise)] if inflation > COLOURED else []
+    remarks += _overload(found)
+    folder.write("report.html", plan_page(found, basis.lines(), remarks).html())
+    for line in basis.lines():
+        print(line)
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     for remark in remarks:
         print(f"note: {remark}")
     say_written(folder, parameters)
+
+
+def _basis(options, parameters: ParameterSet) -> Basis:
+    campaign = read_campaign(options.campaign) if options.campaign else None
+    rig = parameters.rig
+    if campaign is not None:
+        rig = replace(campaign.rig, scales=rig.scales)  # of the map: they belong to the parameters
+    if options.rig:
+        rig = declared_rig(options.rig, rig)
+    rig = _narrowed(rig, options)
+    if rig.unknown:
+        allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
+        raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
+    return Basis(rig, *_noise(options, campaign, rig), _step(options, campaign, parameters))
+
+
+def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
+    """s, as asked for, or as the rig was sampled; None: nobody knows."""
+    if options.step is not None:
+        return options.step
+    records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()
+    periods = [record.period for record in records if record is not None]
+    told = parameters.source.get("sample_period")
+    return periods[0] if periods else told if isinstance(told, int | float) else None
+
+
+def _narrowed(rig: Rig, options) -> Rig:
+    """The rig within what the command line asks for, which a range that is known must hold."""
+    changes, origin = {}, dict(rig.origin)
+    for name, asked in (("speed", options.omega), ("pitch", options.pitch)):
+        if asked is None:
+            continue
+        option, unit, (low, high) = "--omega" if name == "speed" else "--pitch", RANGES[name].unit, getattr(rig, name)
+        known = name not in rig.unknown
+        if not known:
+            low, high = RANGES[name].minimum, RANGES[name].maximum
+        if not low <= asked[0] <= asked[1] <= high:
+            where = f" ({origin[name]}); --rig FILE declares a wider one" if known else ""
+            found = f"{asked[0]:g} to {asked[1]:g} {unit}"
+            raise BadInput("command line", option, found, f"within {low:.6g} to {high:.6g} {unit}, the lower first{where}")
+        changes[name] = tuple(asked)
+        origin[name] = f"{ASKED}, within {low:.6g} to {high:.6g} of {origin[name]}" if known else ASKED
+    for name, asked in (("speed", options.omega_slew), ("pitch", options.pitch_slew)):
+        if asked is None:
+            continue
+        most, unit = getattr(rig, f"{name}_slew"), SLEWS[name]
+        if not 0.0 < asked <= most:
+            allowed = f"more than 0 and at most {most:g} {unit}" if np.isfinite(most) else f"more than 0 {unit}"
+            option = "--omega-slew" if name == "speed" else "--pitch-slew"
+            raise BadInput("command line", option, f"{asked:g} {unit}", allowed)
+        changes[f"{name}_slew"], origin[f"{name}_slew"] = asked, ASKED
+    return replace(rig, **changes, origin=origin)
+
+
+def _noise(options, campaign: Campaign | None, rig: Rig) -> tuple[float, str]:
+    """(standard deviation of a thrust reading [N], where it comes from)."""
+    if options.noise is not None:
+        return options.noise, ASKED
+    if options.knowledge:
+        told = json.loads(read_text(options.knowledge))  # read_knowledge found it sound
+        if told.get("noise_floor_thrust"):
+            return float(told["noise_floor_thrust"]), "of a repeated record"
+        left = [x for x in (told.get("rmse_thrust") or {}).values() if isinstance(x, float) and x > 0.0]
+        if left:
+            return min(left), "what the model left of the thrust"
+    if campaign is not None and campaign.open_loop is not None and campaign.repeat is not None:
+        return noise_floor(campaign.open_loop, campaign.repeat), "of a repeated record"
+    return NOISE * rig.scales.thrust_scale, f"{NOISE:g} of the thrust scale, not measured"
+
+
+def _overload(found: Plan) -> list[str]:
+    """What to say where the predicted thrust leaves what is declared for the rig."""
+    low, high = found.rig.thrust
+    least, most = float(found.thrust.min()), float(found.thrust.max())
+    if found.rig.origin.get("thrust") != DECLARED or (low <= least and most <= high):
+        return []
+    return [
+        f"The model predicts {least:.3g} to {most:.3g} N, and the rig is declared for {low:g} to {high:g} N: narrow --omega or "
+        "--pitch before this is run."
+    ]
 
 
 def key_figures(found: Plan) -> list[tuple[str, str, str]]:
@@ -103,16 +216,18 @@ def key_figures(found: Plan) -> list[tuple[str, str, str]]:
     return figures
 
 
-def plan_page(found: Plan, remarks: Sequence[str] = ()) -> Page:
-    """The report of a plan; `remarks` stand above its figures."""
-    limits, after = found.limits, found.after
+def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = ()) -> Page:
+    """The report of a plan; what it stands on (`basis`) and `remarks` stand above its figures."""
+    after = found.after
     page = Page(
         "The next experiment",
-        f"{_seconds(found)} s of commands, speed {limits.omega[0]:g} to {limits.omega[1]:g} rpm, pitch {limits.beta[0]:g} to "
-        f"{limits.beta[1]:g} deg, and what they would tell about the model, if a thrust reading every {1e3 * limits.step:g} ms "
-        f"has white noise of {found.noise_std:g} N. What the model lacks, and any colour of the noise, widens all intervals.",
+        f"{_seconds(found)} s of commands, and what they would tell about the model, if a thrust reading every "
+        f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
+        "noise, widens all intervals.",
     )
     page.tiles(key_figures(found))
+    for line in basis:
+        page.note(f"{line[0].upper()}{line[1:]}.")
     for remark in remarks:
         page.note(remark)
     for name, why in found.untold.items():
@@ -120,15 +235,17 @@ def plan_page(found: Plan, remarks: Sequence[str] = ()) -> Page:
     title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
     widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
     shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
+    hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
     page.figure(
         interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
         "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
-        "levels held for 1 to 2.5 s." + ("" if found.before is None else " Both plans add to what is known before."),
+        f"levels held for {hold[0]:g} to {hold[1]:g} s."
+        + ("" if found.before is None else " Both plans add to what is known before."),
     )
     columns = found.commands.columns
     changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
     title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
-    title += f"{found.thrust.min():.1f} and {found.thrust.max():.1f} N"
+    title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
     drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
     page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
     _add_tables(page, found)

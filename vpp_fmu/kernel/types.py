@@ -99,17 +99,16 @@ class Effect:
     `step(ops, s, x, p, dt) -> (signals it sets, its next states)`: signals `s`, own states `x` and own parameters `p` come
     as attributes, dt in s. States and inputs are as they stand at the start of the step, set signals as at its end.
 
-    `off` holds the parameter values at which the effect is exactly the identity; None: always part of the model.
-    `probe` holds a plausible size: where a search starts, what a sensitivity picture uses.
-    `inputs` are measured quantities that the effect needs beside the commands; a model with the effect has them as inputs.
-    `delays` maps an input's name to the parameter that holds it back [s]; the schedule does it, between steps, exactly.
-    `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
-    `contains` maps the name of an effect that is a special case of this one to the parameters that they share, own name to its:
-    a search for this one starts at what was found for that one, too.
-    `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: it is how thrust is read,
-    not the thrust. `common`: every rig has a little of it, and it is worth a name from this share of the noise's power on.
-    `declared`: of an effect that was sized for a rig, the effect as its file declares it, in shares of the rig's scales.
-    """
+    `off` holds the parameter values at which the effect is exactly the identity; None: always part of the model. `probe` holds
+    a plausible size: where a search starts, what a sensitivity picture uses. `inputs` are measured quantities that the effect
+    needs beside the commands; a model with the effect has them as inputs. `delays` maps an input's name to the parameter that
+    holds it back [s]; the schedule does it, between steps, exactly. `largest_step` is the longest step [s] that the discrete
+    form is good for; None: exact for held inputs at any step. `contains` maps the name of an effect that is a special case of
+    this one to the parameters that they share, own name to its: a search for this one starts at what was found for that one,
+    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: it is how thrust
+    is read, not the thrust. `common`: every rig has a little of it, and it is worth a name from this share of the noise's
+    power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in shares of the rig's
+    scales."""
 
     name: str
     description: str

@@ -151,11 +151,11 @@ def _spread(parts: Sequence[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one record's readings: the thrust's standard deviation `floor` [N] of a row, the `colour` of its block means [N], and
-    their power below 10 Hz, `slow` [N^2]; the colour of speed's readings, in units of what a tachometer can tell.
+    """Noise of one record's readings: the thrust's standard deviation `floor` [N] of a row, the `colour` of its block means
+    [N], and their power below 10 Hz, `slow` [N^2]; the colour of speed's readings, in units of what a tachometer can tell.
 
-    `block` [s]: how long a block is. `verified`: from repeated records; else from a model's residual, which may hold model error too.
-    """
+    `block` [s]: how long a block is. `verified`: from repeated records; else from a model's residual, which may hold model
+    error too."""
 
     floor: float
     colour: Colour
@@ -168,7 +168,8 @@ class Noise:
 def noise_from(
     record: Record, error: Sequence[np.ndarray], speed: Sequence[np.ndarray], block: float, slow: float, verified: bool
 ) -> Noise:
-    """From samples of thrust's noise, each (rows,) N on the record's rows, and of speed's (readings,) as the tachometer's residual.
+    """From samples of thrust's noise, each (rows,) N on the record's rows, and of speed's (readings,) as the tachometer's
+    residual.
 
     `slow` [Hz]: what is below it counts as slow.
     """

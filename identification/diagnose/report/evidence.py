@@ -38,9 +38,9 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
     for effect, judged in found.selection.judgements.items():
         gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
         page.note(
-            f"{effect}: log-likelihood rises by {judged.fall:.4g} (chance: {judged.needed:.3g} in one rig of {1.0 / LEVEL:.0f}); "
-            f"in cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; from {judged.least:.2g} N on it is "
-            "of interest."
+            f"{effect}: log-likelihood rises by {judged.fall:.4g} (chance: {judged.needed:.3g} in one rig of "
+            f"{1.0 / LEVEL:.0f}); in cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; from "
+            f"{judged.least:.2g} N on it is of interest."
         )
 
 

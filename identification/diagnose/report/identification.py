@@ -1,4 +1,5 @@
-"""The identification.json of a model that a diagnosis fitted: what `vpp identify` says of its own, as far as this fit tells it."""
+"""The identification.json of a model that a diagnosis fitted: what `vpp identify` says of its own, as far as this fit tells
+it."""
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.search.fits import Fit

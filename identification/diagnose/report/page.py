@@ -8,6 +8,7 @@ from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import artefact, errors, summary
+from identification.gate.report import add_quality, quality_tile
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -73,6 +74,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     said = found.refuted or "; ".join(rivals) or SURE[found.verdict]
     figures.append(("verdict", f"{found.verdict}, refuted" if found.refuted else found.verdict, said))
     figures.append(_lack(found))
+    figures += [quality_tile(found.quality)] if found.quality else []
     return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures
 
 
@@ -100,6 +102,7 @@ def diagnosis_page(found: Diagnosis) -> Page:
     for effect in found.final.effects:
         if text := artefact(found, effect):
             page.note(f"{effect}: {text}.")
+    add_quality(page, found.quality)
     for line in found.rig.lines():
         page.note(f"Rig: {line}.")
     page.section("Before and after" if found.final.effects else "The model")
@@ -126,7 +129,11 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
     page.section("What these commands can show")
     add_apart(page, found)
     if found.verdict not in ("none", "attributed"):
-        page.note("next_experiment.csv holds a record of commands that separates what these could not. Run it twice.")
+        range_told = ", ".join(found.rig.command_lines())
+        page.note(
+            "next_experiment.csv holds a record of commands that separates what these could not, within "
+            f"{range_told}. Run it twice."
+        )
 
 
 def _add_whole(page: Page, found: Diagnosis) -> None:

@@ -18,8 +18,8 @@ from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 
 BENT = 0.15
-"""Log-likelihood a row that generic shapes gain beside the base from which its fit counts as bent: they then take up more than a
-quarter of the residual's power, 1 - exp(-2 BENT)."""
+"""Log-likelihood a row that generic shapes gain beside the base from which its fit counts as bent: they then take up more than
+a quarter of the residual's power, 1 - exp(-2 BENT)."""
 
 UNTOLD = 1e-10
 """Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""

@@ -76,7 +76,8 @@ class _Look:
         self._about, self._cost, self._effects, self._library = about, cost, tuple(effects), library
 
     def at(self, candidate: Candidate) -> tuple[float, dict[str, float], int]:
-        """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed; points."""
+        """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed;
+        points."""
         simulator = Simulator(plant([*self._effects, candidate.name], self._library), candidate.sizes)
         trace = _Trace(self._about, simulator, candidate)
         found = [self._proportional(trace, shape) or self._grid(trace, shape) for shape in candidate.shapes()]

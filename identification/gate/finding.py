@@ -1,0 +1,126 @@
+"""A finding of the quality gate: what is wrong, the number that shows it, the likely cause, what to do."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from vpp_fmu.errors import BadInput
+
+ERROR, WARNING = "error", "warning"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What findings of one code mean, and what to do. `accept`: what `--accept CODE` does; "": it can't be accepted."""
+
+    level: str
+    meaning: str
+    advice: str
+    accept: str = ""
+
+
+_GO_ON = "goes on with the data as they are"
+_KEEP = "keeps the rows"
+
+KINDS = {
+    "too_short": Kind(ERROR, "too few rows, seconds or readings to show a lag", "Record longer, or leave the file out"),
+    "no_move": Kind(ERROR, "both commands stand still throughout", "Move one at least; a steady point belongs into static.csv"),
+    "thrust_dead": Kind(ERROR, "the thrust never changes", "Look at the load cell and its wires"),
+    "copied": Kind(ERROR, "a file holds another one's readings", "Leave the file out, and it is known to be missing"),
+    "time_unit": Kind(ERROR, "responses are slower or faster than any rotor's", "Write seconds", _GO_ON),
+    "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s", "Write rpm", _GO_ON),
+    "pitch_unit": Kind(ERROR, "pitch in rad, or as a share of its travel", "Write degrees", _GO_ON),
+    "thrust_unit": Kind(ERROR, "thrust in gf, kgf, lbf, ozf, mN or kN", "Write newtons", _GO_ON),
+    "thrust_sign": Kind(ERROR, "thrust counts downwards", "Change the column's sign", _GO_ON),
+    "pitch_sign": Kind(ERROR, "thrust falls with pitch", "Change the column's sign", _GO_ON),
+    "speed_dead": Kind(WARNING, "the measured speed stands while its command moves", "Look at the mark and its sensor", _KEEP),
+    "frozen": Kind(WARNING, "a reading stands still where noise or a command would move it", "Look at wires and logger", _KEEP),
+    "clipped": Kind(WARNING, "readings at the sensor's limit", "Measure with more range, or less thrust", _KEEP),
+    "spikes": Kind(WARNING, "single readings far from their neighbours", "Look at wires and shield", _KEEP),
+    "gap": Kind(WARNING, "rows are missing", "Log without gaps", _KEEP),
+    "speed_off": Kind(WARNING, "the measured speed does not follow its command", "Look at both columns"),
+    "not_logged": Kind(WARNING, "a command stands still while what it commands moves", "Log what was commanded, row by row"),
+    "early": Kind(WARNING, "the response begins before its command", "Shift the columns against each other"),
+    "tare": Kind(WARNING, "the thrust reading is off by a constant", "Tare at rest, or correct the column; else vpp diagnose"),
+    "disagree": Kind(WARNING, "files tell different thrust for the same commands", "Measure all files on one rig"),
+    "beyond_rig": Kind(WARNING, "commands or readings are not within what rig.json declares", "Correct rig.json, or the file"),
+    "on_bound": Kind(WARNING, "a fitted parameter ends on its bound", "Look at units and scales; it is no estimate"),
+    "poor_fit": Kind(WARNING, "the fit explains less than half", "Look at the record beside its prediction"),
+    "above_noise": Kind(WARNING, "the error is far above the noise", "vpp diagnose"),
+    "thin": Kind(WARNING, "the commands leave parameters open", "More moves over the whole range; vpp plan proposes them"),
+    "slow_sampling": Kind(WARNING, "readings are further apart than a fifth of the fastest lag", "Log more often"),
+    "no_fit": Kind(ERROR, "no model can be fitted", "See above"),
+}
+"""All that the gate can find, by code."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding. `value`, in `unit`: the number that shows it; `told`: the same in words. `where`: the file as its reader
+    knows it; `field`: its column, or a parameter. `accepted`: the user wants to go on all the same."""
+
+    code: str
+    where: str
+    field: str
+    value: float
+    unit: str
+    told: str
+    cause: str
+    accepted: bool = False
+
+    @property
+    def level(self) -> str:
+        """Error or warning."""
+        return WARNING if self.accepted else KINDS[self.code].level
+
+    @property
+    def advice(self) -> str:
+        """What to do."""
+        return KINDS[self.code].advice
+
+    @property
+    def file(self) -> str:
+        """The file without its folder."""
+        return Path(self.where).name
+
+    @property
+    def text(self) -> str:
+        """All of it in a line."""
+        accepted = " (accepted)" if self.accepted else ""
+        what = f"{self.level} {self.code}{accepted}: {self.file}, {self.field}"
+        return f"{what}: {self.told}. Likely: {self.cause}. {self.advice}."
+
+    def summary(self) -> dict:
+        """For identification.json, diagnosis.json and check.json."""
+        names = ("level", "code", "file", "field", "value", "unit", "told", "cause", "advice", "accepted")
+        return {name: getattr(self, name) for name in names}
+
+
+def acceptable() -> list[str]:
+    """The codes that `--accept` takes."""
+    return [code for code, kind in KINDS.items() if kind.accept]
+
+
+def check_accepted(accept: Iterable[str]) -> frozenset[str]:
+    """The codes that a user accepts. BadInput names one that can't be."""
+    accept = frozenset(accept)
+    if unknown := sorted(accept - set(acceptable())):
+        raise BadInput("command line", "--accept", ", ".join(unknown), f"any of {', '.join(acceptable())}")
+    return accept
+
+
+def settled(findings: Iterable[Finding], accept: frozenset[str]) -> tuple[Finding, ...]:
+    """The findings, those of an accepted code marked so; errors first."""
+    marked = [replace(f, accepted=True) if f.code in accept else f for f in findings]
+    return tuple(sorted(marked, key=lambda f: f.level != ERROR))
+
+
+def refuse(findings: Sequence[Finding]) -> None:
+    """BadInput for the first error there is."""
+    errors = [f for f in findings if f.level == ERROR]
+    if not errors:
+        return
+    first = errors[0]
+    way_out = f", or --accept {first.code}" if KINDS[first.code].accept else ""
+    more = f"; {len(errors) - 1} more, see vpp check" if len(errors) > 1 else ""
+    raise BadInput(first.where, first.field, f"{first.told} (likely: {first.cause})", f"{first.advice}{way_out}{more}")

@@ -1,0 +1,334 @@
+"""The quality gate: what is planted is named, of good data nothing is said, what can't be trusted is left out or refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies.gate import FAULTS, good, planted, said, written
+
+from identification.gate.contents import contents
+from identification.gate.files import FORCES, SPEEDS, as_unit, files_of, least_diameter, turns_a_value
+from identification.gate.finding import ERROR, KINDS, acceptable
+from identification.gate.gate import look, passed
+from identification.gate.made import one_mark, write_campaign
+from identification.gate.response import Look
+from identification.gate.sensors import screen
+from identification.gate.template import COLUMNS, FILES
+from identification.identify import identify
+from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
+from vpp_fmu.cli import main
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import BASE, FINE_TUNED
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import QUANTITIES, Record
+
+SHORT = {"1.2 N": 3.0, "15 N": 6.0, "180 N": 16.0}
+"""s of a section: enough moves to see a fault, few enough rows to write and read them a dozen times."""
+
+
+@pytest.fixture(scope="module")
+def short():
+    """A good campaign of each size."""
+    return {size: good(size, 0, section) for size, section in SHORT.items()}
+
+
+@pytest.fixture
+def record():
+    """20 s of the paper's model with 0.1 N of noise, both commands moving."""
+    rng = np.random.default_rng(3)
+    time = np.arange(5000) * 0.004
+    commands = {"omega_ref": np.repeat(rng.uniform(2500, 5500, 20), 250), "beta_ref": np.repeat(rng.uniform(-4, 9, 20), 250)}
+    outputs = Simulator(BASE).simulate({}, commands, np.full(4999, 0.004))
+    noisy = outputs[:, 0] + rng.normal(0, 0.1, 5000)
+    return Record({"time": time, **commands, "omega": np.round(outputs[:, 1]), "thrust": noisy}, "open_loop.csv")
+
+
+def campaign_of(record: Record) -> Campaign:
+    return Campaign(Path("nowhere"), None, (), record, None, None)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_planted_is_named(fault, short):
+    """Each fault in one size of rig, the sizes in turn; the study plants all in all."""
+    size = list(SHORT)[list(FAULTS).index(fault) % len(SHORT)]
+    findings = planted(fault, short[size])
+    hits = [f for f in findings if f.code == FAULTS[fault].code]
+    assert hits, [f.text for f in findings]
+    finding = hits[0]
+    assert np.isfinite(finding.value)
+    assert finding.told
+    assert finding.cause
+    assert finding.advice
+    assert "\n" not in finding.text
+
+
+@pytest.mark.parametrize("size", SHORT)
+def test_nothing_is_said_of_good_data(size, tmp_path):
+    assert said(written(good(size, 5), tmp_path), True) == ()
+
+
+REFUSED = {
+    "two rows": (lambda r: r.part(slice(0, 2)), "rows"),
+    "dead thrust sensor": (lambda r: r.with_columns(thrust=np.full(len(r), 0.4)), "thrust"),
+    "constant commands": (lambda r: r.with_columns(omega_ref=np.full(len(r), 4000.0), beta_ref=np.zeros(len(r))), "omega_ref"),
+    "speed in rad/s": (lambda r: r.with_columns(omega=r["omega"] * np.pi / 30), "omega"),
+    "thrust downwards": (lambda r: r.with_columns(thrust=-r["thrust"]), "thrust"),
+    "time in ms": (lambda r: r.with_columns(time=1e3 * r.time), "time"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_unusable_data_are_refused_in_one_line(case, record):
+    spoil, field = REFUSED[case]
+    with pytest.raises(BadInput) as refused:
+        identify(campaign_of(spoil(record)))
+    told = str(refused.value)
+    assert "\n" not in told
+    for word in ("open_loop.csv", field, "found", "allowed"):
+        assert word in told
+
+
+def test_good_data_lose_nothing(record):
+    kept, findings = screen(record)
+    assert findings == ()
+    np.testing.assert_array_equal(kept["thrust"], record["thrust"])
+    np.testing.assert_array_equal(kept["omega"], record["omega"])
+
+
+def test_clipped_rows_are_left_out_unless_accepted(record):
+    """Clipping at 8 N would bend the map."""
+    clipped = record.with_columns(thrust=np.minimum(record["thrust"], 8.0))
+    kept, findings = screen(clipped)
+    assert [f.code for f in findings] == ["clipped"]
+    left_out = np.isnan(kept["thrust"])
+    assert (clipped["thrust"][left_out] == 8.0).all()
+    assert left_out.sum() > 0.8 * (clipped["thrust"] == 8.0).sum()
+    assert findings[0].value == left_out.sum()
+    accepted, again = screen(clipped, frozenset({"clipped"}))
+    np.testing.assert_array_equal(accepted["thrust"], clipped["thrust"])
+    assert again == findings
+
+
+def test_a_sensor_that_is_quieter_than_its_digit_is_not_clipped(record):
+    """Settled, its readings stand still for a second each time, at the highest level too."""
+    quiet = Simulator(BASE).simulate({}, record.columns, record.steps)[:, 0]
+    assert screen(record.with_columns(thrust=np.round(quiet, 1)))[1] == ()
+
+
+def test_single_spikes_are_left_out_and_steps_are_not(record):
+    thrust = record["thrust"].copy()
+    thrust[[700, 2300, 2301]] += 5.0, -4.0, -4.0
+    kept, findings = screen(record.with_columns(thrust=thrust))
+    assert [(f.code, f.value) for f in findings] == [("spikes", 3)]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(kept["thrust"])), [700, 2300, 2301])
+    steps = np.repeat([1.0, 9.0, 3.0, 8.0, 2.0], 1000) + 0.1 * np.random.default_rng(0).standard_normal(5000)
+    assert screen(record.with_columns(thrust=steps))[1] == ()
+
+
+def test_dead_speed_sensor_is_left_out(record):
+    kept, findings = screen(record.with_columns(omega=np.zeros(len(record))))
+    assert [f.code for f in findings] == ["speed_dead"]
+    assert "omega" not in kept
+
+
+def test_what_follows_a_gap_is_left_out(record):
+    kept, findings = screen(record.part(np.r_[0:2000, 2250:5000]))
+    assert [f.code for f in dict.fromkeys(findings)] == ["gap"]
+    assert findings[0].value == pytest.approx(1.004)
+    assert np.isnan(kept["thrust"]).sum() == pytest.approx(500, abs=2)
+
+
+def test_a_record_with_holes_still_gives_its_parameters(record):
+    """A tenth of the cells empty and a gap: within 5 standard deviations of the truth."""
+    thrust = record["thrust"].copy()
+    thrust[::10] = np.nan
+    found = identify(campaign_of(record.with_columns(thrust=thrust).part(np.r_[0:2000, 2250:5000])), starts=1)
+    assert "gap" in [f.code for f in found.quality]
+    for name, std in found.refinement.std.items():
+        truth = FINE_TUNED[name] if "beta" not in name else {"tau_beta_1": 0.374, "tau_beta_2": 0.207}[name]
+        assert abs(found.refinement.values[name] - truth) < 5 * std + 1e-3, name
+
+
+def test_a_ratio_is_a_unit_s_or_none():
+    assert as_unit(2.0 * np.pi / 60.0, SPEEDS) == ("rad/s", True)
+    assert as_unit(60.0 / (2.0 * np.pi), SPEEDS) == ("rad/s", False)
+    assert as_unit(1.1 / 9.80665 * 1e3, FORCES) == ("gf", True)
+    assert as_unit(0.45359237 * 9.80665, FORCES) == ("lbf", False)
+    assert as_unit(1.0, SPEEDS) is None
+    assert as_unit(0.8, FORCES) is None
+
+
+@pytest.mark.parametrize("marks", [1, 3])
+def test_turns_from_value_to_value_are_those_of_the_mark(marks):
+    """A rotor that speeds up and slows down; the sensor counts turns, whatever the speed is called."""
+    time = np.arange(0.0, 40.0, 0.002)
+    omega = 1500.0 + 600.0 * np.sin(0.7 * time)
+    shown = one_mark(time, marks * omega, np.random.default_rng(0)) / marks
+    columns = {"time": time, "omega_ref": omega, "beta_ref": 0.0 * time, "omega": shown, "thrust": 0.0 * time}
+    record = Record(columns, "made")
+    assert turns_a_value(record) == pytest.approx(1.0 / marks, rel=0.015)
+    assert turns_a_value(record.with_columns(omega=shown * np.pi / 30.0)) == pytest.approx(np.pi / 30.0 / marks, rel=0.015)
+    assert turns_a_value(record.with_columns(omega=omega)) is None  # every row renews it: nothing counts turns
+
+
+def test_the_least_rotor_is_that_of_the_largest_coefficient():
+    """T = C_T rho n^2 D^4 with C_T = 0.4, rho = 1.225 kg/m^3: 49 N at 6000 rpm, n = 100 / s, are D = 0.3162 m."""
+    grid = np.repeat([3000.0, 6000.0], 10), np.tile(np.linspace(0.0, 9.0, 10), 2)
+    thrust = 4.9 * (grid[0] / 6000.0) ** 2 * (1.0 + grid[1])
+    static = StaticMap(*grid, grid[0], thrust, 0.1 + 0.0 * thrust, 100.0 + 0.0 * thrust, "static.csv")
+    (file,) = files_of(Campaign(Path("nowhere"), static, (), None, None, None), {})
+    force, rpm, diameter = least_diameter(file)
+    assert (force, rpm) == (pytest.approx(49.0), 6000.0)
+    assert diameter == pytest.approx(0.1**0.5)
+
+
+def test_the_first_look_finds_lag_and_slopes_whatever_the_units(record):
+    """One lag of 40 rows on speed and of 100 on pitch, thrust = w^2 (1 + b) in any unit."""
+    rows = np.arange(len(record))
+
+    def behind(command, lag):
+        settled, out = command[0], np.empty(len(rows))
+        for row in rows:
+            out[row] = settled
+            settled += (1.0 - np.exp(-1.0 / lag)) * (command[row] - settled)
+        return out
+
+    speed, pitch = behind(record["omega_ref"], 40.0), behind(record["beta_ref"], 100.0)
+    thrust = (speed / 6000.0) ** 2 * (1.0 + (pitch + 5.0) / 15.0)
+    for factor, time in ((1.0, 1.0), (102.0, 1e3), (-0.2, 1e6)):
+        made = record.with_columns(thrust=factor * thrust, time=time * record.time)
+        r = Look([made]).response()
+        assert r.explained > 0.99
+        assert r.lags["omega"] == pytest.approx(40.0, rel=0.3)
+        assert r.lags["beta"] == pytest.approx(100.0, rel=0.3)
+        assert r.row == pytest.approx(0.004 * time)
+        assert np.sign([r.rise("omega"), r.rise("beta")]).tolist() == [np.sign(factor)] * 2
+    still = Look([record.with_columns(beta_ref=np.zeros(len(record)), thrust=speed)]).response()
+    assert still.rise("beta") is None
+
+
+def test_an_accepted_error_is_a_warning_and_another_is_not(short):
+    spoilt = FAULTS["thrust with its sign flipped"].change(short["15 N"], None)
+    with pytest.raises(BadInput, match="--accept thrust_sign"):
+        passed(spoilt)
+    through = passed(spoilt, accept=["thrust_sign"])
+    assert {f.code for f in through.findings} == {"thrust_sign"}
+    assert all(f.level != ERROR and f.accepted for f in through.findings)
+    with pytest.raises(BadInput, match="thrust_sign"):
+        passed(spoilt, accept=["time_unit"])
+
+
+def test_only_what_can_be_accepted_is(short):
+    for code in ("thrust_dead", "thin", "no_such_code"):
+        with pytest.raises(BadInput, match=f"--accept: found {code}"):
+            look(short["15 N"], accept=[code])
+    assert set(acceptable()) < set(KINDS)
+
+
+def test_identify_and_diagnose_refuse_in_the_same_line(short, tmp_path, capsys):
+    spoilt = FAULTS["time in ms"].change(short["15 N"], None)
+    write_campaign(OutputFolder(tmp_path / "bad"), spoilt)
+    told = []
+    for verb in ("identify", "diagnose"):
+        assert main([verb, str(tmp_path / "bad"), "-o", str(tmp_path / "out")]) == 2
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1
+        told.append(line.removeprefix(f"vpp {verb}: "))
+    assert told[0] == told[1]
+    for word in ("open_loop.csv", "time", "time in ms", "--accept time_unit"):
+        assert word in told[0]
+    assert not (tmp_path / "out" / "parameters.json").exists()
+
+
+def test_diagnose_fits_what_the_gate_leaves(short, monkeypatch):
+    """The records that a diagnosis splits and fits are those without the clipped rows."""
+    from identification.diagnose import diagnose as module
+
+    class Seen(Exception):
+        pass
+
+    def stop(campaign):
+        raise Seen(np.isnan(campaign.open_loop["thrust"]).sum())
+
+    monkeypatch.setattr(module, "_split", stop)
+    with pytest.raises(Seen) as seen:
+        module.diagnose(FAULTS["thrust clipped"].change(short["15 N"], None))
+    assert seen.value.args[0] > 50
+
+
+def test_check_prints_files_rig_and_findings_and_says_how_it_ended(short, tmp_path, capsys):
+    folder = tmp_path / "bad"
+    spoilt = replace(FAULTS["records' thrust in gf"].change(short["15 N"], None), validation=None)
+    write_campaign(OutputFolder(folder), spoilt)
+    assert main(["check", str(folder), "-o", str(tmp_path / "out")]) == 2
+    out, err = capsys.readouterr()
+    assert err.count("\n") == 1
+    assert "thrust_unit" in err
+    for word in ("missing validation.csv", "missing rig.json", "rig: speed 2000 to 6000 rpm", "error thrust_unit", "steps.csv"):
+        assert word in out
+    content = json.loads((tmp_path / "out" / "check.json").read_text(), parse_constant=pytest.fail)
+    assert content["errors"] == sum(f["level"] == "error" for f in content["quality"]) > 0
+    files = {f["file"]: f for f in content["files"]}
+    assert files["open_loop.csv"]["rows"] == len(spoilt.open_loop)
+    assert files["open_loop.csv"]["rate"] == pytest.approx(250.0)
+    assert files["static.csv"]["columns"]["omega_ref"] == {"unit": "rpm", "min": 2000.0, "max": 6000.0, "empty": 0}
+    assert main(["check", str(folder), "--accept", "thrust_unit"]) == 0
+    assert "warning thrust_unit (accepted)" in capsys.readouterr().out
+
+
+def test_check_counts_empty_cells_and_unknown_columns(record):
+    thrust = record["thrust"].copy()
+    thrust[10:25] = np.nan
+    holed = record.with_columns(thrust=thrust, note=np.array(["a"] * len(record), object))
+    (held,) = contents(files_of(campaign_of(holed), {}))
+    assert held.columns["thrust"][2] == 15
+    assert held.columns["note"] == (None, None, 0)
+    assert "15 thrust" in held.row()[-1]
+    assert (held.rows, held.seconds) == (5000, pytest.approx(19.996))
+
+
+def test_check_needs_a_campaign_or_a_template(tmp_path, capsys):
+    for arguments in ([], [str(tmp_path), "--template", str(tmp_path)]):
+        assert main(["check", *arguments]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_template_is_read_back_clean_and_explains_every_column(tmp_path, capsys):
+    folder = tmp_path / "mine"
+    assert main(["check", "--template", str(folder)]) == 0
+    assert {p.name for p in folder.iterdir()} == {*FILES, "README.md"}
+    assert sum(p.stat().st_size for p in folder.iterdir()) < 80_000
+    capsys.readouterr()
+    assert main(["check", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert "quality: nothing found" in out
+    assert "missing" not in out
+    explained = (folder / "README.md").read_text()
+    campaign = read_campaign(folder)
+    used = {*campaign.open_loop.columns, *campaign.steps[0].columns, "run", *vars(campaign.static)} - {"source"}
+    for name in used | set(FILES):
+        assert f"`{name}`" in explained, name
+    for name in set(COLUMNS) & set(QUANTITIES):
+        assert f"| `{name}` | {QUANTITIES[name].unit} |" in explained
+    assert main(["identify", str(folder), "--starts", "1", "-o", str(tmp_path / "out")]) == 0
+    said_of_it = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert said_of_it["quality"] == []
+    assert said_of_it["fit_thrust"]["validation"] > 90.0
+
+
+def test_warnings_stand_in_the_json_and_on_the_first_screen(short, tmp_path, capsys):
+    folder = tmp_path / "clipped"
+    write_campaign(OutputFolder(folder), FAULTS["thrust clipped"].change(short["1.2 N"], None))
+    assert main(["identify", str(folder), "--starts", "1", "-o", str(tmp_path / "out")]) == 0
+    assert "warning clipped: open_loop.csv, thrust" in capsys.readouterr().out
+    content = json.loads((tmp_path / "out" / "identification.json").read_text())
+    (clipped, *_) = [f for f in content["quality"] if f["code"] == "clipped"]
+    assert set(clipped) >= {"level", "file", "field", "value", "unit", "cause", "advice"}
+    page = (tmp_path / "out" / "report.html").read_text()
+    tiles = page[page.index('class="tiles"') : page.index("<h2")]
+    assert "quality of the data" in tiles
+    assert "clipped" in tiles
+    assert page.index("Quality of the data") < page.index("How well the model predicts")

@@ -1,0 +1,94 @@
+"""What a campaign's files are, hold and lack, and whether they can be trusted: the first thing to run on data of one's own.
+
+Errors (exit code 2) are what nothing sane can follow; identify and diagnose refuse them in the same words. Warnings stand in
+their reports. Where nothing forbids it, the model is fitted as identify does it, for what only a fit shows.
+"""
+
+from pathlib import Path
+
+from tqdm import tqdm
+
+from identification.gate.contents import COLUMNS, contents, lacks
+from identification.gate.files import files_of, least_diameter
+from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, settled
+from identification.gate.gate import look
+from identification.gate.template import write_template
+from identification.identify import identify
+from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.cli.output import add_accept, as_json, say_written
+from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.files import OutputFolder
+
+EXAMPLE = "vpp check campaigns/monday\n  vpp check --template campaigns/mine"
+
+FORMAT = "vpp-check/1"
+
+
+def configure(parser):
+    parser.add_argument("campaign", nargs="?", metavar="CAMPAIGN", help="folder of the campaign")
+    text = "write a small valid campaign into DIR, with a README.md that explains every column, instead"
+    parser.add_argument("--template", metavar="DIR", help=text)
+    add_accept(parser)
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder to write check.json to (default: only print)")
+    lines = [f"  {code:14} {kind.meaning}" + f" [--accept {kind.accept}]" * bool(kind.accept) for code, kind in KINDS.items()]
+    parser.epilog += "\n\nwhat may be found:\n" + "\n".join(lines)
+
+
+def run(options):
+    if (options.campaign is None) == (options.template is None):
+        found = "neither" if options.campaign is None else "both"
+        raise BadInput("command line", "CAMPAIGN, --template", found, "one of the two")
+    if options.template is not None:
+        folder = OutputFolder(options.template)
+        write_template(folder)
+        say_written(folder)
+        return
+    accept, folder = check_accepted(options.accept), OutputFolder(options.output) if options.output else None
+    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+        bar.set_description("read")
+        campaign = read_campaign(options.campaign)
+        files = files_of(campaign, {})
+        findings = _fitted(campaign, look(campaign, accept=accept).findings, accept, bar.set_description)
+    held, missing = contents(files), lacks(campaign, files)
+    _say(campaign, files, [COLUMNS, *(h.row() for h in held)], missing, findings)
+    errors = [f for f in findings if f.level == ERROR]
+    if folder is not None:
+        content = {"format": FORMAT, "campaign": Path(options.campaign).name, "files": [h.summary() for h in held]}
+        content |= {"missing": missing, "rig": campaign.rig.summary(), "quality": [f.summary() for f in findings]}
+        folder.write("check.json", as_json(content | {"errors": len(errors)}))
+        say_written(folder)
+    if errors:
+        found = f"{len(errors)} error{'s' * (len(errors) > 1)}: {', '.join(dict.fromkeys(f.code for f in errors))}"
+        raise BadInput(options.campaign, "quality", found, "none")
+
+
+def _fitted(campaign: Campaign, findings: tuple[Finding, ...], accept: frozenset[str], stage) -> tuple[Finding, ...]:
+    """The findings, with those of a fit where nothing forbids one."""
+    if any(f.level == ERROR for f in findings):
+        return findings
+    try:
+        return identify(campaign, accept=accept, stage=stage).quality
+    except BadInput as refused:
+        told = f"found {refused.found}, needed is {refused.allowed}"
+        unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", told, "what is missing")
+    except VppError as refused:
+        unfit = Finding("no_fit", str(campaign.folder), "fit", 0.0, "1", str(refused), "the data tell too little")
+    return settled([*findings, unfit], accept)
+
+
+def _say(campaign: Campaign, files, table, missing, findings) -> None:
+    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
+    for row in table:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    for name, cost in missing.items():
+        print(f"missing {name}: {cost}")
+    print(f"rig: {'; '.join(campaign.rig.lines())}")
+    rotors = [least_diameter(f) for f in files if f.response is not None]
+    if rotors:
+        force, rpm, diameter = max(rotors)
+        need = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2g} m or more"
+        print(f"units: {need}; if yours is smaller, thrust is not in N")
+    for finding in findings:
+        print(finding.text)
+    if not findings:
+        print("quality: nothing found against these data")
