@@ -5,8 +5,9 @@ import pytest
 from builders import FAST_PITCH, PROBES
 from scipy.signal import lsim
 
-from identification.demo import IDLE, step_profile
+from identification.demo import step_profile
 from identification.tune.chain import Measured
+from vpp_fmu.commands import idle
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.measurement import MEASUREMENT
@@ -17,10 +18,14 @@ from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
 from vpp_fmu.plants import FmuController, FmuPlant, KernelController, KernelPlant
 from vpp_fmu.record import Record
 from vpp_fmu.response import steps
+from vpp_fmu.rig import Rig
 
 BENT = ("speed_delay", "pitch_delay", "pitch_command_deadband", "pitch_backlash", "supply_voltage", "sensor_lag")
 ON_THE_WAY = {"time_constant": 0.011, "delay": 1.3, "resolution": 0.05}
 SHORT = Record({"time": np.array([0.0, 0.5, 1.2, 2.0]), "thrust_set": np.array([1.5, 12.0, 4.0, 4.0])}, "test")
+
+
+IDLE = idle(Rig())
 
 
 def loop_and_sets(effects, gains, chain):

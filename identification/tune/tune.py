@@ -12,10 +12,10 @@ from identification.tune.draws import doubt, draws
 from identification.tune.margins import Margins
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
-from identification.tune.profile import idle
 from identification.tune.rounds import rounds
 from identification.tune.search import Search
 from identification.tune.verdict import Verdict, verdict
+from vpp_fmu.commands import idle
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.types import Model
@@ -70,8 +70,9 @@ class Task:
     def objective(self, settings: Mapping[str, float]) -> Objective:
         """The cost of the gains in a controller with these settings, on the nominal plant."""
         settings, values = self.controller.values(settings), self.parameters.values
-        dt = settings["sample_time"]
-        course = Course.of(self.profile, dt, values["thrust_scale"], rest=idle(settings))
+        dt, speed_only = settings["sample_time"], settings["speed_only"] > 0.5
+        rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)
+        course = Course.of(self.profile, dt, values["thrust_scale"], rest=rest)
         noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))
         return Objective(
             effects=self.parameters.model.optional,

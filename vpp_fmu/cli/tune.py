@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from identification.tune.controllers import controllers
 from identification.tune.objective import ALPHA
-from identification.tune.profile import common_reach, step_profile
+from identification.tune.profile import common_reach, rig_profile
 from identification.tune.report import tuning_page
 from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
 from identification.tune.tune import Task, Tuning, tune
@@ -25,11 +25,14 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
-from vpp_fmu.record import Record, read_profile, write_record
+from vpp_fmu.record import read_profile, write_record
+from vpp_fmu.rig import ASSUMED
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
 
 FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json"}
+
+UNITS_OF = {"omega": "rpm", "beta": "deg"}
 
 RANGES = {
     "alpha": Number(0.0, 1.0),
@@ -110,11 +113,11 @@ def run(options):
 def _setting(task: Task, starts) -> list[str]:
     """What the rig gives: limits, sampling, the profile, and what it can't have."""
     rig, settings = task.parameters.rig, next(iter(starts.values()))
-    ends = ((f"{settings[f'{u}_min']:g}", f"{settings[f'{u}_max']:g}", unit) for u, unit in (("omega", "rpm"), ("beta", "deg")))
+    ends = ((f"{settings[f'{u}_min']:.6g}", f"{settings[f'{u}_max']:.6g}", unit) for u, unit in UNITS_OF.items())
     limits = (f"{low} {unit}" if low == high else f"{low} to {high} {unit}" for low, high, unit in ends)
-    where = dict.fromkeys(rig.origin.get(name, "the model's scales") for name in ("speed", "pitch"))
-    lines = [f"limits: {', '.join(limits)} ({' and '.join(where)}); sampled every {1e3 * settings['sample_time']:.4g} ms"]
-    low, high = common_reach(task.parameters.model, task.parameters.values, starts.values(), rig)
+    where = ", ".join(dict.fromkeys(rig.origin.get(name, ASSUMED) for name in ("speed", "pitch")))
+    lines = [f"limits: {', '.join(limits)} (rig: {where}); sampled every {1e3 * settings['sample_time']:.4g} ms"]
+    low, high = common_reach(task.parameters, starts)
     wanted = task.profile["thrust_set"]
     line = f"{task.profile.source}: {wanted.min():.4g} to {wanted.max():.4g} N; in reach are {low:.4g} to {high:.4g} N"
     beyond = wanted.min() < low or wanted.max() > high
@@ -133,7 +136,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
         raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
-    profile = read_profile(options.profile) if options.profile else _profile(options, parameters, own.settings)
+    profile = read_profile(options.profile) if options.profile else rig_profile(parameters, own.settings)
     if profile.time[-1] < 10.0 * period:
         raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")
     resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
@@ -157,16 +160,6 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         left_out=own.left_out,
     )
     return task, own.settings
-
-
-def _profile(options, parameters: ParameterSet, settings: Mapping[str, Mapping[str, float]]) -> Record:
-    low, high = common_reach(parameters.model, parameters.values, settings.values(), parameters.rig)
-    if low >= high:
-        found = f"a plant of {low:.4g} N on the lowest commands and {high:.4g} N on the highest"
-        raise BadInput(
-            options.parameters or "the paper's set", "thrust", found, "thrust that grows with the commands, or --profile"
-        )
-    return step_profile((low, high), parameters.rig)
 
 
 def _noise(options) -> float:
