@@ -37,7 +37,7 @@ def unrefined(
         reasons = "; ".join(dict.fromkeys(why.values()))
         raise BadInput(campaign.folder, "campaign", f"nothing that tells a parameter ({reasons})", _ENOUGH)
     covariance = np.zeros((len(told), len(told)))
-    parts = [(pair(u), a.covariance) for u, a in (steps.lags if steps else {}).items()]
+    parts = [(pair(u), np.array(a.covariance)) for u, a in (steps.lags if steps else {}).items()]
     parts += [] if static is None else [(tuple(static.coefficients), static.covariance)]
     for own, known in parts:
         kept = [k for k, name in enumerate(own) if name in told]

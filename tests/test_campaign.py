@@ -12,7 +12,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 STATIC = "omega_ref,beta_ref,omega,thrust,thrust_std,samples\n2000,-5,2001,0.5,0.1,375\n6000,10,5999,14,0.2,370\n"
 RECORD = "time,omega_ref,beta_ref,omega,thrust\n0,4000,5,4001,7\n0.004,4000,6,4000,7.1\n0.008,4000,6,3999,7.2\n"
-REPEAT = "time,omega_ref,beta_ref,omega,thrust\n0.000,4e3,5,,6.9\n0.004,4e3,6,,7.2\n0.008,4e3,6,,7.1\n"
+REPEAT = "time,omega_ref,beta_ref,omega,thrust\n0.000,4e3,5,4002,6.9\n0.004,4e3,6,,7.2\n0.008,4e3,6,,7.1\n"
 STEPS = "run,time,omega_ref,beta_ref,thrust\n3,0,4000,5,7\n3,0.5,4500,5,8\n3,1,4500,5,8.5\n7,0,4000,5,7\n7,0.25,4000,6,7.5\n"
 ALL = {"static": STATIC, "steps": STEPS, "open_loop": RECORD, "repeat": REPEAT, "validation": RECORD}
 
@@ -68,6 +68,26 @@ def test_any_one_file_may_be_missing(tmp_path, name):
     campaign = read_campaign(filled(tmp_path, **{n: text for n, text in ALL.items() if n != name}))
     assert campaign.missing == (f"{name}.csv",)
     assert getattr(campaign, name) in (None, ())
+
+
+def test_a_column_without_a_value_is_none(tmp_path):
+    blind = "\n".join(
+        line.replace(",4001,", ",,").replace(",4000,7", ",,7").replace(",3999,", ",,") for line in RECORD.splitlines()
+    )
+    with pytest.warns(RecordWarning, match=r"open_loop\.csv: columns without a single value, left out: omega"):
+        campaign = read_campaign(filled(tmp_path, open_loop=blind + "\n"))
+    assert "omega" not in campaign.open_loop
+    np.testing.assert_array_equal(campaign.open_loop["beta_ref"], [5.0, 6.0, 6.0])
+
+
+def test_some_record_leads(tmp_path):
+    for names, leading in ((ALL, "open_loop"), (("repeat", "validation"), "repeat"), (("validation",), "validation")):
+        folder = tmp_path / leading
+        folder.mkdir()
+        campaign = read_campaign(filled(folder, **{n: ALL[n] for n in names}))
+        assert campaign.leading().open_loop is getattr(campaign, leading)
+    assert campaign.leading().validation is None
+    assert read_campaign(filled(tmp_path, static=STATIC)).leading().open_loop is None
 
 
 @pytest.mark.parametrize("name", ALL)

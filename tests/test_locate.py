@@ -1,5 +1,6 @@
 """Where an unexplained error lives."""
 
+import json
 import warnings
 
 import numpy as np
@@ -38,6 +39,27 @@ def test_an_error_that_goes_with_the_rate_of_pitch_is_seen_there():
 def test_an_error_of_its_own_goes_with_neither_command():
     told = located(0.3 * np.sin(2 * np.pi * 5.0 * TIME))
     assert told["input"] == "neither"
+    assert told["share_by_band_hz"]["3-10"] > 0.9
+
+
+def test_empty_cells_are_left_out_of_everything_that_is_said():
+    error = 0.05 * np.gradient(PITCH, TIME)
+    holes = (TIME > 20.0) & (TIME < 35.0)
+    whole, holed = located(error), located(np.where(holes, np.nan, error))
+    json.loads(json.dumps(holed, allow_nan=False))
+    assert holed["strongest_correlate"]["signal"] == whole["strongest_correlate"]["signal"]
+    assert holed["strongest_correlate"]["correlation"] == pytest.approx(whole["strongest_correlate"]["correlation"], abs=0.01)
+    assert not 20.0 < holed["largest"]["time"] < 35.0
+    assert holed["share_by_band_hz"]["0.2-1"] > 0.8
+
+
+def test_bands_are_those_of_the_rows_own_clock():
+    """A record of 20 Hz, whose means are of one row: 3 to 10 Hz is where a tone of 5 Hz is, whatever the means' length."""
+    time = TIME[::12][:1000]
+    columns = {"time": time, "omega_ref": SPEED[::12][:1000], "beta_ref": PITCH[::12][:1000]}
+    thrust = THRUST[::12][:1000]
+    record = Record({**columns, "thrust": thrust + 0.3 * np.sin(2 * np.pi * 5.0 * time)}, "")
+    told = locate(Campaign(Path(), None, (), record, record, None), thrust, columns["omega_ref"], columns["beta_ref"])
     assert told["share_by_band_hz"]["3-10"] > 0.9
 
 

@@ -1,5 +1,7 @@
 """Profile-likelihood intervals: where a closed form, or a search by other means, says what they must be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -79,6 +81,47 @@ def test_interval_ends_at_a_bound_that_the_cost_does_not_reach(readings):
     found = Level(readings, np.exp, np.exp, minimum=-0.2).interval(2.0)
     assert found.intervals[0, 0] == pytest.approx(-0.2)
     assert found.intervals[0, 1] == pytest.approx(np.log(1.0 + 2.0 * NORMAL_95 / np.sqrt(20.0)), rel=0.02)
+
+
+def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
+    """cos(p) has the same minimum at p and at -p: a search from the one never meets the other."""
+    level = Level(readings - 0.5, np.cos, lambda p: -np.sin(p))
+    found = level.solution()
+    own = np.sqrt(2.0 * found.cost / 19.0 / 20.0) / abs(np.sin(float(found.value[0])))
+    doubt = Uncertainty(("p",), found.value, np.array([[own**2]]), np.ones(1))
+    mirrored = replace(found, value=-found.value)
+    worse = replace(mirrored, value=-2.0 * found.value, costs=(found.cost + 3.0,))  # 1.92 is what 95 % allow
+    for others in ((mirrored,), (mirrored, worse)):
+        told = profiled(level, found, doubt, others)
+        assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
+    assert told.intervals[0, 1] == pytest.approx(profiled(level, found, doubt).intervals[0, 1])
+
+
+class Plane(Level):
+    """Two parameters: readings of p + q, and as many of q alone, which may not be negative."""
+
+    def __init__(self, first, second):
+        parameters = (Parameter("p", "1", 0.5, -10.0, 10.0, ""), Parameter("q", "1", 0.5, 0.0, 10.0, ""))
+        self.model = Model("plane", "", (), (), (Effect("plane", "", parameters=parameters),))
+        self.coordinates = Coordinates(self.model, ["p", "q"])
+        self.first, self.second = first, second
+
+    def rows(self, values):
+        p, q = values["p"], values["q"]
+        n = len(self.first)
+        jacobian = np.vstack([np.ones((n, 2)), np.column_stack([np.zeros(n), np.ones(n)])])
+        return np.concatenate([p + q - self.first, q - self.second]), jacobian
+
+
+def test_beside_one_on_its_bound_an_interval_is_that_of_the_others_alone(readings):
+    """q would be -5 and stands on 0: p is then a plain mean of twenty readings, whatever q's column is."""
+    plane = Plane(readings, readings - 6.0)
+    found = solve(lambda x: plane.rows(dict(zip("pq", x, strict=True))), np.ones(2), *[[-10.0, 0.0], [10.0, 10.0]])
+    variance = 2.0 * found.cost / (len(found.residual) - 2)
+    doubt = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
+    half = NORMAL_95 * np.sqrt(variance / 20.0)
+    # Upwards q stays on 0; downwards it would have to be more than 0 to help, which costs more than it brings.
+    assert profiled(plane, found, doubt).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
 
 
 def test_data_without_noise_leave_nothing_to_search():

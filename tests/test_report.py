@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from vpp_fmu.digits import number
 from vpp_fmu.report import (
     Page,
     autocorrelation,
@@ -166,7 +165,7 @@ def test_key_figures_come_before_everything_else():
     report.section("Details", "")
     report.tiles([("Error", 0.4, "")])
     html = report.html()
-    assert html.index("0.4000") < html.index("Details")
+    assert html.index(">0.4<") < html.index("Details")
 
 
 def test_numbers_stand_flush_right_and_texts_left():
@@ -175,27 +174,7 @@ def test_numbers_stand_flush_right_and_texts_left():
     html = report.html()
     assert '<th class="number">value [N]</th>' in html
     assert "<th>name</th>" in html
-    assert '<td class="number">0.5000</td>' in html
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.123456, "0.1235"),
-        (np.float64(5604.61), "5605"),
-        (np.int64(22500), "22500"),
-        (1234567.8, "1.235e+06"),
-        (-3e-7, "-3.000e-07"),
-        (0.0, "0"),
-        (None, "–"),
-        (float("nan"), "–"),
-        (float("-inf"), "−∞"),
-        (True, "True"),
-        ("as it is", "as it is"),
-    ],
-)
-def test_numbers_are_written_with_four_digits(value, text):
-    assert number(value) == text
+    assert '<td class="number">0.5</td>' in html
 
 
 @pytest.mark.parametrize("name", figures())

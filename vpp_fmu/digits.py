@@ -63,13 +63,12 @@ def _to(value: float, doubt: float) -> str:
     last = math.floor(math.log10(float(f"{doubt:.{DOUBT - 1}e}"))) - DOUBT + 1
     size = math.floor(math.log10(abs(value))) if value else last
     last = max(last, size - MOST + 1)
-    if -3 <= max(size, last) < 6 and last >= -6:
-        return f"{value:.{max(0, -last)}f}"
-    return f"{value:.{max(0, size - last)}e}"
+    text = f"{value:.{max(0, -last)}f}" if -3 <= max(size, last) < 6 else f"{value:.{max(0, size - last)}e}"
+    return text if float(text) else text.removeprefix("-")
 
 
 def _short(text: str, value: float) -> str:
     """Without zeros at the end where the text tells the value exactly: they would claim digits that were asked of nobody."""
     head, e, tail = text.partition("e")
     trimmed = head.rstrip("0").rstrip(".") if "." in head else head
-    return f"{trimmed}{e}{tail}" if float(text) == float(value) else text
+    return f"{trimmed}{e}{tail}" if math.isclose(float(text), value, rel_tol=1e-9) else text

@@ -29,7 +29,7 @@ def add_static(page: Page, found: Identification) -> None:
     if static.untold:
         where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
         page.note(f"{where} tell only combinations of {', '.join(static.untold)} with others: they stay near the paper's.")
-    elif static.used.sum() > len(TERMS):
+    elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
         _add_selection(page, select_terms(points, found.parameters.values))
     _add_samples(page, found)
 

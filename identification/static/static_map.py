@@ -24,6 +24,9 @@ WIDE = 10.0
 FINEST = 1e-4
 """Share of the thrust scale that the mean of a steady point is never known better than."""
 
+ROUNDING = 1e-8
+"""Variance of what a fit leaves, in those of the means, that is rounding: of points that were made up, or are all the same."""
+
 DIAMETER = 0.254
 """m: the 1045 propeller's 10 in."""
 
@@ -149,7 +152,7 @@ def _commanded_pitch(campaign: Campaign) -> tuple[float, float] | None:
 def _scatter(static: StaticMap, scales: Mapping[str, float], fit: StaticFit) -> float:
     """Mean square of what a fit leaves at its points, in their standard deviations, per degree of freedom."""
     weight = regression(static, scales, fit.pitch).weight / scales["thrust_scale"]
-    return float((fit.residual * weight) @ (fit.residual * weight)) / (len(fit.residual) - len(TERMS))
+    return max(float((fit.residual * weight) @ (fit.residual * weight)) / (len(fit.residual) - len(TERMS)), ROUNDING)
 
 
 def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] | None = None) -> StaticFit:
@@ -186,7 +189,7 @@ def _determined(weighted: np.ndarray, thrust: np.ndarray, spare: int) -> tuple[n
     """(coefficients, covariance) where the points tell all of them."""
     c, *_ = np.linalg.lstsq(weighted, thrust, rcond=None)
     left = thrust - weighted @ c
-    return c, np.linalg.inv(weighted.T @ weighted) * float(left @ left) / spare
+    return c, np.linalg.inv(weighted.T @ weighted) * max(float(left @ left) / spare, ROUNDING)
 
 
 def _nearest(weighted: np.ndarray, thrust: np.ndarray, spare: int) -> tuple[np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ class Average:
     spread: Mapping[str, float]
     runs: int
     double_poles: int
-    covariance: np.ndarray
+    covariance: tuple[tuple[float, float], tuple[float, float]]
     apart: bool
 
     @property
@@ -131,16 +131,16 @@ def _average(used: Sequence[StepRun], channel: str, signal: str, direction: str,
         spread=dict(zip(("slow", "fast", "delay"), spread.tolist(), strict=True)),
         runs=len(fits),
         double_poles=sum(fit.double_pole for fit in fits),
-        covariance=_covariance(values[:, :2], np.array([fit.covariance for fit in fits]), weight / weight.sum()),
+        covariance=covariance(values[:, :2], np.array([fit.covariance for fit in fits]), weight / weight.sum()),
         apart=any(fit.std["slow"] is not None for fit in fits),
     )
 
 
-def _covariance(values: np.ndarray, own: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(2, 2) of the mean, weighted by `share` (runs,), of values (runs, 2) that are each known to `own` (runs, 2, 2)."""
+def covariance(values: np.ndarray, own: np.ndarray, share: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Of the mean, weighted by `share` (runs,), of values (runs, 2) that are each known to `own` (runs, 2, 2)."""
     expected = np.einsum("n,nij->ij", share * (1.0 - share), own)
     away = values - share @ values
     # Scatter about a weighted mean of alike values is what their own doubt makes expect; more of it is from run to run.
     excess, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", share, away, away) - expected)
     between = (axes * np.maximum(excess, 0.0)) @ axes.T / max(1.0 - share @ share, 1e-12)
-    return np.einsum("n,nij->ij", share**2, own) + (share @ share) * between
+    return tuple(map(tuple, (np.einsum("n,nij->ij", share**2, own) + (share @ share) * between).tolist()))

@@ -294,7 +294,23 @@ def noiseless(files: Files, size: Size, rng: np.random.Generator) -> Files:
     found = dict(files)
     for name in LONG:
         found[name] = measured(size, {n: files[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng, 0.0)
+    exact = {n: files["static"][n] for n in ("omega_ref", "beta_ref")}
+    thrust = [
+        responded(size, {"time": np.arange(2.0), **{n: np.full(2, v) for n, v in zip(exact, point, strict=True)}})[0, 0]
+        for point in zip(*exact.values(), strict=True)
+    ]
+    found["static"] = files["static"] | {"thrust": np.array(thrust), "thrust_std": np.zeros(len(thrust))}
     return found
+
+
+def static_of_zeros(files: Files, size: Size, rng: np.random.Generator) -> Files:
+    """Steady points of a load cell that was not plugged in."""
+    return files | {"static": files["static"] | {n: np.zeros(len(files["static"][n])) for n in ("thrust", "thrust_std")}}
+
+
+def static_from_standstill(files: Files, size: Size, rng: np.random.Generator) -> Files:
+    """A grid that begins with the rotor at rest."""
+    return files | {"static": steady(size, rng, np.linspace(0.0, 1.0, 5), np.linspace(-5.0, 10.0, 5))}
 
 
 def offset(columns: Columns, size: Size, rng: np.random.Generator) -> Columns:
@@ -392,6 +408,8 @@ CASES: Mapping[str, Case] = {
     "static at one pitch": Case("paper", gridded(np.linspace(0.35, 1.0, 9), [3.0])),
     "static at one speed": Case("micro", gridded([0.8], np.linspace(-5.0, 10.0, 9))),
     "static of two points": Case("big", gridded([0.5, 0.9], [5.0])),
+    "static of zeros": Case("micro", static_of_zeros),
+    "static from standstill": Case("micro", static_from_standstill),
     "static of one point": Case("paper", gridded([0.5], [5.0])),
     "pitch 12 to 25 deg": Case(
         "paper",

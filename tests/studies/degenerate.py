@@ -1,7 +1,8 @@
 """python -m tests.studies degenerate: every verb over campaigns that lack something or hold something odd (crippled.py).
 
 Each ends with its files, a report and strictly valid JSON, or with exit 2 and one line that says what is wrong; no traceback,
-no warning of numpy; no verb refuses what another wrote. What is not told by the data must be named, and what is told must be right: the truth is known here.
+no warning of numpy; no verb refuses what another wrote. What is not told by the data must be named, and what is told must be
+right: the truth is known here.
 """
 
 import argparse
@@ -31,6 +32,7 @@ BENT = {
     "starts mid-flight": "its record does not start settled",
     "huge offset": "no model of thrust has an offset of three times its scale",
     "dead load cell": "nothing was measured",
+    "static of zeros": "its steady points contradict its records",
     "pitch 12 to 25 deg": "the truth in these scales has a term that the paper's map lacks",
     "nothing missing, rig not declared": "the truth in these scales has a term that the paper's map lacks",
 }

@@ -1,0 +1,106 @@
+"""The table of degenerate campaigns, short: the quickest rows of `python -m tests.studies degenerate`."""
+
+import json
+
+import pytest
+from studies.crippled import CASES
+from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, valid
+
+from vpp_fmu.cli import VERBS
+
+IDENTIFIED = (
+    *("fixed pitch", "one move only", "static map only", "steps only", "raw steady samples only", "validation only"),
+    *("thrust of a section empty", "speed all empty", "static of one point", "static of zeros", "gaps", "no noise"),
+)
+REFUSED = {
+    "no move at all": "constant in all rows",
+    "raw samples that never rest": "steady stretches",
+    "steps without a step": "nothing that tells a parameter",
+    "dead load cell": "a sensor that is alive",
+}
+FEW = {"diagnose": ("--effects", "pitch_delay,sensor_drift"), "identify": ("--starts", "1")}
+"""What makes a row quick: a diagnosis among two effects, an identification from one start."""
+
+
+def checked(names, verbs, folder) -> list[Row]:
+    found = list(rows(names, verbs, folder, FEW))
+    assert not [line(row) for row in found if row.fault]
+    return found
+
+
+@pytest.mark.parametrize("name", IDENTIFIED)
+def test_identify_ends_with_its_files_and_names_what_it_does_not_know(name, tmp_path):
+    found = checked([name], ("identify", "simulate", "compare"), tmp_path)
+    assert [row.verb for row in found][:1] == ["identify"]
+    assert "told" in found[0].outcome
+    assert all(not row.outcome.startswith("exit") for row in found)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_holds_nothing_is_refused_in_a_line(name, tmp_path):
+    found = checked([name], ("identify", "diagnose"), tmp_path)
+    assert [row.verb for row in found] == ["identify", "diagnose"]
+    assert all(row.outcome.startswith("exit 2: ") for row in found)
+    assert REFUSED[name] in found[0].outcome
+
+
+@pytest.mark.parametrize("name", ["one move only", "record of 2 s", "static map only"])
+def test_diagnose_ends_with_its_files_or_a_line(name, tmp_path):
+    (found,) = checked([name], ("diagnose",), tmp_path)
+    assert found.outcome.startswith(
+        "exit 2: " if name == "static map only" else ("none", "unexplained", "partly", "attributed")
+    )
+
+
+def test_the_table_has_rows_enough_and_knows_its_verbs():
+    assert len(CASES) >= 25
+    assert set(NEEDED) - {"check"} <= set(VERBS)
+    assert {case.size for case in CASES.values()} == {"micro", "paper", "big"}
+
+
+def test_the_table_sees_what_is_wrong(tmp_path, monkeypatch, capsys):
+    """A verb that crashes, warns, writes NaN, says two lines or leaves a file out is found out."""
+    import studies.degenerate as table
+
+    def verb(does):
+        def run(arguments):
+            folder = tmp_path / arguments[-1]
+            folder.mkdir(exist_ok=True)
+            return does(folder)
+
+        monkeypatch.setattr(table, "vpp", run)
+        return judged("compare", "made up", ["A", "B"], tmp_path / does.__name__)
+
+    def crashes(folder):
+        raise KeyError("thrust")
+
+    def warns(folder):
+        import numpy as np
+
+        return int(np.nanmean([np.nan]))
+
+    def nan(folder):
+        (folder / "comparison.json").write_text('{"rms": NaN}')
+        (folder / "report.html").write_text("")
+        return 0
+
+    def leaves_out(folder):
+        (folder / "comparison.json").write_text("{}")
+        return 0
+
+    def silent(folder):
+        return 2
+
+    found = {does.__name__: verb(does) for does in (crashes, warns, nan, leaves_out, silent)}
+    assert found["crashes"].fault == found["warns"].fault == "traceback"
+    assert "KeyError" in found["crashes"].outcome
+    assert found["nan"].fault == "invalid JSON: comparison.json"
+    assert found["leaves_out"].fault == "no report.html"
+    assert found["silent"].fault == "exit 2 with 0 lines"
+    show(list(found.values()))
+    said = capsys.readouterr().out
+    assert "tracebacks 2" in said
+    assert "invalid JSON 1" in said
+    good = tmp_path / "good.json"
+    good.write_text(json.dumps(dict.fromkeys(LONG)))
+    assert valid(good)
