@@ -59,7 +59,7 @@ def test_bands_are_those_of_the_rows_own_clock():
     columns = {"time": time, "omega_ref": SPEED[::12][:1000], "beta_ref": PITCH[::12][:1000]}
     thrust = THRUST[::12][:1000]
     record = Record({**columns, "thrust": thrust + 0.3 * np.sin(2 * np.pi * 5.0 * time)}, "")
-    told = locate(Campaign(Path(), None, (), record, record, None), thrust, columns["omega_ref"], columns["beta_ref"])
+    told = locate([record, record], thrust, columns["omega_ref"], columns["beta_ref"])
     assert told["share_by_band_hz"]["3-10"] > 0.9
 
 
