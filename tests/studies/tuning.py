@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from identification.demo import example_folder, step_profile
 from identification.fit.problem import Prior
 from identification.identify import identify
-from identification.tune.summary import NAMES, against, judged_steps, settling, told_margins
+from identification.tune.summary import NAMES, against, settling, told_margins
 from identification.tune.tune import JUDGED, Task, Tuned, Tuning, tune
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
@@ -91,7 +91,7 @@ def show_robust(title: str, found: Tuning) -> None:
 
 
 def _told(tuned: Tuned, which: str) -> str:
-    steps = (f"{settling(s.settling)} overshoot {s.overshoot:.1f} %" for s in judged_steps(tuned, which))
+    steps = (f"{settling(s.settling)} overshoot {s.overshoot:.1f} %" for s in tuned.objective.steps(tuned.gains[which]))
     gains = ", ".join(f"{n} {g:.4g}" for n, g in zip(tuned.objective.names, tuned.gains[which], strict=True))
     return f"{'; '.join(steps)} ({gains})"
 
