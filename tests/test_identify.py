@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from studies.synthetic import NOISE, TRUTH, commands, measured
 
+from identification.fit.tachometer import Tachometer
 from identification.identify import identify
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
@@ -130,3 +131,20 @@ def test_what_was_left_out_names_its_record(folder):
     found = identify(replace(campaign, repeat=clipped), starts=1)
     (finding,) = [f for f in found.quality if f.code == "clipped"]
     assert (finding.file, finding.field, finding.level) == ("repeat.csv", "thrust", "warning")
+
+
+@pytest.mark.parametrize(("rate", "speed"), [(100.0, 15000.0), (250.0, 4000.0), (1000.0, 3000.0)])
+def test_a_tachometer_is_as_late_as_its_mark(rate, speed):
+    """A rotor that speeds up evenly, its turns counted exactly: the mean over the last whole turn before each row, on average
+    neither ahead of nor behind what is compared with it, whether a row holds many turns or a turn many rows."""
+    time, gain = np.arange(0.0, 4.0, 1.0 / rate), 0.2 * speed
+    turns = (speed * time + 0.5 * gain * time**2) / 60.0
+    whole = np.floor(turns + 0.37)
+    passed = np.array(
+        [(-speed + np.sqrt(speed**2 + 2.0 * gain * 60.0 * max(n - 0.37, 0.0))) / gain for n in (*whole, *(whole - 1.0))]
+    )
+    last, before = passed[: len(time)], passed[len(time) :]
+    shown = np.where(last > before, 60.0 / np.where(last > before, last - before, 1.0), speed)
+    sensor = Tachometer(Record({"time": time, "omega_ref": 0.0 * time, "omega": np.round(shown)}, ""))
+    ahead = sensor.shows(speed + gain * time) - sensor.measured
+    assert abs(np.mean(ahead[5:])) < 0.1 * gain * (60.0 / speed)

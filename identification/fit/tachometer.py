@@ -39,11 +39,12 @@ class Tachometer:
             self._average = csr_array((np.ones(len(self)), (np.arange(len(self)), self.rows)), shape=(len(self), len(time)))
             return
         period = 60.0 / np.where(new, shown, 1.0)
-        end = time - 0.5 * step  # the pulse came somewhere between the rows
+        since = np.minimum(step, period)  # the last pulse came in this time before the row, somewhere
+        end = time - 0.5 * since
         new &= end - period >= time[0]
         self.rows = np.flatnonzero(new)
         self.measured = shown[self.rows]
-        self.std = self._uncertainty(end[self.rows], step[self.rows])
+        self.std = self._uncertainty(end[self.rows], since[self.rows])
         self._average = _means(time, end[self.rows] - period[self.rows], end[self.rows])
 
     def __len__(self) -> int:
