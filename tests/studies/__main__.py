@@ -5,13 +5,14 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import diagnosis, fmus, identification, measured, tuning
+from . import diagnosis, fmus, identification, measured, refusals, tuning
 
 STUDIES = {
     "diagnosis": diagnosis.main,
     "fmus": fmus.main,
     "identification": identification.main,
     "measured": measured.main,
+    "refusals": refusals.main,
     "tuning": tuning.main,
 }
 
