@@ -12,6 +12,7 @@ from multiprocessing import active_children, get_context, parent_process
 from tqdm import tqdm
 
 from vpp_fmu.errors import BadInput, WorkerLost
+from vpp_fmu.stopping import SIGNALS
 
 
 def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | None = None, what: str = "") -> list:
@@ -28,7 +29,8 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
         return [work(item) for item in tqdm(items, desc=what, disable=None, leave=False)]
     # Not fork: a forked child inherits threads of numerical libraries in whatever state they are.
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    with _deaf():
+        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         with _deaf():
             results = pool.map(work, items)
@@ -45,15 +47,17 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
 
 @contextlib.contextmanager
 def _deaf() -> Iterator[None]:
-    """While processes are started: they inherit it, and so Ctrl-C, which a terminal sends to all, is for this process alone."""
+    """While processes are started: they inherit it, so that what a terminal sends to all (Ctrl-C, that it closes) is for this
+    process alone. Those are the pool's workers, and a tracker of what they share."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in set(SIGNALS) - {signal.SIGTERM}}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _end_with_parent() -> None:

@@ -5,7 +5,7 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import commands, degenerate, diagnosis, fmus, gate, identification, long, measured, rigs, tuning
+from . import commands, degenerate, diagnosis, fmus, gate, identification, long, measured, refusals, rigs, tuning
 
 STUDIES = {
     "commands": commands.main,
@@ -16,6 +16,7 @@ STUDIES = {
     "identification": identification.main,
     "long": long.main,
     "measured": measured.main,
+    "refusals": refusals.main,
     "rigs": rigs.main,
     "tuning": tuning.main,
 }

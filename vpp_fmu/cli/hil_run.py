@@ -23,6 +23,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.loop import run as run_loop
+from vpp_fmu.parameters import check_same_model
 from vpp_fmu.plants import FmuPlant, KernelPlant
 from vpp_fmu.record import Record, read_profile
 from vpp_fmu.report import Page
@@ -134,7 +135,10 @@ def _twin(options) -> tuple[Twin | None, Band | None]:
             "command line", "--twin", "no --parameters", "the plant's parameters, or an identification.json for its band"
         )
     parameters = hil_options.plant_of(options)
-    band = read_band(options.twin or Path(options.parameters).with_name("identification.json"))
+    told = options.twin or Path(options.parameters).with_name("identification.json")
+    band = read_band(told)
+    if options.parameters:
+        check_same_model(told, parameters, options.parameters)
     return Twin(KernelPlant(parameters.model, parameters.values), band), band
 
 

@@ -1,0 +1,72 @@
+"""A command in a process group of its own, a signal to it in the middle, and what is left of the group."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+VPP = (sys.executable, "-c", "import sys; from vpp_fmu.cli import main; sys.exit(main())")
+"""The command `vpp`, whatever is installed."""
+
+PATIENCE = 60.0
+"""s that a busy machine may take."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """`code` as the system tells it (negative: killed); `error`: standard error; `seconds` from the signal to the end of all;
+    `left`: processes of the group that are still there after PATIENCE."""
+
+    code: int
+    error: str
+    seconds: float
+    left: tuple[int, ...]
+
+
+def signalled(words: Sequence[str], number: int, ready, to_all: bool = False, **environment: str) -> Ended:
+    """Start `words`, send `number` (to the whole group, as a terminal does: `to_all`) as soon as `ready(process)`."""
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(words, **pipes, text=True, start_new_session=True, env=os.environ | environment)
+    try:
+        _until(lambda: ready(process) or process.poll() is not None, process)
+        began = time.monotonic()
+        (os.killpg if to_all else os.kill)(process.pid, number)
+        _, error = process.communicate(timeout=PATIENCE)
+        _until(lambda: not group(process.pid), process)
+        return Ended(process.returncode, error, time.monotonic() - began, group(process.pid))
+    finally:
+        for pid in group(process.pid):
+            os.kill(pid, signal.SIGKILL)
+
+
+def group(leader: int) -> tuple[int, ...]:
+    """Processes of the group that live."""
+    found = []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
+                state, _, its_group = file.read().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(its_group) == leader and state != "Z":
+            found.append(int(pid))
+    return tuple(found)
+
+
+def cpu_seconds(pid: int) -> float:
+    """Of a process, its own."""
+    with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
+        return sum(map(int, file.read().rpartition(")")[2].split()[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
+def _until(condition, process) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition() and time.monotonic() < end:
+        try:
+            process.wait(timeout=0.05)
+        except subprocess.TimeoutExpired:
+            continue
+        os.sched_yield()  # it has ended; the rest of its group has not

@@ -1,0 +1,78 @@
+"""Every number that any verb takes says what it may be; this walks over all of them, so that none is forgotten."""
+
+import argparse
+import math
+
+import pytest
+
+from vpp_fmu.cli import VERBS, main, parser_of
+from vpp_fmu.cli.options import Number, number, whole
+
+NO_NUMBERS = ("-1e9", "1e400", "nan", "inf", "-inf", "", "two", "1,5", "0x10", "9" * 5000)
+
+
+def actions(verb, parser):
+    """(words that lead there, action) of every option and argument of a verb and its sub-verbs."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, below in action.choices.items():
+                yield from actions([*verb, name], below)
+        else:
+            yield verb, action
+
+
+EVERY = [found for verb in VERBS for found in actions([verb], parser_of(verb)[0])]
+NUMBERS = [(verb, action) for verb, action in EVERY if isinstance(action.type, Number)]
+
+
+def test_no_option_takes_a_number_without_bounds():
+    assert len(NUMBERS) > 40
+    for verb, action in EVERY:
+        assert action.type in (None, str) or isinstance(action.type, Number), (verb, action.dest)
+        default = action.default if isinstance(action.default, list | tuple) else [action.default]
+        if not isinstance(action.type, Number):
+            assert {type(value) for value in default}.isdisjoint({int, float}), (verb, action.dest)
+
+
+@pytest.mark.parametrize(("verb", "action"), NUMBERS, ids=lambda part: part.dest if hasattr(part, "dest") else " ".join(part))
+def test_bounds_are_finite_hold_the_default_and_refuse_what_is_no_number(verb, action):
+    kind = action.type
+    assert -math.inf < kind.low < kind.high < math.inf
+    default = action.default if isinstance(action.default, list | tuple) else [action.default]
+    for value in (value for value in default if value is not None):
+        assert kind(repr(value)) == value
+    for text in (*NO_NUMBERS, repr(kind.low - 1), repr(kind.high * 1.01 + 1)):
+        with pytest.raises(argparse.ArgumentTypeError, match="allowed is a "):
+            kind(text)
+
+
+@pytest.mark.parametrize("verb", sorted({tuple(verb) for verb, _ in NUMBERS}))
+def test_the_verb_says_it_in_one_line_and_exits_2(verb, capsys):
+    option = next(action.option_strings[0] for where, action in NUMBERS if tuple(where) == verb and action.nargs is None)
+    assert main([*verb, f"{option}=nan"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for word in (f"vpp {' '.join(verb)}", option, "found nan", "allowed is", "--help"):
+        assert word in said
+
+
+def test_a_range_in_words_and_numbers():
+    assert number(0.0, 5.0, "s", above=True)("5") == 5.0
+    assert whole(2, 100, also=(0,))("0") == 0
+    assert isinstance(whole(0, 10)("7"), int)
+    for kind, text, allowed in (
+        (number(0.0, 5.0, "s", above=True), "0", "a number above 0 and up to 5 s"),
+        (number(-5.0, 10.0, "deg"), "10.001", "a number from -5 to 10 deg"),
+        (whole(2, 100, also=(0,)), "1", "a whole number from 2 to 100, or 0"),
+        (whole(0, 4294967295), "1.5", "a whole number from 0 to 4294967295"),
+    ):
+        with pytest.raises(argparse.ArgumentTypeError) as refused:
+            kind(text)
+        assert str(refused.value) == f"found {text}, allowed is {allowed}"
+
+
+def test_what_was_typed_stays_on_one_short_line():
+    with pytest.raises(argparse.ArgumentTypeError) as refused:
+        whole(0, 1)("x\ny" * 100)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 100

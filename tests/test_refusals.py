@@ -1,0 +1,59 @@
+"""The table of refusals (python -m tests.studies refusals), as the study makes it: each in order, and for its own reason."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import pytest
+from studies.refusals import OPTIONS, refusals
+
+REASONS = {
+    "output: below a file": "not a directory",
+    "output: even root may not": "output folder: found not writable",
+    "output: a folder in the file's place": "prediction.csv: output file: found not writable (is a directory)",
+    "knowledge of another model": '"c20": found 0.5, allowed is 0.355, the value in',
+    "record: not UTF-8": "the byte 0x",
+}
+NO_PERMISSION = {
+    "output: no permission": "output folder: found not writable (permission denied)",
+    "output: no permission, below": "output folder: found not writable (permission denied)",
+    "campaign: no permission": "campaign folder: found not readable (permission denied)",
+    "campaign: no permission, below": "campaign folder: found not readable (permission denied)",
+    "record: no permission": "secret.csv: file: found not readable (permission denied)",
+    "FMU: no permission": "a.fmu: FMU: found not readable (permission denied)",
+}
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Every row, made in a folder that others may enter, too."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        return list(refusals(Path(name)))
+
+
+def test_every_row_is_as_aimed_at(found):
+    assert len(found) > 50
+    assert [(each.what, each.code, each.said, each.wrote) for each in found if not each.in_order] == []
+
+
+def test_an_option_is_named_with_its_verb_and_its_value(found):
+    for each, words in zip(found, OPTIONS, strict=False):
+        verb = " ".join(word for word in words[:2] if words[0] == "hil") or words[0]
+        option = [word for word in words if word.startswith("--")][-1]
+        assert each.said.startswith(f"vpp {verb}: ")
+        assert option in each.said
+        assert f"found {words[-1].rpartition('=')[2]}, " in each.said
+
+
+@pytest.mark.parametrize("what", REASONS)
+def test_the_reason_is_the_right_one(found, what):
+    (said,) = [each.said for each in found if each.what == what]
+    assert REASONS[what] in said
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no users on this system")
+@pytest.mark.parametrize("what", NO_PERMISSION)
+def test_what_is_not_allowed_is_said(found, what):
+    (said,) = [each.said for each in found if each.what == what]
+    assert NO_PERMISSION[what] in said

@@ -1,0 +1,187 @@
+"""Signals end a command in order: the exit code says which, one line says it, and nothing is left: no process, no file."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import pytest
+from processes import VPP, cpu_seconds, group, signalled
+
+from identification.demo import example_folder
+from identification.workers import spread
+from vpp_fmu.campaign import NEED
+from vpp_fmu.cli import main
+from vpp_fmu.errors import WorkerLost
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.record import read_record, write_record
+from vpp_fmu.scratch import Scratch
+from vpp_fmu.stopping import SIGNALS, Stopped, stoppable, unbroken
+
+has_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc to find processes in")
+
+
+def told(verb, number):
+    return f"{verb}: stopped by {number.name}; files that were not complete are not kept"
+
+
+@has_proc
+def test_a_bootstrap_and_its_workers_end_and_write_nothing(tmp_path):
+    record = read_record(example_folder() / "open_loop.csv.gz", NEED).part(slice(0, 2500))
+    write_record(OutputFolder(tmp_path / "campaign"), "open_loop.csv", record)
+    words = [*VPP, "identify", str(tmp_path / "campaign"), "--starts", "1", "--bootstrap", "100000", "--workers", "2"]
+    ended = signalled([*words, "-o", str(tmp_path / "out")], signal.SIGTERM, at_work)
+    assert (ended.code, ended.left) == (143, ())
+    assert ended.error.splitlines()[-1] == told("vpp identify", signal.SIGTERM)
+    assert "Traceback" not in ended.error
+    assert os.listdir(tmp_path / "out") == []
+
+
+def at_work(process):
+    """Whether both workers are past their imports."""
+    workers = [pid for pid in group(process.pid) if pid != process.pid]
+    return sum(cpu_seconds(pid) > 1.0 for pid in workers) == 2
+
+
+SPREAD = """
+import sys, time
+from identification.workers import spread
+from vpp_fmu import cli
+cli._run = lambda words: spread(time.sleep, [1000.0] * 8, workers=2)
+sys.exit(cli.main(["identify"]))
+"""
+
+
+@has_proc
+@pytest.mark.parametrize("to_all", [False, True], ids=["to it alone", "to its whole group"])
+@pytest.mark.parametrize("number", [*SIGNALS, signal.SIGKILL], ids=str)
+def test_workers_end_with_whoever_started_them(number, to_all):
+    ended = signalled([sys.executable, "-c", SPREAD], number, lambda process: len(group(process.pid)) == 4, to_all)
+    assert ended.left == ()
+    if number == signal.SIGKILL:  # nothing was asked of the command itself: its workers noticed
+        assert ended.code == -signal.SIGKILL
+    else:
+        assert ended.code == 128 + number
+        assert ended.error.splitlines() == [told("vpp identify", number)]
+
+
+@has_proc
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL], ids=str)
+def test_an_unpacked_fmu_goes_with_the_command_or_with_the_next(fmu_files, tmp_path, monkeypatch, number):
+    profile, temporary = tmp_path / "profile.csv", tmp_path / "temporary"
+    profile.write_text("time,thrust_set\n0,5\n100000,5\n")
+    temporary.mkdir()
+    words = [*VPP, "cosim", str(fmu_files["plain"]), str(fmu_files["controller"]), "--profile", str(profile)]
+    unpacked = lambda process: len(os.listdir(temporary)) == 2 and cpu_seconds(process.pid) > 2.0  # noqa: E731
+    ended = signalled([*words, "-o", str(tmp_path / "out")], number, unpacked, TMPDIR=str(temporary))
+    assert ended.left == ()
+    if number == signal.SIGKILL:
+        assert len(os.listdir(temporary)) == 2
+        monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+        Scratch().close()
+    else:
+        assert ended.code == 143
+        assert os.listdir(tmp_path / "out") == []
+    assert os.listdir(temporary) == []
+
+
+HANGS = """
+import ctypes, os, sys
+from vpp_fmu import stopping
+from vpp_fmu.scratch import Scratch
+stopping.GRACE = 0.1
+with stopping.stoppable("vpp test"):
+    scratch, lock, libc = Scratch(), ctypes.create_string_buffer(64), ctypes.CDLL(None)
+    libc.pthread_mutex_lock(lock)
+    print("ready", flush=True)
+    libc.pthread_mutex_lock(lock)  # never comes back, and no handler of Python's can run
+"""
+
+
+def test_code_that_never_comes_back_is_ended_all_the_same(tmp_path):
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", HANGS], env=environment, text=True, **pipes) as process:
+        assert process.stdout.readline() == "ready\n"
+        assert len(os.listdir(tmp_path)) == 1
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate()
+    assert process.returncode == 143
+    assert said.splitlines() == [told("vpp test", signal.SIGTERM)]
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", SIGNALS, ids=str)
+def test_the_first_signal_raises_and_the_next_does_nothing(number):
+    before = {each: signal.getsignal(each) for each in SIGNALS}
+    let_go = []
+
+    def work():
+        try:
+            signal.raise_signal(number)
+        finally:
+            for each in SIGNALS:
+                signal.raise_signal(each)
+            let_go.append("all of it")
+
+    with pytest.raises(Stopped) as stopped, stoppable("vpp test"):
+        work()
+    assert let_go == ["all of it"]
+    assert stopped.value.code == 128 + number
+    assert {each: signal.getsignal(each) for each in SIGNALS} == before
+
+
+def test_the_command_turns_it_into_a_line_and_the_code(monkeypatch, capsys):
+    monkeypatch.setattr("vpp_fmu.cli._run", lambda arguments: signal.raise_signal(signal.SIGTERM))
+    assert main(["identify", "x"]) == 143
+    assert capsys.readouterr().err.splitlines() == [told("vpp identify", signal.SIGTERM)]
+
+
+def test_what_is_ignored_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        with stoppable("vpp test"):
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_signal_waits_for_what_may_not_be_torn():
+    done = []
+
+    def work():
+        with unbroken():
+            signal.raise_signal(signal.SIGTERM)
+            done.append("whole")
+        done.append("not reached")
+
+    with pytest.raises(Stopped), stoppable("vpp test"):
+        work()
+    assert done == ["whole"]
+
+
+def test_in_another_thread_there_are_no_signals_to_hear():
+    found = []
+
+    def elsewhere():
+        with stoppable("vpp test"), unbroken():
+            found.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    assert found == [signal.getsignal(signal.SIGTERM)]
+
+
+def test_a_worker_that_dies_is_said():
+    with pytest.raises(WorkerLost, match="test: one of 2 processes has died"):
+        spread(os._exit, [1, 1], workers=2, what="test")
+
+
+def test_what_a_worker_raises_arrives_here():
+    with pytest.raises(ValueError, match="no number"):
+        spread(float, ["1.0", "no number"], workers=2)
+    assert spread(float, ["1.0", "2.0"], workers=2) == [1.0, 2.0]
