@@ -48,7 +48,7 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str) -> go.Figure:
                 hovertemplate="%{y}: %{text}<extra></extra>",
             )
     line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
-    fig.add_vline(x=gate, line=line, name=f"gate: {gate:g}", showlegend=True)
+    fig.add_vline(x=gate, line=line, name=f"gate: {gate:g}", layer="below", showlegend=True)
     reach = np.log10(max(10.0 * gate, *(bar.fall for bar in ranked)))
     # The reasons stand behind the bars: half of the width is theirs.
     fig.update_xaxes(title_text="fall of the BIC [-]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))

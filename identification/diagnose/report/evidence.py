@@ -25,18 +25,18 @@ MOST = 14
 def add_evidence(page: Page, found: Diagnosis) -> None:
     """A figure of each round of the search, and the table of all that was refitted."""
     unseen = [Experiment([record], found.noise) for record in found.held]
+    verdicts = []
     for number, tried in enumerate(found.selection.rounds, start=1):
         fitted = [t for t in tried if t.fit is not None]
         if fitted:
-            _add_round(page, found, number, fitted, unseen)
+            verdicts += [bar.why for bar in _add_round(page, found, number, fitted, unseen)]
     rows = []
-    for entry in summary(found)["candidates"]:
-        if "delta_bic" not in entry:
-            continue
+    refitted = [entry for entry in summary(found)["candidates"] if "delta_bic" in entry]
+    for entry, verdict in zip(refitted, verdicts, strict=True):
         beside = " + ".join(entry["beside"]) or "nothing"
         form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
         size = ", ".join(f"{n.partition('.')[2]} {digits(v, 3)}" for n, v in entry["parameters"].items())
-        rows.append((entry["name"], form, beside, entry["delta_bic"], size, entry["why_not"] or "taken"))
+        rows.append((entry["name"], form, beside, f"{entry['delta_bic']:.1f}", size, verdict))
     columns = ("effect", "form", "beside", "fall of BIC", "parameters", "verdict")
     page.table(columns, rows, "Candidates that were refitted in full.")
     for effect, judged in found.selection.judgements.items():
@@ -44,7 +44,8 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         page.note(f"{effect}: BIC falls by {judged.delta_bic:.0f}; log-likelihood of unseen data: {gains}.")
 
 
-def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried], unseen) -> None:
+def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried], unseen) -> list[Bar]:
+    """A figure of the candidates of a round; returns what it shows of each, in their order."""
     base = _base_of(found, fitted[0].beside)
     without = seen_at_best(base, unseen)
     bars = [_bar(found, t, base, without, unseen, max(t.delta_bic for t in fitted)) for t in fitted]
@@ -59,6 +60,7 @@ def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried], u
         evidence_bars(bars, ENOUGH_BIC, title),
         "Each candidate refitted with all parameters; gates: BIC, unseen thrust and speed, bounds, size.",
     )
+    return bars
 
 
 def _base_of(found: Diagnosis, beside: tuple[str, ...]) -> Fit:
