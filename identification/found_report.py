@@ -20,8 +20,8 @@ def add_found(page: Page, found: Identification) -> None:
     if found.refinement is not None:
         _add_change(page, found)
     _add_values(page, found)
-    for line in untold(found):
-        page.note(f"{line}.")
+    if lines := untold(found):
+        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
     if doubt.profiled:
         page.note(
             f"The cost is no parabola in {', '.join(doubt.profiled)}: their intervals end where the cost, all other parameters "
@@ -38,12 +38,12 @@ def add_found(page: Page, found: Identification) -> None:
 
 def untold(found: Identification) -> list[str]:
     """In sentences without their stop: parameters that the data do not tell, or that ended on a bound."""
-    values = found.parameters.values
-    lines = []
+    reasons: dict[str, list[str]] = {}
     for name, why in found.not_identifiable.items():
-        stands = "was fitted to" if name in found.uncertainty.names else "stays at"
-        lines.append(f"{name} is not told by these data and {stands} {number(values[name])}: {why}")
-    return lines + [f"{name} stands on its bound, {number(bound)}" for name, bound in found.at_bounds.items()]
+        stands = "fitted to" if name in found.uncertainty.names else "stays at"
+        reasons.setdefault(why, []).append(f"{name} ({stands} {number(found.parameters.values[name])})")
+    lines = [f"not told by these data: {', '.join(names)}: {why}" for why, names in reasons.items()]
+    return lines + [f"on a bound: {name}, which ended at {number(bound)}" for name, bound in found.at_bounds.items()]
 
 
 def _add_change(page: Page, found: Identification) -> None:
@@ -56,23 +56,28 @@ def _add_change(page: Page, found: Identification) -> None:
 
 
 def _add_values(page: Page, found: Identification) -> None:
-    """Each value to the digit that its standard deviation is known to."""
-    doubt, start = found.uncertainty, found.start if found.refinement is not None else {}
-    rows = []
+    """Each value with what it is worth."""
+    doubt, rows = found.uncertainty, []
     for k, name in enumerate(doubt.names):
         bound = "on its bound" if name in found.at_bounds else doubt.kind(name)
         ends = interval(*doubt.intervals[k].tolist())
-        value, std = float(doubt.values[k]), float(doubt.std[k])
-        rows.append((name, start.get(name), number(value), std, ends, bound, doubt.inflation[k]))
-    columns = ("parameter", "start", "final", "std", "95 % interval", "by", "std over white")
-    page.table(columns, rows, "Time constants in s, coefficients normalised; std accounts for the residuals' colour.")
+        told = (float(doubt.values[k]), number(float(doubt.std[k]), 3), ends)
+        rows.append((name, found.start[name], *told, bound, number(doubt.inflation[k], 3)))
+    units = "Time constants in s, coefficients normalised"
+    if found.refinement is not None:
+        columns = ("parameter", "start", "final", "std", "95 % interval", "by", "std over white")
+        page.table(columns, rows, f"{units}; std accounts for the residuals' colour.")
+    else:
+        columns = ("parameter", "value", "std", "95 % interval")
+        page.table(columns, [(name, *told) for name, _, *told in (row[:5] for row in rows)], f"{units}.")
 
 
 def _add_bootstrap(page: Page, found: Identification) -> None:
     if found.bootstrap is not None:
         b = found.bootstrap
         ends = [interval(*each) for each in b.intervals.tolist()]
-        rows = list(zip(b.names, b.std, ends, b.ratio, strict=True))
+        std, ratio = ([number(v, 3) for v in each] for each in (b.std, b.ratio))
+        rows = list(zip(b.names, std, ends, ratio, strict=True))
         columns = ("parameter", "std", "95 % interval", "over the covariance's std")
         page.table(columns, rows, f"Block bootstrap, {len(b.samples)} resamples: the same without any parabola.")
 
@@ -85,7 +90,7 @@ def _add_forms(page: Page, doubt: Uncertainty) -> None:
         for form, unit in (("sum", "s"), ("product", "s²"))
     ]
     if rows:
-        relative = [(*row, number(100 * row[2] / row[1], 2)) for row in rows]
+        relative = [(name, value, number(std, 3), number(100 * std / value, 2)) for name, value, std in rows]
         caption = "The lags of a channel do not tell which comes first: their sum and product are what is known best."
         page.table(("lags", "value", "std", "std [%]"), relative, caption)
 

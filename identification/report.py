@@ -26,7 +26,7 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
         figures.append(("noise of one reading", _newton(found.noise_floor), "from the repeated record"))
     if (r := found.refinement) is not None:
         spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
-        figures.append(("cost", f"{number(r.cost_start)} → {number(r.cost_final)}", f"mean(e²)/2, {spent}"))
+        figures.append(("cost", f"{number(r.cost_start, 3)} → {number(r.cost_final, 3)}", f"mean(e²)/2, {spent}"))
     if found.static is not None:
         note = f"adjusted R², {_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
         known = found.static.r2_adjusted
@@ -43,9 +43,11 @@ def _newton(value: float | None) -> str:
 
 def remarks(found: Identification) -> list[str]:
     """In sentences without their stop, what a reader must know of how far the result goes."""
-    lines = [f"{missing} is missing: what it would have told is left out" for missing in found.campaign.missing]
+    missing = found.campaign.missing
+    lines = [f"missing, so what it would have told is left out: {', '.join(missing)}"] if missing else []
     if not found.predictions:
-        lines.append("there is no record to fit or to judge by: the parameters are those of steady points and steps alone")
+        told = " and ".join(n for n, there in (("steady points", found.static), ("steps", found.steps)) if there is not None)
+        lines.append(f"there is no record to fit or to judge by: the parameters are those of {told} alone")
         if found.steps is not None and found.static is None:
             lines.append("without steady points the lags are those of the thrust, not of speed and pitch behind it")
     elif not found.unseen:
@@ -69,8 +71,8 @@ def add_identification(page: Page, found: Identification) -> None:
     """Tiles, figures and tables of an identification, onto a page."""
     page.tiles(key_figures(found))
     add_quality(page, found.quality)
-    for remark in remarks(found):
-        page.note(f"{remark[0].upper()}{remark[1:]}.")
+    if lines := remarks(found):
+        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
     if found.predictions:
         page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
         for name in _shown(found):

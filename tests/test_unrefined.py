@@ -111,7 +111,7 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     assert {"tau_beta_1", "tau_beta_2", "c21", "c12"} <= set(found.not_identifiable)
     assert found.not_identifiable["c21"] == "the data tell only its combination with c20"
     assert found.not_identifiable["c12"] == "the data tell only its combination with c11"
-    assert any(line.startswith("c21 is not told by these data and stays at ") for line in untold(found))
+    assert any(line.startswith("not told by these data: c21 (stays at ") for line in untold(found))
     # The same record beside a whole grid: the map is then told, the pitch's lags are still not.
     whole_grid = gridded(np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5))
     found = identify(campaign("micro", recorded("wwx", (4.0, 4.0)), whole_grid), starts=1)
@@ -147,7 +147,7 @@ def test_a_value_on_its_bound_is_shown_with_it():
     page = identification_page(found).html()
     for name, bound in found.at_bounds.items():
         assert bound in (-10.0, 10.0, 0.001)
-        assert f"{name} stands on its bound, {bound:g}" in page
+        assert f"On a bound: {name}, which ended at {bound:g}." in page
     assert ">on its bound<" in page
 
 

@@ -50,7 +50,7 @@ def mean_convergence(
     fig.add_scatter(x=m, y=white, mode="lines", name="independent readings", line=line, **hover)
     if wanted is not None:
         number, good = wanted
-        name, dotted = f"{digits(good)} N at {number} readings", {"color": style.MEASURED, "width": 1.2, "dash": "dot"}
+        name, dotted = f"{digits(good, 2)} N at {number} readings", {"color": style.MEASURED, "width": 1.2, "dash": "dot"}
         far = number > m[-1]
         line = {"mode": "lines", "line": dotted, "showlegend": False, "hoverinfo": "skip"}
         fig.add_scatter(x=[m[-1], number] if far else [number], y=[std[-1], good] if far else [good], **line)

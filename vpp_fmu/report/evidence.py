@@ -49,7 +49,7 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
                 hovertemplate="%{y}: %{text}<extra></extra>",
             )
     line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
-    fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", showlegend=True)
+    fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", layer="below", showlegend=True)
     if taken is not None:
         fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
     reach = np.log10(max(10.0 * gate, *(bar.fall for bar in ranked)))

@@ -62,6 +62,7 @@ _AXIS = {
     "automargin": True,
     "title": {"standoff": 8, "font": {"size": 13}},
     "hoverformat": ".5~g",
+    "exponentformat": "none",  # else 20000 rpm are "20k", and a tenth of a millinewton "100μ"
 }
 
 SHOWN = ".4~r"
@@ -75,12 +76,14 @@ _SPATIAL_AXIS = {
     "tickfont": {"size": 11},
     "backgroundcolor": "white",
     "gridcolor": "#dde3e8",
+    "exponentformat": "none",
 }
-_COLOUR_BAR = {"thickness": 14, "title": {"font": {"size": 13}}}
+_COLOUR_BAR = {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}
 
 TEMPLATE = go.layout.Template(
     layout={
         "font": {"family": FONT, "size": 13, "color": _INK},
+        "separators": ".",  # a point before decimals, nothing between thousands: as in the text around
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
         "colorway": OTHERS,

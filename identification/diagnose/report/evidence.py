@@ -27,13 +27,11 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         if fitted:
             _add_round(page, found, number, fitted)
     rows = []
-    for entry in summary(found)["candidates"]:
-        if "delta_bic" not in entry:
-            continue
+    for entry in (e for e in summary(found)["candidates"] if "delta_bic" in e):
         beside = " + ".join(entry["beside"]) or "nothing"
         form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
         size = ", ".join(f"{n.partition('.')[2]} {digits(v, 3)}" for n, v in entry["parameters"].items())
-        rows.append((entry["name"], form, beside, 0.5 * entry["delta_bic"], size, entry["why_not"] or "taken"))
+        rows.append((entry["name"], form, beside, f"{0.5 * entry['delta_bic']:.1f}", size, entry["why_not"] or "taken"))
     columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
     page.table(columns, rows, "Candidates that were refitted in full.")
     for effect, judged in found.selection.judgements.items():
@@ -59,6 +57,7 @@ def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried]) -
         "Each candidate refitted with all parameters: half the fall of the BIC on the fitted records. What lies in the shaded "
         "band fits as well as the one that was taken.",
     )
+    return bars
 
 
 def _bar(found: Diagnosis, tried: Tried) -> Bar:
