@@ -6,7 +6,7 @@ import math
 import pytest
 
 from vpp_fmu.cli import VERBS, main, parser_of
-from vpp_fmu.cli.options import Number, number, whole
+from vpp_fmu.cli.options import Number, real, whole
 
 NO_NUMBERS = ("-1e9", "1e400", "nan", "inf", "-inf", "", "two", "1,5", "0x10", "9" * 5000)
 
@@ -57,12 +57,12 @@ def test_the_verb_says_it_in_one_line_and_exits_2(verb, capsys):
 
 
 def test_a_range_in_words_and_numbers():
-    assert number(0.0, 5.0, "s", above=True)("5") == 5.0
+    assert real(0.0, 5.0, "s", above=True)("5") == 5.0
     assert whole(2, 100, also=(0,))("0") == 0
     assert isinstance(whole(0, 10)("7"), int)
     for kind, text, allowed in (
-        (number(0.0, 5.0, "s", above=True), "0", "a number above 0 and up to 5 s"),
-        (number(-5.0, 10.0, "deg"), "10.001", "a number from -5 to 10 deg"),
+        (real(0.0, 5.0, "s", above=True), "0", "a number above 0 and up to 5 s"),
+        (real(-5.0, 10.0, "deg"), "10.001", "a number from -5 to 10 deg"),
         (whole(2, 100, also=(0,)), "1", "a whole number from 2 to 100, or 0"),
         (whole(0, 4294967295), "1.5", "a whole number from 0 to 4294967295"),
     ):
