@@ -146,7 +146,7 @@ def diagnosed(row: Row, out: Path) -> Row:
     """The same with the verdict."""
     found = json.loads((out / "diagnosis.json").read_text())
     effects = " + ".join(effect["name"] for effect in found["effects"])
-    before, after = (found[when][0]["rmse_thrust"] for when in ("before", "after"))
+    before, after = (found[when]["rmse_thrust"] for when in ("before", "after"))
     outcome = f"{found['verdict']}{f' ({effects})' if effects else ''}, {before:.4g} -> {after:.4g} N"
     return replace(row, outcome=outcome)
 

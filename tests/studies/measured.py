@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 from identification.diagnose.diagnose import diagnose
+from identification.diagnose.report.summary import artefact
 from identification.identify import identify
 from identification.stand.rcbenchmark import read_log
 from identification.stand.speed_map import fit_speed_map
@@ -16,6 +17,7 @@ from identification.worth.quality import noise_floor, rmse
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import simulate_in_fmpy
+from vpp_fmu.rig import infer_rig
 
 
 def main(arguments):
@@ -32,20 +34,34 @@ def main(arguments):
 
 
 def of_campaign(campaign, look):
-    floor = noise_floor(campaign.open_loop, campaign.repeat)
-    found = identify(campaign)
-    error = in_fmpy(found.parameters, campaign)
-    print(
-        f"{campaign.folder.name}: rmse on validation.csv {error:.4f} N through the FMU in fmpy, noise floor {floor:.4f} N; "
-        f"fit {found.predictions['validation'].fit_thrust:.1f} %, "
-        f"{100 * found.coverage['validation']:.1f} % of the readings in the 95 % band",
-        flush=True,
-    )
+    found, name = identify(campaign), campaign.folder.name
+    twice = campaign.open_loop is not None and campaign.repeat is not None
+    floor = f"{noise_floor(campaign.open_loop, campaign.repeat):.4g} N" if twice else "not measured"
+    told = f"{name}: noise floor {floor}"
+    if campaign.validation is not None:
+        told += f"; rmse on validation.csv {in_fmpy(found.parameters, campaign):.4g} N through the FMU in fmpy"
+        told += f", fit {found.predictions['validation'].fit_thrust:.1f} %"
+        told += f", {100 * found.coverage['validation']:.1f} % of the readings in the 95 % band"
+    print(told, flush=True)
     if look:
         seen = diagnose(campaign)
-        before, after = (in_fmpy(seen.parameters(fit), campaign) for fit in (seen.base, seen.final))
-        effects = ", ".join(seen.final.effects) or "no effect"
-        print(f"{campaign.folder.name}: {seen.verdict}: {effects}; {before:.4f} N before, {after:.4f} N after", flush=True)
+        if campaign.validation is not None:
+            before, after = (in_fmpy(seen.parameters(fit), campaign) for fit in (seen.base, seen.final))
+        else:
+            before, after = (seen.errors(fit)[0] for fit in (seen.base, seen.final))
+        _say(name, seen, before, after, "on validation.csv" if campaign.validation is not None else "cross-validated")
+
+
+def _say(name, seen, before, after, where):
+    effects = ", ".join(seen.final.effects) or "no effect"
+    refuted = f" (refuted: {', '.join(seen.selection.final.effects)}: {seen.refuted})" if seen.refuted else ""
+    print(f"{name}: {seen.verdict}: {effects}{refuted}; {where} {before:.4g} N before, {after:.4g} N after", flush=True)
+    for effect, judged in seen.selection.judgements.items():
+        gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
+        told = artefact(seen, effect)
+        print(
+            f"  {effect}: evidence {judged.evidence:.4g} nats; cross-validated {gains}" + f"; {told}" * bool(told), flush=True
+        )
 
 
 def in_fmpy(parameters, campaign):
@@ -64,7 +80,8 @@ def of_days(fitted, other, look):
     for log in (first, second):
         tare = log.tare()
         records.append(log.record(speed_map.omega_ref(log.signal), tare[0] if tare else 0.0, False))
-    campaign = Campaign(Path(fitted.stem), None, (), records[0], None, records[1])
+    rig = infer_rig(records[:1], None, {})
+    campaign = Campaign(Path(fitted.stem), None, (), records[0], None, records[1], rig=rig)
     found = identify(campaign)
     day, own = found.predictions["validation"], found.predictions["open_loop"]
     print(
@@ -75,10 +92,5 @@ def of_days(fitted, other, look):
     )
     if look:
         seen = diagnose(campaign)
-        effects = ", ".join(seen.final.effects) or "no effect"
-        before, after = seen.held_before.rmse_thrust, seen.held_after.rmse_thrust
-        print(f"{fitted.stem}: {seen.verdict}: {effects}; other day {before:.3f} N before, {after:.3f} N after", flush=True)
-        for judged in seen.selection.judgements.values():
-            gains = ", ".join(f"{channel} {gain:+.0f}" for channel, gain in judged.held_out_gain.items())
-            worth = f"BIC falls by {judged.delta_bic:.0f} on its day, log-likelihood of the other day: {gains}"
-            print(f"  {judged.effect}: {worth}" + f"; {judged.artefact}" * bool(judged.artefact), flush=True)
+        before, after = (seen.errors(fit)[0] for fit in (seen.base, seen.final))
+        _say(fitted.stem, seen, before, after, "other day")
