@@ -14,7 +14,7 @@ from identification.identify import identify
 from identification.stand.rcbenchmark import read_log
 from identification.stand.speed_map import fit_speed_map
 from identification.worth.quality import noise_floor, rmse
-from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.campaign import NAMES, Campaign, read_campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.rig import infer_rig
@@ -26,7 +26,7 @@ def main(arguments):
     parser.add_argument("--diagnose", action="store_true", help="also what the model lacks, and the error with it")
     options = parser.parse_args(arguments)
     for folder in sorted(options.data.iterdir()):
-        if (folder / "validation.csv").exists():
+        if any(f.name.partition(".")[0] in NAMES for f in folder.glob("*.csv*")):
             of_campaign(read_campaign(folder), options.diagnose)
     logs = sorted((options.data / "sar_motor").glob("TimeConstant_Test_*.csv"))
     for fitted, other in (logs, logs[::-1]) if len(logs) == 2 else ():
