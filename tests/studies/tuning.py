@@ -1,8 +1,8 @@
 """python -m tests.studies tuning: are tuned gains better than those they start from, and robust ones better in the worst case?
 
 The paper's model with its assumed pitch actuator, through an ideal loop as the paper has it and through the rig's measurement
-chain; the same model on rigs of 1.2 N and 180 N, three times as fast and as slow; what a diagnosis makes of the example campaign;
-then plants drawn from the parameters' doubt. Robust gains are judged on 200 plants that no search has seen.
+chain; the same model on rigs of 1.2 N and 180 N, three times as fast and as slow; what a diagnosis makes of the example
+campaign; then plants drawn from the parameters' doubt. Robust gains are judged on 200 plants that no search has seen.
 """
 
 import argparse
@@ -84,9 +84,7 @@ def with_dead_band(**more) -> Task:
 def show(title: str, found: Tuning) -> None:
     """Steps, margins, cost and verdict, before and after."""
     wanted = found.task.profile["thrust_set"]
-    print(
-        f"\n{title}: {wanted.min():.4g} to {wanted.max():.4g} N. Aim: no step worse, less cost; {found.task.reference} -> tuned."
-    )
+    print(f"\n{title}: {wanted.min():.4g} to {wanted.max():.4g} N. Aim: no step worse; {found.task.reference} -> tuned.")
     for name, each in found.tuned.items():
         verdict = each.verdicts["tuned"]
         worse = sum(c.worse for s in verdict.steps for c in s.changes)
@@ -117,8 +115,8 @@ def show_robust(title: str, found: Tuning) -> None:
         better = "yes" if robust.max() < nominal.max() else "NO"
         handed = labels(found, each)[each.chosen]
         print(
-            f"  {NAMES[name]:16} handed out: {handed}; worst {nominal.max():.5f} -> {robust.max():.5f} {better}, mean {nominal.mean():.5f} -> "
-            f"{robust.mean():.5f}; price on the nominal plant {price:+.2%}"
+            f"  {NAMES[name]:16} handed out: {handed}\n    worst {nominal.max():.5f} -> {robust.max():.5f} {better}, "
+            f"mean {nominal.mean():.5f} -> {robust.mean():.5f}; price on the nominal plant {price:+.2%}"
         )
         worst, over = each.judged["start"].max(), {which: 100.0 * o.max() for which, o in each.overshoots.items()}
         sensitivity = max(m.sensitivity for m in each.margins["start"])
