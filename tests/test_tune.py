@@ -141,6 +141,12 @@ def short_search(monkeypatch):
     monkeypatch.setattr("identification.tune.tune.SHAKES", (0, 0))
 
 
+@pytest.fixture
+def shortest_search(short_search, monkeypatch):
+    """And one round of it."""
+    monkeypatch.setattr("identification.tune.rounds.ROUNDS", 1)
+
+
 def test_the_gains_do_not_depend_on_who_computes_them():
     objective = a_task(SHORT).objective(SPEED_ONLY)
     starts = {"speed_only": [(objective.gains, ("all",)), (0.5 * objective.gains, ("all",))]}
@@ -211,7 +217,7 @@ def vpp(folder, *arguments):
     return cli.main(["tune", "-o", str(folder / "out"), *arguments])
 
 
-def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_search):
+def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, shortest_search):
     (tmp_path / "plant.json").write_text(to_json(KNOWN))
     (tmp_path / "p.csv").write_text(SHORT_CSV)
     (tmp_path / "known.json").write_text(json.dumps(IDENTIFICATION))
@@ -220,14 +226,22 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     assert vpp(tmp_path, *arguments, "--assume", "tau_beta_1=0.15") == 0
     said = capsys.readouterr().out
     assert "through the FMUs: 0 N" in said
+    assert said.count("  2 → 10 N at 0.4 s: settling ") == said.count("  gain margin ") == 2
     content = json.loads((tmp_path / "out" / "tuning.json").read_text())
     assert content["objective"]["assumed"] == {"tau_beta_1": 0.15}
     assert content["objective"]["effects"] == list(EFFECTS)
     assert content["objective"]["measurement"]["noise"] == 0.1
-    for file, name, speed_only in (("gains.json", "dual", 0.0), ("gains_speed_only.json", "speed_only", 1.0)):
+    for file, name, label in (
+        ("gains.json", "dual", "both actuators"),
+        ("gains_speed_only.json", "speed_only", "speed alone"),
+    ):
         gains = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER)
-        assert gains.values["speed_only"] == speed_only
-        told = content["controllers"][name]["tuned"]
+        assert gains.values["speed_only"] == float(name == "speed_only")
+        verdict = content["controllers"][name]["verdict"]["tuned"]
+        assert f"tuned gains, {label}: {'better' if verdict['better'] else 'no better'} (" in said
+        assert [[c["name"] for c in s["changes"]] for s in verdict["steps"]] == [["settling", "overshoot", "ringing"]] * 2
+        assert gains.source["verdict"]["tuned"] == verdict["words"]
+        told = content["controllers"][name][content["controllers"][name]["handed_out"]]
         assert {n: gains.values[n] for n in told["gains"]} == told["gains"]
         assert told["cost"] == pytest.approx(told["squared_error"] + 1e-8 * sum(g**2 for g in told["gains"].values()))
         assert [step["before"] for step in told["steps"]] == [2.0, 10.0]
@@ -247,7 +261,7 @@ def test_a_constant_set_point_has_no_steps_and_may_be_out_of_reach(wanted, point
     assert "speed alone" in tuning_page(found).html()
 
 
-def test_given_gains_bring_limits_and_sampling(tmp_path, short_search):
+def test_given_gains_bring_limits_and_sampling(tmp_path, shortest_search):
     given = ParameterSet(CONTROLLER).replaced({**DUAL, "sample_time": 0.008, "omega_max": 5800.0, "beta_fixed": 9.0})
     (tmp_path / "given.json").write_text(to_json(given))
     (tmp_path / "p.csv").write_text(SHORT_CSV)
@@ -265,7 +279,7 @@ def test_given_gains_bring_limits_and_sampling(tmp_path, short_search):
     [
         (("--assume", "tau=1"), "--assume: found tau=1"),
         (("--assume", "tau_beta_2=fast"), "--assume tau_beta_2: found fast"),
-        (("--assume", "tau_beta_2=-1"), "a number from 0.001 to 3 s"),
+        (("--assume", "tau_beta_2=-1"), "a number from 0.001 to 30 s"),
         (("--delay", "0.1"), "--delay: found 0.1 s"),
         (("--overshoot", "0"), "--overshoot: found 0"),
         (("--draws", "0", "--robust", "worst"), "--draws: found 0"),

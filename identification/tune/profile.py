@@ -1,5 +1,4 @@
-"""What a rig's controllers can reach, and the test signal that they are tuned on: it asks for no thrust that they can't
-give."""
+"""What a rig's controllers can reach, and the signal that they are tuned on: it asks for no thrust that they can't give."""
 
 from collections.abc import Mapping
 from dataclasses import replace

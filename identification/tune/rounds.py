@@ -41,10 +41,10 @@ def rounds(
         best = _best(pending, jobs, workers, scheduler, what)
         for name, each in best.items():
             done[name] = pending[name], each.after(done[name][1]) if name in done else each
-        # From the first gains too: the best may lie where the limits that are added now leave no way out.
-        starts = {name: [(gains, ("all",)) for gains in (each.gains, pending[name].gains)] for name, each in best.items()}
         fuller = {name: _fuller(o, best[name].gains, reserve) for name, o in pending.items()}
         pending = {name: o for name, o in fuller.items() if o is not pending[name]}
+        # Perhaps from the first gains again: the best may lie where the limits that are added now leave no way out.
+        starts = {name: [(min(best[name].gains, o.gains, key=o.penalised), ("all",))] for name, o in pending.items()}
         if not pending:
             break
     if shakes:

@@ -1,7 +1,9 @@
 """Tune the controller for a model: the paper's cost, within limits on overshoot and sensitivity; both actuators, speed alone.
 
-The controller samples, saturates and sees thrust through a converter as on the rig. The result is run again through both
-FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn from the parameters' doubt."""
+The controller samples, saturates and sees thrust through a converter as on the rig, whose ranges are its limits. Gains are
+handed out only if no step settles later, overshoots or rings more than under those that the search starts from, or else these.
+The result is run again through both FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn
+from the parameters' doubt."""
 
 import json
 from collections.abc import Mapping
