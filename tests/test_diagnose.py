@@ -21,6 +21,7 @@ from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis
+from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
@@ -119,7 +120,7 @@ def test_first_screen_says_effect_error_and_verdict(example):
         assert label in tiles
         assert value.split(" ")[0] in tiles
     before, after = example.held_before.rmse_thrust, example.held_after.rmse_thrust
-    assert f"{before:.3f} → {after:.3f} N" in tiles
+    assert f"{number(before)} → {number(after)} N" in tiles
     assert html.index("<h1>") < html.index('class="tiles"') < html.index("<h2")
 
 
@@ -168,9 +169,16 @@ def test_one_record_is_enough_and_its_end_is_kept_unseen():
     assert "not verified" in diagnosis_page(found).html()
 
 
-def test_no_open_loop_record_is_bad_input():
+def test_no_record_is_bad_input():
     with pytest.raises(BadInput, match=r"open_loop\.csv"):
-        diagnose(replace(rig(), open_loop=None), FEW)
+        diagnose(replace(rig(), open_loop=None, repeat=None, validation=None), FEW)
+
+
+def test_a_repeat_alone_is_diagnosed_as_the_open_loop_it_repeats():
+    alone = replace(rig(), open_loop=None, validation=None)
+    found = diagnose(alone, FEW)
+    assert found.campaign.open_loop is alone.repeat
+    assert found.verdict == "none"
 
 
 def test_a_given_model_s_effects_are_part_of_the_base():
