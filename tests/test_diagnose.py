@@ -19,6 +19,7 @@ from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis
+from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
@@ -109,7 +110,7 @@ def test_first_screen_says_effect_error_and_verdict(example):
         assert label in tiles
         assert value.split(" ")[0] in tiles
     (before, _), (after, _) = example.errors(example.base), example.errors(example.final)
-    assert f"{before:.4g} → {after:.4g} N" in tiles
+    assert f"{number(before)} → {number(after)} N" in tiles
     assert html.index("<h1>") < html.index('class="tiles"') < html.index("<h2")
 
 
@@ -197,6 +198,13 @@ def test_the_validation_record_moves_nothing(example):
     found = diagnose(replace(campaign, validation=mirrored), FEW)
     assert found.selection.final.values == example.selection.final.values
     assert found.selection.judgements == example.selection.judgements
+
+
+def test_a_repeat_alone_is_diagnosed_as_the_record_it_would_repeat():
+    alone = replace(rig(), open_loop=None, validation=None)
+    found = diagnose(alone, FEW)
+    assert [one.name for one in found.fitted] == ["repeat"]
+    assert found.verdict == "none"
 
 
 def test_a_given_model_s_effects_are_part_of_the_base():
