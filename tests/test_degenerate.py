@@ -36,6 +36,14 @@ def test_identify_ends_with_its_files_and_names_what_it_does_not_know(name, tmp_
     assert all(not row.outcome.startswith("exit") for row in found)
 
 
+@pytest.mark.parametrize("method", ["gradient-descent", "adjoint"])
+def test_every_method_ends_with_its_files(method, tmp_path):
+    options = {"identify": ("--starts", "2", "--method", method, "--bootstrap", "3")}
+    (found,) = rows(["fixed pitch"], ("identify",), tmp_path, options)
+    assert not found.fault
+    assert "not tau_beta_1, tau_beta_2, c21, c12" in found.outcome
+
+
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_holds_nothing_is_refused_in_a_line(name, tmp_path):
     found = checked([name], ("identify", "diagnose"), tmp_path)

@@ -33,7 +33,8 @@ def compare(first: Record, second: Record) -> Comparison:
     Commands are held from row to row, what is measured runs straight between rows. BadInput: no time or column in common.
     """
     inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
-    names = [n for n in first.columns if n != "time" and n in second and first[n].dtype.kind == "f"]
+    numbers = {n for n in first.columns if n in second and first[n].dtype.kind == second[n].dtype.kind == "f"}
+    names = [n for n in first.columns if n in numbers and n != "time"]
     if inside.sum() < 2 or not names:
         found = "no two times in common" if names else f"columns {', '.join(second.columns)}"
         raise BadInput(second.source, "records", found, f"times and columns that {first.source} has too")

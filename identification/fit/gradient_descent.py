@@ -30,14 +30,14 @@ def descend(
     costs, converged = [], False
     residual = jacobian = None
     while len(costs) < limit:
-        residual, jacobian = problem.evaluate(x)
+        found = coordinates.values(x)
+        residual, own = problem.rows(found)
+        jacobian = own @ coordinates.jacobian(x)
         costs.append(0.5 * float(residual @ residual))
         if len(costs) > 1 and abs(costs[-2] - costs[-1]) < threshold * len(residual):
             converged = True
             break
-        inner = coordinates.jacobian(x)
-        gradient = np.linalg.solve(inner.T, jacobian.T @ residual) / len(residual)
-        values = np.array(list(coordinates.values(x).values())) - rate * gradient
+        values = np.array(list(found.values())) - rate * (own.T @ residual) / len(residual)
         x = coordinates.vector(dict(zip(coordinates.names, np.maximum(values, coordinates.floor), strict=True)))
     active = (x <= coordinates.lower) | (x >= coordinates.upper)
     return Solution(x, residual, jacobian, tuple(costs), len(costs), converged, active)
