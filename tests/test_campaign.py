@@ -80,16 +80,6 @@ def test_a_column_without_a_value_is_none(tmp_path):
     np.testing.assert_array_equal(campaign.open_loop["beta_ref"], [5.0, 6.0, 6.0])
 
 
-def test_some_record_leads(tmp_path):
-    for names, leading in ((ALL, "open_loop"), (("repeat", "validation"), "repeat"), (("validation",), "validation")):
-        folder = tmp_path / leading
-        folder.mkdir()
-        campaign = read_campaign(filled(folder, **{n: ALL[n] for n in names}))
-        assert campaign.leading().open_loop is getattr(campaign, leading)
-    assert campaign.leading().validation is None
-    assert read_campaign(filled(tmp_path, static=STATIC)).leading().open_loop is None
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_one_file_is_enough(tmp_path, name):
     campaign = read_campaign(filled(tmp_path, **{name: ALL[name]}))

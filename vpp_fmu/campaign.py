@@ -3,7 +3,7 @@
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -53,15 +53,6 @@ class Campaign:
     validation: Record | None
     static_raw: Record | None = None
     rig: Rig = field(default_factory=Rig)
-
-    def leading(self) -> "Campaign":
-        """This campaign with a record in the open loop's place where there is one: a repeat that has nothing to repeat, else
-        the validation record."""
-        if self.open_loop is not None:
-            return self
-        if self.repeat is not None:
-            return replace(self, open_loop=self.repeat, repeat=None)
-        return replace(self, open_loop=self.validation, validation=None)
 
     @property
     def missing(self) -> tuple[str, ...]:
