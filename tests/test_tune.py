@@ -225,6 +225,7 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, short_sear
     for file, name, speed_only in (("gains.json", "dual", 0.0), ("gains_speed_only.json", "speed_only", 1.0)):
         gains = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER)
         assert gains.values["speed_only"] == speed_only
+        assert gains.source["parameters"] == {"file": "plant.json", "identity": KNOWN.identity}
         told = content["controllers"][name]["tuned"]
         assert {n: gains.values[n] for n in told["gains"]} == told["gains"]
         assert told["cost"] == pytest.approx(told["squared_error"] + 1e-8 * sum(g**2 for g in told["gains"].values()))
