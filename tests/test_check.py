@@ -244,16 +244,16 @@ def test_identify_and_diagnose_refuse_in_the_same_line(short, tmp_path, capsys):
 
 
 def test_diagnose_fits_what_the_gate_leaves(short, monkeypatch):
-    """The records that a diagnosis splits and fits are those without the clipped rows."""
+    """The records that a diagnosis fits are those without the clipped rows."""
     from identification.diagnose import diagnose as module
 
     class Seen(Exception):
         pass
 
-    def stop(campaign):
+    def stop(campaign, more):
         raise Seen(np.isnan(campaign.open_loop["thrust"]).sum())
 
-    monkeypatch.setattr(module, "_split", stop)
+    monkeypatch.setattr(module, "roles", stop)
     with pytest.raises(Seen) as seen:
         module.diagnose(FAULTS["thrust clipped"].change(short["15 N"], None))
     assert seen.value.args[0] > 50

@@ -16,7 +16,7 @@ REFUSED = {
     "no move at all": "constant in all rows",
     "raw samples that never rest": "steady stretches",
     "steps without a step": "nothing that tells a parameter",
-    "dead load cell": "a sensor that is alive",
+    "dead load cell": "Look at the load cell",
 }
 FEW = {"diagnose": ("--effects", "pitch_delay,sensor_drift"), "identify": ("--starts", "1")}
 """What makes a row quick: a diagnosis among two effects, an identification from one start."""

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from identification.diagnose.report.effect import at_rest
 from identification.diagnose.report.page import diagnosis_page, key_figures
 from identification.diagnose.report.residual import moves
 from identification.diagnose.report.summary import summary
+from identification.worth.information import read_knowledge
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis
@@ -26,7 +28,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.native import Simulator
-from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import read_record, write_record
 
 NOISE = 0.1  # N
@@ -101,6 +103,42 @@ def test_augmented_parameters_export_and_the_fmu_errs_as_reported(example, tmp_p
         error = simulate_in_fmpy(path, validation) - validation["thrust"]
         assert np.sqrt(np.mean(error**2)) == pytest.approx(entries["rmse_thrust"], rel=1e-6)
     assert parameters.model.optional == tuple(e["name"] for e in reported["effects"])
+
+
+def test_files_of_one_folder_speak_of_one_model(example, tmp_path):
+    write_diagnosis(OutputFolder(tmp_path), example)
+    for suffix, other in (("", "_base"), ("_base", "")):
+        file, told = tmp_path / f"parameters{suffix}.json", tmp_path / f"identification{suffix}.json"
+        parameters = read_parameters(file, plant)
+        check_same_model(told, parameters, file)
+        with pytest.raises(BadInput, match=r"parameters.*\.json"):
+            check_same_model(tmp_path / f"identification{other}.json", parameters, file)
+        content = json.loads(told.read_text())
+        assert content["effects"] == list(parameters.model.optional)
+        assert content["noise_floor_thrust"] == pytest.approx(example.noise.floor, rel=0.01)
+        knowledge, _ = read_knowledge(told)
+        assert set(knowledge.names) <= set(content["parameters"])
+    final = json.loads((tmp_path / "identification.json").read_text())
+    (name,) = [n for n in final["parameters"] if n.startswith("pitch_command_deadband.")]
+    assert final["parameters"][name]["interval_from"] == "scan"
+    reported = json.loads((tmp_path / "diagnosis.json").read_text())["after"]
+    by_file = {Path(entry["record"]).name.partition(".")[0]: entry["rmse_thrust"] for entry in reported}
+    assert {n: final["rmse_thrust"][n] for n in by_file} == by_file
+    estimates = read_parameters(tmp_path / "parameters.json", plant).estimates
+    written = {n: estimates[n].std for n in final["parameters"]}
+    assert {n: entry["std"] for n, entry in final["parameters"].items()} == pytest.approx(written)
+
+
+def test_a_model_that_was_given_is_what_the_new_one_descends_from(tmp_path):
+    campaign, name = rig(**{"pitch_backlash.half_gap": 1.0}), "pitch_backlash"
+    given = ParameterSet(plant([name])).replaced(TRUTH | {f"{name}.half_gap": 0.7})
+    found = diagnose(campaign, some("sensor_lag", name), given=given)
+    write_diagnosis(OutputFolder(tmp_path), found, given="before/given.json")
+    for suffix in ("", "_base"):
+        file = tmp_path / f"parameters{suffix}.json"
+        written = read_parameters(file, plant)
+        assert written.source["descends"] == {"file": "given.json", "identity": given.identity}
+        check_same_model(tmp_path / f"identification{suffix}.json", written, file)
 
 
 def test_first_screen_says_effect_error_and_verdict(example):

@@ -359,9 +359,9 @@ def test_what_is_refused_is_said(fmus, what, name):
         assert word in said
 
 
-@pytest.mark.parametrize("value", [3.5, 0.0, -1.0])
+@pytest.mark.parametrize("value", [35.0, 0.0, -1.0])
 def test_a_parameter_out_of_range_is_refused_by_name(fmus, value):
-    with pytest.raises(SimulationFailed, match=f"tau_omega_1 is {value} s, allowed is 0.001 to 3.0 s"):
+    with pytest.raises(SimulationFailed, match=f"tau_omega_1 is {value} s, allowed is 0.001 to 30.0 s"):
         FmuInstance(fmus["plain"], ["omega_ref"], ["thrust"], {"tau_omega_1": value}).start([0.0])
 
 

@@ -237,6 +237,7 @@ def test_the_command_writes_gains_that_export_takes(tmp_path, capsys, shortest_s
     ):
         gains = read_parameters(tmp_path / "out" / file, lambda _: CONTROLLER)
         assert gains.values["speed_only"] == float(name == "speed_only")
+        assert gains.source["parameters"] == {"file": "plant.json", "identity": KNOWN.identity}
         verdict = content["controllers"][name]["verdict"]["tuned"]
         assert f"tuned gains, {label}: {'better' if verdict['better'] else 'no better'} (" in said
         assert [[c["name"] for c in s["changes"]] for s in verdict["steps"]] == [["settling", "overshoot", "ringing"]] * 2

@@ -56,8 +56,8 @@ def folds(time: np.ndarray, seconds: float) -> np.ndarray:
 
 def cross_validated(fit: Fit) -> Held:
     """The fit's residuals in each fold, predicted from the other folds."""
-    evidence, jacobian = fit.evidence, fit.solution.jacobian
-    residuals = [fit.solution.residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
+    evidence, (residual, jacobian) = fit.evidence, fit.tangent()
+    residuals = [residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
     size, held = evidence.size, np.empty(evidence.size)
     fold_of = np.concatenate([folds(time, seconds) for time, seconds in evidence.times])
     moves = []
@@ -95,9 +95,9 @@ def _errors(fit: Fit, moves: list[np.ndarray]) -> tuple[tuple[np.ndarray, ...], 
     thrust, omega = [], []
     for e in evidence.experiments:
         outputs, tangents = simulator.sensitivities(fit.values, e.record.columns, e.record.steps)
-        by_fold = np.stack([inner @ move for move in moves])
-        fold = folds(e.record.time, e.record.time[-1])
-        predicted = outputs[:, :2] + np.einsum("nck,nk->nc", tangents[:, :2], by_fold[fold])
+        fold, predicted = folds(e.record.time, e.record.time[-1]), outputs[:, :2].copy()
+        for k, move in enumerate(moves):
+            predicted[fold == k] += tangents[fold == k, :2] @ (inner @ move)
         thrust.append(predicted[:, 0] - e.thrust_rows)
         shown = [t.shows(predicted[:, 1]) - t.measured for t in e.tachometers]
         omega.append(np.concatenate(shown) if shown else np.zeros(0))

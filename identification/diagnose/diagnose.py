@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from identification.diagnose.crossval import Held
 from identification.diagnose.distinguish import Distinguishability, distinguishability
-from identification.diagnose.evidence.noise import BLOCKS_A_TIME, Noise, noise_from
+from identification.diagnose.evidence.noise import BLOCKS_A_TIME, Noise, blocks, noise_from
 from identification.diagnose.evidence.whitened import Experiment
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
@@ -280,11 +280,12 @@ def _noise(groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
     heard = [_heard(one.record, outputs[:, 1]) for one in group]
     if len(group) < 2:
-        errors = [beyond(thrust_shapes(values, group[0].record, outputs), errors[0])]
+        record = group[0].record
+        errors = [beyond(lambda: thrust_shapes(values, record, outputs), blocks(record, block).mean, errors[0])]
         sensor, residual = heard[0]
         if len(residual):
-            shapes = sensor.shows(speed_shapes(values, group[0].record, outputs)) / sensor.std[:, None]
-            residual = beyond(shapes, residual)
+            heard_shapes = lambda: (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
+            residual = beyond(heard_shapes, lambda readings: readings, residual)
         return noise_from(group[0].record, errors, [residual], block, SLOW, verified=False)
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]

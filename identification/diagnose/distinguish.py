@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.kernel.plant import plant
@@ -49,7 +48,7 @@ def distinguishability(
     base: Fit, options: Sequence[Candidate], library: Iterable[Effect], spread: Callable = map
 ) -> Distinguishability:
     """Traces of all candidates at their probe sizes. `spread` maps a function over candidates, as `map` does."""
-    about, library = Linearised.of(base.evidence, base.solution), tuple(library)
+    about, library = base.linearised(), tuple(library)
 
     def trace(candidate: Candidate) -> np.ndarray:
         effect = candidate.effect

@@ -7,7 +7,7 @@ Transitions, 1996, chapter 2), and what a drive does late or not at all is a fun
 as they are and lagged, and a warming rig's trends, span what such forms leave.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -15,7 +15,6 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.search.fits import Fit
 from identification.identify import slowest
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
@@ -47,23 +46,26 @@ class Following:
 
 def following(fit: Fit) -> Following:
     """How far the thrust residual of a fit follows the commands still, beyond what its parameters could take up."""
-    evidence, about, rows = fit.evidence, Linearised.of(fit.evidence, fit.solution), []
+    evidence, about, rows = fit.evidence, fit.linearised(), []
     simulator = Simulator(evidence.model)
     for e in evidence.experiments:
         outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
-        rows.append(e.thrust_columns(thrust_shapes(fit.values, e.record, outputs)))
-    thrust = np.vstack(rows) / evidence.scale["thrust"]
-    columns = np.zeros((evidence.size, thrust.shape[1]))
-    columns[: len(thrust)] = thrust  # speed's rows come after
-    columns = np.column_stack([about.apart(c) for c in columns.T])
-    columns /= np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    directions, size, _ = np.linalg.svd(columns, full_matrices=False)
-    directions = directions[:, size > DEPENDENT * size[0]]
-    return Following(0.5 * float(np.sum((directions.T @ about.residual) ** 2 - 1.0)), directions.shape[1])
+        # One after the other: side by side the shapes of a long record would be the largest thing in memory.
+        rows.append(np.stack([e.thrust_residual_of(s) for s in thrust_shapes(fit.values, e.record, outputs)]))
+    thrust = np.hstack(rows) / evidence.scale["thrust"]
+    columns = np.zeros((len(thrust), evidence.size))
+    columns[:, : thrust.shape[1]] = thrust  # speed's rows come after
+    for column in columns:
+        column[:] = about.apart(column)
+        column /= max(float(np.linalg.norm(column)), np.finfo(float).tiny)
+    power, directions = np.linalg.eigh(columns @ columns.T)
+    kept = power > DEPENDENT**2 * power[-1]
+    score = (directions.T @ (columns @ about.residual))[kept] / np.sqrt(power[kept])
+    return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
 
 
-def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> np.ndarray:
-    """(rows, columns) N: what a change of pitch or of speed in these forms would do to the thrust, and trends in time.
+def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:
+    """Each (rows,) N: what a change of pitch or of speed in these forms would do to the thrust, and trends in time.
 
     `outputs` (rows, 3): thrust, speed and pitch of a model at `values`.
     """
@@ -76,29 +78,37 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
     )
     step, takes = float(np.median(record.steps)), slowest(values, values)
     lags = [share * takes for share in LAGS]
-    shapes = [to_pitch * _lagged(s, lag, step) for s in _shapes(record["beta_ref"], pitch, step) for lag in lags]
-    shapes += [to_speed * _lagged(s, lag, step) for s in _shapes(record["omega_ref"], speed, step) for lag in lags]
+    for slope, u, output in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
+        for shape in _shapes(record[f"{u}_ref"], output, step):
+            yield from (slope * _lagged(shape, lag, step) for lag in lags)
     since = record.time / record.time[-1]
-    return np.column_stack([*shapes, since, since**2, since * thrust])
+    yield from (since, since**2, since * thrust)
 
 
-def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> np.ndarray:
-    """(rows, columns) rpm: the same for the speed: its own forms, what pitch and its rate do to it, levels and trends."""
+def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:
+    """Each (rows,) rpm: the same for the speed: its own forms, what pitch and its rate do to it, levels and trends."""
     _, speed, pitch = outputs.T
     step, takes = float(np.median(record.steps)), slowest(values, values)
     rate, since = np.gradient(pitch, step), record.time / record.time[-1]
-    driven = [*_shapes(record["omega_ref"], speed, step), rate, np.abs(rate)]
-    levels = [np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)), since]
-    return np.column_stack([_lagged(s, share * takes, step) for s in driven for share in LAGS] + levels)
+    for shape in (*_shapes(record["omega_ref"], speed, step), rate, np.abs(rate)):
+        yield from (_lagged(shape, share * takes, step) for share in LAGS)
+    yield from (np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)), since)
 
 
-def beyond(columns: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """What of a residual (rows,) shapes (rows, columns) do not take up; NaN where it was not measured."""
-    seen = np.isfinite(residual)
-    size = np.linalg.norm(columns[seen], axis=0)
-    scaled = columns / np.where(size > 0.0, size, 1.0)
-    shares, *_ = np.linalg.lstsq(scaled[seen], residual[seen], rcond=1e-6)
-    return residual - scaled @ shares
+def beyond(
+    shapes: Callable[[], Iterator[np.ndarray]], mean: Callable[[np.ndarray], np.ndarray], residual: np.ndarray
+) -> np.ndarray:
+    """What of a residual (rows,) shapes, each (rows,), do not take up; NaN where it was not measured.
+
+    Their shares are fitted to what `mean` makes of rows: block means, in which a long record's shapes are small.
+    """
+    target = mean(residual)
+    seen = np.isfinite(target)
+    columns = np.stack([mean(shape)[seen] for shape in shapes()])
+    size = np.linalg.norm(columns, axis=1)
+    size = np.where(size > 0.0, size, 1.0)
+    shares, *_ = np.linalg.lstsq((columns / size[:, None]).T, target[seen], rcond=1e-6)
+    return residual - sum(share * shape for share, shape in zip(shares / size, shapes(), strict=True))
 
 
 def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ def uncertainty_of(fit: Fit, renamed: Mapping[str, str]) -> tuple[Uncertainty, l
     """
     coordinates = fit.evidence.coordinates
     free = np.flatnonzero(~fit.solution.active)
-    columns = fit.solution.jacobian[:, free]
+    columns = fit.tangent()[1][:, free]
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     told, axes = np.linalg.eigh((columns / size).T @ (columns / size))

@@ -141,6 +141,10 @@ class Problem:
             residual[self.size :], jacobian[self.size :] = self.prior.rows(found, names)
         return residual, jacobian
 
+    def release(self) -> None:
+        """Give back what `rows` keeps of the last evaluation: as much as all records' sensitivities."""
+        self._work = None
+
     def solve(self, start: Mapping[str, float]) -> Solution:
         """Fit from `start` under the present weights."""
         coordinates = self.coordinates

@@ -109,6 +109,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
         found += [problem.solve(at) for at in _random_starts(problem, values, starts - 1, seed)]
     best = min(found, key=lambda solution: solution.cost)
     final = values | problem.coordinates.values(best.value)
+    problem.release()
     return Refinement(
         problem=problem,
         solution=best,

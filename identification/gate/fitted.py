@@ -107,7 +107,8 @@ def _thin(found: Refinement, where: str, rig: Rig) -> Iterator[Finding]:
         omega, beta = (m.ravel() for m in np.meshgrid(np.linspace(*rig.speed, 5), np.linspace(*rig.pitch, 5)))
         a = design(omega, beta, found.values)
         std = np.sqrt(np.einsum("ni,ij,nj->n", a, known.covariance[np.ix_(at, at)], a))
-        share, k = float(std.max() / np.abs(a @ [found.values[n] for n in TERMS]).max()), int(np.argmax(std))
+        largest, k = float(np.abs(a @ [found.values[n] for n in TERMS]).max()), int(np.argmax(std))
+        share = float(std[k]) / largest if largest > 0.0 else 0.0  # a map of nothing is known to be one
         if share > MAP_KNOWN:
             size = std[k] * found.values["thrust_scale"]
             there = f"thrust at {omega[k]:.4g} rpm and {beta[k]:.3g} deg"

@@ -290,9 +290,9 @@ def annotated(columns: Columns, size: Size, rng: np.random.Generator) -> Columns
 
 
 def noiseless(files: Files, size: Size, rng: np.random.Generator) -> Files:
-    """The plant's own response to the last bit that a file holds."""
-    found = dict(files)
-    for name in LONG:
+    """The plant's own response to the last bit that a file holds; a repeat of it would be a copy."""
+    found = {name: file for name, file in files.items() if name != "repeat"}
+    for name in set(LONG) & set(found):
         found[name] = measured(size, {n: files[name][n] for n in ("time", "omega_ref", "beta_ref")}, rng, 0.0)
     exact = {n: files["static"][n] for n in ("omega_ref", "beta_ref")}
     thrust = [

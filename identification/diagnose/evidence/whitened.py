@@ -65,7 +65,11 @@ class Experiment:
 
     def thrust_columns(self, tangents: np.ndarray) -> np.ndarray:
         """Whitened sensitivities (n, k) from those of thrust (rows, k)."""
-        return self._white(self._blocks.mean(self._where_measured(tangents)))
+        return self.thrust_residual_of(tangents)
+
+    def thrust_residual_of(self, change: np.ndarray) -> np.ndarray:
+        """Whitened change of the residual (n,) for a change of the thrust (rows,) N."""
+        return self._white(self._blocks.mean(self._where_measured(change)))
 
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened predicted less measured speed (n,), from speed (rows,) rpm."""

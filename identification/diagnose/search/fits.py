@@ -5,10 +5,11 @@ already bent towards what is missing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
 from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.least_squares import Solution
@@ -25,9 +26,15 @@ UNTOLD = 1e-10
 """Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
 
 
+NOTHING = np.zeros(0)
+
+
 @dataclass(frozen=True)
 class Fit:
     """A fitted model: effects, forms and values, its solution and its score on the records it was fitted to.
+
+    A search keeps dozens of fits, and residual and Jacobian of one are as long as the records: they are left out of `solution`,
+    and `tangent` makes them anew.
 
     `thresholds`: parameters with a piecewise constant cost, found by scanning, with the interval in which the cost stays
     within the 95 % level. `idle`: some of the effects' parameters said nothing, so that a simpler effect would do the same.
@@ -43,6 +50,14 @@ class Fit:
     score: Score
     thresholds: Mapping[str, tuple[float, float]]
     idle: bool
+
+    def tangent(self) -> tuple[np.ndarray, np.ndarray]:
+        """(residual, Jacobian) at the solution, as `Evidence.evaluate`."""
+        return self.evidence.evaluate(self.solution.value)
+
+    def linearised(self) -> Linearised:
+        """The model whose smooth parameters may move from the solution along straight lines."""
+        return Linearised(self.evidence, self.solution.value, *self.tangent())
 
     @property
     def at_limit(self) -> tuple[str, ...]:
@@ -111,22 +126,12 @@ class Searcher:
         found = evidence.values | evidence.coordinates.values(solution.value)
         score = evidence.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
+        solution = replace(solution, residual=NOTHING, jacobian=NOTHING)
         return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, bool(idle))
 
     def bent(self, fit: Fit) -> bool:
         """Whether what is missing is so large that the base, fitted without it, has bent towards it."""
         return not fit.effects and self.lacking > BENT * fit.score.counts["thrust"]
-
-    def standing(self, values: Mapping[str, float]) -> Fit:
-        """The base model at given values, nothing fitted."""
-        model = plant((), self.library)
-        values = model.values({k: v for k, v in values.items() if k in model.values()})
-        evidence = Evidence(model, self.experiments, values, self.names, self.prior)
-        x = evidence.coordinates.vector(values)
-        residual, jacobian = evidence.evaluate(x)
-        cost = 0.5 * float(residual @ residual)
-        solution = Solution(x, residual, jacobian, (cost,), 1, True, np.zeros(len(x), bool))
-        return Fit((), {}, (), {}, values, evidence, solution, evidence.score_of(residual), {}, False)
 
     def _unreached(self, model, values, name) -> bool:
         """Whether the fitted records come out the same to the bit with the parameter at off."""

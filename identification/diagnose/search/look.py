@@ -52,7 +52,7 @@ class Looks:
 
     def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], bent: bool):
         library, evidence = tuple(library), fit.evidence
-        about = Linearised.of(evidence, fit.solution)
+        about = fit.linearised()
         cost = 0.5 * float(about.residual @ about.residual)
         self._looks = [(_Look(about, cost, fit.effects, library), fit.slow_first)]
         if bent:

@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 
-from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.judgement import REFITTED, STRONG
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
@@ -138,7 +137,7 @@ def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
     axes = {n: [candidate.off[n], *candidate.axis(n)] for n in candidate.sizes if fit.values[n] == candidate.off[n]}
     if not axes or len(candidate.sizes) == 1:
         return fit
-    about, simulator = Linearised.of(fit.evidence, fit.solution), Simulator(fit.evidence.model)
+    about, simulator = fit.linearised(), Simulator(fit.evidence.model)
     points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
     costs = [about.cost(simulator, point) for point in points]
     if costs[0] - min(costs) < 1.0:  # the first is the fit as it is
