@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 from studies.crippled import CASES
 from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, valid
 
+from identification.diagnose.evidence.noise import noise_of
 from vpp_fmu.cli import VERBS
+from vpp_fmu.record import Record
 
 IDENTIFIED = (
     *("fixed pitch", "one move only", "static map only", "steps only", "raw steady samples only", "validation only"),
@@ -60,6 +63,16 @@ def test_diagnose_ends_with_its_files_or_a_line(name, tmp_path):
     )
 
 
+def test_readings_that_repeat_to_the_last_digit_have_the_noise_of_that_digit():
+    time = np.arange(1000) * 0.004
+    thrust = np.round(5.0 + np.sin(time), 2)
+    record = Record({"time": time, "omega_ref": time, "beta_ref": time, "thrust": thrust}, "made up")
+    noise = noise_of(record, record)
+    assert noise.floor == pytest.approx(0.01 / np.sqrt(12.0))
+    assert np.isfinite(noise.whiten(np.linspace(0.0, 1.0, 50))).all()
+    assert noise.slow > 0.0
+
+
 def test_the_table_has_rows_enough_and_knows_its_verbs():
     assert len(CASES) >= 25
     assert set(NEEDED) - {"check"} <= set(VERBS)
@@ -83,8 +96,6 @@ def test_the_table_sees_what_is_wrong(tmp_path, monkeypatch, capsys):
         raise KeyError("thrust")
 
     def warns(folder):
-        import numpy as np
-
         return int(np.nanmean([np.nan]))
 
     def nan(folder):

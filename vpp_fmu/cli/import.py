@@ -11,6 +11,7 @@ import numpy as np
 from identification.stand.rcbenchmark import REMEMBERED, Log, read_log
 from identification.stand.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.record import QUANTITIES, Record, RecordWarning, write_record
@@ -127,8 +128,8 @@ def said_of_thrust(figures: dict) -> list[str]:
         )
     if tare:
         lines[2] = (
-            f"tare: {tare['mean']:+.4f} N taken off, the mean of {tare['readings']} readings at rest "
-            f"(spread {tare['spread']:.3f} N)"
+            f"tare: {signed(tare['mean'])} N taken off, the mean of {tare['readings']} readings at rest "
+            f"(spread {number(tare['spread'])} N)"
         )
     return lines
 
