@@ -7,7 +7,7 @@ import pytest
 from studies.crippled import CASES
 from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, valid
 
-from identification.diagnose.evidence.noise import noise_of
+from identification.diagnose.evidence.noise import noise_from
 from vpp_fmu.cli import VERBS
 from vpp_fmu.record import Record
 
@@ -67,9 +67,9 @@ def test_readings_that_repeat_to_the_last_digit_have_the_noise_of_that_digit():
     time = np.arange(1000) * 0.004
     thrust = np.round(5.0 + np.sin(time), 2)
     record = Record({"time": time, "omega_ref": time, "beta_ref": time, "thrust": thrust}, "made up")
-    noise = noise_of(record, record)
+    noise = noise_from(record, [np.zeros(1000)] * 2, [], 0.016, 10.0, verified=True)
     assert noise.floor == pytest.approx(0.01 / np.sqrt(12.0))
-    assert np.isfinite(noise.whiten(np.linspace(0.0, 1.0, 50))).all()
+    assert np.isfinite(noise.colour.whiten(np.linspace(0.0, 1.0, 50))).all()
     assert noise.slow > 0.0
 
 

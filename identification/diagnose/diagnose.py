@@ -1,6 +1,6 @@
 """Close the loop: residual, missing effect, augmented model, error before and after."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -284,7 +284,10 @@ def _noise(groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str
         errors = [beyond(lambda: thrust_shapes(values, record, outputs), blocks(record, block).mean, errors[0])]
         sensor, residual = heard[0]
         if len(residual):
-            heard_shapes = lambda: (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
+
+            def heard_shapes() -> Iterator[np.ndarray]:
+                return (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
+
             residual = beyond(heard_shapes, lambda readings: readings, residual)
         return noise_from(group[0].record, errors, [residual], block, SLOW, verified=False)
     share = np.sqrt(len(group) / (len(group) - 1.0))

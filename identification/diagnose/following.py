@@ -55,9 +55,9 @@ def following(fit: Fit) -> Following:
     thrust = np.hstack(rows) / evidence.scale["thrust"]
     columns = np.zeros((len(thrust), evidence.size))
     columns[:, : thrust.shape[1]] = thrust  # speed's rows come after
-    for column in columns:
-        column[:] = about.apart(column)
-        column /= max(float(np.linalg.norm(column)), np.finfo(float).tiny)
+    for k in range(len(columns)):
+        left = about.apart(columns[k])
+        columns[k] = left / max(float(np.linalg.norm(left)), np.finfo(float).tiny)
     power, directions = np.linalg.eigh(columns @ columns.T)
     kept = power > DEPENDENT**2 * power[-1]
     score = (directions.T @ (columns @ about.residual))[kept] / np.sqrt(power[kept])
