@@ -56,7 +56,7 @@ NEEDED = {
     "plan": ("plan.csv", "plan.json", "report.html"),
     "export": ("VppPlant.fmu", "VppController.fmu"),
     "cosim": ("run.csv", "report.html"),
-    "tune": ("gains.json", "gains_speed_only.json", "tuning.json", "report.html"),
+    "tune": ("tuning.json", "report.html"),
 }
 """Files without which a verb has not done its job."""
 
@@ -179,7 +179,8 @@ def _following(name: str, case: Case, verbs: Sequence[str], home: Path) -> Itera
         calls["compare"] = [str(record), str(home / "simulate" / "prediction.csv")]
     if name in FOLLOWED:
         known = ["--knowledge", str(home / "identify" / "identification.json")]
-        calls["plan"] = [*given, *known, "--seconds", f"{5.0 * SIZES[case.size].slowness:g}"]
+        told = json.loads((home / "identify" / "parameters.json").read_text())["source"]["rig"]["scales"]["time_scale"]
+        calls["plan"] = [*given, *known, "--seconds", f"{20.0 * told:g}"]
         calls["export"] = given
         fmus = [str(home / "export" / f"Vpp{part}.fmu") for part in ("Plant", "Controller")]
         calls["cosim"] = [*fmus, "--profile", str(_profile(case, home)), "--step", "0.01"]
@@ -188,7 +189,17 @@ def _following(name: str, case: Case, verbs: Sequence[str], home: Path) -> Itera
     for verb, arguments in calls.items():
         if verb in verbs:
             row = judged(verb, name, arguments, home / verb)
+            if verb == "tune" and not row.fault:
+                row = tuned(row, home / verb)
             yield replace(row, fault=row.fault or "refuses what identify wrote") if row.outcome.startswith("exit") else row
+
+
+def tuned(row: Row, out: Path) -> Row:
+    """The same; a fault where gains are missing and nothing says why."""
+    left_out = json.loads((out / "tuning.json").read_text())["left_out"]
+    files = {"dual": "gains.json", "speed_only": "gains_speed_only.json"}
+    missing = [file for name, file in files.items() if name not in left_out and not (out / file).exists()]
+    return replace(row, fault=f"no {', '.join(missing)}") if missing else row
 
 
 def _profile(case: Case, home: Path) -> Path:
