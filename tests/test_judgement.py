@@ -72,7 +72,7 @@ def fit_of(residual, jacobian, time, thresholds=()):
         score_of=lambda r: SimpleNamespace(squares={"thrust": float(r @ r)}, counts={"thrust": len(r)}),
     )
     return SimpleNamespace(
-        evidence=evidence, solution=SimpleNamespace(residual=left, jacobian=jacobian, value=solution), thresholds={}, values={}
+        evidence=evidence, solution=SimpleNamespace(value=solution), thresholds={}, values={}, tangent=lambda: (left, jacobian)
     )
 
 

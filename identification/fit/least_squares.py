@@ -5,7 +5,7 @@ more than the model itself. Here the rows are only summed, and the linear algebr
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,10 @@ class Solution:
     evaluations: int
     converged: bool
     active: np.ndarray
+
+    def slim(self) -> "Solution":
+        """The same without residual and Jacobian, which are as long as the data."""
+        return replace(self, residual=np.zeros(0), jacobian=np.zeros((0, len(self.value))))
 
     @property
     def cost(self) -> float:

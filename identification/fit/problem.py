@@ -153,12 +153,13 @@ class Problem:
     def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
         """Fit from `start`, and weigh the channels by what the fit leaves in them, until the two agree.
 
-        All fits, the last is the result; each has its own weights, so their costs do not compare.
+        All fits, the last is the result, the others are slim; each has its own weights, so their costs do not compare.
         """
         found = [self.solve(start)]
         if len(self.std) > 1 or self.prior is not None:
             for _ in range(REWEIGHTS):
                 self.weigh(found[-1].residual)
+                found[-1] = found[-1].slim()
                 found.append(self.solve(self.coordinates.values(found[-1].value)))
         return found
 

@@ -102,12 +102,14 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     problem = kind(model, records, values, free, prior, channels) if why else trial
     cost_start = paper_cost(problem, values)
     if method == "gradient-descent":
-        rounds = found = [descend(problem, problem.coordinates.vector(values))]
+        rounds = [descend(problem, problem.coordinates.vector(values))]
     else:
         rounds = problem.solve_and_weigh(values)
-        found = [rounds[-1]]
-        found += [problem.solve(at) for at in _random_starts(problem, values, starts - 1, seed)]
-    best = min(found, key=lambda solution: solution.cost)
+    best, found = rounds[-1], [rounds[-1].slim()]
+    for at in _random_starts(problem, values, starts - 1, seed):
+        one = problem.solve(at)
+        best = min(best, one, key=lambda solution: solution.cost)
+        found.append(one.slim())
     final = values | problem.coordinates.values(best.value)
     problem.release()
     return Refinement(

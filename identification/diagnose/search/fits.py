@@ -5,7 +5,7 @@ already bent towards what is missing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,9 +24,6 @@ a quarter of the residual's power, 1 - exp(-2 BENT)."""
 
 UNTOLD = 1e-10
 """Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
-
-
-NOTHING = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -126,8 +123,9 @@ class Searcher:
         found = evidence.values | evidence.coordinates.values(solution.value)
         score = evidence.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
-        solution = replace(solution, residual=NOTHING, jacobian=NOTHING)
-        return Fit(tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution, score, intervals, bool(idle))
+        return Fit(
+            tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution.slim(), score, intervals, bool(idle)
+        )
 
     def bent(self, fit: Fit) -> bool:
         """Whether what is missing is so large that the base, fitted without it, has bent towards it."""
