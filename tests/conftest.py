@@ -1,6 +1,7 @@
 """FMUs and long runs, each made once a session."""
 
 import os
+import signal
 import sys
 
 import numpy as np
@@ -13,6 +14,13 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
+
+
+def pytest_configure(config):
+    """A run in the background ignores these signals, and so would every process that a test starts and stops."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")
