@@ -148,7 +148,7 @@ FACTORS: dict[str, Callable[[dict], object]] = {
     "records": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("repeat", "validation")),
     "start": lambda c: ", ".join(f"{'' if c['factors'][n] else 'no '}{n}" for n in ("static", "steps")),
     "vibration": lambda c: "in phase" if c["factors"]["locked"] else "free",
-    "strength": lambda c: _band(c["factors"]["strength"], (1 / 3, 2 / 3), ""),
+    "strength": lambda c: _band(c["factors"]["strength"], (1 / 3, 2 / 3), "") if c["hidden"] else "",
     "evidence": lambda c: _band(c["evidence"], (LIMIT, 100.0, 1000.0), "") if c["hidden"] else "",
 }
 
