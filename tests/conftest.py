@@ -14,6 +14,7 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
+from vpp_fmu.scratch import remove_scratch
 
 
 def pytest_configure(config):
@@ -77,6 +78,7 @@ def pytest_sessionfinish(session, exitstatus):
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
     """Leave without tearing the interpreter down: pythonfmu's wrapper crashes in that where many FMUs were loaded."""
+    remove_scratch()
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(getattr(config, "verdict", 1))

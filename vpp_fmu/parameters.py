@@ -92,7 +92,7 @@ def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str 
         content = json.loads(read_text(path))
         effects = content.get("effects", list(parameters.model.optional))
         fitted = {name: entry["value"] for name, entry in content.get("parameters", {}).items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadInput(path, "parameters", f"{type(error).__name__} {error}", "an identification.json") from error
     if set(effects) != set(parameters.model.optional):
         raise BadInput(path, "effects", _listed(effects), f"{_listed(parameters.model.optional)}, the model of {of}")

@@ -8,6 +8,7 @@ process itself.
 import contextlib
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -83,10 +84,10 @@ def unbroken() -> Iterator[None]:
 @contextlib.contextmanager
 def _watched(verb: str, numbers, stop) -> Iterator[None]:
     """A thread that ends the process where the main thread does not within GRACE of a signal."""
-    ended, (heard, tell) = threading.Event(), os.pipe()
+    ended, (heard, tell) = threading.Event(), socket.socketpair()  # not a pipe: Windows wants a socket
 
     def watch():
-        while byte := os.read(heard, 1):
+        while byte := heard.recv(1):
             ours = byte[0] in numbers and signal.getsignal(byte[0]) in (stop, signal.SIG_IGN)  # a rig in use has its own
             if ours and not ended.wait(GRACE):
                 remove_scratch()
@@ -94,8 +95,8 @@ def _watched(verb: str, numbers, stop) -> Iterator[None]:
                 print(said(verb, why), file=sys.stderr, flush=True)
                 os._exit(why.code)
 
-    os.set_blocking(tell, False)
-    earlier = signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
+    tell.setblocking(False)
+    earlier = signal.set_wakeup_fd(tell.fileno(), warn_on_full_buffer=False)
     thread = threading.Thread(target=watch, name="stopping", daemon=True)
     thread.start()
     try:
@@ -103,6 +104,6 @@ def _watched(verb: str, numbers, stop) -> Iterator[None]:
     finally:
         ended.set()
         signal.set_wakeup_fd(earlier)
-        os.close(tell)
+        tell.close()
         thread.join()
-        os.close(heard)
+        heard.close()

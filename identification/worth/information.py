@@ -153,7 +153,7 @@ def read_knowledge(path: str | os.PathLike) -> tuple[Prior, float]:
         inflation = [float(x) for x in content.get("inflation_by_coloured_residuals", {}).values()] or [1.0]
     except json.JSONDecodeError as error:
         raise BadInput(path, f"line {error.lineno}", f"no JSON ({error.msg})", allowed) from error
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise BadInput(path, "parameters, correlation", f"{type(error).__name__} {error}", allowed) from error
     told = np.flatnonzero(std > 0)
     covariance = correlation[np.ix_(told, told)] * np.outer(std[told], std[told])

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.scratch import Scratch
 
 FLAGS = ("-std=c11", "-O1", "-fPIC", "-shared", "-ffp-contract=off", "-w")
 """-O1 runs such straight lines as fast as -O2 and compiles them in two thirds of the time. No contraction into fused
@@ -48,5 +49,11 @@ def cache_folder() -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="vpp-fmu-"))
+        return _own().path
     return folder
+
+
+@cache
+def _own() -> Scratch:
+    """Goes with the process."""
+    return Scratch()
