@@ -107,6 +107,8 @@ def test_code_that_never_comes_back_is_ended_all_the_same(tmp_path):
     with subprocess.Popen([sys.executable, "-c", HANGS], env=environment, text=True, **pipes) as process:
         assert process.stdout.readline() == "ready\n"
         assert len(os.listdir(tmp_path)) == 1
+        while Path(f"/proc/{process.pid}/stat").read_text().rpartition(") ")[2][0] != "S":
+            pass  # it has said so, and is on its way into the lock, where it sleeps
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate()
     assert process.returncode == 143
