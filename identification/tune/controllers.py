@@ -15,10 +15,13 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.parameters import ParameterSet
-from vpp_fmu.rig import PAPERS_SIZE, rounded
+from vpp_fmu.rig import ASSUMED, PAPERS_SIZE, Rig, rounded
 
 CHANNELS = {"omega": "speed", "beta": "pitch"}
-"""What each channel moves."""
+"""What each channel moves, as the rig calls it."""
+
+POWERS = {"kp_": 0.0, "ki_": -1.0, "kd_": 1.0}
+"""Of r, by which a gain goes."""
 
 DESIGNED = {
     "omega": FINE_TUNED["tau_omega_1"] + FINE_TUNED["tau_omega_2"],
@@ -35,12 +38,13 @@ Systems), and a well tuned loop rises about as fast as its plant; more than the 
 class Controllers:
     """`settings`: all values of each controller that the rig can have, "dual" and "speed_only"; `left_out`: why not the others.
 
-    `reference`: what the gains that they start from are called.
+    `reference`: what the gains that they start from are called; `scaled`: whether these are the published ones at another pace.
     """
 
     settings: Mapping[str, Mapping[str, float]]
     left_out: Mapping[str, str]
     reference: str
+    scaled: bool
 
 
 def controllers(
@@ -48,8 +52,8 @@ def controllers(
 ) -> Controllers:
     """The controllers for the rig and the plant of `parameters`.
 
-    `given`: a controller's own values instead, within the rig's range (BadInput); scales are always the plant's.
-    `sample_time` s: None for the given one, else what the rig needs. `source`: where the given ones are from, for the error.
+    `given`: a controller's own values instead, within the rig's range; scales are always the plant's. `sample_time` s: None for
+    the given one, else what the plant needs. BadInput names `source` where given limits leave the rig's.
     """
     rig, plant = parameters.rig, parameters.values
     moved = {u: low < high for u, (low, high) in zip(CHANNELS, (rig.speed, rig.pitch), strict=True)}
@@ -58,30 +62,36 @@ def controllers(
         raise BadInput("the rig", "speed, pitch", text, "a range of one of them, for a controller to move in")
     lags = {u: plant[f"tau_{u}_1"] + plant[f"tau_{u}_2"] for u in CHANNELS if moved[u]}
     slower = {u: lag / DESIGNED[u] for u, lag in lags.items()}
-    ours = all(1.0 / PAPERS_SIZE <= r <= PAPERS_SIZE for r in slower.values())
-    base = CONTROLLER.sized(rig.scales).values()
-    own = {"sample_time": sampling(min(lags.values()), base["sample_time"])}
+    if all(1.0 / PAPERS_SIZE <= r <= PAPERS_SIZE for r in slower.values()):
+        slower = {}
+    own = _of_the_rig(rig, slower, min(lags.values()))
+    own |= {name: value for name, value in plant.items() if name in own}  # the scales
+    told = {name: value for name, value in _given(given, rig, source).items() if name not in plant} if given else {}
+    told |= {} if sample_time is None else {"sample_time": sample_time}
+    settings, left_out = {}, {}
+    if moved["beta"]:
+        settings["dual"] = {**own, **_scaled(_gains(DUAL), slower), **told, "speed_only": 0.0}
+    else:
+        left_out["dual"] = f"the rig's pitch is fixed at {rig.pitch[0]:g} deg"
+    if moved["omega"]:
+        gains = _gains(SPEED_ONLY)
+        # Gains of two actuators are none for speed alone, which keeps to the published ones.
+        kept = told if told.get("speed_only") else {name: value for name, value in told.items() if name not in gains}
+        settings["speed_only"] = {**own, **_scaled(gains, slower), **kept, "speed_only": 1.0}
+    else:
+        left_out["speed_only"] = f"the rig's speed is fixed at {rig.speed[0]:g} rpm"
+    scaled = bool(slower) and given is None
+    return Controllers(settings, left_out, "given" if given else "scaled" if scaled else "published", scaled)
+
+
+def _of_the_rig(rig: Rig, slower: Mapping[str, float], lag: float) -> dict[str, float]:
+    """All values of a controller but for its gains: limits, sampling and filter for a plant whose faster channel has the sum of
+    lags `lag` [s]."""
+    own = CONTROLLER.sized(rig.scales).values()
     own |= {f"omega_{end}": value for end, value in zip(("min", "max"), rig.speed, strict=True)}
     own |= {f"beta_{end}": value for end, value in zip(("min", "max"), rig.pitch, strict=True)}
-    own |= {"beta_fixed": rig.pitch[1], "t_filter": base["t_filter"] * (1.0 if ours else min(slower.values()))}
-    told = _given(given, parameters, source) if given else {}
-    if sample_time is not None:
-        told["sample_time"] = sample_time
-    scales = {name: value for name, value in plant.items() if name in base}
-    settings = {}
-    for name, published in (("dual", DUAL), ("speed_only", SPEED_ONLY)):
-        gains = {k: v for k, v in published.items() if k[:2] in ("kp", "ki", "kd")}
-        own_gains = gains if ours else _scaled(gains, slower)
-        alone = name == "speed_only"
-        kept = told if not alone or told.get("speed_only", 0.0) > 0.5 else {k: v for k, v in told.items() if k not in gains}
-        settings[name] = {**base, **own, **own_gains, **kept, **scales, "speed_only": float(alone)}
-    left_out = {}
-    if not moved["beta"]:
-        left_out["dual"] = f"the rig's pitch is fixed at {rig.pitch[0]:g} deg"
-    if not moved["omega"]:
-        left_out["speed_only"] = f"the rig's speed is fixed at {rig.speed[0]:g} rpm"
-    reference = "given" if given else "published" if ours else "scaled"
-    return Controllers({n: s for n, s in settings.items() if n not in left_out}, left_out, reference)
+    filter_time = own["t_filter"] * min(slower.values(), default=1.0)
+    return own | {"beta_fixed": rig.pitch[1], "sample_time": sampling(lag, own["sample_time"]), "t_filter": filter_time}
 
 
 def sampling(lag: float, usual: float) -> float:
@@ -91,21 +101,24 @@ def sampling(lag: float, usual: float) -> float:
     return usual if shortest <= usual <= longest else rounded(shortest if usual < shortest else longest)
 
 
+def _gains(named: Mapping[str, float]) -> dict[str, float]:
+    """The gains among a named set's values."""
+    return {name: value for name, value in named.items() if name[:3] in POWERS}
+
+
 def _scaled(gains: Mapping[str, float], slower: Mapping[str, float]) -> dict[str, float]:
-    power = {"kp": 0.0, "ki": -1.0, "kd": 1.0}
-    return {k: v * slower.get(k[3:], 1.0) ** power[k[:2]] for k, v in gains.items()}
+    """Gains for channels that are as many times `slower`; a channel that isn't there stays."""
+    return {name: gain * slower.get(name[3:], 1.0) ** POWERS[name[:3]] for name, gain in gains.items()}
 
 
-def _given(given: ParameterSet, parameters: ParameterSet, source: str) -> dict[str, float]:
+def _given(given: ParameterSet, rig: Rig, source: str) -> dict[str, float]:
     """What a controller's file names; BadInput where its limits leave the rig's range."""
     found = {name: estimate.value for name, estimate in given.estimates.items()}
-    rig = parameters.rig
-    for channel, (low, high) in zip(CHANNELS, (rig.speed, rig.pitch), strict=True):
-        unit = "rpm" if channel == "omega" else "deg"
+    units = {p.name: p.unit for p in given.model.parameters}
+    for channel, range_of in CHANNELS.items():
+        low, high = getattr(rig, range_of)
         for name in (f"{channel}_min", f"{channel}_max", f"{channel}_fixed"):
             if name in found and not low <= found[name] <= high:
-                origin = rig.origin.get(CHANNELS[channel], "the model's scales")
-                raise BadInput(
-                    source, f"parameters, {name}", f"{found[name]:g} {unit}", f"{low:g} to {high:g} {unit} ({origin})"
-                )
+                allowed = f"{low:g} to {high:g} {units[name]} ({rig.origin.get(range_of, ASSUMED)})"
+                raise BadInput(source, f"parameters, {name}", f"{found[name]:g} {units[name]}", allowed)
     return found

@@ -47,6 +47,11 @@ def rounds(
         starts = {name: [(min(best[name].gains, o.gains, key=o.penalised), ("all",))] for name, o in pending.items()}
         if not pending:
             break
+    names = [name for name, (o, each) in done.items() if each.cost > o.penalised(o.gains)]
+    if names:  # all starts have ended in worse hollows than the one that the first gains are in
+        jobs = [(done[name][0], done[name][0].gains, ("all",)) for name in names]
+        for name, each in _best(names, jobs, workers, scheduler, what).items():
+            done[name] = done[name][0], each.after(done[name][1])
     if shakes:
         names = list(objectives)
         jobs = [(done[name][0], shaken, ("all",)) for name in names for shaken in _shaken(done[name][1].gains, shakes)]

@@ -9,7 +9,7 @@ import numpy as np
 from identification.fit.problem import Prior
 from identification.tune.check import largest_difference, through_fmus
 from identification.tune.draws import doubt, draws
-from identification.tune.margins import Margins
+from identification.tune.margins import Margins, least
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
 from identification.tune.rounds import rounds
@@ -29,6 +29,9 @@ STARTS = (1.0, 0.3)
 SHAKES = (4, 2)
 """Searches from around the best gains in the end: over the nominal plant, over many."""
 
+LOWER, LOWEST = 0.8, 20
+"""First gains that are lowered go down by this factor, so many times at most: to a hundredth."""
+
 HARDEST = 12
 """Plants that a search for the worst case begins with: those that cost most under the nominal gains."""
 
@@ -43,7 +46,8 @@ class Task:
     `chain`: changes to the measurement chain; `noise_std` N: of a reading. `overshoot` (share of a step) and `sensitivity` are
     limits on the nominal loop. `reference`: what the gains are called that tuned ones are held against. `robust`: None,
     "worst" or "mean" over `draws` plants; `spread`: standard deviation, as a share of the value, of parameters that have none.
-    `left_out`: controllers that the rig can't have, with the reason.
+    `left_out`: controllers that the rig can't have, with the reason. `lowered`: whether the first gains may be, all by one
+    factor, until they keep the limit on sensitivity; for gains that nobody has published or given.
     """
 
     parameters: ParameterSet
@@ -61,6 +65,7 @@ class Task:
     knowledge: Prior | None = None
     seed: int = 0
     left_out: Mapping[str, str] = field(default_factory=dict)
+    lowered: bool = False
 
     @property
     def controller(self) -> Model:
@@ -148,6 +153,8 @@ def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1
     """
     began = time.perf_counter()
     objectives = {name: task.objective(settings) for name, settings in starts.items()}
+    if task.lowered:
+        objectives = {name: _lowered(objective) for name, objective in objectives.items()}
     found = {"tuned": _nominal(objectives, workers, scheduler)}
     plants = None
     if task.robust:
@@ -161,6 +168,19 @@ def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1
     runs = through_fmus(model, values, task.controller, finals, chain, courses, task.profile)
     tuned = {n: replace(t, fmu_difference=largest_difference(t.objective.run(t.final), runs[n])) for n, t in tuned.items()}
     return Tuning(task, tuned, plants, time.perf_counter() - began)
+
+
+def _lowered(objective: Objective) -> Objective:
+    """The objective with its first gains lowered until the loop holds within its limit on sensitivity; else as they are.
+
+    What they make of a step is what tuned gains are held to, and a loop at the edge of stability is no measure.
+    """
+    for k in range(LOWEST + 1):
+        gains = LOWER**k * objective.gains
+        worst = least(margins_at(objective, gains, operating_points(objective, gains)))
+        if worst and worst.stable and worst.sensitivity <= objective.sensitivity:
+            return replace(objective, settings=objective.with_gains(gains))
+    return objective
 
 
 def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> Found:

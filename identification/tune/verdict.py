@@ -98,16 +98,24 @@ class Verdict:
 
     def words(self) -> str:
         """The verdict with its reason."""
-        if self.worse:
-            return f"no better: kept the gains it started from; {'; '.join(self.worse)}"
         if not self.better:
-            first, other = self.penalised
-            return (
-                "no better: kept the gains it started from; no figure of any step is better, and the cost with its limits "
-                f"changes by {100.0 * (other / first - 1.0):+.2g} %, where a search resolves {100.0 * RESOLVED:g} %"
-            )
+            return f"no better: kept the gains it started from{self._broken()}; {'; '.join(self.worse) or self._no_gain()}"
         none = f"overshoot and ringing within the limit of {100.0 * self.overshoot:g} % count as none"
         return f"better: {'; '.join(self.gains()) or 'less cost'}; no step is worse ({none})"
+
+    def _broken(self) -> str:
+        """That the first gains break a limit, where they do."""
+        first = self.margins[0]
+        if first is None or first.sensitivity <= SLACK * self.sensitivity:
+            return ""
+        return f", though their sensitivity is {first.sensitivity:.3g}, limit {self.sensitivity:g}"
+
+    def _no_gain(self) -> str:
+        first, other = self.penalised
+        change = f"the cost with its limits changes by {100.0 * (other / first - 1.0):+.2g} %"
+        if other >= first:
+            return change
+        return f"no figure of any step is better, and {change}, where a search resolves {100.0 * RESOLVED:g} %"
 
     def summary(self) -> dict:
         """As tuning.json has it."""

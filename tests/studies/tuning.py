@@ -35,10 +35,11 @@ MICRO, LARGE = Scales(20000.0, 20.0, 6.0, 1.2, 0.15), Scales(2500.0, 20.0, -6.0,
 
 def a_task(parameters: ParameterSet, chain: Mapping[str, float] = CHAIN, **more) -> Task:
     """The task on a plant's parameters, with the profile of its rig."""
-    profile = rig_profile(parameters, controllers(parameters).settings)
+    own = controllers(parameters)
+    profile = rig_profile(parameters, own.settings)
     resolution = chain.get("resolution", 0.0) * parameters.values["thrust_scale"] / PAPERS_SCALES.thrust_scale
-    reference = controllers(parameters).reference
-    return Task(parameters, profile, tuple(ASSUMED), {**chain, "resolution": resolution}, reference=reference, **more)
+    more |= {"reference": own.reference, "lowered": own.scaled}
+    return Task(parameters, profile, tuple(ASSUMED), {**chain, "resolution": resolution}, **more)
 
 
 def tuned(task: Task, workers: int) -> Tuning:

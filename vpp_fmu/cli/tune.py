@@ -160,6 +160,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         knowledge=knowledge and knowledge[0],
         seed=options.seed,
         left_out=own.left_out,
+        lowered=own.scaled,
     )
     return task, own.settings
 
