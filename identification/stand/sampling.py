@@ -24,20 +24,24 @@ FEWEST_MOVES = 4
 """Moves from which the share tells."""
 
 
-def said_of_sampling(record: Record) -> list[str]:
-    """What the rows of a record show: gaps, rows slower than what they sample, averages passed off as samples."""
-    lines, step = [], record.period
+def said_of_gaps(record: Record) -> list[str]:
+    """Rows that are missing."""
     wide = gaps(record.time)
-    if len(wide):
-        longest = wide[np.argmax(record.steps[wide])]
-        told = f"{len(wide)} steps of more than {GAP:g} rows of {1e3 * step:.3g} ms"
-        lines.append(f"gaps: {told}, the longest of {number(record.steps[longest])} s at {record.time[longest]:.2f} s")
+    if not len(wide):
+        return []
+    longest = wide[np.argmax(record.steps[wide])]
+    told = f"{len(wide)} steps of more than {GAP:g} rows of {1e3 * record.period:.3g} ms"
+    return [f"gaps: {told}, the longest of {number(record.steps[longest])} s at {record.time[longest]:.2f} s"]
+
+
+def said_of_rows(record: Record) -> list[str]:
+    """Averages passed off as samples, and rows slower than what they sample."""
+    lines = []
     through, moves = between(record)
     if moves >= FEWEST_MOVES and through > PASSES * moves:
         told = f"in {through} of {moves} moves between held commands one row lies in between"
-        lines.append(
-            f"averages: {told}, so rows are means over {1e3 * step:.3g} ms and no samples; lags come out wrong by as much"
-        )
+        row = f"{1e3 * record.period:.3g} ms"
+        lines.append(f"averages: {told}: rows are means over {row} and no samples, and lags come out wrong by as much")
     return lines + _slow(record)
 
 

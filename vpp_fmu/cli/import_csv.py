@@ -18,7 +18,6 @@ from identification.stand.commands import map_beside
 from identification.stand.containers import read_container
 from identification.stand.delimited import DELIMITERS, read_delimited
 from identification.stand.intake import Taken, signal_range, take_in
-from identification.stand.kinds import KINDS, repeat_of, runs_of, static_of
 from identification.stand.mapping import (
     FILE,
     GUESS,
@@ -30,17 +29,15 @@ from identification.stand.mapping import (
     section_of,
     to_toml,
 )
-from identification.stand.sampling import findings, said_of_sampling
+from identification.stand.sampling import said_of_gaps
 from identification.stand.sheet import Sheet
 from identification.stand.speed_map import read_speed_map
 from identification.stand.units import QUANTITIES
-from vpp_fmu.campaign import write_static, write_steps
+from vpp_fmu.cli.import_place import add_kind, placed
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.outputs import OutputSet
-from vpp_fmu.record import read_record, write_record
 
 EXAMPLE = (
     "vpp import csv log.csv --propose\n"
@@ -54,7 +51,7 @@ def configure(parser):
     parser.add_argument("--map", action="extend", nargs="+", default=[], metavar="M", help=text)
     text = "a command or voltage that the log does not have: beta_ref=8:deg; may be repeated"
     parser.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE:UNIT", help=text)
-    parser.add_argument("--as", dest="kind", choices=KINDS, default="open_loop", help="which file (default: %(default)s)")
+    add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
     text = "print what the header proposes, and stop; with FILE save that as TOML for --map"
     parser.add_argument("--propose", nargs="?", const="", metavar="FILE", help=text)
     parser.add_argument(
@@ -64,7 +61,6 @@ def configure(parser):
     parser.add_argument("--delimiter", metavar="D", help=text)
     parser.add_argument("--decimal", choices=("point", "comma"), help="decimal mark (default: found out)")
     parser.add_argument("--encoding", metavar="E", help="such as utf-16 or cp1252 (default: found out)")
-    parser.add_argument("--replace", action="store_true", help="replace a file of another log")
     add_output(parser)
 
 
@@ -165,43 +161,14 @@ def _say_columns(sheet: Sheet, plan: Plan, taken: Taken) -> None:
 
 def _write(options, plan: Plan, taken: Taken) -> None:
     """The campaign's file, the mapping, the speed map: all of them or none."""
-    kind, place = options.kind, Path(options.output)
-    if kind == "static":
-        static, said = static_of(taken)
-        writes = [lambda folder: write_static(folder, static)]
-    elif kind == "steps":
-        runs, said = runs_of(taken)
-        writes = [lambda folder: write_steps(folder, runs)]
-        said += said_of_sampling(runs[0])
-    else:
-        record, said = taken.record(), []
-        if taken.points:
-            found, allowed = (
-                f"rows {number(record.period)} s apart",
-                "rows that show how thrust moves; steady points go in with --as static",
-            )
-            raise BadInput(options.log, "time", found, allowed)
-        if kind == "repeat" and (first := _there(place, "open_loop")):
-            record, said = repeat_of(record, read_record(first))
-        writes = [lambda folder: write_record(folder, f"{kind}.csv", record)]
-        said += said_of_sampling(record)
-        said += [f.text for f in findings(record)]
-    if (other := _there(place, kind)) and other.suffix == ".gz":
-        raise BadInput(other, "file", "one that is there already", f"no {kind}.csv.gz beside {kind}.csv")
+    place = Path(options.output)
     sections = read_toml(place / FILE) if (place / FILE).exists() else {}
-    folder = OutputSet(place, "import")
-    for write in writes:
-        write(folder)
-    if f"{kind}.csv" in folder.replaced and not options.replace:
-        raise BadInput(place / f"{kind}.csv", "file", "one of another log", "another folder, another --as, or --replace")
-    folder.write(FILE, to_toml({**sections, kind: plan.section(Path(options.log).name)}))
+    folder, said = placed(place, options.kind, taken, options.replace)
+    folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
     if taken.speed_map is not None and not (place / SPEED_MAP).exists():
         folder.write(SPEED_MAP, taken.speed_map.to_json())
+    if taken.clock is not None and "run" not in taken.columns:
+        said = said_of_gaps(taken.record()) + said
     for line in said:
         print(line)
     say_written(folder)
-
-
-def _there(folder: Path, kind: str) -> Path | None:
-    """A kind's file in a folder, packed or not."""
-    return next((path for suffix in ("csv", "csv.gz") if (path := folder / f"{kind}.{suffix}").exists()), None)

@@ -1,6 +1,7 @@
-"""Turn a test stand's log into a record: the ESC's signal becomes omega_ref through a map fitted to the log's steady parts.
+"""A thrust stand's log as a file of a campaign: the ESC's signal becomes omega_ref through a map fitted to its steady parts.
 
-Fixed pitch: beta_ref is 0. Empty in record.csv: what the log did not measure, or measured before the time it says.
+Logs of one stand share one map: that which another log has left in the folder is taken over. Fixed pitch: beta_ref is 0. Empty
+in the record: what the log did not measure, or measured before the time it says. Rows that are averages become static.csv.
 """
 
 import warnings
@@ -8,46 +9,59 @@ from pathlib import Path
 
 import numpy as np
 
+from identification.stand.clock import Clock
+from identification.stand.commands import FILE as SPEED_MAP
+from identification.stand.commands import map_beside
+from identification.stand.intake import Taken
 from identification.stand.rcbenchmark import REMEMBERED, Log, read_log
 from identification.stand.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
+from vpp_fmu.cli.import_place import add_kind, placed
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
-from vpp_fmu.outputs import OutputSet
-from vpp_fmu.record import QUANTITIES, Record, RecordWarning, write_record
+from vpp_fmu.record import QUANTITIES, Record, RecordWarning
 
 EXAMPLE = "vpp import rcbenchmark tuesday.csv --speed-map monday/speed_map.json -o tuesday"
 
 
 def configure(parser):
     parser.add_argument("log", metavar="LOG", help="CSV as the stand's program wrote it")
-    parser.add_argument("--speed-map", metavar="M", help="speed_map.json of another log, used as it is (default: fit one)")
+    text = "speed_map.json of another log, used as it is (default: the folder's own, else fit one)"
+    parser.add_argument("--speed-map", metavar="M", help=text)
+    add_kind(parser, None, "which file of a campaign (default: record.csv of samples, static.csv of averages)")
     parser.add_argument("--keep-stalls", action="store_true", help="keep what was logged right behind a stall of the logger")
     add_output(parser)
 
 
 def run(options):
     log = read_log(options.log)
-    speed_map = read_speed_map(options.speed_map) if options.speed_map else fitted(log)
+    beside = None if options.speed_map else map_beside(options.output, log.span, options.log)
+    speed_map = read_speed_map(options.speed_map) if options.speed_map else beside or fitted(log)
     if speed_map.signal != log.span:
         allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
         raise BadInput(options.speed_map, "signal, kind", speed_map.signal.kind, allowed)
-    folder = OutputSet(options.output, "import")
     figures = told(log, speed_map, options.keep_stalls)
-    if not log.averaged:
-        tare = log.tare()
-        record = log.record(speed_map.omega_ref(log.signal), tare[0] if tare else 0.0, options.keep_stalls)
+    kind = options.kind or ("static" if log.averaged else "record")
+    tare = log.tare()
+    record = log.record(speed_map.omega_ref(log.signal), tare[0] if tare else 0.0, options.keep_stalls)
+    if kind != "static":
         warn_beyond(record)
-        write_record(folder, "record.csv", record)
-    folder.write("speed_map.json", speed_map.to_json())
+    taken = Taken(record.columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
+    folder, said = placed(Path(options.output), kind, taken, options.replace)
+    folder.write(SPEED_MAP, speed_map.to_json())
     folder.write("import.json", as_json(figures))
-    print(said_of_rows(figures))
-    print(
-        *([f"rows lie {log.interval:.3g} s apart: averages, no record.csv"] if log.averaged else said_of_thrust(figures)),
-        sep="\n",
-    )
-    print(said_of_map(figures["speed_map"], bool(options.speed_map)))
+    lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
+    lines += [said_of_map(figures["speed_map"], bool(options.speed_map or beside)), *said]
+    print(*lines, sep="\n")
     say_written(folder)
+
+
+def said_of_averages(log: Log, kind: str) -> list[str]:
+    """That rows are no samples, where they are none."""
+    if not log.averaged:
+        return []
+    rows = f"rows lie {number(1e3 * log.interval)} ms apart, where the stand takes a sample every 8 to 12 ms: averages"
+    return [f"{rows}, so steady points and no record" if kind == "static" else f"{rows}; lags from them are wrong by as much"]
 
 
 def fitted(log: Log) -> SpeedMap:
@@ -71,6 +85,7 @@ def told(log: Log, speed_map: SpeedMap, keep_stalls: bool) -> dict:
         "seconds": float(log.time[-1]),
         "interval": log.interval,
         "rows": len(log.time),
+        "clock_back": {"rows": log.mended[0], "seconds": log.mended[1]},
         "left_out": {reason: number for reason, number in log.dropped.items() if number},
         "thrust": {
             "filled": int(filled.sum()),
@@ -102,10 +117,17 @@ def said_of_rows(figures: dict) -> str:
     signal = figures["signal"]
     return (
         f"rows: {figures['rows']} over {figures['seconds']:.2f} s, from {figures['start']:.6g} s of the log on; "
-        f"left out: {left_out}\n"
+        f"left out: {left_out}\n{said_of_clock(figures['clock_back'])}"
         f"ESC signal: {signal['kind']}, {signal['minimum']:g} to {signal['maximum']:g}; "
         f"speed: {figures['columns'].get('speed', 'none')}"
     )
+
+
+def said_of_clock(back: dict) -> str:
+    """What was mended, as a line of its own; "" where nothing was."""
+    if not back["rows"]:
+        return ""
+    return f"clock: goes back in {back['rows']} rows, by {1e3 * back['seconds']:.3g} ms at most, less than a row: mended\n"
 
 
 def said_of_thrust(figures: dict) -> list[str]:
