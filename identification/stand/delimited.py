@@ -54,7 +54,7 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> Sheet:
     delimiter = _delimiter(path, body, given.get("delimiter"), said.group(1) if said else None)
     rows = [(i, _cells(line, delimiter)) for i, line in body]
     width = _width(path, rows)
-    head, data, dropped = _parts(path, rows, width)
+    head, data, dropped = _parts(path, rows, width, delimiter)
     if not head and (named := _commented_head(notes, data[0][0], delimiter, width)):
         head = named
         notes = notes[: -len(named)]
@@ -180,10 +180,15 @@ def _is_data(cells: Sequence[str]) -> bool:
     return bool(filled) and 2 * sum(map(_is_value, filled)) >= len(filled)
 
 
-def _parts(path, rows, width: int):
+def _parts(path, rows, width: int, delimiter: str):
     """(lines of the head, rows of data, what was dropped by reason): data begins with the first row of the right width."""
     first = next(k for k, (_, cells) in enumerate(rows) if len(cells) == width and _is_data(cells))
-    head = [(i, _joined(cells)) for i, cells in rows[:first]]
+    head = [(i, _joined(cells) if delimiter == " " else cells) for i, cells in rows[:first]]
+    named = [len(cells) for _, cells in head if not _is_data(cells)]
+    if delimiter == "," and named and 2 < named[-1] <= width / 1.5:
+        line, names = rows[first][0], named[-1]
+        allowed = f"{names}, as there are names: a comma can't part cells and mark decimals too"
+        raise BadInput(path, f"line {line}", f"{width} cells", allowed)
     head = [(i, cells) for i, cells in head if _of_width(cells, width)]
     preamble = first - len(head)
     data, dropped = [], Counter({"lines before the table": preamble})

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from identification.stand.clock import CALENDAR, guessed_unit, is_calendar
-from identification.stand.sheet import Sheet, split_unit
+from identification.stand.sheet import Sheet, plain, split_unit
 from identification.stand.units import QUANTITIES, factor_of
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text, shown
@@ -22,6 +22,8 @@ else:
 
 FORMAT = "vpp-mapping/1"
 FILE = "import.toml"
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 ROWS = "row"
 """Stands for a column that counts rows, where a log has no time: time=row:4ms."""
@@ -244,16 +246,15 @@ def _assumed(sheet: Sheet, name: str, quantity: str) -> tuple[str | None, str]:
 
 
 def _numeric(sheet: Sheet, name: str) -> bool:
-    try:
-        sheet.numbers(name)
-    except BadInput:
-        return False
-    return True
+    """Whether most cells are numbers: what the others are is said when the column is read."""
+    texts = [plain(cell, sheet.decimal) for cell in sheet.columns[name].tolist()[:1000]]
+    filled = [text for text in texts if text]
+    return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
 
 
 def _alive(sheet: Sheet, name: str, quantity: str) -> tuple[bool, bool]:
     """(whether a column has values, whether they move): of two speeds the one that is connected."""
-    if quantity == "time":
+    if quantity == "time" or sheet.columns[name].dtype.kind == "O":
         return True, True
     values = sheet.numbers(name)
     seen = values[np.isfinite(values)]
