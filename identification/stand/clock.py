@@ -65,8 +65,8 @@ def read_clock(sheet: Sheet, name: str, unit: str, runs: bool = False) -> Clock:
     usual = _usual(time)
     back = np.flatnonzero(np.diff(time) < -usual) + 1
     if len(back) and not runs:
-        now, before = stamps[rows[back[0]]], stamps[rows[back[0] - 1]]
-        found = f"{now:.12g} s after {before:.12g} s: back by {before - now:.6g} s, {len(back)} such places"
+        now, before = (sheet.columns[name][rows[back[0] - k]] for k in (0, 1))
+        found = f"{now} after {before}, back by {time[back[0] - 1] - time[back[0]]:.6g} s, {len(back)} such places"
         allowed = "time that doesn't go back by a row or more; a log of several runs goes in with --as steps"
         raise sheet.wrong(name, rows[back[0]], found, allowed)
     parts, kept, restarts = [], [], []

@@ -85,15 +85,16 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         allowed = f"{FEWEST} signals held for {PLATEAU:g} s, a signal that moves, or the map of another log with --speed-map"
         raise BadInput(source, "signal", f"{degree + 1} value with the motor turning", allowed)
     powers = np.where(on[:, None], np.vander(x, degree + 1, increasing=True), 0.0)
-    step, best = float(np.median(np.diff(time))), None
-    for lag in LAGS:
+    step = float(np.median(np.diff(time)))
+
+    def behind(lag: float) -> tuple[float, float, np.ndarray]:
         kept = float(np.exp(-step / lag))
         a = powers[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], powers - powers[0], axis=0)
         found = np.linalg.lstsq(a[rows], speed[rows], rcond=None)[0]
-        left = float(np.mean((speed[rows] - a[rows] @ found) ** 2))
-        if best is None or left < best[0]:
-            best = left, lag, found
-    left, lag, found = best
+        return float(np.mean((speed[rows] - a[rows] @ found) ** 2)), lag, found
+
+    _, rough, _ = min(map(behind, LAGS))
+    left, lag, found = min(map(behind, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
     share = 1.0 - left / max(float(np.var(speed[rows])), 1e-12)
     coefficients = np.append(found, np.zeros(3 - degree))
     along = np.polyval(coefficients[::-1], np.linspace(x[on].min(), x[on].max(), 101))
