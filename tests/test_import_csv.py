@@ -1,11 +1,13 @@
 """Somebody's log into its place in a campaign: mapping, units, clock, commands, what is said, what is never overwritten."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
 from import_zoo import PLAIN, Format, came_out, text, truth
 
+from identification.gate.made import Maker
 from identification.stand.clock import guessed_unit, mended, read_clock
 from identification.stand.commands import fitted_map
 from identification.stand.mapping import read_toml
@@ -16,6 +18,7 @@ from identification.stand.units import QUANTITIES, factor_of
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record, read_record
 
 
@@ -458,3 +461,49 @@ def test_the_zoo_is_judged_by_what_was_written(tmp_path, vpp):
         (tmp_path / name).mkdir()
         good, told = came_out(Format(name, "log.csv", write), tmp_path / name, lambda words: vpp(*words[2:]))
         assert good == (name == "right"), told
+
+
+# From a stranger's log to a report, in two commands
+
+RIG = Maker(
+    scales=Scales(),
+    speed=(2000.0, 6000.0),
+    pitch=(-5.0, 10.0),
+    row=0.005,
+    hold=(0.8, 1.6),
+    section=8.0,
+    noise=0.1,
+    digit=0.003,
+    values={"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1},
+)
+
+
+def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_path, vpp, capsys):
+    rng = np.random.default_rng(4)
+    record, path = RIG.record(RIG.orders(rng), rng, "rig"), tmp_path / "Messung.csv"
+    factors = {"omega_ref": np.pi / 30.0, "beta_ref": 1.0, "omega": np.pi / 30.0, "thrust": 1e3 / 9.80665}
+    lines = ["Prüfstand Süd;Protokoll 17", "", "Zeitstempel;Soll-Drehzahl;Soll-Pitch;Drehzahl;Schub", "ms;rad/s;°;rad/s;gf"]
+    for k, time in enumerate(record.time):
+        cells = [f"{1717236000123 + round(1e3 * time)}", *(f"{f * record[n][k]:.6f}" for n, f in factors.items())]
+        lines.append(";".join(cells).replace(".", ","))
+    path.write_bytes("\r\n".join(lines).encode("cp1252"))
+    code, out, _ = vpp(path, "-o", tmp_path / "mine", "--as", "open_loop")
+    assert code == 0
+    assert "error" not in out
+    assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    assert (tmp_path / "out" / "report.html").stat().st_size > 1e5
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"] == "none"
+    fitted = json.loads((tmp_path / "out" / "parameters.json").read_text())["parameters"]
+    lag = fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"]
+    assert lag == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
+    path = table(tmp_path / "log.csv", stand(rows=3000))
+    assert vpp(path, "-o", tmp_path / "mine")[0] == 0
+    words = ["--workers", "1", "--effects", "speed_delay"]
+    assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), *words]) == 0
+    fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
+    assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
+    assert (tmp_path / "out" / "report.html").stat().st_size > 1e5

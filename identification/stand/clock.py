@@ -63,6 +63,10 @@ def read_clock(sheet: Sheet, name: str, unit: str, runs: bool = False) -> Clock:
     said += told
     time = time - time[0]
     usual = _usual(time)
+    if usual == 0.0:
+        raise sheet.wrong(
+            name, rows[-1], f"{sheet.columns[name][rows[-1]]}, no later than any row before", "a time that goes on"
+        )
     back = np.flatnonzero(np.diff(time) < -usual) + 1
     if len(back) and not runs:
         now, before = (sheet.columns[name][rows[back[0] - k]] for k in (0, 1))
@@ -71,6 +75,8 @@ def read_clock(sheet: Sheet, name: str, unit: str, runs: bool = False) -> Clock:
         raise sheet.wrong(name, rows[back[0]], found, allowed)
     parts, kept, restarts = [], [], []
     for first, end in zip([0, *back], [*back, len(time)], strict=True):
+        if np.ptp(time[first:end]) == 0.0:
+            raise sheet.wrong(name, rows[first], f"a run of {end - first} rows at one time", "runs of which the time goes on")
         own, stay, told = straightened(time[first:end], usual)
         restarts.append(sum(map(len, kept)))
         parts.append(own - own[0])

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from identification.stand.sheet import EMPTY, Sheet, plain
-from identification.stand.units import QUANTITIES, factor_of
+from identification.stand.units import QUANTITIES, factor_of, is_unit
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_bytes, shown
 
@@ -224,11 +224,8 @@ def _joined(cells: Sequence[str]) -> list[str]:
 def _of_width(cells: Sequence[str], width: int) -> bool:
     """Whether a line in front of the numbers is a row of names, units or remarks for them. A last column without a name is one
     that nobody needs (a comma at the line's end), and more names than cells are none of these cells."""
-    return (
-        len(cells) in (width, width - 1, width + 1)
-        and sum(map(bool, cells)) * 2 >= width
-        and (len(cells) <= width or not cells[-1])
-    )
+    more = len(cells) == width + 1 and (not cells[-1] or cells[-1].casefold() == "comment")  # LabVIEW's, which nobody fills
+    return (len(cells) in (width, width - 1) or more) and sum(map(bool, cells)) * 2 >= width
 
 
 def _commented_head(notes, first: int, delimiter: str, width: int):
@@ -242,14 +239,14 @@ def _commented_head(notes, first: int, delimiter: str, width: int):
 
 
 def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
-    """(names, units, lines that are neither) of the rows in front of the numbers. Names are the row before the units'; without
-    units the last row of which no two cells are the same."""
+    """(names, units, lines that are neither) of the rows in front of the numbers. Names are the row before the units'; else
+    the last row of which no two cells are the same."""
     if not head:
         return [str(k) for k in range(1, width + 1)], [""] * width, 0
     rows = [[*cells, *[""] * width][:width] for _, cells in head]
     units = next((k for k, row in enumerate(rows) if k and _units(row)), None)
     distinct = [k for k, row in enumerate(rows) if all(row[:-1]) and len(set(row)) == width]
-    named = units - 1 if units else max(distinct, default=0)
+    named = units - 1 if units and (units - 1 in distinct or not distinct) else max(distinct, default=0)
     names = []
     for k, name in enumerate(rows[named], 1):
         clean = " ".join(name.split())
@@ -259,7 +256,7 @@ def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
             clean = f"{clean}.{k}"
         names.append(clean or str(k))
     found = [unit.strip("()[]{}<> ") for unit in rows[units]] if units else [""] * width
-    return names, ["" if unit in ("-", "--") else unit for unit in found], len(head) - 1 - (units is not None)
+    return names, [unit if is_unit(unit) else "" for unit in found], len(head) - 1 - (units is not None)
 
 
 def _units(row: Sequence[str]) -> bool:

@@ -32,7 +32,7 @@ SURE, LIKELY, GUESS = "sure", "likely", "guess"
 """How a proposal was come by: name and unit stand in the log; the unit doesn't, but only one will do; else."""
 
 _WORDS = {
-    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp",
+    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
     "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee empuje newton",
     "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical electrical rev tach tacho tachometer velocity w vitesse",
     "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo",
@@ -174,7 +174,7 @@ def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
     base, _ = split_unit(name)
     text = re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base)
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
-    tail = tokens[-1] if len(tokens) > 1 else ""
+    tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # as it is written: N is newton, n is none
     exact = base.casefold().replace(" ", "_")
     if exact in QUANTITIES:
         quantity, score = exact, 3.0
@@ -196,6 +196,8 @@ def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
         return None
     if unit is None and tail and factor_of(QUANTITIES[quantity], tail) is not None and QUANTITIES[quantity].unit:
         unit = tail
+    if unit is None and exact in QUANTITIES and {"omega_ref", "beta_ref"} <= set(sheet.columns):
+        unit = QUANTITIES[exact].unit  # a record in this project's own names, which has its own units
     if unit is None and quantity in ("omega", "omega_ref") and "rpm" in tokens:
         unit = "rpm"
     if unit is not None and not _fits(quantity, unit):  # "motor cmd (us)" is no speed
@@ -242,7 +244,7 @@ def _assumed(sheet: Sheet, name: str, quantity: str) -> tuple[str | None, str]:
     unit = QUANTITIES[quantity].unit
     if not unit:
         return "", SURE
-    return unit, LIKELY if quantity in ("voltage", "current") else GUESS
+    return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
 
 def _numeric(sheet: Sheet, name: str) -> bool:

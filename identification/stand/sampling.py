@@ -69,10 +69,14 @@ def _slow(record: Record) -> list[str]:
     moved = [lag for channel, lag in response.lags.items() if np.ptp(record[f"{channel}_ref"]) > 0.0]
     if response.explained < FOLLOWS or not moved or max(moved) >= FIFTH:
         return []
-    row = 1e3 * response.row
-    told = f"thrust follows its command within {max(moved):.2g} rows of {row:.3g} ms" if max(moved) else "within a row"
-    enough = max(*moved, 0.5) * row / FIFTH
-    return [f"slow sampling: {told}, where {FIFTH:g} rows show a lag: log more often than every {enough:.2g} ms"]
+    row = f"{1e3 * response.row:.3g} ms"
+    if max(moved) == 0.0:
+        return [
+            f"slow sampling: thrust follows its command within a row of {row}, where {FIFTH:g} rows show a lag: log more often"
+        ]
+    enough = 1e3 * response.row * max(moved) / FIFTH
+    told = f"thrust follows its command within {max(moved):.2g} rows of {row}"
+    return [f"slow sampling: {told}, where {FIFTH:g} rows show a lag: log every {enough:.2g} ms or more often"]
 
 
 def findings(record: Record) -> tuple[Finding, ...]:

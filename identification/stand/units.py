@@ -63,6 +63,11 @@ def factor_of(quantity: Quantity, unit: str) -> float | None:
     return None
 
 
+def is_unit(text: str) -> bool:
+    """Whether pint knows a unit, of whatever it may be."""
+    return text == "%" or _parsed(text.strip()) is not None or _parsed(text.strip().lower()) is not None
+
+
 def signal_unit(unit: str) -> str | None:
     """The unit of a motor's signal as SIGNALS names it: us, %, 1, or "" of DShot's numbers; None for any other."""
     text = unit.strip()
