@@ -19,6 +19,10 @@ REORDERED = 3
 """Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
 
 
+REACH = 0.5
+"""Share of the best one's evidence from which on another order, or a special case, might still bring a candidate ahead."""
+
+
 @dataclass(frozen=True)
 class Tried:
     """A candidate in one round: what the look promised and, where it was refitted, the fit and its evidence."""
@@ -52,6 +56,7 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[T
     at = {c.label: seen for c, seen in looks(searcher, fit, [t.candidate for t in chosen], pool)}
     refits = list(pool.map(lambda t: refitted(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
     best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
+    best = [k for k in best if evidence_over(refits[k], fit) >= REACH * evidence_over(refits[best[0]], fit)]
     for k, new in zip(best, pool.map(lambda k: _reordered(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
         refits[k] = new
     leaders = {chosen[k].candidate.name: refits[k] for k in sorted(best, key=lambda k: -refits[k].bic())}
