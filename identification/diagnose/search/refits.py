@@ -62,32 +62,36 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[T
         refits.update(zip(some, pool.map(how, some), strict=True))
 
     leader = min(refits, key=lambda c: refits[c].bic())
-    others = [t.candidate for t in tried if t.candidate.name == leader.name and t.candidate is not leader and t.fit is None]
-    improve(others, lambda c: _alike(searcher, fit, c, refits.get(c), refits[leader]))
+    near = {leader.name, *leader.effect.contains}
+    others = [t.candidate for t in tried if t.candidate.name in near and t.candidate is not leader and t.fit is None]
+    improve(others, lambda c: _near(searcher, fit, c, refits.get(c), leader, refits[leader]))
     best = sorted(refits, key=lambda c: refits[c].bic())[:REORDERED]
     best = [c for c in best if evidence_over(refits[c], fit) >= REACH * evidence_over(refits[best[0]], fit)]
     improve(best, lambda c: _reordered(searcher, fit, c, refits[c]))
     leaders = {c.name: refits[c] for c in sorted(best, key=lambda c: -refits[c].bic())}
     improve(best, lambda c: _widened(searcher, fit, c, refits[c], leaders))
     for wide in best:
-        for special in refits:
+        for special, known in list(refits.items()):
             if start := _narrowed(wide, refits[wide], special):
                 new = added(searcher, fit, special, start, refits[wide].slow_first, thorough=False)
-                refits[special] = min(refits[special], new, key=Fit.bic)
-    return [
-        replace(t, fit=new, evidence=evidence_over(new, fit)) if (new := refits.get(t.candidate)) else t for t in tried
-    ]
+                refits[special] = min(known, new, key=Fit.bic)
+    return [replace(t, fit=new, evidence=evidence_over(new, fit)) if (new := refits.get(t.candidate)) else t for t in tried]
 
 
-def _alike(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit | None, leader: Fit) -> Fit:
-    """The refit of another form of the effect that leads, or a better one from where that stands, in both orders of the lags.
+def _near(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit | None, leader: Candidate, there: Fit) -> Fit:
+    """The refit of another form, or of a special case, of the effect that leads, or a better one from where that stands, in
+    both orders of the lags.
 
     In another form a large effect asks for other lags: where the base's stand, a look sees nothing of it.
     """
-    own = {n: v for n, v in leader.values.items() if n not in candidate.form}
-    flipped = {u: not leader.slow_first.get(u, True) for u in candidate.effect.channels}
-    orders = [leader.slow_first, {**leader.slow_first, **flipped}]
-    starts = [own, own | {a: own[b] for u in flipped for a, b in permutations((f"tau_{u}_1", f"tau_{u}_2"))}]
+    shared = leader.effect.contains.get(candidate.name, {})
+    same = {candidate.effect.full(its): there.values[leader.effect.full(own)] for own, its in shared.items()}
+    values = {n: v for n, v in there.values.items() if n not in candidate.form} | candidate.within(candidate.probe | same)
+    if candidate.name == leader.name:
+        values |= {n: there.values[n] for n in candidate.free}
+    flipped = {u: not there.slow_first.get(u, True) for u in candidate.effect.channels}
+    orders = [there.slow_first, {**there.slow_first, **flipped}]
+    starts = [values, values | {a: values[b] for u in flipped for a, b in permutations((f"tau_{u}_1", f"tau_{u}_2"))}]
     found = [added(searcher, fit, candidate, v, o, thorough=False) for v, o in zip(starts, orders, strict=True)]
     return min([*([refit] if refit else []), *found], key=Fit.bic)
 
