@@ -81,7 +81,7 @@ class Diagnosis:
     @property
     def final(self) -> Fit:
         """The model that ships: with the effects that stand and have not been refuted, else the base."""
-        return self.selection.final if self.verdict in CHANGED and not self.refuted else self.base
+        return self.selection.final if self.verdict in CHANGED else self.base
 
     @property
     def fits(self) -> dict[str, Fit]:
@@ -186,7 +186,8 @@ def diagnose(
         after = lack_of_fit(selection.final, least)
         word = verdict(base, selection.final, before, after, selection.family)
         refuted = _refuted(judge, base, selection.final, unseen) if word in CHANGED else ""
-        final = selection.final if word in CHANGED and not refuted else base
+        word = "unexplained" if refuted else word  # what was found is not it
+        final = selection.final if word in CHANGED else base
         shown = predict(final.evidence.model, final.values, fitted[0].record)
         return Diagnosis(
             campaign=campaign,

@@ -13,12 +13,16 @@ FLAT = 1e-9
 """Converged when the residual's cosine with every free column is below this (the gradient test of MINPACK)."""
 
 
+STRAIGHT = 0.25
+"""Share by which a step may bring more or less than promised for the Jacobian to be kept."""
+
+
 @dataclass(frozen=True)
 class Solution:
     """What the search found. `cost` is half the sum of squares of the residual.
 
-    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end; `costs`: the cost after each evaluation that lowered
-    it, the start first; `active` (n,): parameters that stand at a bound.
+    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end, the latter as last made; `costs`: the cost after each
+    evaluation that lowered it, the start first; `active` (n,): parameters that stand at a bound.
     """
 
     value: np.ndarray
@@ -46,12 +50,15 @@ def solve(
     upper: np.ndarray,
     tolerance: float = 1e-12,
     limit: int = 100,
+    enough: float = 0.0,
+    residual_at: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Solution:
     """Minimise the sum of squares of `evaluate(x) -> (residual, jacobian)` from `start` within [lower, upper].
 
     Stops when no free column has a share in the residual, when a step promised and brought less than `tolerance` of the
-    cost, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient turns. Damping
-    follows Nielsen's rule.
+    cost or than `enough`, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient
+    turns. Damping follows Nielsen's rule. `residual_at(x)`: the residual alone, where that is cheaper: steps are tried by it,
+    and the Jacobian stays where it was as long as they bring what it promised (a chord method).
     """
     x = np.clip(np.asarray(start, float), lower, upper)
     residual, jacobian = evaluate(x)
@@ -74,15 +81,20 @@ def solve(
         if promise <= 0:  # the bounds turned the step uphill: stay closer
             damping, growth = damping * growth, growth * 2
             continue
-        new_residual, new_jacobian = evaluate(there)
+        new_residual, new_jacobian = evaluate(there) if residual_at is None else (residual_at(there), None)
         evaluations += 1
         cost = 0.5 * float(new_residual @ new_residual)
-        gained = costs[-1] - cost
-        small = promise <= tolerance * costs[-1] and abs(gained) <= tolerance * costs[-1]
+        gained, least = costs[-1] - cost, max(tolerance * costs[-1], enough)
+        small = promise <= least and abs(gained) <= least
         if gained > 0:
-            x, residual, jacobian = there, new_residual, new_jacobian
+            x, residual = there, new_residual
             costs.append(cost)
-            normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+            if new_jacobian is None and not small and abs(gained / promise - 1.0) > STRAIGHT:
+                residual, new_jacobian = evaluate(there)
+            if new_jacobian is not None:
+                jacobian = new_jacobian
+                normal = jacobian.T @ jacobian
+            gradient = jacobian.T @ residual
             damping, growth = damping * max(1 / 3, 1 - (2 * gained / promise - 1) ** 3), 2.0
         else:
             damping, growth = damping * growth, growth * 2
