@@ -263,6 +263,14 @@ def _texts() -> list[Format]:
         Format("Excel's sep=", "log.csv", text(head=["sep=;"], **comma)),
         Format("a row of units", "log.csv", text(bare, under=[units])),
         Format("units in brackets, decimal comma", "log.csv", text(bare, under=[[f"[{u}]" for u in units]], **comma)),
+        Format(
+            "an empty column, - for its unit",
+            "log.csv",
+            _with(
+                lambda t: t | {"note": t["time"]},
+                text(bare | {"note": "note"}, under=[[*units, "-"]], cells={"note": lambda v: ""}),
+            ),
+        ),
         Format("units, then remarks", "log.csv", text(bare, under=[units, ["raw", "-", "-", "filtered", "raw", "raw"]])),
         Format("numpy's savetxt", "log.txt", text(PLAIN, delimiter=" ", title=lambda row: f"# {row}", digits=".18e"), OWN),
         Format(

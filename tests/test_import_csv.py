@@ -102,6 +102,17 @@ def test_a_unit_of_something_else_is_none(quantity, unit):
     assert factor_of(QUANTITIES[quantity], unit) is None
 
 
+def test_whatever_stands_for_a_unit_is_one_or_none():
+    rng = np.random.default_rng(1)
+    alphabet = list("NgfrpmsVA19.-+*/^()[]{}%°µ² _\\'\",;:#!=<>~?&|\t\x00é")
+    for length in rng.integers(1, 9, 3000):
+        unit = "".join(rng.choice(alphabet, length))
+        for name in ("thrust", "time", "signal"):
+            factor = factor_of(QUANTITIES[name], unit)
+            assert factor is None or np.isfinite(factor)
+    assert factor_of(QUANTITIES["time"], "9**9**9**9 s") is None
+
+
 @pytest.mark.parametrize(
     ("header", "parts"),
     [

@@ -83,7 +83,8 @@ def _hdf5(path: str | os.PathLike, data: bytes) -> Sheet:
     matlab = data.startswith(b"MATLAB 7.3")
     found, units = {}, {}
     try:
-        with h5py.File(io.BytesIO(data), "r") as file:
+        # Where it can, HDF5 opens the file itself: of a broken one it then says no, where reading through Python may crash.
+        with h5py.File(io.BytesIO(data) if str(path).lower().endswith(".gz") else path, "r") as file:
 
             def visit(name, item):
                 if not isinstance(item, h5py.Dataset) or name.startswith(("#refs#", "#subsystem#")):
@@ -102,7 +103,7 @@ def _hdf5(path: str | os.PathLike, data: bytes) -> Sheet:
                         units[own] = unit
 
             file.visititems(visit)
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError) as error:
         raise _broken(path, "HDF5", error) from error
     return _sheet(path, found, units, "MAT (v7.3)" if matlab else "HDF5")
 

@@ -161,7 +161,9 @@ def _is_value(cell: str) -> bool:
 def _quantity(text: str) -> tuple[str, str] | None:
     """(number, unit) of a cell such as "12.3 N", the unit "" where there is none."""
     found = _NUMBER.match(text)
-    rest = text[found.end() :].strip() if found else "x"
+    if found is None:
+        return None
+    rest = text[found.end() :].strip()
     return (found.group(0), rest) if not rest or re.fullmatch(r"[A-Za-zµμ°%][\w/^·*°%-]{0,9}", rest) else None
 
 

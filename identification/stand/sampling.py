@@ -1,5 +1,7 @@
 """What a log's rows are worth as samples: said when it comes in, each in one line with the number that shows it."""
 
+from pathlib import Path
+
 import numpy as np
 
 from identification.gate.files import FOLLOWS
@@ -15,6 +17,9 @@ from vpp_fmu.rig import infer_rig
 
 HELD = 3
 """Rows that a command keeps before and after a move that is judged."""
+
+MOSTLY = 0.7
+"""Share of its rows that a command must hold in to be judged: with fewer it moves too often to have a value in between."""
 
 PASSES = 0.3
 """Share of such moves with one value in between from which rows are averages: a command that is sampled goes over at once, and
@@ -53,6 +58,8 @@ def between(record: Record) -> tuple[int, int]:
         first = np.flatnonzero(np.append(True, command[1:] != command[:-1]))
         length = np.diff(np.append(first, len(command)))
         held = length >= HELD
+        if length[held].sum() < MOSTLY * len(command):
+            continue  # a ramp, or a measured speed in the command's place
         moves += int(np.sum(held[:-1] & held[1:]))
         single = held[:-2] & (length[1:-1] == 1) & held[2:]
         before, at, after = (command[first[k : len(first) - 2 + k]] for k in range(3))
@@ -81,5 +88,5 @@ def _slow(record: Record) -> list[str]:
 
 def findings(record: Record) -> tuple[Finding, ...]:
     """What the quality gate will say of a record: channels that are clipped, frozen, in another unit."""
-    campaign = Campaign(".", None, (), record, None, None, rig=infer_rig([record], None, {}))
+    campaign = Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {}))
     return look(campaign).findings

@@ -6,6 +6,7 @@ A unit may bear a number of its own: "4 ms" of a count of rows, "-1 N" of a cell
 """
 
 import re
+import tokenize
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -42,6 +43,10 @@ QUANTITIES = {
     )
 }
 """All that a mapping may name."""
+
+_NO = (pint.errors.PintError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, SyntaxError, AssertionError)
+_NO += (RecursionError, tokenize.TokenError)
+"""How pint's parser, which is a calculator's, says that a text is no unit."""
 
 SIGNALS = {"us": "PWM", "%": "throttle", "1": "throttle", "": "DShot"}
 """The kind of a motor's signal, by the unit it is in."""
@@ -104,21 +109,12 @@ def _factor(quantity: Quantity, found: pint.Quantity) -> float | None:
 @lru_cache(maxsize=512)
 def _parsed(text: str) -> pint.Quantity | None:
     """What pint makes of a unit; None where it makes nothing of it."""
-    if not text or len(text) > 40:
-        return None
+    if len(text) > 40 or not re.search(r"[^\W\d_]|[°%]", text) or re.search(r"[\d)]\s*(\*\*|\^)", text):
+        return None  # a power of a number is no unit, and 9**9**9 would keep pint busy for good
     try:
         return _registry().Quantity(_registry().parse_expression(re.sub(r"(?<=[A-Za-z])(-\d)", r"^\1", text)))
-    except (
-        pint.errors.PintError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        KeyError,
-        ArithmeticError,
-        SyntaxError,
-        RecursionError,
-    ):
-        return None  # its parser is a calculator's, and says no in many ways
+    except _NO:
+        return None
 
 
 @lru_cache(maxsize=1)
