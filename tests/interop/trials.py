@@ -20,9 +20,9 @@ LOOP_STEPS, WANTED = 500, 8.0
 
 
 class Fmpy:
-    """In the loop it runs its own SSP simulation, which sets connectors to zero and no values: no thrust is wanted."""
+    """In the loop it runs its own SSP simulation, which knows no parameter sets; the wanted thrust goes in by the system's input."""
 
-    package, wanted = "fmpy", 0.0
+    package, wanted = "fmpy", WANTED
 
     def alone(self, folder, suffix):
         import fmpy
@@ -39,8 +39,8 @@ class Fmpy:
         from fmpy.ssp.simulation import simulate_ssp
 
         path, stop = str(folder / f"VppLoop{suffix}.ssp"), LOOP_STEPS * STEP
-        result = simulate_ssp(path, stop_time=stop, step_size=STEP, input=lambda t: None)
-        return [float(result[f"VppPlant.{name}"][-1]) for name in OUTPUTS]
+        result = simulate_ssp(path, stop_time=stop, step_size=STEP, input={"thrust_set": lambda t: WANTED})
+        return [float(result[name][-1]) for name in OUTPUTS]
 
 
 class Libcosim:
@@ -63,7 +63,7 @@ class Libcosim:
     def loop(self, folder, suffix):
         from libcosimpy.CosimExecution import CosimExecution
 
-        execution = CosimExecution.from_ssp_file(str(folder / f"VppLoop{suffix}.ssp"), int(STEP * 1e9))
+        execution = CosimExecution.from_ssp_file(str(folder / f"VppLoop{suffix}.flat.ssp"), int(STEP * 1e9))
         observer, _ = self._watch(execution)
         execution.step(LOOP_STEPS)
         return observer.last_real_values(execution.slave_index_from_instance_name("VppPlant"), [2, 3, 4])
@@ -103,7 +103,7 @@ class Ecos:
     def loop(self, folder, suffix):
         from ecospy import EcosSimulation
 
-        with EcosSimulation(ssp_path=str(folder / f"VppLoop{suffix}.ssp"), step_size=STEP) as simulation:
+        with EcosSimulation(ssp_path=str(folder / f"VppLoop{suffix}.flat.ssp"), step_size=STEP) as simulation:
             simulation.init(parameter_set="VppLoop")
             simulation.step(LOOP_STEPS)
             found = [simulation.get_real(f"VppPlant::{name}") for name in OUTPUTS]
@@ -120,7 +120,7 @@ class EcosCommand:
         return self._run(folder / f"VppPlant{suffix}.fmu", "instance")
 
     def loop(self, folder, suffix):
-        return self._run(folder / f"VppLoop{suffix}.ssp", "VppPlant", "--parameterSet", "VppLoop")
+        return self._run(folder / f"VppLoop{suffix}.flat.ssp", "VppPlant", "--parameterSet", "VppLoop")
 
     def _run(self, path, instance, *more):
         shipped = Path(find_spec("ecospy").origin).parent / "binaries" / ("ecos.exe" if os.name == "nt" else "ecos")

@@ -22,6 +22,8 @@ from vpp_fmu.units import base_unit
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
+FLAT = ".flat"
+"""Of the loop without connectors of its own, for importers that know none."""
 WANTED_THRUST = 8.0  # N; what the loop's archive starts on, where nobody says more
 
 
@@ -88,7 +90,9 @@ def exported(parts: Sequence[ParameterSet], flavours: Iterable[str], platforms: 
         found |= {f"{name}{SUFFIX[flavour]}.fmu": fmu for name, fmu in fmus.items()}
         if len(parts) > 1:
             loop = {p.model.name: (p, fmus[p.model.name]) for p in parts}
-            found[f"{NAME}{SUFFIX[flavour]}.ssp"] = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop)
+            for flat in (False, True):
+                ssp = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop, connectors=not flat)
+                found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp
     for part in parts:
         name = part.model.name
         found |= {f"{name}.ssv": to_ssv(part, name), **reference_files(part.model, part.values, experiment)}

@@ -120,11 +120,15 @@ def _span(model: Model, unit: str) -> tuple[float, float, float]:
 
 
 def _structure(model: Model) -> Element:
-    """At a communication point no output depends on an input directly; at the start each is settled on all of them."""
+    """At a communication point no output depends on an input directly. At the start those of a model in continuous time are
+    settled on all of them; those of a sampled law are start values until its first sample, and depend on nothing."""
     root = Element("ModelStructure")
     first = len(model.inputs) + 1
     outputs, unknowns = SubElement(root, "Outputs"), SubElement(root, "InitialUnknowns")
-    settled_on = [*range(1, first), *range(first + len(model.outputs), first + len(model.outputs) + len(model.parameters))]
+    first_parameter = first + len(model.outputs)
+    settled_on = [*range(1, first), *range(first_parameter, first_parameter + len(model.parameters))]
+    if model.sample_time is not None:
+        settled_on = []
     for i in range(first, first + len(model.outputs)):
         SubElement(outputs, "Unknown", index=str(i), dependencies="")
         SubElement(unknowns, "Unknown", index=str(i), dependencies=" ".join(map(str, settled_on)))

@@ -240,6 +240,9 @@ def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict
 
     Each state starts from the signals that reach its effect; one INSTANT of the effect's own step then gives the signals
     behind it. From a settled state every exact form stays where it is to the bit.
+
+    A sampled law has not run before its first sample: until then its outputs are their start values, whatever its inputs.
+    Two models that feed each other thus form no algebraic loop when they start, as long as one of them is sampled.
     """
     s = SimpleNamespace(**inputs)
     states = {}
@@ -249,6 +252,8 @@ def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict
         signals, _ = e.step(ops, s, SimpleNamespace(**own), p, INSTANT)
         s.__dict__.update(signals)
         states.update((e.full(name), value) for name, value in own.items())
+    if model.sample_time is not None:
+        s.__dict__.update((output.name, output.start) for output in model.outputs)
     return vars(s), states
 
 
