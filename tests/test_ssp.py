@@ -1,6 +1,7 @@
 """The closed loop as SSP: valid, within what importers share, with the values it was given; and run by those at hand."""
 
 import io
+import json
 import zipfile
 from graphlib import CycleError, TopologicalSorter
 from xml.etree import ElementTree
@@ -171,7 +172,7 @@ def test_values_are_bound_to_their_components_in_sets_of_one_name(loop, parts):
     for name, (parameters, _) in parts.items():
         root = ElementTree.fromstring(loop[f"resources/{name}.ssv"])
         names.add(root.get("name"))
-        shown = {p.get("name"): float(p[0].get("value")) for p in root.iter(f"{{{SSV}}}Parameter")}
+        shown = {p.get("name"): json.loads(p[0].get("value")) for p in root.iter(f"{{{SSV}}}Parameter")}
         assert shown == parameters.values | ({"thrust_set": 8.0} if name == "VppController" else {})
     assert names == {"VppLoop"}
 

@@ -23,6 +23,7 @@ from vpp_fmu.errors import BadInput, SimulationFailed, VppError
 from vpp_fmu.record import Record
 
 WARNING = 1
+TYPES = {"Real": (ctypes.c_double, float), "Integer": (ctypes.c_int, round), "Boolean": (ctypes.c_int, bool)}
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
@@ -87,7 +88,7 @@ class FmuInstance:
         self.fmu, self._messages = fmu, []
         parameters = dict(parameters or {})
         read, written = fmu.references(outputs, "output"), fmu.references(inputs, "input")
-        tuned = fmu.references(parameters, "parameter")
+        fmu.references(parameters, "parameter")
         self._slave = fmu.slave()
         self._callbacks = self._make_callbacks()
         try:
@@ -99,11 +100,12 @@ class FmuInstance:
         """Terminate and free the instance."""
         self._bind(read, written)
         self._call("fmi2SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(0.0), 0, ctypes.c_double(0.0))
-        if parameters:
-            n = len(parameters)
-            self._call(
-                "fmi2SetReal", (ctypes.c_uint * n)(*tuned), ctypes.c_size_t(n), (ctypes.c_double * n)(*parameters.values())
-            )
+        for kind, (c_type, python_type) in TYPES.items():
+            chosen = {name: value for name, value in parameters.items() if fmu.variables[name].type == kind}
+            references = (ctypes.c_uint * len(chosen))(*fmu.references(chosen, "parameter"))
+            values = (c_type * len(chosen))(*map(python_type, chosen.values()))
+            if chosen:
+                self._call(f"fmi2Set{kind}", references, ctypes.c_size_t(len(chosen)), values)
         self._call("fmi2EnterInitializationMode")
 
     def start(self, values: Sequence[float]) -> list[float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from vpp_fmu.export.archive import archive
-from vpp_fmu.kernel.types import Signal
+from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Signal
 from vpp_fmu.parameters import ParameterSet, to_ssv
 from vpp_fmu.units import base_unit
 
@@ -87,7 +87,7 @@ def _structure(parts: Mapping[str, ParameterSet], stop: float, connectors: bool)
     right = GAP + len(parts) * (WIDTH + GAP)
     ElementTree.SubElement(system, f"{{{SSD}}}SystemGeometry", _numbers(x1=0.0, y1=0.0, x2=right, y2=HEIGHT + 2.0 * GAP))
     units = ElementTree.SubElement(root, f"{{{SSD}}}Units")
-    for unit in sorted({s.unit for p in parts.values() for s in (*p.model.inputs, *p.model.outputs)}):
+    for unit in sorted({s.unit for p in parts.values() for s in (*p.model.inputs, *p.model.outputs) if s.kind == REAL}):
         element = ElementTree.SubElement(units, f"{{{SSC}}}Unit", name=unit)
         ElementTree.SubElement(element, f"{{{SSC}}}BaseUnit", base_unit(unit))
     ElementTree.SubElement(root, f"{{{SSD}}}DefaultExperiment", startTime="0.0", stopTime=repr(stop))
@@ -166,7 +166,7 @@ def _connectors(inputs: Iterable[Signal], outputs: Iterable[Signal]) -> ElementT
 
 
 def _type(signal: Signal) -> ElementTree.Element:
-    return ElementTree.Element(f"{{{SSC}}}Real", unit=signal.unit)
+    return ElementTree.Element(f"{{{SSC}}}{signal.kind}", {"unit": signal.unit} if signal.kind == REAL else {})
 
 
 def _binding(name: str) -> ElementTree.Element:
@@ -191,7 +191,7 @@ def _system_values(parts: Mapping[str, ParameterSet], starts: Mapping[str, float
     inputs = [start.signal for start, _ in _connections(parts) if start.element is None]
     _add_starts(ElementTree.SubElement(root, f"{{{SSV}}}Parameters"), inputs, starts)
     units = ElementTree.SubElement(root, f"{{{SSV}}}Units")
-    for unit in sorted({s.unit for s in inputs}):
+    for unit in sorted({s.unit for s in inputs if s.kind == REAL}):
         element = ElementTree.SubElement(units, f"{{{SSC}}}Unit", name=unit)
         ElementTree.SubElement(element, f"{{{SSC}}}BaseUnit", base_unit(unit))
     return _text(root)
@@ -201,7 +201,14 @@ def _add_starts(listed: ElementTree.Element, inputs: Iterable[Signal], starts: M
     for signal in inputs:
         if signal.name in starts:
             element = ElementTree.SubElement(listed, f"{{{SSV}}}Parameter", name=signal.name)
-            ElementTree.SubElement(element, f"{{{SSV}}}Real", value=repr(float(starts[signal.name])), unit=signal.unit)
+            element.append(_start(signal, starts[signal.name]))
+
+
+def _start(signal: Signal, value: float) -> ElementTree.Element:
+    text = {REAL: repr(float(value)), BOOLEAN: str(value != 0.0).lower(), INTEGER: str(round(value))}[signal.kind]
+    return ElementTree.Element(
+        f"{{{SSV}}}{signal.kind}", {"value": text} | ({"unit": signal.unit} if signal.kind == REAL else {})
+    )
 
 
 def _text(root: ElementTree.Element) -> bytes:

@@ -34,7 +34,7 @@ def alone() -> list[np.ndarray]:
 
 
 def loops(wanted: float) -> list[np.ndarray]:
-    """What the loop may show: importers differ in whether the wanted thrust is there at the first step, and in when they look."""
+    """What the loop may show: importers differ in whether the wanted thrust is there at the first step, and when they look."""
     found = []
     for late in (0, 1):
         plant, controller = Simulation(BASE), Simulation(CONTROLLER)

@@ -20,7 +20,7 @@ LOOP_STEPS, WANTED = 500, 8.0
 
 
 class Fmpy:
-    """In the loop it runs its own SSP simulation, which knows no parameter sets; the wanted thrust goes in by the system's input."""
+    """In the loop it runs its own SSP simulation, which knows no parameter sets; thrust is wanted by the system's input."""
 
     package, wanted = "fmpy", WANTED
 

@@ -18,7 +18,7 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
-from vpp_fmu.units import base_unit
+from vpp_fmu.units import UnknownUnit, base_unit
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
@@ -73,7 +73,7 @@ def find_model(where: str) -> Model:
     for quantity in (*found.inputs, *found.outputs, *found.parameters, *found.states):
         try:
             base_unit(quantity.unit)
-        except KeyError as error:
+        except UnknownUnit as error:
             what = f"{quantity.name} in {quantity.unit}"
             raise BadInput("vpp export", "--model", what, "units that vpp_fmu.units knows") from error
     return found
