@@ -93,21 +93,23 @@ def foreign_calls(plant_path, controller_path, count=1000):
     for part, values in zip(pair, ((0.0, 0.0), (5.0, 0.0)), strict=True):
         part.start(*values)
     (plant, p), (controller, c) = ((part._instance, part._instance._slave.dll) for part in pair)
-    timing = ctypes.c_double(0.0), ctypes.c_double(STEP), ctypes.c_int(1)
-    written, read, feedback = plant._written, (*controller._read[:2], plant._inputs), controller._written
+    at, timing = ctypes.c_double(0.0), (ctypes.c_double(STEP), ctypes.c_int(1))
+    (to_plant, shown), (to_controller, given) = ((*part._writes, *part._reads) for part in (plant, controller))
+    written, read, feedback = to_plant.arguments, (*given.arguments[:2], to_plant.values), to_controller.arguments
     set_c, step_c, get_c = c["fmi2SetReal"], c["fmi2DoStep"], c["fmi2GetReal"]
     set_p, step_p, get_p = p["fmi2SetReal"], p["fmi2DoStep"], p["fmi2GetReal"]
     at_c, at_p = controller._component, plant._component
 
     def work():
         for _ in range(count):
-            controller._inputs[1] = plant._outputs[0]
+            to_controller.values[1] = shown.values[0]
             set_c(at_c, *feedback)
-            step_c(at_c, *timing)
+            step_c(at_c, at, *timing)
             get_c(at_c, *read)
             set_p(at_p, *written)
-            step_p(at_p, *timing)
-            get_p(at_p, *plant._read)
+            step_p(at_p, at, *timing)
+            get_p(at_p, *shown.arguments)
+            at.value += STEP
 
     return best(work, 1, 60) / count
 

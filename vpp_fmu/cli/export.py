@@ -11,14 +11,16 @@ from pathlib import Path
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
+from vpp_fmu.export.checks import at_line, check_model
 from vpp_fmu.export.cross_check import reference_files
+from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.export.trial import expected, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
-from vpp_fmu.units import UnknownUnit, base_unit
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
@@ -33,6 +35,9 @@ def configure(parser):
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
+    parser.add_argument(
+        "--author", metavar="NAME", default=AUTHOR, help="who made the model, for the FMUs (default: %(default)s)"
+    )
     parser.add_argument("--model", metavar="PACKAGE.MODULE:NAME", help="export this model instead of plant and controller")
     add_output(parser)
 
@@ -41,7 +46,12 @@ def run(options):
     parts = _own(options) if options.model else _plant_and_controller(options)
     folder = OutputSet(options.output, "export")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
-    for name, content in exported(parts, flavours, options.platforms).items():
+    files = exported(parts, flavours, options.platforms, options.author)
+    if options.model:
+        for flavour in flavours:
+            name = parts[0].model.name
+            try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), files[f"{name}{SUFFIX[flavour]}.fmu"])
+    for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
 
@@ -60,32 +70,36 @@ def _own(options) -> list[ParameterSet]:
 
 
 def find_model(where: str) -> Model:
-    """The model that `package.module:NAME` names; modules are also found in the current folder."""
+    """The model that `package.module:NAME` names; modules are also found in the current folder. BadInput: what is wrong with
+    the module, or which of the model's declarations can't become an FMU."""
     module, _, name = where.partition(":")
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
     try:
         found = getattr(importlib.import_module(module), name)
-    except (ImportError, ValueError, AttributeError) as error:
-        raise BadInput("vpp export", "--model", f"{where} ({error})", "package.module:NAME of a kernel Model") from error
+    except Exception as error:  # somebody's own module may raise anything
+        field, said = at_line("--model", error), " ".join(str(error).split())
+        raise BadInput("vpp export", field, f"{where} ({said})", "package.module:NAME of a kernel Model") from error
     if not isinstance(found, Model):
         raise BadInput("vpp export", "--model", f"{where}, a {type(found).__name__}", "the name of a kernel Model")
-    for quantity in (*found.inputs, *found.outputs, *found.parameters, *found.states):
-        try:
-            base_unit(quantity.unit)
-        except UnknownUnit as error:
-            what = f"{quantity.name} in {quantity.unit}"
-            raise BadInput("vpp export", "--model", what, "units that vpp_fmu.units knows") from error
+    check_model(where, found)
+    expected(where, found, found.values(), Experiment())
     return found
 
 
-def exported(parts: Sequence[ParameterSet], flavours: Iterable[str], platforms: str = "host") -> dict[str, bytes | str]:
+def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
+    return Experiment(stop=float(parts[0].source.get("record_seconds", 10.0)))
+
+
+def exported(
+    parts: Sequence[ParameterSet], flavours: Iterable[str], platforms: str = "host", author: str = AUTHOR
+) -> dict[str, bytes | str]:
     """All files by name; nothing is written before all of them are made. Two parts or more also give their closed loop."""
-    experiment = Experiment(stop=float(parts[0].source.get("record_seconds", 10.0)))
+    experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
     for flavour in flavours:
-        more = {"platforms": platforms} if flavour == "native" else {}
+        more = {"author": author} | ({"platforms": platforms} if flavour == "native" else {})
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
         found |= {f"{name}{SUFFIX[flavour]}.fmu": fmu for name, fmu in fmus.items()}
         if len(parts) > 1:
