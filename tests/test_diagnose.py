@@ -220,6 +220,7 @@ def test_what_a_record_of_other_commands_refutes_does_not_ship():
     found = diagnose(replace(campaign, validation=validation), some("sensor_drift"))
     assert found.selection.final.effects == ("sensor_drift",)
     assert "validation.csv" in found.refuted
+    assert found.verdict == "unexplained"
     assert found.final is found.base
     assert summary(found)["effects"] == []
     assert summary(found)["refuted"]["effects"] == ["sensor_drift"]

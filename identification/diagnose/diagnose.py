@@ -81,7 +81,7 @@ class Diagnosis:
     @property
     def final(self) -> Fit:
         """The model that ships: with the effects that stand and have not been refuted, else the base."""
-        return self.selection.final if self.verdict in CHANGED and not self.refuted else self.base
+        return self.selection.final if self.verdict in CHANGED else self.base
 
     @property
     def fits(self) -> dict[str, Fit]:
@@ -166,13 +166,13 @@ def diagnose(
         ThreadPoolExecutor(workers) as pool,
     ):  # the fits run side by side: threads in each would only fight
         stage("identify")
-        gate, accept = passed(campaign, records, accept), tuple(accept)
+        gate = passed(campaign, records, accept)
         groups, unseen = roles(gate.campaign, gate.further)
         fitted = tuple(one for group in groups for one in group)
         if given:
             at = from_given(gate.campaign, given, library, [one.record for one in fitted])
         else:
-            at = from_identification(campaign, library, seed, records or {}, accept)
+            at = from_identification(campaign, gate, library, seed)
         options = candidates(at.library, [one.record for one in fitted])
         stage("noise")
         searcher, base = _prepared(groups, at, options, pool)
@@ -186,7 +186,8 @@ def diagnose(
         after = lack_of_fit(selection.final, least)
         word = verdict(base, selection.final, before, after, selection.family)
         refuted = _refuted(judge, base, selection.final, unseen) if word in CHANGED else ""
-        final = selection.final if word in CHANGED and not refuted else base
+        word = "unexplained" if refuted else word  # what was found is not it
+        final = selection.final if word in CHANGED else base
         shown = predict(final.evidence.model, final.values, fitted[0].record)
         return Diagnosis(
             campaign=campaign,

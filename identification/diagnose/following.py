@@ -51,7 +51,7 @@ def following(fit: Fit) -> Following:
     for e in evidence.experiments:
         outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
         # One after the other: side by side the shapes of a long record would be the largest thing in memory.
-        rows.append(np.stack([e.thrust_residual_of(s) for s in thrust_shapes(fit.values, e.record, outputs)]))
+        rows.append(np.stack([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)]))
     thrust = np.hstack(rows) / evidence.scale["thrust"]
     columns = np.zeros((len(thrust), evidence.size))
     columns[:, : thrust.shape[1]] = thrust  # speed's rows come after

@@ -343,7 +343,7 @@ def _signs(files: Sequence[File]) -> Iterator[Finding]:
             continue
         pitch, speed, mean = r.rise("beta"), r.rise("omega"), float(np.mean(r.thrust))
         negative = mean < -SLOPE * r.size
-        if pitch is not None and pitch < -SLOPE * r.size:
+        if pitch is not None and pitch < -SLOPE * r.size and r.owed("beta") > BETTER:
             told = f"thrust changes by {pitch:+.3g} N from low to high pitch, and is {mean:.3g} N on average"
             if mean > SLOPE * r.size:
                 cause = "pitch counts the other way, or the blades are mounted so"

@@ -97,6 +97,15 @@ class Response:
         low, high = self.at(ends, middle) if channel == "omega" else self.at(middle, ends)
         return float(high - low)
 
+    def owed(self, channel: str) -> float:
+        """How many times as much variance is left where a channel stands in its middle, and all else is fitted anew."""
+        own = {"omega": self.omega, "beta": self.beta}
+        own[channel] = np.full(len(self.thrust), np.median(own[channel]))
+        a = self.span.columns(own["omega"], own["beta"])
+        found = np.linalg.lstsq(a, self.thrust, rcond=1e-9)[0]
+        left = float(np.mean(self.left**2))
+        return float(np.mean((self.thrust - a @ found) ** 2)) / left if left > 0.0 else np.inf
+
 
 class Look:
     """Records of one file, to be looked at with lags of any length; what is missing of the thrust is left out."""

@@ -1,6 +1,6 @@
 """A model whose smooth parameters may move along their sensitivities from where they are: the cheap stand-in for a refit."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -35,18 +35,28 @@ class Linearised:
         x = self._x - self._inverse @ (self._columns.T @ rows)
         return coordinates.values(np.clip(x, coordinates.lower, coordinates.upper))
 
+    def outputs(self, simulator: Simulator, changes: Mapping[str, float]) -> list[np.ndarray]:
+        """Outputs (rows, 3) of a simulator's model for each experiment, with `changes` to the fitted values."""
+        values = {**self._values, **changes}
+        return [simulator.simulate(values, e.record.columns, e.record.steps) for e in self._evidence.experiments]
+
     def rows(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
         """Scaled residual (rows,) of a simulator's model with `changes` to the fitted values."""
-        values = {**self._values, **changes}
         evidence = self._evidence
-        outputs = [simulator.simulate(values, e.record.columns, e.record.steps) for e in evidence.experiments]
-        return np.concatenate([r / evidence.scale[c] for c, r in evidence.residuals(outputs).items()])
+        residuals = evidence.residuals(self.outputs(simulator, changes))
+        return np.concatenate([r / evidence.scale[c] for c, r in residuals.items()])
+
+    def change(self, outputs: Sequence[np.ndarray]) -> np.ndarray:
+        """Scaled change of the residual (rows,) for a change of the outputs, (rows, 3) for each experiment."""
+        evidence = self._evidence
+        return np.concatenate([c / evidence.scale[k] for k, c in evidence.columns(outputs).items()])
 
     def columns(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
         """Sensitivities (rows, wrt) of the scaled residual in the parameters that a simulator has tangents for."""
         values, evidence = {**self._values, **changes}, self._evidence
-        tangents = [simulator.sensitivities(values, e.record.columns, e.record.steps)[1] for e in evidence.experiments]
-        return np.vstack([c / evidence.scale[k] for k, c in evidence.columns(tangents).items()])
+        runs = [simulator.sensitivities(values, e.record.columns, e.record.steps) for e in evidence.experiments]
+        columns = evidence.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
+        return np.vstack([c / evidence.scale[k] for k, c in columns.items()])
 
     def cost(self, simulator: Simulator, changes: Mapping[str, float]) -> float:
         """Half sum of squares with `changes`, the fitted parameters following as far as they can."""

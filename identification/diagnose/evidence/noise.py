@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.diagnose.evidence.converter import grid
 from vpp_fmu.record import Record
 
 BLOCKS_A_TIME = 30.0
@@ -177,14 +178,8 @@ def noise_from(
     means = [m - np.nanmean(m) for m in means]
     rows = np.concatenate([e - np.nanmean(e) for e in error])
     below = np.concatenate([blocks(record, 0.5 / slow).mean(e - np.nanmean(e)) for e in error])
-    least = _rounding(record["thrust"])
+    least = grid(record["thrust"])[0] / np.sqrt(12.0)  # what rounding leaves uncertain: noise is never less
     floor, power = max(float(np.sqrt(np.nanmean(rows**2))), least), max(float(np.nanmean(below**2)), least**2)
     colour = colour_of(means)
     colour = replace(colour, innovation=max(colour.innovation, least))
     return Noise(floor, colour, power, colour_of([s - s.mean() for s in speed if len(s)]), block, verified)
-
-
-def _rounding(thrust: np.ndarray) -> float:
-    """What rounding to the last digit that a record shows leaves uncertain [N]: noise is never less."""
-    values = np.unique(thrust[np.isfinite(thrust)])
-    return float(np.min(np.diff(values))) / np.sqrt(12.0)

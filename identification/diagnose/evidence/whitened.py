@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.diagnose.evidence.converter import Converter
 from identification.diagnose.evidence.noise import Noise, blocks
 from identification.diagnose.roles import Fitted
 from identification.fit.coordinates import Coordinates
@@ -17,6 +18,10 @@ from identification.fit.problem import Prior
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
+
+WEIGHED, ENOUGH = 0.5, 1e-3
+"""Log-likelihood at which a fit ends: to weigh the channels by what it leaves, and for good (a deviation of 0.045 standard
+deviations of the estimate)."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,7 @@ class Experiment:
         thrust = np.stack([r["thrust"] for r in own])
         self._there = np.isfinite(thrust).all(axis=0)
         self.thrust_rows = np.where(self._there, thrust.mean(axis=0), np.nan)
+        self.converter = Converter.of(np.concatenate([r["thrust"] for r in own]), noise.floor)
         self._blocks = blocks(self.record, noise.block)
         self.thrust = self._blocks.mean(self.thrust_rows)
         self.tachometers = [Tachometer(r) for r in own if "omega" in r]
@@ -59,25 +65,30 @@ class Experiment:
         if len(self.omega_time):
             self.sizes["omega"] = len(self.omega_time)
 
+    @property
+    def compared(self) -> list[int]:
+        """Columns of the model's outputs (rows, 3) that these records measure: thrust, and speed where it is there."""
+        return [0, 1] if len(self.omega_time) else [0]
+
     def thrust_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened predicted less measured thrust (n,), from thrust (rows,) N."""
-        return self._white(self._blocks.mean(self._where_measured(predicted)) - self.thrust)
+        return self._white(self._blocks.mean(self._where_measured(self.converter.reads(predicted))) - self.thrust)
 
     def thrust_columns(self, tangents: np.ndarray) -> np.ndarray:
-        """Whitened sensitivities (n, k) from those of thrust (rows, k)."""
-        return self.thrust_residual_of(tangents)
-
-    def thrust_residual_of(self, change: np.ndarray) -> np.ndarray:
-        """Whitened change of the residual (n,) for a change of the thrust (rows,) N."""
-        return self._white(self._blocks.mean(self._where_measured(change)))
+        """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the thrust (rows, ...) N."""
+        if not tangents.any():  # what runs into nothing changes nothing
+            return np.zeros((self.sizes["thrust"], *tangents.shape[1:]))
+        return self._white(self._blocks.mean(self._where_measured(tangents)))
 
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened predicted less measured speed (n,), from speed (rows,) rpm."""
         return self._heard([(t.shows(predicted) - t.measured) / t.std for t in self.tachometers])
 
     def omega_columns(self, tangents: np.ndarray) -> np.ndarray:
-        """Whitened sensitivities (n, k), from those of speed (rows, k)."""
-        return self._heard([t.shows(tangents) / t.std[:, None] for t in self.tachometers])
+        """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the speed (rows, ...) rpm."""
+        if not tangents.any():
+            return np.zeros((len(self.omega_time), *tangents.shape[1:]))
+        return self._heard([(t.shows(tangents).T / t.std).T for t in self.tachometers])
 
     def slow_thrust(self, rows: np.ndarray) -> np.ndarray:
         """Means of a thrust (rows,) [N] over 50 ms, what is below 10 Hz of it; blocks without a reading left out."""
@@ -139,13 +150,19 @@ class Evidence:
             found["omega"] = np.concatenate(omega)
         return found
 
-    def columns(self, tangents: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        """Each channel's sensitivities (n, k), unscaled, from those of the outputs (rows, 3, k) of each experiment."""
+    def columns(self, tangents: Sequence[np.ndarray], outputs: Sequence[np.ndarray] | None = None) -> dict[str, np.ndarray]:
+        """Each channel's sensitivities (n, ...), unscaled, from those of the outputs (rows, 3, ...) of each experiment.
+
+        `outputs`: where they are taken, for what a coarse converter makes of them; None: as if it were fine.
+        """
         pairs = list(zip(self.experiments, tangents, strict=True))
-        found = {"thrust": np.vstack([e.thrust_columns(d[:, 0]) for e, d in pairs])}
+        slopes = [e.converter.slope(y[:, 0]) for e, y in zip(self.experiments, outputs or (), strict=False)]
+        thrust = [d[:, 0] for d in tangents]
+        thrust = [(d.T * slope).T for d, slope in zip(thrust, slopes, strict=True)] if slopes else thrust
+        found = {"thrust": np.concatenate([e.thrust_columns(d) for e, d in zip(self.experiments, thrust, strict=True)])}
         omega = [e.omega_columns(d[:, 1]) for e, d in pairs if len(e.omega_time)]
         if omega:
-            found["omega"] = np.vstack(omega)
+            found["omega"] = np.concatenate(omega)
         return found
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +172,7 @@ class Evidence:
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
         runs = [self._simulator.sensitivities(found, e.record.columns, e.record.steps) for e in self.experiments]
         residuals = self.residuals([outputs for outputs, _ in runs])
-        columns = self.columns([tangents for _, tangents in runs])
+        columns = self.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
         residual = np.concatenate([r / self.scale[c] for c, r in residuals.items()])
         jacobian = np.vstack([j @ inner / self.scale[c] for c, j in columns.items()])
         if self.prior is None:
@@ -177,16 +194,19 @@ class Evidence:
         residuals = self.residuals(outputs)
         return Score({c: float(r @ r) for c, r in residuals.items()}, {c: len(r) for c, r in residuals.items()})
 
-    def fit(self, start: Mapping[str, float], limit: int = 40) -> Solution:
+    def fit(self, start: Mapping[str, float]) -> Solution:
         """Fit from `start`, then once more with the channels weighed by what the first fit left."""
-        coordinates = self.coordinates
-        found = solve(self.evaluate, coordinates.vector(start), coordinates.lower, coordinates.upper, 1e-8, limit)
+        found = self._solve(self.coordinates.vector(start), WEIGHED, 40)
         self.weigh(found.residual)
         return self.refit(found.value)
 
     def refit(self, x: np.ndarray, limit: int = 12) -> Solution:
         """Fit from coordinates `x` under the present weights."""
-        return solve(self.evaluate, x, self.coordinates.lower, self.coordinates.upper, 1e-8, limit)
+        return self._solve(x, ENOUGH, limit)
+
+    def _solve(self, x, enough, limit):
+        c = self.coordinates
+        return solve(self.evaluate, x, c.lower, c.upper, 0.0, limit, enough, lambda x: self.residual_at(c.values(x)))
 
     def weigh(self, residual: np.ndarray) -> None:
         """Set the channels' scales from a residual under the present ones."""

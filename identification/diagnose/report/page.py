@@ -73,7 +73,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         )
     rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.selection.family.items() if others]
     said = found.refuted or "; ".join(rivals) or SURE[found.verdict]
-    figures.append(("verdict", f"{found.verdict}, refuted" if found.refuted else found.verdict, said))
+    figures.append(("verdict", found.verdict, said))
     figures.append(_lack(found))
     figures += [quality_tile(found.quality)] if found.quality else []
     return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures

@@ -19,7 +19,7 @@ TOPS = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
 """Multiples of the highest speed commanded for what limits speed: above it, a limit that gives way binds in one corner only."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names.
 

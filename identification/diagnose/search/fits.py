@@ -112,7 +112,7 @@ class Searcher:
         """
         model = plant(effects, self.library)
         values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
-        smooth, stuck = self._kinds(model, values, free, slow_first)
+        smooth, stuck = self._kinds(model, values, free) if free else ([], [])
         idle = [n for n in free if n not in smooth and n not in stuck]
         # What these data don't reach, where a look left it, others might: it is off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
@@ -138,12 +138,12 @@ class Searcher:
         runs = [[simulator.simulate(v, r.columns, r.steps) for v in (values, off)] for r in records]
         return all(np.array_equal(*pair) for pair in runs)
 
-    def _kinds(self, model, values, free, slow_first) -> tuple[list[str], list[str]]:
+    def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
         """Free parameters (with a tangent, in which the response is piecewise constant); any other is idle here, and stays."""
-        if not free:
-            return [], []
-        evidence = Evidence(model, self.experiments, values, [*self.names, *free], None, slow_first)
-        _, jacobian = evidence.evaluate(evidence.coordinates.vector(values))
-        flat = [n for n in free if not np.any(jacobian[:, evidence.coordinates.names.index(n)])]
-        stuck = [n for n in flat if piecewise_constant(evidence, values, n)]
-        return [n for n in free if n not in flat], stuck
+        simulator = Simulator(model, free)
+        moved = np.zeros(len(free), bool)
+        for e in self.experiments:
+            _, tangents = simulator.sensitivities(values, e.record.columns, e.record.steps)
+            moved |= tangents[:, e.compared].any(axis=(0, 1))
+        smooth = [n for n, does in zip(free, moved, strict=True) if does]
+        return smooth, [n for n in free if n not in smooth and piecewise_constant(model, self.experiments, values, n)]

@@ -142,13 +142,19 @@ class _Trace:
 
     def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
         self.candidate, self._about, self._simulator = candidate, about, simulator
-        self._quiet = about.rows(simulator, {**candidate.form, **candidate.off})
+        self._quiet = about.outputs(simulator, {**candidate.form, **candidate.off})
         self.points = 0
 
     def at(self, point) -> np.ndarray:
         """(rows,)"""
         self.points += 1
-        return self._about.apart(self._about.rows(self._simulator, {**self.candidate.form, **point}) - self._quiet)
+        changed = self._changed(point)
+        return self._about.apart(changed) if changed.any() else changed
+
+    def _changed(self, point) -> np.ndarray:
+        """(rows,): the scaled residual's change from where the candidate is off; it is linear in the outputs'."""
+        shown = self._about.outputs(self._simulator, {**self.candidate.form, **point})
+        return self._about.change([y - quiet for y, quiet in zip(shown, self._quiet, strict=True)])
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
         """Whether neighbours on the axis of the only size look different: a resonance, or a threshold, shows where it is."""

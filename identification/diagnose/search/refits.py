@@ -1,8 +1,8 @@
 """One round: all candidates beside a fit looked at, those that promise most refitted, the best of these as well as can be."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 
@@ -17,6 +17,10 @@ SAME_RESPONSE = 1e-6
 
 REORDERED = 3
 """Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
+
+
+REACH = 0.5
+"""Share of the best one's evidence from which on another order, or a special case, might still bring a candidate ahead."""
 
 
 @dataclass(frozen=True)
@@ -48,25 +52,48 @@ def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool
 def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[Tried]:
     """The same with some more of them refitted: the most promising that have not been, as far as they promise anything."""
     count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
-    chosen = [t for t in tried if t.fit is None and t.fall > STRONG][:count]
-    at = {c.label: seen for c, seen in looks(searcher, fit, [t.candidate for t in chosen], pool)}
-    refits = list(pool.map(lambda t: refitted(searcher, fit, t.candidate, at[t.candidate.label]), chosen))
-    best = sorted(range(len(chosen)), key=lambda k: refits[k].bic())[:REORDERED]
-    for k, new in zip(best, pool.map(lambda k: _reordered(searcher, fit, chosen[k].candidate, refits[k]), best), strict=True):
-        refits[k] = new
-    leaders = {chosen[k].candidate.name: refits[k] for k in sorted(best, key=lambda k: -refits[k].bic())}
-    widened = pool.map(lambda k: _widened(searcher, fit, chosen[k].candidate, refits[k], leaders), best)
-    for k, new in zip(best, widened, strict=True):
-        refits[k] = new
-    for k in best:
-        for m, special in enumerate(chosen):
-            if start := _narrowed(chosen[k].candidate, refits[k], special.candidate):
-                new = added(searcher, fit, special.candidate, start, refits[k].slow_first, thorough=False)
-                refits[m] = min(refits[m], new, key=Fit.bic)
-    done = {
-        t.candidate.label: replace(t, fit=new, evidence=evidence_over(new, fit)) for t, new in zip(chosen, refits, strict=True)
-    }
-    return [done.get(t.candidate.label, t) for t in tried]
+    chosen = [t.candidate for t in tried if t.fit is None and t.fall > STRONG][:count]
+    if not chosen:
+        return list(tried)
+    at = {c.label: seen for c, seen in looks(searcher, fit, chosen, pool)}
+    refits = dict(zip(chosen, pool.map(lambda c: refitted(searcher, fit, c, at[c.label]), chosen), strict=True))
+
+    def improve(some: Sequence[Candidate], how: Callable[[Candidate], Fit]) -> None:
+        refits.update(zip(some, pool.map(how, some), strict=True))
+
+    leader = min(refits, key=lambda c: refits[c].bic())
+    near = {leader.name, *leader.effect.contains}
+    others = [t.candidate for t in tried if t.candidate.name in near and t.candidate is not leader and t.fit is None]
+    improve(others, lambda c: _near(searcher, fit, c, refits.get(c), leader, refits[leader]))
+    best = sorted(refits, key=lambda c: refits[c].bic())[:REORDERED]
+    best = [c for c in best if evidence_over(refits[c], fit) >= REACH * evidence_over(refits[best[0]], fit)]
+    improve(best, lambda c: _reordered(searcher, fit, c, refits[c]))
+    leaders = {c.name: refits[c] for c in sorted(best, key=lambda c: -refits[c].bic())}
+    improve(best, lambda c: _widened(searcher, fit, c, refits[c], leaders))
+    for wide in best:
+        for special, known in list(refits.items()):
+            if start := _narrowed(wide, refits[wide], special):
+                new = added(searcher, fit, special, start, refits[wide].slow_first, thorough=False)
+                refits[special] = min(known, new, key=Fit.bic)
+    return [replace(t, fit=new, evidence=evidence_over(new, fit)) if (new := refits.get(t.candidate)) else t for t in tried]
+
+
+def _near(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit | None, leader: Candidate, there: Fit) -> Fit:
+    """The refit of another form, or of a special case, of the effect that leads, or a better one from where that stands, in
+    both orders of the lags.
+
+    In another form a large effect asks for other lags: where the base's stand, a look sees nothing of it.
+    """
+    shared = leader.effect.contains.get(candidate.name, {})
+    same = {candidate.effect.full(its): there.values[leader.effect.full(own)] for own, its in shared.items()}
+    values = {n: v for n, v in there.values.items() if n not in candidate.form} | candidate.within(candidate.probe | same)
+    if candidate.name == leader.name:
+        values |= {n: there.values[n] for n in candidate.free}
+    flipped = {u: not there.slow_first.get(u, True) for u in candidate.effect.channels}
+    orders = [there.slow_first, {**there.slow_first, **flipped}]
+    starts = [values, values | {a: values[b] for u in flipped for a, b in permutations((f"tau_{u}_1", f"tau_{u}_2"))}]
+    found = [added(searcher, fit, candidate, v, o, thorough=False) for v, o in zip(starts, orders, strict=True)]
+    return min([*([refit] if refit else []), *found], key=Fit.bic)
 
 
 def looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:

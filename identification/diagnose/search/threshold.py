@@ -3,13 +3,14 @@
 They have no tangent; they are scanned, the smooth parameters linearised within a grid and refitted after it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from identification.diagnose.evidence.linearised import Linearised
-from identification.diagnose.evidence.whitened import Evidence
+from identification.diagnose.evidence.whitened import Evidence, Experiment
 from identification.fit.least_squares import Solution
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 
 CHI2_95 = 3.841458820694124
@@ -28,23 +29,25 @@ HALVINGS = 6
 """How often the step of the whole range's grid in which a flat ends is halved."""
 
 
-def piecewise_constant(evidence: Evidence, values: Mapping[str, float], name: str) -> bool:
-    """Whether the response changes with a free parameter of `evidence` and yet has no tangent in it, wherever it stands.
+def piecewise_constant(model: Model, experiments: Sequence[Experiment], values: Mapping[str, float], name: str) -> bool:
+    """Whether what is measured changes with a parameter and yet has no tangent in it, wherever it stands.
 
     A limit that nothing runs into has no tangent either, but gets one as soon as something does.
     """
-    column, simulator = evidence.coordinates.names.index(name), Simulator(evidence.model)
-    scores = set()
-    for value in _grid(evidence, name, COARSE).tolist():
-        there = {**values, name: value}
-        if np.any(evidence.evaluate(evidence.coordinates.vector(there))[1][:, column]):
-            return False
-        scores.add(tuple(evidence.score(there, simulator).squares.values()))
-    return len(scores) > 1
+    simulator, seen = Simulator(model, [name]), set()
+    for value in _grid(model, name, COARSE).tolist():
+        shown = []
+        for e in experiments:
+            outputs, tangents = simulator.sensitivities({**values, name: value}, e.record.columns, e.record.steps)
+            if tangents[:, e.compared].any():
+                return False
+            shown.append(outputs[:, e.compared].tobytes())
+        seen.add(tuple(shown))
+    return len(seen) > 1
 
 
-def _grid(evidence: Evidence, name: str, count: int) -> np.ndarray:
-    low, high = {p.name: (p.minimum, p.maximum) for p in evidence.model.parameters}[name]
+def _grid(model: Model, name: str, count: int) -> np.ndarray:
+    low, high = {p.name: (p.minimum, p.maximum) for p in model.parameters}[name]
     return np.linspace(low, high, count) if low < 0.0 else np.geomspace(max(low, high / 200), high, count)
 
 
@@ -59,7 +62,7 @@ def scan(
     for near in grids:
         spread = near if evidence.values[name] > 0.0 else None  # nothing is near 0 by ratio
         about = Linearised.of(evidence, solution)
-        whole = _grid(evidence, name, FINE)
+        whole = _grid(evidence.model, name, FINE)
         ends = evidence.values[name] / (spread or 1.0), min(whole[-1], evidence.values[name] * (spread or 1.0))
         grid = (whole if spread is None else np.geomspace(*ends, 25)).tolist()
         costs = [about.cost(simulator, {name: value}) for value in grid]
