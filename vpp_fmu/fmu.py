@@ -227,6 +227,18 @@ def problems(path: str | Path) -> list[str]:
     return validate_fmu(str(path))
 
 
+def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
+    """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation, under `held` inputs by name, each for one
+    communication step of `step` seconds; the last one stands for the last point alone. SimulationFailed."""
+    names = list(held[0])
+    rows = [(k * step, *(inputs[name] for name in names)) for k, inputs in enumerate(held)]
+    table = np.array(rows, dtype=[(name, float) for name in ("time", *names)]) if names else None
+    stop = (len(held) - 1) * step
+    with _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
+        result = fmpy.simulate_fmu(str(path), input=table, stop_time=stop, output_interval=step, output=list(outputs))
+    return np.column_stack([np.asarray(result[name], float) for name in outputs])
+
+
 def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:
     """Thrust (rows,) N of a plant FMU under a record's commands, by fmpy's own simulation, at the record's times."""
     names = ("time", "omega_ref", "beta_ref")

@@ -1,4 +1,4 @@
-"""Export plant and controller as FMI 2.0 co-simulation FMUs, and their closed loop as SSP.
+"""Export plant and controller as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
 
 The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Beside each FMU stand its
 parameters (.ssv), and inputs with the outputs they must give (_in.csv, _ref.csv, _ref.opt)."""
@@ -35,6 +35,8 @@ def configure(parser):
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
+    text = "of the standard (default: %(default)s); 3.0 for native FMUs, written as .fmi3.fmu"
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help=text)
     parser.add_argument(
         "--author", metavar="NAME", default=AUTHOR, help="who made the model, for the FMUs (default: %(default)s)"
     )
@@ -43,17 +45,27 @@ def configure(parser):
 
 
 def run(options):
+    _check(options)
     parts = _own(options) if options.model else _plant_and_controller(options)
     folder = OutputSet(options.output, "export")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
-    files = exported(parts, flavours, options.platforms, options.author)
+    files = exported(parts, flavours, options.platforms, options.author, options.fmi)
     if options.model:
         for flavour in flavours:
-            name = parts[0].model.name
-            try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), files[f"{name}{SUFFIX[flavour]}.fmu"])
+            fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
+            try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
     for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
+
+
+def _check(options) -> None:
+    """BadInput for options that say nothing together."""
+    native = options.flavour != "python"
+    if options.platforms != "host" and not native:
+        raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+    if options.fmi == "3.0" and options.flavour != "native":
+        raise BadInput("vpp export", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:
@@ -87,22 +99,30 @@ def find_model(where: str) -> Model:
     return found
 
 
+def _suffix(flavour: str, fmi: str) -> str:
+    return ".fmi3" if fmi == "3.0" else SUFFIX[flavour]
+
+
 def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
     return Experiment(stop=float(parts[0].source.get("record_seconds", 10.0)))
 
 
 def exported(
-    parts: Sequence[ParameterSet], flavours: Iterable[str], platforms: str = "host", author: str = AUTHOR
+    parts: Sequence[ParameterSet],
+    flavours: Iterable[str],
+    platforms: str = "host",
+    author: str = AUTHOR,
+    fmi: str = "2.0",
 ) -> dict[str, bytes | str]:
     """All files by name; nothing is written before all of them are made. Two parts or more also give their closed loop."""
     experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
     for flavour in flavours:
-        more = {"author": author} | ({"platforms": platforms} if flavour == "native" else {})
+        more = {"author": author} | ({"platforms": platforms, "version": fmi} if flavour == "native" else {})
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
-        found |= {f"{name}{SUFFIX[flavour]}.fmu": fmu for name, fmu in fmus.items()}
-        if len(parts) > 1:
+        found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
+        if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
             loop = {p.model.name: (p, fmus[p.model.name]) for p in parts}
             for flat in (False, True):
                 ssp = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop, connectors=not flat)
