@@ -11,6 +11,7 @@ import platform
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import fmpy
 import numpy as np
@@ -21,6 +22,7 @@ from fmpy.validation import validate_fmu
 
 from vpp_fmu.archive import DESCRIPTION, unpacked
 from vpp_fmu.errors import BadInput, SimulationFailed, VppError
+from vpp_fmu.native.master import Entry
 from vpp_fmu.record import Record
 
 WARNING = 1
@@ -56,6 +58,11 @@ class Fmu:
         if platform.machine() == "aarch64" and own.exists():
             return own
         return self.folder / "binaries" / fmpy.platform / f"{name}{fmpy.sharedLibraryExtension}"
+
+    @property
+    def is_native(self) -> bool:
+        """Whether it needs no other program to run, such as Python."""
+        return not self.description.coSimulation.needsExecutionTool
 
     def slave(self) -> FMU2Slave:
         """fmpy's handle of a new instance, its library loaded. BadInput where it can't be."""
@@ -157,6 +164,26 @@ class FmuInstance:
             return outputs[:]
 
         return take
+
+    def entry(self) -> Entry | None:
+        """The instance as a compiled master steps it; None where its variables are not all Real, or where its calls come back
+        to Python, which wants to be asked by Python."""
+        if [block.kind for block in (*self._writes, *self._reads)] != ["Real", "Real"] or not self.fmu.is_native:
+            return None
+        functions = (self._slave.dll[f"fmi2{name}"] for name in ("SetReal", "DoStep", "GetReal"))
+        (writing,), (reading,) = self._writes, self._reads
+        return Entry(
+            self._component.value,
+            *(ctypes.cast(function, ctypes.c_void_p).value for function in functions),
+            *(ctypes.addressof(block.arguments[0]) for block in (writing, reading)),
+            *(len(block.positions) for block in (writing, reading)),
+            *(ctypes.addressof(block.values) for block in (writing, reading)),
+        )
+
+    def failed(self, status: int, at: float) -> NoReturn:
+        """SimulationFailed for a step that began at `at` s and came back with this status."""
+        self._check(status, f"the step at {at:.6g} s with inputs {[*self._writes[0].values]}")
+        raise SimulationFailed(f"{self.fmu.path}: the step at {at:.6g} s: status {status}")
 
     def _stepper_of_any_type(self, dt):
         count = itertools.count()
