@@ -70,8 +70,7 @@ def call(method):
         try:
             return method(self, *arguments)
         except BaseException:
-            self.state = FAILED
-            _kept(self)
+            self._fail()
             raise
 
     return guarded
@@ -139,29 +138,51 @@ class TracedSlave(Fmi2Slave):
         self.state = TERMINATED
         self._report(f"terminated at {self.time} s")
 
-    @call
-    def set_real(self, vrs, values):
-        if not self.state & SET_STATES:
-            self._allow("fmi2SetReal", SET_STATES)
-        v, known = self.v, self.real_inputs
-        for vr, value in zip(vrs, values, strict=True):
-            if vr in known and value - value == 0.0:  # finite, without the price of a call
-                v[vr] = value
-            else:
-                self._set("fmi2SetReal", REAL, vr, value)
-        self.settled = False
+    # Called at each step: guarded as `call` does, without the price of one more call.
 
-    @call
+    def set_real(self, vrs, values):
+        try:
+            if not self.state & SET_STATES:
+                self._allow("fmi2SetReal", SET_STATES)
+            v, known = self.v, self.real_inputs
+            for vr, value in zip(vrs, values, strict=True):
+                if vr in known and value - value == 0.0:  # finite
+                    v[vr] = value
+                else:
+                    self._set("fmi2SetReal", REAL, vr, value)
+            self.settled = False
+        except BaseException:
+            self._fail()
+            raise
+
     def get_real(self, vrs):
-        if not self.state & GET_STATES:
-            self._allow("fmi2GetReal", GET_STATES)
-        if self.state == INITIALISING:
-            self._settle()
-        if not self.reals.issuperset(vrs):
-            for vr in vrs:
-                self._check_type("fmi2GetReal", REAL, vr)
-        v = self.v
-        return [v[vr] for vr in vrs]
+        try:
+            if self.state != STEPPING:
+                self._allow("fmi2GetReal", GET_STATES)
+                self._settle()
+            if not self.reals.issuperset(vrs):
+                for vr in vrs:
+                    self._check_type("fmi2GetReal", REAL, vr)
+            v = self.v
+            return [v[vr] for vr in vrs]
+        except BaseException:
+            self._fail()
+            raise
+
+    def do_step(self, current_time, step_size):
+        try:
+            if self.state != STEPPING:
+                self._allow("fmi2DoStep", STEP_STATES)
+            if step_size != self.prepared_for:
+                self._check_step(step_size)
+            if current_time != self.time:
+                self._check_time(current_time, step_size)
+            self._take(current_time, step_size)
+            self.time = current_time + step_size
+            return True
+        except BaseException:
+            self._fail()
+            raise
 
     @call
     def set_integer(self, vrs, values):
@@ -186,27 +207,6 @@ class TracedSlave(Fmi2Slave):
     @call
     def get_string(self, vrs):
         return self._get_all("fmi2GetString", "String", vrs)
-
-    @call
-    def do_step(self, current_time, step_size):
-        if self.state != STEPPING:
-            self._allow("fmi2DoStep", STEP_STATES)
-        if step_size != self.prepared_for:
-            self._check_step(step_size)
-        if not abs(current_time - self.time) <= SLACK * step_size + NOW * abs(current_time):
-            at = f"the step is to begin at {current_time} s, the instance is at {self.time} s"
-            raise Refused(f"{self.NAME}: {at}")
-        try:
-            self._advance(step_size)
-        except DelayFull as full:
-            raise Refused(f"{self.NAME}: {full}") from None
-        except (ArithmeticError, ValueError):
-            raise self._no_numbers(current_time) from None
-        total = self.total(self.v)
-        if total - total != 0.0 and not self._has_numbers():
-            raise self._no_numbers(current_time)
-        self.time = current_time + step_size
-        return True
 
     @call
     def _get_fmu_state(self):
@@ -245,6 +245,10 @@ class TracedSlave(Fmi2Slave):
             _kept(*(instance for instance in ALIVE if type(instance) is cls))
             raise Refused(f"{cls.NAME}: these {len(data)} bytes are no serialised state of this FMU") from None
         return state
+
+    def _fail(self):
+        self.state = FAILED
+        _kept(self)
 
     def _allow(self, name, states):
         if not self.state & states:
@@ -337,6 +341,21 @@ class TracedSlave(Fmi2Slave):
         if step_size > self.longest:
             raise Refused(f"{self.NAME}: communication step is {step_size} s, allowed is up to {self.longest} s")
 
+    def _check_time(self, time, step_size):
+        if not abs(time - self.time) <= SLACK * step_size + NOW * abs(time):
+            raise Refused(f"{self.NAME}: the step is to begin at {time} s, the instance is at {self.time} s")
+
+    def _take(self, time, step_size):
+        try:
+            self._advance(step_size)
+        except DelayFull as full:
+            raise Refused(f"{self.NAME}: {full}") from None
+        except (ArithmeticError, ValueError):
+            raise self._no_numbers(time) from None
+        total = self.total(self.v)
+        if total - total != 0.0 and not self._has_numbers():
+            raise self._no_numbers(time)
+
     def _prepare(self, dt):
         self.prepared_for, self.constants = dt, self.prepare(self.v, dt, ())
 
@@ -355,10 +374,17 @@ class Exact:
     def _retune(self):
         self.longest = float("inf")
 
-    def _advance(self, step_size):
-        if step_size != self.prepared_for:
-            self._prepare(step_size)
-        self.step(self.v, self.constants, None)
+    def _take(self, time, step_size):
+        v = self.v
+        try:
+            if step_size != self.prepared_for:
+                self._prepare(step_size)
+            self.step(v, self.constants, None)
+        except (ArithmeticError, ValueError):
+            raise self._no_numbers(time) from None
+        total = self.total(v)
+        if total - total != 0.0 and not self._has_numbers():
+            raise self._no_numbers(time)
 
 
 class Scheduled:
