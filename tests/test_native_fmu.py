@@ -3,6 +3,7 @@
 import ctypes
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -579,9 +580,25 @@ def test_64_bit_arm_gives_the_same_bits():
     np.testing.assert_array_equal(shown, reference(ALL_ON, PROBES, inputs, steps)[1:])
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the GNU C library is Linux's")
+def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, capsys):
+    """What `objdump` finds is the yardstick, where it is installed."""
+    assert main(["export", "--flavour", "native", "-o", str(tmp_path)]) == 0
+    said = next(line for line in capsys.readouterr().out.splitlines() if "GNU C library" in line)
+    with zipfile.ZipFile(tmp_path / "VppPlant.native.fmu") as packed:
+        library = next(name for name in packed.namelist() if name.endswith(".so"))
+        packed.extract(library, tmp_path)
+    if tool := shutil.which("objdump"):
+        shown = subprocess.run([tool, "-T", tmp_path / library], check=True, capture_output=True, text=True).stdout
+        newest = max(re.findall(r"GLIBC_(\d+)\.(\d+)", shown), key=lambda v: (int(v[0]), int(v[1])))
+        assert f"GNU C library {'.'.join(newest)} and newer" in said
+    if find_spec("ziglang"):
+        assert "GNU C library 2.14 and newer" in said or "GNU C library 2.2.5 and newer" in said
+
+
 def test_an_fmu_made_on_64_bit_arm_is_found_under_both_names(monkeypatch):
     monkeypatch.setattr(toolchain.platform, "machine", lambda: "aarch64")
-    monkeypatch.setattr(toolchain, "_with_own_compiler", lambda text: b"library")
+    monkeypatch.setattr(toolchain, "_for_this_machine", lambda name, text: b"library")
     assert set(toolchain.binaries("M", "", "host")) == {"binaries/aarch64-linux/M.so", "binaries/linux64/M.so"}
 
 

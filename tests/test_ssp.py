@@ -11,6 +11,7 @@ import pytest
 from builders import Slave
 from fmpy.ssp.ssd import read_ssd
 from fmpy.validation import validate_fmu
+from initial_graph import initial_graph
 
 from vpp_fmu.cli import main
 from vpp_fmu.cli.export import exported
@@ -103,24 +104,6 @@ def test_all_that_is_drawn_has_its_place(loop):
 def test_the_systems_input_has_its_start_value(loop):
     root = ElementTree.fromstring(loop["resources/VppLoop.ssv"])
     assert {p.get("name"): p[0].get("value") for p in root.iter(f"{{{SSV}}}Parameter")} == {"thrust_set": "8.0"}
-
-
-def initial_graph(loop):
-    """What must be known before what at t = 0, from the XMLs alone: node -> nodes it needs; a node is (component, variable)."""
-    root = ElementTree.fromstring(loop["SystemStructure.ssd"])
-    needs = {}
-    for c in root.iter(f"{{{SSD}}}Connection"):
-        needs[c.get("endElement"), c.get("endConnector")] = {(c.get("startElement"), c.get("startConnector"))}
-    for component in root.iter(f"{{{SSD}}}Component"):
-        name = component.get("name")
-        with zipfile.ZipFile(io.BytesIO(loop[component.get("source")])) as packed:
-            description = ElementTree.fromstring(packed.read("modelDescription.xml"))
-        variables = [v.get("name") for v in description.find("ModelVariables")]
-        everything = " ".join(str(i + 1) for i in range(len(variables)))  # what a missing list stands for
-        for unknown in description.find("ModelStructure/InitialUnknowns"):
-            listed = unknown.get("dependencies", everything).split()
-            needs[name, variables[int(unknown.get("index")) - 1]] = {(name, variables[int(i) - 1]) for i in listed}
-    return needs
 
 
 def test_no_algebraic_loop_at_the_start(loop):

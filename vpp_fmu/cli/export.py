@@ -4,8 +4,11 @@ The Python flavour runs wherever pythonfmu does; the native one is compiled C an
 parameters (.ssv), and inputs with the outputs they must give (_in.csv, _ref.csv, _ref.opt)."""
 
 import importlib
+import io
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from vpp_fmu.cli.output import add_output, say_written
@@ -14,6 +17,7 @@ from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.export.checks import at_line, check_model
 from vpp_fmu.export.cross_check import reference_files
 from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.export.toolchain import needs_glibc
 from vpp_fmu.export.trial import expected, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
@@ -24,6 +28,7 @@ from vpp_fmu.ssp import NAME, loop_ssp
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
+FMI_3 = ".fmi3"
 FLAT = ".flat"
 """Of the loop without connectors of its own, for importers that know none."""
 WANTED_THRUST = 8.0  # N; what the loop's archive starts on, where nobody says more
@@ -57,6 +62,24 @@ def run(options):
     for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
+    if wanted := oldest_glibc(files):
+        better = (
+            ""
+            if find_spec("ziglang")
+            else "; with the extra 'cross' installed (ziglang) they are linked to the oldest that serves"
+        )
+        print(f"the native FMUs run with the GNU C library {wanted} and newer{better}")
+
+
+def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
+    """The oldest GNU C library that all Linux libraries among the FMUs run with; None where there are none."""
+    found = []
+    for name, content in files.items():
+        if name.endswith((f"{SUFFIX['native']}.fmu", f"{FMI_3}.fmu")):
+            with zipfile.ZipFile(io.BytesIO(content)) as packed:
+                libraries = [n for n in packed.namelist() if n.startswith("binaries/") and n.endswith(".so")]
+                found += [needs_glibc(packed.read(n)) for n in libraries]
+    return max(filter(None, found), key=lambda v: [int(x) for x in v.split(".")], default=None)
 
 
 def _check(options) -> None:
@@ -100,7 +123,7 @@ def find_model(where: str) -> Model:
 
 
 def _suffix(flavour: str, fmi: str) -> str:
-    return ".fmi3" if fmi == "3.0" else SUFFIX[flavour]
+    return FMI_3 if fmi == "3.0" else SUFFIX[flavour]
 
 
 def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
