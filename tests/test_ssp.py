@@ -2,8 +2,11 @@
 
 import io
 import json
+import subprocess
+import sys
 import zipfile
 from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -174,6 +177,22 @@ def test_the_command_writes_it_beside_the_fmus(tmp_path, capsys):
     }
     assert written == each | {"VppLoop.ssp", "VppLoop.flat.ssp"}
     assert "written to" in capsys.readouterr().out
+
+
+def test_the_cross_check_has_its_folders_and_its_numbers(tmp_path):
+    """As the FMI project's rules name them; fmpy, run as the page there says, meets the references."""
+    assert main(["export", "--cross-check", "-o", str(tmp_path / "out")]) == 0
+    with zipfile.ZipFile(tmp_path / "out" / "cross_check.zip") as packed:
+        packed.extractall(tmp_path)
+    [folder] = (tmp_path / "fmus" / "2.0" / "cs").glob("*/vpp-fmu-python/*/VppPlant")
+    ends = {f"VppPlant{end}" for end in (".fmu", "_in.csv", "_ref.csv", "_ref.opt")}
+    assert {path.name for path in folder.iterdir()} == ends | {"README.md"}
+    page = (folder / "README.md").read_text()
+    assert "fmuCheck" in page
+    [command] = [line.split() for line in page.splitlines() if line.startswith("    fmpy")]
+    subprocess.run([Path(sys.executable).parent / command[0], *command[1:]], cwd=folder, check=True, capture_output=True)
+    shown, exact = (np.genfromtxt(folder / f"VppPlant_{which}.csv", delimiter=",", names=True) for which in ("out", "ref"))
+    np.testing.assert_allclose(shown["thrust"], exact["thrust"], rtol=1e-9, atol=1e-9)
 
 
 def test_libcosim_runs_it_with_its_values(parts, tmp_path):

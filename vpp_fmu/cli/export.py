@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from vpp_fmu import __version__
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
+from vpp_fmu.export.archive import archive
 from vpp_fmu.export.checks import at_line, check_model
-from vpp_fmu.export.cross_check import reference_files
+from vpp_fmu.export.cross_check import cross_check_folder, reference_files
 from vpp_fmu.export.description import AUTHOR
-from vpp_fmu.export.toolchain import needs_glibc
+from vpp_fmu.export.toolchain import host, needs_glibc
 from vpp_fmu.export.trial import expected, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
@@ -46,6 +48,8 @@ def configure(parser):
         "--author", metavar="NAME", default=AUTHOR, help="who made the model, for the FMUs (default: %(default)s)"
     )
     parser.add_argument("--model", metavar="PACKAGE.MODULE:NAME", help="export this model instead of plant and controller")
+    text = "also write cross_check.zip: FMUs, references and how to check, in the folders of the FMI project's cross-check"
+    parser.add_argument("--cross-check", action="store_true", help=text)
     add_output(parser)
 
 
@@ -59,6 +63,8 @@ def run(options):
         for flavour in flavours:
             fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
             try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
+    if options.cross_check:
+        files["cross_check.zip"] = _cross_check(parts, files)
     for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
@@ -69,6 +75,17 @@ def run(options):
             else "; with the extra 'cross' installed (ziglang) they are linked to the oldest that serves"
         )
         print(f"the native FMUs run with the GNU C library {wanted} and newer{better}")
+
+
+def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> bytes:
+    folders = {}
+    for flavour, suffix in SUFFIX.items():
+        for part in parts:
+            fmu = files.get(f"{part.model.name}{suffix}.fmu")
+            if fmu is not None:
+                tool = f"vpp-fmu-{flavour}/{__version__}"
+                folders |= cross_check_folder(part.model, part.values, _experiment(parts), fmu, tool, host())
+    return archive(folders)
 
 
 def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
@@ -87,6 +104,8 @@ def _check(options) -> None:
     native = options.flavour != "python"
     if options.platforms != "host" and not native:
         raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+    if options.fmi == "3.0" and options.cross_check:
+        raise BadInput("vpp export", "--cross-check", "given with --fmi 3.0", "--fmi 2.0, which the cross-check is about")
     if options.fmi == "3.0" and options.flavour != "native":
         raise BadInput("vpp export", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
 

@@ -28,6 +28,38 @@ def reference_files(model: Model, values: Mapping[str, float], experiment: Exper
     }
 
 
+COMMAND = (
+    "fmpy simulate {name}.fmu --input-file {name}_in.csv --stop-time {stop:g} --output-interval {step:g}"
+    " --output-file {name}_out.csv"
+)
+READ_ME = """# {name}: how to check an importer against it
+
+`{name}_ref.csv` holds the outputs at each communication point under the inputs of `{name}_in.csv`, from the model's own
+functions; `{name}_ref.opt` holds start, stop and step. fmpy meets them:
+
+    {command}
+
+The inputs are discrete: each row's values hold from its time to the next row's, and act in the step that begins there.
+
+- FMU Compliance Checker (fmuCheck 2.0.4) fills discrete inputs from the first column of the table, which is time: its outputs
+  differ from `{name}_ref.csv` through no fault of the FMU. Run it without `-i`, which checks the calls and the description, and
+  take fmpy or any other importer for the numbers.
+- An importer that interpolates inputs, continuous ones being its only kind, meets the values within a step of each change only.
+"""
+
+
+def cross_check_folder(
+    model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, tool: str, platform: str
+) -> dict[str, bytes]:
+    """What the FMI project's cross-check wants of an exporting tool, by place in its repository: the FMU, its reference files,
+    and how to check against them. `tool`: name and version as folders; `platform`: as FMI 2.0 calls it."""
+    stop = round(min(experiment.stop, LONGEST) / experiment.step) * experiment.step
+    told = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
+    files = {f"{model.name}.fmu": fmu, "README.md": told.encode()}
+    files |= {name: text.encode() for name, text in reference_files(model, values, experiment).items()}
+    return {f"fmus/2.0/cs/{platform}/{tool}/{model.name}/{name}": content for name, content in files.items()}
+
+
 def course(model: Model, count: int) -> list[dict[str, float]]:
     """The inputs by name at each of `count` + 1 communication points."""
     return [{u.name: _level(u, k, i / count) for k, u in enumerate(model.inputs)} for i in range(count + 1)]
