@@ -112,10 +112,10 @@ class Effect:
     holds it back [s]; the schedule does it, between steps, exactly. `largest_step` is the longest step [s] that the discrete
     form is good for; None: exact for held inputs at any step. `contains` maps the name of an effect that is a special case of
     this one to the parameters that they share, own name to its: a search for this one starts at what was found for that one,
-    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: it is how thrust
-    is read, not the thrust. `common`: every rig has a little of it, and it is worth a name from this share of the noise's
-    power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in shares of the rig's
-    scales."""
+    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: "thrust" or
+    "speed", it is how that is read, not what it is. `common`: every rig has a little of it, and it is worth a name from this
+    share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in
+    shares of the rig's scales."""
 
     name: str
     description: str
@@ -129,7 +129,7 @@ class Effect:
     largest_step: float | None = None
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     channels: tuple[str, ...] = ()
-    reading: bool = False
+    reading: str = ""
     common: float = 0.0
     declared: "Effect | None" = None
 
