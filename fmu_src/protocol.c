@@ -159,7 +159,7 @@ static double sum(const double *v, int first, int last) {
   return (last - first) % 2 ? even + odd + v[last - 1] : even + odd;
 }
 
-static bool has_numbers(const Slave *s) {
+static inline bool has_numbers(const Slave *s) {
   if (is_finite(sum(s->m.v, N_INPUTS, FIRST_PARAMETER) + sum(s->m.v, FIRST_STATE, N_VALUES))) return true;
   for (int i = N_INPUTS; i < N_VALUES; i++)
     if (!is_finite(s->m.v[i])) return false;
@@ -234,7 +234,7 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
   if (!EXACT && size > longest(s))
     return refuse(s, MODEL_NAME ": communication step is %s s, allowed is up to %s s", number(one, size),
                   number(other, longest(s)));
-  if (!(fabs(time - s->time) <= SLACK * size + NOW * fabs(time)))
+  if (time != s->time && !(fabs(time - s->time) <= SLACK * size + NOW * fabs(time)))
     return refuse(s, MODEL_NAME ": the step is to begin at %s s, the instance is at %s s", number(one, time),
                   number(other, s->time));
 #if EXACT
