@@ -13,6 +13,9 @@ from types import SimpleNamespace
 
 from vpp_fmu.kernel.scales import Scales
 
+REAL, INTEGER, BOOLEAN = "Real", "Integer", "Boolean"
+"""What a quantity is to an importer, in FMI's words; within the model all are floats, a Boolean 0 or 1."""
+
 INSTANT = 1e-9
 """The shortest time the kernel tells apart, s. Two events closer than this are one; settling takes one such step."""
 
@@ -21,7 +24,7 @@ INSTANT = 1e-9
 class Signal:
     """A quantity that runs along the chain; as a model's input or output also an FMU variable.
 
-    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute.
+    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute. `kind`: REAL, INTEGER or BOOLEAN.
     """
 
     name: str
@@ -32,6 +35,7 @@ class Signal:
     nominal: float = 1.0
     start: float = 0.0
     scale: str = ""
+    kind: str = REAL
 
     def sized(self, scales: Scales) -> "Signal":
         """The signal on a rig of these scales."""
@@ -45,7 +49,8 @@ class Parameter:
     `choices`: the only values that mean something, where the parameter picks a form of the effect; a search tries each.
     `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
     `scale`: the rig's scale (`Scales.absolute`) that default, bounds and nominal are shares of, as the effect declares them;
-    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all.
+    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all. `kind`: as a
+    signal's. `tunable`: an importer may change it while the model runs, between two steps.
     """
 
     name: str
@@ -59,6 +64,8 @@ class Parameter:
     limit_form: str = ""
     scale: str = ""
     unlimited: float | None = None
+    kind: str = REAL
+    tunable: bool = False
 
     def absolute(self, share: float, scales: Scales) -> float:
         """A declared share as a value on a rig of these scales."""
@@ -240,6 +247,9 @@ def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict
 
     Each state starts from the signals that reach its effect; one INSTANT of the effect's own step then gives the signals
     behind it. From a settled state every exact form stays where it is to the bit.
+
+    A sampled law has not run before its first sample: until then its outputs are their start values, whatever its inputs.
+    Two models that feed each other thus form no algebraic loop when they start, as long as one of them is sampled.
     """
     s = SimpleNamespace(**inputs)
     states = {}
@@ -249,6 +259,8 @@ def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict
         signals, _ = e.step(ops, s, SimpleNamespace(**own), p, INSTANT)
         s.__dict__.update(signals)
         states.update((e.full(name), value) for name, value in own.items())
+    if model.sample_time is not None:
+        s.__dict__.update((output.name, output.start) for output in model.outputs)
     return vars(s), states
 
 
