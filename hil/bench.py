@@ -1,6 +1,7 @@
 """The devices of one rig, emulated or real: whoever drives them can't tell."""
 
 import contextlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -9,6 +10,7 @@ from hil.clock import Clock, MonotonicClock
 from hil.devices.ads1115 import Ads1115
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.devices.tachometer import Tachometer
+from hil.safety.lock import locked
 from vpp_fmu.errors import BadInput
 
 ESC, LAC = 0, 1
@@ -17,7 +19,8 @@ ESC, LAC = 0, 1
 
 @dataclass
 class Bench:
-    """Devices that are ready to use. `emulated` in whatever way; `ends`: what has to end with them, in reverse order."""
+    """Devices that are ready to use. `emulated` in whatever way; `lock`: the descriptor of the rig's lock; `ends`: what has to
+    end with them, in reverse order."""
 
     clock: Clock
     calibration: Calibration
@@ -27,11 +30,15 @@ class Bench:
     lac: PwmChannel
     emulated: str = ""
     ends: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    lock: int = -1
 
     def open(self) -> "Bench":
-        """Set the devices up: outputs first, so that the idle pulse stands. DeviceFault NOT_READY says what isn't."""
+        """Set the devices up: the lock before anything, then the outputs, so that the idle pulse stands. DeviceFault NOT_READY
+        says what isn't."""
         calibration = self.calibration
         try:
+            self.lock = locked(self.esc.folder.parent)
+            self.ends.callback(os.close, self.lock)
             self.esc.open(calibration.esc_period, calibration.esc_idle)
             self.ends.callback(self.esc.close)
             self.lac.open(calibration.lac_period, calibration.lac_idle)

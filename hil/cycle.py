@@ -103,11 +103,17 @@ class Cycle:
     def note(self, why: str) -> None:
         """Keep when the state became what it is."""
         self.transitions.append((self.ticks.time, self.states.state.value, why))
+        self._log.note({"time": round(self.ticks.time, 9), "state": self.states.state.value, "why": why})
+
+    def keep(self, **event) -> None:
+        """Keep something beside the log, for whoever goes on after a crash."""
+        self._log.note({"time": round(self.ticks.time, 9), **event})
 
     def _drive(self) -> None:
+        changed = self._changed()
         fault = self.supervisor.beat() if self.supervisor else None
-        if fault:
-            self.fault(fault)
+        if fault or changed:  # what the supervisor has taken to idle is changed, too
+            self.fault(fault or changed)
         if not self.states.driving:
             self.idle()
             return
@@ -118,6 +124,17 @@ class Cycle:
         except DeviceFault as failed:
             self.fault(failed.fault)
             self.idle()
+
+    def _changed(self) -> Fault | None:
+        """Whether somebody else has written to an output since the last tick. It is taken back to idle, once."""
+        for channel in (self.bench.esc, self.bench.lac):
+            try:
+                channel.verify()
+            except DeviceFault as failed:
+                if (failed.device, failed.kind) not in self._known:
+                    channel.restore()
+                return failed.fault
+        return None
 
     def _record(self, wanted: tuple[float, float], cut: Cut) -> None:
         senses, tick, state = self.senses, self._tick, STATES.index(self.states.state.value)
@@ -148,6 +165,8 @@ class Cycle:
             fault = self.plausibility.check(reading)
             if fault:
                 self.fault(fault)
+        if self._log.broken:
+            self.fault(Fault("log", FaultKind.LOG_LOST, self._log.broken))
         overdue = self._overdue()
         if overdue:
             self.fault(overdue)

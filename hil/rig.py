@@ -1,7 +1,9 @@
 """The rig as a plant: tare, arm, run; one tick a step; and the way down, whatever happens."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from statistics import stdev
 from typing import NamedTuple
 
 from hil.bench import Bench
@@ -9,9 +11,10 @@ from hil.cycle import NOBODY, PERIOD, Cycle
 from hil.live import NoView, View
 from hil.log import Log
 from hil.physics.speed_pi import SpeedPi
-from hil.safety.faults import DeviceFault
+from hil.safety.faults import DeviceFault, Fault
 from hil.safety.limits import Cut, Limiter, Limits
 from hil.safety.plausibility import Plausibility
+from hil.safety.polarity import Level, Polarity
 from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
@@ -57,7 +60,7 @@ class Rig:
 
     Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
     `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
-    a run's readings, `gate` says what is a zero. `tares`: the zeros that were found.
+    a run's readings, `gate` says what is a zero, `polarity` looks at the signs at low speed. `tares`: the zeros found.
     """
 
     def __init__(
@@ -71,12 +74,13 @@ class Rig:
         view: View | None = None,
         plausibility: Callable[[], Plausibility] | None = None,
         gate: TareGate | None = None,
+        polarity: Polarity | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
         self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility)
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
-        self._supervise, self._twin = supervise, twin
+        self._supervise, self._twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
         self.tares: list[Tare] = []
         self.counters = bench.counters
@@ -93,10 +97,9 @@ class Rig:
         self._cycle.note("run")
         low, high = self.limits.omega_min, self.limits.omega_max
         target = min(max(omega_ref, low), high), min(max(beta_ref, self.limits.beta_min), self.limits.beta_max)
-        at = (0.0, 0.0)
-        while at != target:
-            at = self._limiter.ramp(*target, self.dt)[:2]
-            self._driven_tick(*at)
+        if self._polarity and self._polarity.possible:
+            self._check_polarity(self._polarity)
+        at = self._go(target)
         for _ in range(round(SETTLE / self.dt)):
             self._driven_tick(*at)
         if self._twin:
@@ -152,6 +155,16 @@ class Rig:
         """The commands [rpm, deg] that the limits let pass last."""
         return self._cycle.commands
 
+    def fail(self, fault: Fault) -> None:
+        """Whoever gives the commands can't go on: come down as the fault allows, and end the run (RunEnded)."""
+        self._cycle.fault(fault)
+        self._come_down()
+        self._end()
+
+    def keep(self, **event) -> None:
+        """Keep an event beside the log."""
+        self._cycle.keep(**event)
+
     def follow(self, thrust_set: float) -> None:
         """What the controller is after [N], for the log."""
         self._cycle.wanted = thrust_set
@@ -190,6 +203,7 @@ class Rig:
         found = tare(counts, calibration.newton_per_count, calibration.zero, self._gate)
         self._cycle.zero = senses.zero = found.zero
         self.tares.append(found)
+        self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": found.noise * abs(calibration.newton_per_count)})
         return found
 
     def _idle_tick(self) -> None:
@@ -197,6 +211,32 @@ class Rig:
         self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
         if self.states.state not in (SafetyState.SAFE, SafetyState.ARMED) or self._cycle.asked:
             self._end()
+
+    def _go(self, target: tuple[float, float]) -> tuple[float, float]:
+        """Along the slow slopes to the commands."""
+        at = (math.nan, math.nan)
+        while at != target:
+            at = self._limiter.ramp(*target, self.dt)[:2]
+            self._driven_tick(*at)
+        return at
+
+    def _check_polarity(self, check: Polarity) -> None:
+        """Two pitches at low speed; a sign that is wrong ends the run there."""
+        found = []
+        for beta in check.betas:
+            at = self._go((check.omega, beta))
+            for _ in range(round(check.settle / self.dt)):
+                self._driven_tick(*at)
+            thrust, omega = [], 0.0
+            for _ in range(round(check.average / self.dt)):
+                self._driven_tick(*at)
+                thrust.append(self.last.thrust)
+                omega += self.last.omega
+            found.append(_level(thrust, omega / len(thrust), beta))
+        fault = check.judge(*found)
+        self.keep(polarity=[asdict(one) for one in found])
+        if fault:
+            self.fail(fault)
 
     def _driven_tick(self, omega_ref, beta_ref, wanted=NOBODY, cut=Cut.NONE) -> None:
         """A tick of the run."""
@@ -227,3 +267,10 @@ class Rig:
             self._cycle.idle()
             self._cycle.supervisor.close()
             self._cycle.supervisor = None
+
+
+def _level(thrust: Sequence[float], omega: float, beta: float) -> Level:
+    """The mean with its standard error, from the means of five blocks: an amplifier's noise is coloured."""
+    rows = len(thrust) // 5
+    blocks = [sum(thrust[k * rows : (k + 1) * rows]) / rows for k in range(5)]
+    return Level(sum(thrust) / len(thrust), stdev(blocks) / 5**0.5, omega, beta)

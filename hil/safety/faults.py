@@ -37,9 +37,13 @@ class FaultKind(Enum):
     OVER_SPEED = "over-speed", Reaction.IDLE, "the rotor is faster than allowed"
     OVER_THRUST = "over-thrust", Reaction.IDLE, "the thrust is larger than allowed"
     STUCK_ACTUATOR = "stuck actuator", Reaction.RAMP_DOWN, "the thrust does not follow the commanded pitch"
+    POLARITY = "wrong polarity", Reaction.RAMP_DOWN, "thrust or pitch has the wrong sign"
+    SLOPE = "wrong slope", Reaction.RAMP_DOWN, "pitch changes the thrust by something else than the map says"
     STALE = "stale", Reaction.RAMP_DOWN, "the newest reading is too old"
 
     # What the loop finds on itself.
+    FAILED = "failed", Reaction.RAMP_DOWN, "the controller gave an error instead of commands"
+    LOG_LOST = "log lost", Reaction.RAMP_DOWN, "what is measured no longer reaches the disk"
     NOT_A_NUMBER = "not a number", Reaction.RAMP_DOWN, "a command or a reading is not a finite number"
     TIME_BACKWARDS = "time backwards", Reaction.RAMP_DOWN, "the clock did not move forward"
     OVERRUN = "overrun", Reaction.RAMP_DOWN, "too many deadlines missed"

@@ -11,6 +11,7 @@ from hil.emulator.rig import Rig as Emulated
 from hil.report import judged_steps, smoothed
 from hil.rig import RunEnded
 from hil.run import LimitedPlant, loop_part, run_on_rig, write_run
+from hil.runs import sha256_of
 from hil.session import Setup, read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin
@@ -129,9 +130,15 @@ def test_the_command_writes_run_facts_and_report(tmp_path, profile, capsys, fmu_
     out = tmp_path / "out"
     words = ["hil", "run", "--virtual", "--profile", str(profile), "--hide", "linkage_play=0.4", "-o", str(out)]
     assert main([*words, "--beside", str(fmu_files["plain"])]) == 0
-    assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv"]
+    assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv", "runs"]
+    (own,) = (out / "runs").iterdir()
+    assert (out / "run.csv").resolve() == (own / "run.csv").resolve()  # the newest run's files, its own folder below
     told = json.loads((out / "hil.json").read_text())
     assert told["rig"] == "emulated"
+    assert told["status"] == "ended"
+    assert told["profile"] == {"file": "step.csv", "file_sha256": sha256_of(profile)}
+    assert told["controller"]["kind"] == "kernel"
+    assert {"begun", "completed", "host", "operator", "command", "versions"} <= set(told)
     assert told["hidden"] == ["linkage_play"]
     assert told["physics"]["linkage_play.half_gap"] == 0.4
     assert told["calibration"]["sha256"] == CALIBRATION.sha256
