@@ -157,6 +157,9 @@ class Cycle:
     def _judge(self) -> None:
         """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
         senses = self.senses
+        if senses.revolution is not None and self.states.state is SafetyState.RUN and not senses.revolution.closed:
+            why = "100 ms without a request" if senses.revolution.silent else "told to, or the board has started anew"
+            self.fault(Fault("relay", FaultKind.RELAY_OPEN, f"the board has opened it: {why}"))
         if senses.revolution is not None:
             reading = Reading(
                 *(self.ticks.time, senses.counts, senses.saturated, senses.thrust, senses.thrust_age, senses.omega),

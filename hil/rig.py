@@ -1,5 +1,6 @@
 """The rig as a plant: tare, arm, run; one tick a step; and the way down, whatever happens."""
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -11,7 +12,7 @@ from hil.cycle import NOBODY, PERIOD, Cycle
 from hil.live import NoView, View
 from hil.log import Log
 from hil.physics.speed_pi import SpeedPi
-from hil.safety.faults import DeviceFault, Fault
+from hil.safety.faults import DeviceFault, Fault, FaultKind
 from hil.safety.limits import Cut, Limiter, Limits
 from hil.safety.plausibility import Plausibility
 from hil.safety.polarity import Level, Polarity
@@ -33,6 +34,8 @@ RUN_OUT = 20.0
 """s that a rotor may take to stand."""
 SETTLE = 3.0
 """s on the first commands before a run begins (paper: what transients need)."""
+RELAY, REPEAT = 0.5, 10
+"""s that the relay may take to close, and ticks after which the board is told so once more."""
 RAMP = 1.5
 """s that a ramp-down takes from full throttle to none."""
 
@@ -92,7 +95,7 @@ class Rig:
         self._cycle.note("tared")
         self.states.arm()
         self._cycle.note("armed")
-        self._idle_tick()
+        self._close_relay()
         self.states.run()
         self._cycle.note("run")
         low, high = self.limits.omega_min, self.limits.omega_max
@@ -140,6 +143,7 @@ class Rig:
     def close(self) -> None:
         """The idle pulse, whatever happened; then let go of everything."""
         self._cycle.idle()
+        self._open_relay()
         self._dismiss()
         self.counters = self.bench.counters
         self.bench.close()
@@ -206,6 +210,28 @@ class Rig:
         self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": found.noise * abs(calibration.newton_per_count)})
         return found
 
+    def _close_relay(self) -> None:
+        """The ESC's supply, with the idle pulse standing, and the time that it takes to come up."""
+        cycle, tachometer = self._cycle, self.bench.tachometer
+        for k in range(round(RELAY / self.dt)):
+            if k % REPEAT == 0:
+                with contextlib.suppress(DeviceFault):  # the tick's own request finds the same
+                    tachometer.arm()
+            self._idle_tick()
+            if cycle.senses.revolution and cycle.senses.revolution.closed:
+                break
+        else:
+            cycle.fault(Fault("relay", FaultKind.NOT_READY, f"not closed {RELAY:g} s after the board was told to"))
+            self._end()
+        cycle.keep(relay="closed")
+        for _ in range(1 + round(self.bench.esc_boot / self.dt)):
+            self._idle_tick()
+
+    def _open_relay(self) -> None:
+        """Nothing turns any more: the board is told so, and needs the word again."""
+        with contextlib.suppress(DeviceFault):
+            self.bench.tachometer.stop()
+
     def _idle_tick(self) -> None:
         """A tick with the idle pulse, before the run."""
         self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
@@ -256,6 +282,7 @@ class Rig:
             commands = self._limiter.ramp(0.0, self.bench.calibration.rest_pitch, cycle.passed)[:2]
             cycle.tick(*commands, max(0.0, cycle.throttle - cycle.passed / RAMP))
         cycle.idle()
+        self._open_relay()
         self.states.stopped()
         cycle.note("idle pulse")
 

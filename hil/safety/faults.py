@@ -26,6 +26,7 @@ class FaultKind(Enum):
     REFUSED = "refused", Reaction.RAMP_DOWN, "the bus or the kernel refused the transfer"
     TIMEOUT = "timeout", Reaction.RAMP_DOWN, "the bus did not finish the transfer in time"
     RECONFIGURED = "reconfigured", Reaction.RAMP_DOWN, "the device has lost its settings, as after a brown-out"
+    RELAY_OPEN = "relay open", Reaction.IDLE, "the ESC's supply is cut by the board that watches the loop"
     OUTPUT_LOST = "output lost", Reaction.IDLE, "a pulse could not be written or is not what was written"
     NOT_READY = "not ready", Reaction.IDLE, "the device could not be set up before arming"
 
