@@ -43,6 +43,7 @@ class Cycle:
         self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
         self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
         self.transitions: list[tuple[float, str, str]] = [(0.0, STATES[0], "start")]
+        self.done = math.nan  # % of a record or a campaign's part, for the view
         self.wanted, self.zero = math.nan, bench.calibration.zero
         self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
         self._known: set[tuple[str, FaultKind]] = set()
@@ -147,7 +148,7 @@ class Cycle:
         )
         self._view.show(
             *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.ticks.missed),
+            *(self.throttle, self.residual, self.alarm, self.ticks.missed, self.done),
         )
 
     def _sense(self) -> None:

@@ -64,6 +64,7 @@ class Rig:
     Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
     `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
     a run's readings, `gate` says what is a zero, `polarity` looks at the signs at low speed. `tares`: the zeros found.
+    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)).
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Rig:
         plausibility: Callable[[], Plausibility] | None = None,
         gate: TareGate | None = None,
         polarity: Polarity | None = None,
+        on_alarm: FaultKind | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
@@ -85,6 +87,7 @@ class Rig:
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
         self._supervise, self._twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
+        self._on_alarm, self.alarms = on_alarm, []
         self.tares: list[Tare] = []
         self.counters = bench.counters
 
@@ -116,9 +119,21 @@ class Rig:
             self._cycle.fault(limited.fault)
         if self._twin:
             said = self._twin.update(self.ticks.time, limited.omega_ref, limited.beta_ref, self.last.thrust)
-            self._cycle.residual, self._cycle.alarm = said.residual, said.alarmed
+            self._cycle.residual = said.residual
+            if said.alarmed and not self._cycle.alarm:
+                self._alarm(said.residual)
+            self._cycle.alarm = said.alarmed
         self._driven_tick(limited.omega_ref, limited.beta_ref, (omega_ref, beta_ref), limited.cut)
         return self.last
+
+    def _alarm(self, residual: float) -> None:
+        """The twin's alarm: kept with its time, and the end of the run where that was wanted."""
+        found = f"the rig is not its model since {self._twin.since:.2f} s, {residual:+.2f} N now"
+        self.alarms.append((self.ticks.time, found))
+        if self._on_alarm is None:
+            self._cycle.note(f"twin: alarm: {found}")
+        else:
+            self._cycle.fault(Fault("twin", self._on_alarm, found))
 
     def idle(self, count: int) -> None:
         """`count` ticks with everything at work but the rotor: the idle pulse stands, and stays whatever fails.
@@ -164,6 +179,10 @@ class Rig:
         self._cycle.fault(fault)
         self._come_down()
         self._end()
+
+    def show_done(self, share: float) -> None:
+        """How much of what is under way is done, for the live view."""
+        self._cycle.done = 100.0 * share
 
     def keep(self, **event) -> None:
         """Keep an event beside the log."""

@@ -24,6 +24,8 @@ from vpp_fmu.plants import Controller, FmuController, Plant
 from vpp_fmu.record import Record
 
 LOG = "log.csv"
+ON_ALARM = {"note": None, "ramp": FaultKind.TWIN, "idle": FaultKind.TWIN_NOW}
+"""What the twin's alarm does to a run."""
 REHEARSED = 25
 """Steps of a controller FMU that are tried before anything turns."""
 
@@ -85,15 +87,21 @@ def run_on_rig(
     twin: Twin | None = None,
     progress: Callable[[float], None] = lambda share: None,
     after: Sequence[str] = (),
+    on_alarm: FaultKind | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder` and keeps what was measured, however it ended; `after` as in `session`."""
+    log to `folder` and keeps what was measured, however it ended; `after` and `on_alarm` as in `session`."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
-    with session(setup, folder, LOG, twin, after=after) as one:
+    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm) as one:
         try:
-            run_loop(one.rig, Told(controller, one.rig), profile, start, progress)
+
+            def shown(share: float) -> None:
+                one.rig.show_done(share)
+                progress(share)
+
+            run_loop(one.rig, Told(controller, one.rig), profile, start, shown)
             one.rig.stop()
         except ENDINGS as reason:
             ended = str(reason)

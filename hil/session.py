@@ -14,7 +14,7 @@ import numpy as np
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
-from hil.columns import COLUMNS, SHOWN, STATES
+from hil.columns import COLUMNS, SHOWN, WORDS
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
@@ -24,6 +24,7 @@ from hil.live import NoView, view
 from hil.log import Logged, MemoryLog, ProcessLog
 from hil.realtime import real_time
 from hil.rig import Rig
+from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import Plausibility, thresholds_of
 from hil.safety.polarity import Polarity
@@ -122,18 +123,19 @@ def session(
     twin: Twin | None = None,
     watch: bool = True,
     after: Sequence[str] = (),
+    on_alarm: FaultKind | None = None,
 ) -> Iterator[Session]:
     """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
 
     `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
-    makes a report of the log if this process can't.
+    makes a report of the log if this process can't. `on_alarm` as `Rig` has it.
     """
     with contextlib.ExitStack() as ends:
         bench = setup.bench()
         ends.callback(bench.close)
         in_virtual_time = isinstance(bench.clock, VirtualClock)
         log = MemoryLog(folder / log_name, COLUMNS) if in_virtual_time else ProcessLog(folder / log_name, COLUMNS, after)
-        shown = NoView() if in_virtual_time or not watch else view(SHOWN, {"state": STATES})
+        shown = NoView() if in_virtual_time or not watch else view(SHOWN, WORDS)
         ends.callback(shown.close)
         report = folder / REPORT
         report.unlink(missing_ok=True)
@@ -150,6 +152,7 @@ def session(
                 setup.plausibility,
                 gate_of(setup.allowed),
                 setup.polarity(),
+                on_alarm,
             )
             one = Session(rig, setup, str(granted), folder)
             try:

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from hil.report import add_loops
 from hil.rig import RunEnded
-from hil.run import LOG, LimitedPlant, Run, run_on_rig, write_run
+from hil.run import LOG, ON_ALARM, LimitedPlant, Run, run_on_rig, write_run
 from hil.runs import run_folder, told_by_files
 from hil.safety.limits import Limits
 from hil.session import Setup
@@ -23,7 +23,7 @@ from vpp_fmu.cli.hil_outcome import ENDED_EARLY, finish, say_steps
 from vpp_fmu.cli.options import Number
 from vpp_fmu.cli.output import add_output, as_json, now, say_written
 from vpp_fmu.commands import idle
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.loop import run as run_loop
@@ -34,6 +34,13 @@ from vpp_fmu.report import Page
 from vpp_fmu.rig import Rig
 
 EXAMPLE = "vpp hil run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out"
+
+
+class TwinAlarm(VppError):
+    """The rig left its twin's band: its record is whole, and not what the model says."""
+
+    code = 3
+
 
 EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
 """What either number of --start may be; which of the two is looked at when both are known."""
@@ -47,6 +54,8 @@ def configure(parser):
     parser.add_argument("--parameters", metavar="F", help=text)
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
+    text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
+    parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
@@ -83,6 +92,8 @@ def run(options):
         told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
     finish(folder, told, done.log, beside and (Path(options.beside).name, beside))
     say_written(folder)
+    if done.session.rig.alarms:
+        raise TwinAlarm(f"twin: {done.session.rig.alarms[0][1]}{f'; the run ended: {done.ended}' if done.ended else ''}")
     if done.ended:
         raise RunEnded(done.ended)
 
@@ -94,7 +105,7 @@ def _run(options, setup: Setup, controller: Controller, profile: Record, folder:
         def progress(share):
             bar.update(round(100 * share) - bar.n)
 
-        return run_on_rig(setup, controller, profile, folder, start, twin, progress, report)
+        return run_on_rig(setup, controller, profile, folder, start, twin, progress, report, ON_ALARM[options.on_alarm])
 
 
 def _ended(folder: OutputFolder, begun: dict, error: BaseException) -> None:
