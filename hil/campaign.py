@@ -99,23 +99,32 @@ def seconds(plan: Plan, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
     return sum(takes[part] for part in parts)
 
 
-def measure(rig: Rig, part: str, plan: Plan, progress: Callable[[float], None], allowed: Ranges = PAPERS) -> Record:
-    """One part as its file holds it, with commands within what is `allowed`; `progress` is told the share done. RunEnded where
-    the rig ended it."""
+def measure(
+    rig: Rig, part: str, plan: Plan, progress: Callable[[float], None], allowed: Ranges = PAPERS, have: Sequence = ()
+) -> Record:
+    """One part as its file holds it, with commands within what is `allowed`; `progress` is told the share done; `have`: what
+    was measured of it already (`hil.resume`). RunEnded where the rig ended it."""
     if part == "static":
-        return static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, progress)
+        return static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, progress, have)
     if part == "steps":
-        return step_responses(rig, commands.steps(plan.levels, allowed), plan, progress)
+        return step_responses(rig, commands.steps(plan.levels, allowed), plan, progress, have)
     if part == "validation":
         return follow(rig, commands.validation(plan.seed, plan.validation, rig.dt, allowed), plan.settle, progress)
     return follow(rig, commands.open_loop(plan.seed, plan.section, rig.dt, allowed), plan.settle, progress)
 
 
-def static_map(rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress) -> Record:
-    """Means over `samples` readings at each point of the grid, after `settle` s."""
-    rows = []
-    rig.start(*grid[0])
-    for k, point in enumerate(grid):
+STATIC = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
+"""Columns of static.csv."""
+
+
+def static_map(
+    rig: Rig, grid: Sequence[tuple[float, float]], settle: float, samples: int, progress, have: Sequence[Sequence[float]] = ()
+) -> Record:
+    """Means over `samples` readings at each point of the grid, after `settle` s; behind the rows that `have` holds. Each point
+    is kept beside the log as soon as it is known."""
+    rows = [tuple(row) for row in have]
+    rig.start(*grid[max(len(rows) - 1, 0)])  # from where the next point was to be reached
+    for k, point in list(enumerate(grid))[len(rows) :]:
         for _ in range(round(settle / rig.dt)):
             sample = rig.step(*point)
         thrust, omega = np.empty(samples), 0.0
@@ -124,25 +133,35 @@ def static_map(rig: Rig, grid: Sequence[tuple[float, float]], settle: float, sam
             thrust[n] = sample.thrust
             omega += sample.omega
         rows.append((*point, omega / samples, thrust.mean(), thrust.std(ddof=1) if samples > 1 else 0.0, samples))
+        rig.keep(point=[float(value) for value in rows[-1]])
         progress((k + 1) / len(grid))
     rig.stop()
-    names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
-    return Record(dict(zip(names, np.array(rows, float).T, strict=True)), "static")
+    return static_record(rows)
 
 
-def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress) -> Record:
-    """One step a run, told apart by `run`; each starts settled, its time from 0."""
-    parts = []
-    rig.start(*steps[0].before)
-    for k, one in enumerate(steps):
+def static_record(rows: Sequence[Sequence[float]]) -> Record:
+    """Rows of points as static.csv holds them."""
+    return Record(dict(zip(STATIC, np.array(rows, float).T, strict=True)), "static")
+
+
+def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress, have: Sequence[Record] = ()) -> Record:
+    """One step a run, told apart by `run`; each starts settled, its time from 0; behind the steps that `have` holds."""
+    parts = list(have)
+    rig.start(*steps[min(len(parts), len(steps) - 1)].before)
+    for k, one in list(enumerate(steps))[len(parts) :]:
         for _ in range(round(plan.settle / rig.dt)):
             rig.step(*one.before)
         counts = round(plan.before / rig.dt), round(plan.after / rig.dt)
         told = np.repeat([one.before, one.after], counts, axis=0)
-        record = recorded(rig, told)
-        parts.append(record.with_columns(run=np.full(len(record), float(k))))
+        parts.append(recorded(rig, told))
         progress((k + 1) / len(steps))
     rig.stop()
+    return steps_record(parts)
+
+
+def steps_record(parts: Sequence[Record]) -> Record:
+    """Steps as steps.csv holds them."""
+    parts = [part.with_columns(run=np.full(len(part), float(k))) for k, part in enumerate(parts)]
     names = ("run", "time", "omega_ref", "beta_ref", "omega", "thrust")
     return Record({name: np.concatenate([part[name] for part in parts]) for name in names}, "steps")
 
@@ -164,6 +183,7 @@ def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
 def recorded(rig: Rig, told: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
     """What the rig shows under commands (rows, 2), from time 0. Of slots that were missed nothing is known but the command."""
     count, first = len(told), rig.ticks.slot
+    rig.keep(record={"first": first, "count": count})
     rows, k = np.full((count, 4), np.nan), 0
     while k < count:
         shown, (omega_ref, beta_ref) = rig.last, told[k].tolist()
@@ -174,6 +194,7 @@ def recorded(rig: Rig, told: np.ndarray, progress: Callable[[float], None] = lam
         if k // 1000 != after // 1000:
             progress(after / count)
         k = after
+    rig.keep(recorded=first)
     columns = dict(zip(("omega_ref", "beta_ref", "omega", "thrust"), rows.T, strict=True))
     return Record({"time": np.arange(count) * rig.dt, **columns}, "rig")
 

@@ -14,7 +14,7 @@ from hil.log import Column, cell
 from hil.rig import ENDINGS, Rig
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
-from hil.session import Session, Setup, read_log, session
+from hil.session import Session, Setup, found_log, read_log, session
 from hil.twin.twin import Twin
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import BadInput, VppError
@@ -105,7 +105,7 @@ def run_on_rig(
             one.rig.stop()
         except ENDINGS as reason:
             ended = str(reason)
-    log = read_log(folder / LOG)
+    log = read_log(found_log(folder / LOG))
     return Run(loop_part(log), log, one, ended)
 
 

@@ -1,10 +1,8 @@
 """A run's own folder, and what can be told of a run from its files alone: for whoever is left when its loop is not."""
 
 import contextlib
-import fcntl
 import hashlib
 import os
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -59,33 +57,6 @@ def _link(at: Path, to: Path) -> None:
 def sha256_of(path: str | os.PathLike) -> str:
     """Of a file's bytes."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def found_log(path: Path) -> Path:
-    """The log that `path` means: a log, or a run's folder. One whose writer died too has no name yet: it is cut behind its last
-    whole row and given it. BadInput where there is none."""
-    log = path / "log.csv" if path.is_dir() else path
-    part = log if log.name.endswith(".part") else log.with_name(f".{log.name}.part")
-    log = part.with_name(part.name.removeprefix(".").removesuffix(".part"))
-    if log.exists():
-        return log
-    if not part.exists():
-        raise BadInput(path, "file", "no such file", "a log.csv of vpp hil, or the folder of its run")
-    with open(part, "rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise BadInput(path, "file", "a log that is being written", "the log of a run that has ended") from error
-        data = file.read()
-    if log.suffix == ".gz":
-        data = zlib.decompressobj(wbits=31).decompress(data)
-    whole = data[: data.rfind(b"\n") + 1]
-    if log.suffix == ".gz":
-        pack = zlib.compressobj(1, wbits=31)
-        whole = pack.compress(whole) + pack.flush()
-    part.write_bytes(whole)
-    os.replace(part, log)
-    return log
 
 
 def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:

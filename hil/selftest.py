@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.calibration import Calibration
 from hil.rig import ENDINGS
-from hil.session import Session, Setup, read_log, session
+from hil.session import Session, Setup, found_log, read_log, session
 from vpp_fmu.record import Record
 
 LOG = "log.csv"
@@ -51,7 +51,7 @@ def selftest(
             ended = str(reason)
         faults = [str(fault) for fault in rig.states.faults]
         outputs = [(path, round(1e9 * pulse), Path(path).read_text().split()[0]) for path, pulse in rig.bench.outputs]
-    log = read_log(folder / LOG)
+    log = read_log(found_log(folder / LOG))
     checks = (*_timing(one, log), *_buses(one, log, faults, ended), *_calibration(setup.calibration, log), *_outputs(outputs))
     return SelfTest(checks, log, one, ended)
 

@@ -1,9 +1,12 @@
 """Everything around a rig while it is used: real time, log, supervisor, signals, live view; and what is left of it."""
 
 import contextlib
+import fcntl
 import math
+import os
 import platform
 import sys
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -33,6 +36,7 @@ from hil.safety.supervisor import Supervisor
 from hil.safety.tare import gate_of
 from hil.timing import Timing, timing
 from hil.twin.twin import Twin
+from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_table
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig as Ranges
@@ -161,8 +165,35 @@ def session(
                 rig.close()
                 one.logged = log.close()
         if not in_virtual_time:
-            ticks = read_log(folder / log_name)
+            ticks = read_log(found_log(folder / log_name))
             one.timing = timing(ticks["late"], ticks["busy"], ticks["missed"])
+
+
+def found_log(path: Path) -> Path:
+    """The log that `path` means: a log, or a run's folder. One whose writer died too has no name yet: it is cut behind its last
+    whole row and given it. BadInput where there is none."""
+    log = path / "log.csv" if path.is_dir() else path
+    part = log if log.name.endswith(".part") else log.with_name(f".{log.name}.part")
+    log = part.with_name(part.name.removeprefix(".").removesuffix(".part"))
+    if log.exists():
+        return log
+    if not part.exists():
+        raise BadInput(path, "file", "no such file", "a log.csv of vpp hil, or the folder of its run")
+    with open(part, "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BadInput(path, "file", "a log that is being written", "the log of a run that has ended") from error
+        data = file.read()
+    if log.suffix == ".gz":
+        data = zlib.decompressobj(wbits=31).decompress(data)
+    whole = data[: data.rfind(b"\n") + 1]
+    if log.suffix == ".gz":
+        pack = zlib.compressobj(1, wbits=31)
+        whole = pack.compress(whole) + pack.flush()
+    part.write_bytes(whole)
+    os.replace(part, log)
+    return log
 
 
 def read_log(path: Path) -> Record:

@@ -140,7 +140,9 @@ class FmuInstance:
         """Settle on the inputs and leave the initialisation; returns the outputs. Time is 0."""
         self._set(values)
         self._call("fmi2ExitInitializationMode")
-        return self._get()
+        shown = self._get()
+        self._messages.clear()  # what it said while all was well explains no later failure
+        return shown
 
     def stepper(self, dt: float) -> Callable[[Sequence[float]], list[float]]:
         """A function that holds inputs for the next `dt` seconds and returns the outputs there; time is counted from 0.

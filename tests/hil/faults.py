@@ -5,7 +5,9 @@ fault is injected: through the emulated buses, by a signal, or in the controller
 outside: how long until the idle pulse stood, for good. Exit code 1 if a row is not as it must be.
 """
 
+import contextlib
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -23,12 +25,18 @@ from tests.hil.injection import (
     line,
     load,
     nothing,
+    now,
+    second_opener,
     sends,
     started,
     stuck,
+    to_all,
     to_supervisor,
+    to_writer,
     until_idle,
+    until_open,
     wait_for,
+    writes,
 )
 
 RAMP = 1800.0
@@ -36,6 +44,9 @@ RAMP = 1800.0
 
 CUT = 100.0
 """ms, as the project promises for a loop that is gone, hung or told to stop at once."""
+
+OPEN = 120.0
+"""ms: the board's 100 ms behind the last request, a tick that it may lie back, and the board's own pace."""
 
 REOPENED = 5.0
 """ms that the throttle may be seen open after the first idle pulse: a loop that was stopped right before a pulse writes it
@@ -61,6 +72,8 @@ class Row:
     within: float | None = RAMP
     task: dict = field(default_factory=dict)
     load: bool = False
+    relay: bool = False
+    """Watched is the relay in the ESC's supply: nobody is left to write a pulse."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +97,9 @@ STUCK = {
 }
 FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat out"}
 """The speed loop cannot hold the limit to one rpm."""
+
+LINGERS = {"physics": {"lingers": 8.0}}
+SIGN_OF_CELL, SIGN_OF_PITCH = {"wrong": "load cell"}, {"wrong": "pitch"}
 
 ROWS = (
     goes_on("serial: 20 x 3 answers with bit flips", "no wrong value, goes on", line("flipped", 3.0, 20)),
@@ -125,6 +141,39 @@ ROWS = (
     goes_on("supervisor: SIGTERM", "nothing", to_supervisor(signal.SIGTERM)),
     goes_on("disk full", "goes on, says what was lost", nothing, task={"full": True}),
     goes_on("clock set back by 1 h", "nothing", sends(signal.SIGUSR1), task={"sabotage": "clock back"}),
+    Row("killed together", "the board opens the relay", to_all, "gone", within=OPEN, task=LINGERS, relay=True),
+    Row(
+        "killed together, under load",
+        "the board opens the relay",
+        to_all,
+        "gone",
+        within=OPEN,
+        task=LINGERS,
+        load=True,
+        relay=True,
+    ),
+    Row("FMU: hangs", "idle, the loop is killed", now, "gone", within=CUT, task={"fmu": "hangs"}),
+    Row("FMU: exits", "idle", now, "gone", within=CUT, task={"fmu": "exits"}),
+    Row("FMU: crashes", "idle", now, "gone", within=CUT, task={"fmu": "crashes"}),
+    Row("FMU: errs", "ramps down", now, cause="controller: failed", task={"fmu": "errs"}),
+    Row("FMU: slow", "ramps down", now, cause="loop: overrun", task={"fmu": "slow"}),
+    Row("log's writer: SIGKILL", "ramps down", to_writer, cause="log: log lost"),
+    goes_on("second opener", "refused, goes on", second_opener),
+    Row("PWM: switched off by others", "idle at once", writes("enable", "0\n"), cause="esc: output lost", within=CUT),
+    Row(
+        "PWM: pulse changed by others", "idle at once", writes("duty_cycle", "1900000\n"), cause="esc: output lost", within=CUT
+    ),
+    Row(
+        "wrong sign of the load cell", "ends at low speed", nothing, cause="load cell: wrong pol", within=0.0, task=SIGN_OF_CELL
+    ),
+    Row(
+        "wrong sign of the pitch",
+        "ends at low speed",
+        nothing,
+        cause="pitch actuator: wrong pol",
+        within=0.0,
+        task=SIGN_OF_PITCH,
+    ),
     Row("PWM: refused at arm", "does not arm", nothing, "safe", "esc: not ready", 0.0, {"refuse": "enable"}),
 )
 
@@ -145,13 +194,16 @@ def once(row: Row) -> Outcome | str:
         if here is None:
             end = wait_for(told, "ended", process)
             return judged(row, end, None) if row.inject is nothing else told_by(end)
-        rig = Injected(process, Path(here["at"]), Path(here["esc"]), b"%d" % here["idle"], here["heard"])
+        rig = Injected(process, Path(here["at"]), Path(here["esc"]), b"%d" % here["idle"], here["heard"], Path(folder))
         if not wait_for(told, "running", process):
-            return told_by(wait_for(told, "ended", process))
+            end = wait_for(told, "ended", process)
+            return judged(row, end, None) if row.within == 0.0 else told_by(end)
         with load(row.load):
             time.sleep(0.2 * row.load)
-            seen = until_idle(rig, row.inject)
+            seen = (until_open if row.relay else until_idle)(rig, row.inject)
         if row.state == "gone":
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(5.0 if "fmu" in row.task else 0.0)  # the supervisor ends one that hangs
             process.kill()
             return judged(row, None, seen, left_behind(Path(folder)))
         return judged(row, wait_for(told, "ended", process), seen)

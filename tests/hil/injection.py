@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.emulator import i2c, serial_line
-from hil.emulator.rig import BUS, LINE
+from hil.emulator.rig import BUS, BYSTANDER, LINE, SHOWN
 from hil.emulator.shared import SharedNumbers
 
 HERE = Path(__file__).resolve().parent
@@ -34,6 +34,7 @@ class Injected:
     esc: Path
     idle: bytes
     opened: float
+    folder: Path = Path()
 
     @contextlib.contextmanager
     def numbers(self, file: str) -> Iterator[SharedNumbers]:
@@ -94,6 +95,41 @@ def sends(*numbers: int, pause: float = 0.02):
 
 def to_supervisor(number: int):
     return lambda rig: os.kill(rig.supervisor(), number)
+
+
+def to_all(rig: Injected) -> None:
+    """SIGKILL to the loop and to all that it has started but the emulated rig, which is no program on a real one."""
+    for pid, words in children_of(rig.process.pid):
+        if "emulator" not in words:
+            os.kill(pid, signal.SIGKILL)
+    os.kill(rig.process.pid, signal.SIGKILL)
+
+
+def to_writer(rig: Injected) -> None:
+    os.kill(next(pid for pid, words in children_of(rig.process.pid) if "hil.log" in words), signal.SIGKILL)
+
+
+def now(rig: Injected) -> None:
+    """What the FMU waits for."""
+    (rig.folder / "now").touch()
+
+
+def second_opener(rig: Injected) -> None:
+    """Another process that wants the same outputs."""
+    text = "import sys; from pathlib import Path; from hil.safety.lock import locked; locked(Path(sys.argv[1]))"
+    environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
+    command = [sys.executable, "-c", text, str(rig.esc.parents[1])]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert "in use by" in done.stderr
+
+
+def writes(file: str, text: str):
+    """Somebody else writes to one of the ESC's files."""
+
+    def inject(rig: Injected) -> None:
+        rig.esc.with_name(file).write_text(text)
+
+    return inject
 
 
 def nothing(rig: Injected) -> None:
@@ -188,10 +224,26 @@ def until_idle(rig: Injected, inject: Callable[[Injected], float | None]) -> Wat
     return Watched(1e3 * (first - (moment[0] or began)), 1e3 * reopened)
 
 
+def until_open(rig: Injected, inject: Callable[[Injected], None]) -> Watched | None:
+    """Inject, and wait until the board has opened the relay."""
+    shown = SharedNumbers(rig.at / SHOWN, BYSTANDER)
+    began = time.monotonic()
+    inject(rig)
+    while shown["relay"] and time.monotonic() - began < 5.0:
+        time.sleep(0.0005)
+    took, still = time.monotonic() - began, shown["relay"]
+    shown.close()
+    return None if still else Watched(1e3 * took, 0.0)
+
+
 def left_behind(folder: Path) -> str:
     """What a loop that is gone has left: its supervisor's report, and the log that its writer finishes."""
     end = time.monotonic() + 5.0
     while not (folder / "log.csv").exists() and time.monotonic() < end:
         time.sleep(0.05)
-    rows = (folder / "log.csv").read_text().count("\n") - 1 if (folder / "log.csv").exists() else 0
-    return f"{(folder / 'supervisor.log').read_text().partition(': ')[2].strip()}; {rows} rows in the log"
+    log = folder / "log.csv"
+    log = log if log.exists() else folder / ".log.csv.part"  # its writer was killed too
+    rows = log.read_text().count("\n") - 1 if log.exists() else 0
+    report = folder / "supervisor.log"
+    acted = report.read_text().splitlines()[:1] if report.exists() else []
+    return f"{acted[0].partition(': ')[2] if acted else 'nobody was left to act'}; {rows} rows in the log"

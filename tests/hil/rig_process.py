@@ -1,9 +1,10 @@
 """A closed loop on the emulated rig in real time, in a process of its own, to have faults injected into: `rig_process.py TASK`.
 
 TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
-`physics` (`hidden`, `parameters`), `refuse` (name of a PWM file whose writes are refused), `sabotage`: what SIGUSR1 makes the
-controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON, a line each: where the rig's
-files are; that it runs; how it ended.
+`physics` (`hidden`, `parameters`, `lingers`), `fmu` (what its FMU does once the file "now" stands in the folder), `wrong`
+(whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are refused),
+`sabotage`: what SIGUSR1 makes the controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON,
+a line each: where the rig's files are; that it runs; how it ended.
 """
 
 import json
@@ -11,6 +12,7 @@ import math
 import signal
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -24,8 +26,9 @@ from hil.run import run_on_rig
 from hil.safety import polarity
 from hil.safety.limits import Limits
 from hil.session import Setup
+from tests.hil.stubborn import stubborn
 from vpp_fmu.errors import VppError
-from vpp_fmu.plants import KernelController
+from vpp_fmu.plants import FmuController, KernelController
 from vpp_fmu.record import Record
 
 # The waits before a run, shortened: fifty faults are to be tried.
@@ -33,6 +36,7 @@ polarity.SETTLE, polarity.AVERAGE = 0.8, 0.5
 rig.REST, rig.TARE_SAMPLES, rig.SETTLE = 0.3, 250, 0.5
 
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
+WRONG = json.loads(sys.argv[1]).get("wrong")
 SETTLED = 250
 """Steps of the controller after which the thrust stands."""
 
@@ -46,6 +50,11 @@ class SpokenSetup(Setup):
 
     def bench(self):
         bench = super().bench()
+        own = bench.calibration
+        if WRONG == "load cell":
+            bench.calibration = replace(own, newton_per_count=-own.newton_per_count)
+        elif WRONG == "pitch":
+            bench.calibration = replace(own, pitches=own.pitches[::-1])
         say(esc=str(bench.esc.duty_file), at=str(bench.esc.duty_file.parents[3]), idle=bench.esc.idle_ns)
         return bench
 
@@ -53,8 +62,8 @@ class SpokenSetup(Setup):
 class Saboteur:
     """The paper's controller, until SIGUSR1 comes."""
 
-    def __init__(self, sabotage):
-        self._controller, self._sabotage, self._asked, self._steps = KernelController(), sabotage, False, 0
+    def __init__(self, sabotage, controller):
+        self._controller, self._sabotage, self._asked, self._steps = controller, sabotage, False, 0
         signal.signal(signal.SIGUSR1, self._ask)
 
     def _ask(self, *_):
@@ -97,7 +106,9 @@ def main(task):
     physics = task.get("physics", {})
     emulated = Emulated(physics.get("parameters", {}), tuple(physics.get("hidden", ())), 1, physics.get("lingers", 0.0))
     setup = SpokenSetup(read_calibration(CALIBRATION), Limits(**task.get("limits", {})), emulated)
-    controller = Saboteur(task.get("sabotage"))
+    folder, how = Path(task["folder"]), task.get("fmu")
+    within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
+    controller = Saboteur(task.get("sabotage"), within)
     try:
         done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), Path(task["folder"]))
     except VppError as error:

@@ -19,16 +19,18 @@ HOW = {
 _STEP = 'return (fmi2Status)do_step(c, "fmi2DoStep", time, size);'
 
 
-def stubborn(folder: Path, how: str, after: int) -> Path:
-    """The FMU, in `folder`; its first `after` steps are good. Counted over all instances: a rehearsal is part of it."""
+def stubborn(folder: Path, how: str, after: int | Path) -> Path:
+    """The FMU, in `folder`. Good are its first `after` steps, counted over all instances, a rehearsal too; or, of a path, its
+    steps until a file stands there."""
     good = folder / "good.fmu"
     good.write_bytes(native_fmu(CONTROLLER))
     with zipfile.ZipFile(good) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     (source,) = (text.decode() for name, text in files.items() if name.endswith(".c"))
     assert source.count(_STEP) == 1
-    sabotage = f"static long steps; if (steps++ >= {after}) {HOW[how]}\n  {_STEP}"
-    library = compiled("#include <stdlib.h>\n#include <time.h>\n" + source.replace(_STEP, sabotage))
+    when = f'!access("{after}", F_OK)' if isinstance(after, Path) else f"steps++ >= {after}"
+    sabotage = f"static long steps; (void)steps; if ({when}) {HOW[how]}\n  {_STEP}"
+    library = compiled("#include <stdlib.h>\n#include <time.h>\n#include <unistd.h>\n" + source.replace(_STEP, sabotage))
     made = folder / f"{how}.fmu"
     with zipfile.ZipFile(made, "w") as archive:
         for name, content in files.items():

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from rigs import step_profile
 
-from hil.runs import found_log, run_folder
-from hil.session import read_log
+from hil.runs import run_folder
+from hil.session import found_log, read_log
 from tests.hil.stubborn import stubborn
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput

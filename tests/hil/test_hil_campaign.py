@@ -11,6 +11,9 @@ from hil.commands import PAPERS, Step, grid, open_loop, resampled, steps, valida
 from hil.cycle import PERIOD
 from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
+from hil.resume import measured_so_far, partial
+from hil.rig import Rig
+from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder
@@ -157,7 +160,7 @@ def test_the_command_writes_a_campaign_that_reads_back(tmp_path, capsys):
 def test_parts_can_be_chosen_and_any_commands_followed(tmp_path):
     out = tmp_path / "one"
     assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "validation", "-o", str(out)]) == 0
-    assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz", "validation.csv"]
+    assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz", "log_validation.events.jsonl", "validation.csv"]
     told = {"time": np.array([0.0, 1.0, 2.0]), "omega_ref": np.array([3e3, 4e3, 4e3]), "beta_ref": np.array([0.0, 5.0, 5.0])}
     write_record(OutputFolder(tmp_path), "orders.csv", Record(told, ""))
     out = tmp_path / "own"
@@ -243,4 +246,53 @@ def test_a_part_that_a_fault_ends_is_told_and_its_log_kept(tmp_path, capsys):
     part = json.loads((out / "hil.json").read_text())["parts"]["validation"]
     assert "run time" in part["ended"]
     assert part["log"]["rows"] == part["log"]["ticks"] > 1250
-    assert sorted(os.listdir(out)) == ["hil.json", "log_validation.csv.gz"]
+    names = ["hil.json", "log_validation.csv.gz", "log_validation.events.jsonl"]
+    assert sorted(set(os.listdir(out)) - {"validation.partial.csv"}) == names
+
+
+def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, capsys, monkeypatch):
+    small = ["hil", "campaign", "--virtual", *SMALL, "--points", "3", "--parts", "static", "steps", "validation"]
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert main([*small, "-o", str(whole)]) == 0
+    left, step = [0], Rig.step
+
+    def cut(self, *commands):
+        left[0] -= 1
+        if left[0] == 0:
+            self._cycle.fault(Fault("operator", FaultKind.INTERRUPTED, "Ctrl-C"))
+        return step(self, *commands)
+
+    monkeypatch.setattr(Rig, "step", cut)
+    resume = []
+    for ticks, kept in ((1000, "static.partial.csv"), (8000, "steps.partial.csv"), (12000, "steps.partial.csv")):
+        left[0] = ticks
+        assert main([*small, *resume, "-o", str(out)]) == 2
+        assert "operator: interrupted" in capsys.readouterr().err
+        assert json.loads((out / "hil.json").read_text())["status"] == "ended early"
+        assert (out / kept).exists()
+        if not resume:
+            assert main([*small, "-o", str(out)]) == 2
+            assert "allowed is --resume, or another folder" in capsys.readouterr().err
+        resume = ["--resume"]
+    assert main([*small, "--resume", "--settle", "2", "-o", str(out)]) == 2
+    assert "plan: found" in capsys.readouterr().err
+    left[0] = 0
+    assert main([*small, "--resume", "-o", str(out)]) == 0
+    assert not list(out.glob("*.partial.csv"))
+    first, second = read_campaign(whole), read_campaign(out)
+    np.testing.assert_array_equal(first.static.omega_ref, second.static.omega_ref)
+    np.testing.assert_array_equal(first.static.beta_ref, second.static.beta_ref)
+    np.testing.assert_allclose(first.static.thrust, second.static.thrust, atol=0.3)  # other noise, 50 readings each
+    assert len(first.steps) == len(second.steps) == 20
+    for one, other in zip(first.steps, second.steps, strict=True):
+        for name in ("time", "omega_ref", "beta_ref"):
+            np.testing.assert_array_equal(one[name], other[name])
+        assert np.abs(one["thrust"] - other["thrust"]).max() < 1.5
+    np.testing.assert_array_equal(first.validation["omega_ref"], second.validation["omega_ref"])
+
+
+def test_a_piece_of_the_log_is_what_the_loop_recorded(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "steps", "-o", str(out)]) == 0
+    write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(out, "steps")))
+    assert (tmp_path / "again.csv").read_bytes() == (out / "steps.csv").read_bytes()

@@ -3,6 +3,8 @@
 Each part is a run of its own: tare, arm, run, ramp down. As the paper has it, the static map takes 40 minutes, the steps 15.
 Commands stay within what the rig's rig.json declares, what --parameters tells of an earlier campaign, and the limits."""
 
+import json
+import sys
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -11,17 +13,26 @@ from tqdm import tqdm
 from hil.campaign import PARTS, Plan, follow, measure, parts_for, plan_for, same_commands, seconds
 from hil.commands import resampled
 from hil.cycle import PERIOD
+from hil.entries import read_json
+from hil.resume import attempts, forget, log_name, measured_so_far, partial
 from hil.rig import ENDINGS
 from hil.session import Setup, session
 from vpp_fmu.cli import hil_options
+from vpp_fmu.cli.hil_outcome import ENDED, ENDED_EARLY, RUNNING
 from vpp_fmu.cli.options import SEED, real, whole
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_output, as_json, now, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.rig import FILE, Rig
 
 EXAMPLE = "vpp hil campaign --virtual --hide linkage_play=0.5 -o campaigns/emulated"
+
+PARTIAL = ".partial.csv"
+"""What is measured of a part that did not come to its end: no name that a campaign's reader takes."""
+
+SAME = ("plan", "rig", "hidden", "physics", "seed", "limits", "allowed", "calibration")
+"""Of hil.json: what must be as it was where a campaign goes on."""
 
 
 def configure(parser):
@@ -46,6 +57,7 @@ def configure(parser):
         longer = ", longer for a rig slower than the paper's" if kind.unit else ""
         shown = f"{text} (default: {default:g} {kind.unit}{longer})".replace(" )", ")")
         parser.add_argument(option, type=kind, metavar="N", help=shown)
+    parser.add_argument("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
     add_output(parser)
 
 
@@ -54,46 +66,101 @@ def run(options):
     plan = _plan(options, setup.allowed)
     commands = _commands(options.commands, setup) if options.commands else None
     folder = OutputFolder(options.output)
+    told = _told(options, setup, plan, folder)
     hil_options.say_allowed(setup.allowed)
     hil_options.confirm(setup)
     parts = ("record",) if commands else tuple(part for part in options.parts if part in parts_for(setup.allowed))
     if not commands and len(parts) < len(options.parts):
         print("steps: speed and pitch both stand, so there are none")
     length = commands.time[-1] if commands else seconds(plan, parts, setup.allowed)
-    print(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig")
-    told, found = {"format": "vpp-hil/1", "plan": asdict(plan), "parts": {}}, {}
+    print(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig", flush=True)
     if file := hil_options.which(options).file:
         folder.write(FILE, read_text(file))  # what reads the campaign must know it too
+    told, found = told | {"status": RUNNING}, {}
+    folder.write("hil.json", as_json(told))
     for part in parts:
-        one, record, ended = _measured(_again(setup, part), folder, part, plan, commands)
-        told["parts"][part] = one.told() | {"ended": str(ended or "")}
+        if told["parts"].get(part, {}).get("whole"):
+            print(f"{part}: measured already")
+            found[part] = read_record(folder.path / f"{part}.csv") if part in ("open_loop", "repeat") else None
+            continue
+        have = measured_so_far(folder.path, part) if part in ("static", "steps") else []
+        one, record, ended = _measured(_again(setup, part), folder, part, plan, commands, have)
+        told["parts"][part] = one.told() | {"ended": str(ended or ""), "whole": not ended, "attempts": len(_logs(folder, part))}
+        if ended:
+            told |= {"status": ENDED_EARLY, "completed": now()}
         folder.write("hil.json", as_json(told))
         if ended:
+            _keep(folder, part)
             raise ended
         found[part] = record
         _write(folder, part, record, found)
+        (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
         rows, ticks, lost = one.logged.rows, one.rig.ticks.ticks, one.logged.lost
-        print(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost")
+        print(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost", flush=True)
+    folder.write("hil.json", as_json(told | {"status": ENDED, "completed": now()}))
     say_written(folder)
 
 
-def _measured(setup: Setup, folder: OutputFolder, part: str, plan: Plan, commands: Record | None):
+def _logs(folder: OutputFolder, part: str) -> list:
+    return attempts(folder.path, part)
+
+
+def _told(options, setup: Setup, plan: Plan, folder: OutputFolder) -> dict:
+    """What hil.json says before the first part; with --resume what it said, if the campaign is the same. BadInput."""
+    path = folder.path / "hil.json"
+    now_told = json.loads(as_json(hil_options.begun(options, setup) | {"plan": asdict(plan), "parts": {}}))
+    before = read_json(path) if path.exists() else {}
+    unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
+    if not options.resume:
+        if unfinished:
+            allowed = "--resume, or another folder"
+            raise BadInput(folder.path, "campaign", f"one that did not come to its end, begun {before['begun']}", allowed)
+        for part in (*PARTS, "record"):
+            forget(folder.path, part)
+        return now_told
+    if "plan" not in before:
+        raise BadInput(folder.path, "--resume", "no campaign", "a folder that vpp hil campaign has written to")
+    for name in SAME:
+        if before.get(name) != now_told.get(name):
+            raise BadInput(
+                path, name, f"{json.dumps(before.get(name))[:80]}", f"{json.dumps(now_told.get(name))[:80]}, as now asked for"
+            )
+    return before | {"resumed": [*before.get("resumed", []), now_told["begun"]]}
+
+
+def _keep(folder: OutputFolder, part: str) -> None:
+    """What was measured of a part that did not come to its end, beside the files that others read."""
+    have = measured_so_far(folder.path, part)
+    record = partial(part, have)
+    if record is not None:
+        write_record(folder, f"{part}{PARTIAL}", record)
+        what = "points" if part == "static" else "steps" if part == "steps" else "rows"
+        count = len(have) if part in ("static", "steps") else len(record)
+        print(f"{part}: {count} {what} kept in {part}{PARTIAL}; --resume goes on", flush=True)
+
+
+def _measured(setup: Setup, folder: OutputFolder, part: str, plan: Plan, commands: Record | None, have: list):
     """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
     record = ended = None
-    with tqdm(total=100, unit="%", desc=part, disable=None, leave=False) as bar:
+    in_view = sys.stderr.isatty() and not setup.virtual  # it shows how much is done
+    with (
+        tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
+        session(setup, folder.path, log_name(folder.path, part)) as one,
+    ):
 
         def progress(share):
-            bar.update(round(100 * share) - bar.n)
+            one.rig.show_done(share)
+            if setup.virtual:  # in real time a terminal must not hold the loop
+                bar.update(round(100 * share) - bar.n)
 
-        with session(setup, folder.path, f"log_{part}.csv.gz", watch=False) as one:
-            try:
-                record = (
-                    follow(one.rig, commands, plan.settle, progress)
-                    if commands
-                    else measure(one.rig, part, plan, progress, setup.allowed)
-                )
-            except ENDINGS as reason:
-                ended = reason
+        try:
+            record = (
+                follow(one.rig, commands, plan.settle, progress)
+                if commands
+                else measure(one.rig, part, plan, progress, setup.allowed, have)
+            )
+        except ENDINGS as reason:
+            ended = reason
     return one, record, ended
 
 

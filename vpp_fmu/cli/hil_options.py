@@ -48,6 +48,10 @@ def add_rig(parser, fmu: bool = False) -> None:
     parser.add_argument("--bus", type=whole(0, 255), default=wiring.bus, help=f"the real ADC's I2C bus (default: {wiring.bus})")
     parser.add_argument("--port", default=wiring.port, help=f"the real tachometer's port (default: {wiring.port})")
     parser.add_argument("--pwm", default=wiring.pwm, help=f"device of the real PWM chip (default: {wiring.pwm})")
+    text = "outputs of the chip that ESC and LAC are on (default: 0 1, GPIO 12 and 13)"
+    parser.add_argument(
+        "--pwm-channels", nargs=2, type=whole(0, 15), default=wiring.channels, metavar=("ESC", "LAC"), help=text
+    )
     parser.add_argument("--operator", metavar="NAME", help="who runs it, for hil.json (default: the user)")
 
 
@@ -115,11 +119,18 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
     limits, allowed = limits_for(options, allowed_of(options, turning), steps)
     check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
     if real:
-        return Setup(calibration, limits, wiring=Wiring(options.bus, port=options.port, pwm=options.pwm), allowed=allowed)
+        return Setup(calibration, limits, wiring=_wiring(options), allowed=allowed)
     hidden = [_hidden(text) for text in options.hide]
     parameters = {name: value for _, values in hidden for name, value in values.items()}
     emulated = Emulated(parameters, tuple(name for name, _ in hidden), options.seed)
     return Setup(calibration, limits, emulated, options.virtual, allowed=allowed)
+
+
+def _wiring(options) -> Wiring:
+    channels = tuple(options.pwm_channels)
+    if channels[0] == channels[1]:
+        raise BadInput("command line", "--pwm-channels", f"{channels[0]} twice", "two outputs")
+    return Wiring(options.bus, port=options.port, pwm=options.pwm, channels=channels)
 
 
 def say_allowed(allowed: Rig) -> None:

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from hil.entries import read_json
-from hil.runs import found_log, told_by_files
-from hil.session import read_log
+from hil.runs import told_by_files
+from hil.session import found_log, read_log
 from vpp_fmu.cli.hil_outcome import RUNNING, finish, kept_of
 from vpp_fmu.cli.output import say_written
 from vpp_fmu.errors import BadInput
