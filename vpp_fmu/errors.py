@@ -33,3 +33,7 @@ class CompilerMissing(VppError):
 
 class WorkerLost(VppError):
     """A process that shared the work has died before it was done."""
+
+
+class ExtraMissing(VppError):
+    """An optional library is needed that is not installed; the message says which, and how to get it."""

@@ -5,9 +5,10 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import commands, degenerate, diagnosis, fmus, gate, identification, imports, long, measured, refusals, rigs, tuning
+from . import api, commands, degenerate, diagnosis, fmus, gate, identification, imports, long, measured, refusals, rigs, tuning
 
 STUDIES = {
+    "api": api.main,
     "commands": commands.main,
     "degenerate": degenerate.main,
     "diagnosis": diagnosis.main,

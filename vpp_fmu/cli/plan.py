@@ -17,7 +17,7 @@ from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters
@@ -109,11 +109,8 @@ def run(options):
         omega_std=options.omega_noise,
         step=basis.step,
     )
-    write_record(folder, "plan.csv", found.commands)
-    folder.write("plan.json", as_json(found.summary()))
-    remarks = [_coloured(inflation, basis.noise)] if inflation > COLOURED else []
-    remarks += _overload(found)
-    folder.write("report.html", plan_page(found, basis.lines(), remarks).html())
+    remarks = remarks_on(found, inflation)
+    write_plan(folder, found, basis.lines(), remarks)
     for line in basis.lines():
         print(line)
     for label, value, note in key_figures(found):
@@ -121,6 +118,18 @@ def run(options):
     for remark in remarks:
         print(f"note: {remark}")
     say_written(folder, parameters)
+
+
+def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
+    """What a reader must be told of a plan. `inflation`: of the intervals so far, by the residuals' colour."""
+    return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
+
+
+def write_plan(folder: OutputFolder, found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = ()) -> None:
+    """All files of a plan."""
+    write_record(folder, "plan.csv", found.commands)
+    folder.write("plan.json", as_json(found.summary()))
+    folder.write("report.html", plan_page(found, basis, remarks).html())
 
 
 def _basis(options, parameters: ParameterSet) -> Basis:

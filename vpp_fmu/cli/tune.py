@@ -6,6 +6,7 @@ The result is run again through both FMUs. With --robust, gains are sought for t
 from the parameters' doubt."""
 
 import json
+import os
 from collections.abc import Mapping
 
 from identification.tune.controllers import controllers
@@ -19,7 +20,7 @@ from identification.worth.information import read_knowledge
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.cli.output import add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
@@ -95,11 +96,7 @@ def run(options):
     for line in _setting(task, starts):
         print(line)
     found = tune(task, starts, options.workers, options.scheduler)
-    for name in found.tuned:
-        folder.write(FILES[name], to_json(dated(_gains(found, name, options), **came)))
-    folder.write("tuning.json", as_json(summary(found)))
-    write_record(folder, "profile.csv", task.profile)
-    folder.write("report.html", tuning_page(found).html())
+    write_tuning(folder, found, **came)
     for name, tuned in found.tuned.items():
         for which, verdict in tuned.verdicts.items():
             print(f"{NAMES[name]}, {task.reference} → {which}")
@@ -110,6 +107,15 @@ def run(options):
         print(f"{label}: {value} ({note})")
     print(f"tuned in {found.seconds:.1f} s")
     say_written(folder, parameters)
+
+
+def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.PathLike[str], ParameterSet]) -> None:
+    """All files of a tuning. `came`: (file, its content) that the plant's parameters come from."""
+    for name in found.tuned:
+        folder.write(FILES[name], to_json(dated(gains_of(found, name), **came)))
+    folder.write("tuning.json", as_json(summary(found)))
+    write_record(folder, "profile.csv", found.task.profile)
+    folder.write("report.html", tuning_page(found).html())
 
 
 def _setting(task: Task, starts) -> list[str]:
@@ -188,12 +194,13 @@ def _assumed(text: str, parameters: ParameterSet) -> tuple[str, float]:
     return name, number
 
 
-def _gains(found: Tuning, name: str, options) -> ParameterSet:
+def gains_of(found: Tuning, name: str) -> ParameterSet:
+    """What is handed out for the controller `name`, "dual" or "speed_only"."""
     tuned = found.tuned[name]
     source = {
         "made_by": "vpp tune",
         "assumed": {n: found.task.parameters.values[n] for n in found.task.assumed},
-        "robust": options.robust,
+        "robust": found.task.robust,
         "cost": tuned.cost(tuned.chosen),
         "verdict": {which: each.words() for which, each in tuned.verdicts.items()},
         "rig": found.task.parameters.rig.summary(),
