@@ -67,8 +67,8 @@ class Shape:
     """A shape. `declared(sizes, values)`: its parameters, at `values`; `value(ops, x, p, v, dt)`: (f, its next states).
 
     `off(values)`: the parameters that switch it off at 0; `memory`: its states by name, each (unit, "" for the driver's; what
-    it is; its start from the settled driver: start(ops, p, v)). `words`: of a sentence. `driven`: it has a driver; else it goes by
-    time alone.
+    it is; its start from the settled driver: start(ops, p, v)). `words`: of a sentence. `driven`: it has a driver; else it goes
+    by time alone.
     """
 
     name: str
