@@ -13,7 +13,7 @@ from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.fit.uncertainty import Uncertainty
 from identification.gate.finding import Finding
 from identification.gate.fitted import of_fit
-from identification.gate.gate import passed
+from identification.gate.gate import Passed, passed
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
@@ -138,6 +138,7 @@ def identify(
     records: Mapping[str, Record] | None = None,
     accept: Iterable[str] = (),
     stage: Callable[[str], None] = lambda text: None,
+    gate: Passed | None = None,
 ) -> Identification:
     """Static map by least squares, lags by step responses, then all parameters on the fitted records, the map as prior.
 
@@ -145,12 +146,11 @@ def identify(
     these, the validation record. What is missing of the campaign is left out, down to one file: without any record the result
     is what map and steps tell by themselves. BadInput where nothing tells a parameter, and for what the quality gate finds
     wrong but for the codes that `accept` names. Without means of steady points these are taken from their raw samples.
-    `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is told what begins. Other
-    options as in `refine`.
+    `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is told what begins. `gate`: what
+    the quality gate made of all this, where it has been asked already. Other options as in `refine`.
     """
     stage("quality")
-    shown = _to_fit(campaign, records or {})
-    gate = passed(campaign, records, accept)
+    gate = gate or passed(campaign, records, accept)
     fitted = _to_fit(gate.campaign, gate.further)
     if campaign.static is None and campaign.static_raw is not None:
         campaign = replace(campaign, static=steady_points(campaign.static_raw))
@@ -169,7 +169,8 @@ def identify(
     found = refine(model, list(fitted.values()), start, prior=prior, method=method, starts=starts, seed=seed)
     stage("intervals")
     found = replace(found, uncertainty=profiled(found.problem, found.solution, found.uncertainty, found.others))
-    shown |= {"validation": campaign.validation} if campaign.validation is not None else {}
+    validation = gate.campaign.validation
+    shown = fitted | ({"validation": validation} if validation is not None else {})
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]

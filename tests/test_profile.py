@@ -112,6 +112,9 @@ class Plane(Level):
         jacobian = np.vstack([np.ones((n, 2)), np.column_stack([np.zeros(n), np.ones(n)])])
         return np.concatenate([p + q - self.first, q - self.second]), jacobian
 
+    def residual(self, values):
+        return self.rows(values)[0]
+
 
 def test_beside_one_on_its_bound_an_interval_is_that_of_the_others_alone(readings):
     """q would be -5 and stands on 0: p is then a plain mean of twenty readings, whatever q's column is."""

@@ -18,6 +18,7 @@ from identification.stand.speed_map import (
     steady_points,
 )
 from vpp_fmu import cli
+from vpp_fmu.campaign import read_static
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import OMEGA
 from vpp_fmu.record import read_record
@@ -245,6 +246,37 @@ def test_a_bad_log_is_told_in_one_line(tmp_path, change, told):
     assert "\n" not in str(caught.value)
 
 
+def test_a_clock_that_goes_back_by_less_than_a_row_is_mended_and_counted(log):
+    t = truth()
+    time = t["time"].copy()
+    rows = [300, 900, 1200]
+    time[rows] = time[np.array(rows) - 1] - 0.003
+    read = log(time=time)
+    assert read.mended == (3, pytest.approx(0.003))
+    assert np.all(np.diff(read.time) > 0.0)
+    untouched = np.ones(len(time), bool)
+    untouched[np.array(rows)[:, None] + [-1, 0]] = False
+    np.testing.assert_allclose(read.time[untouched], (t["time"] - t["time"][0])[untouched], atol=1e-12)
+    assert np.abs(read.time - (t["time"] - t["time"][0])).max() < 0.011  # a row
+
+
+def test_a_log_without_esc_signals_is_told_with_the_way_out(log):
+    with pytest.raises(BadInput, match=r"column ESC signal: found empty cells only, allowed is .* vpp import csv"):
+        log(signal=np.full(len(truth()["time"]), np.nan))
+
+
+@pytest.mark.parametrize("name", ["optical", "current", "voltage", "thrust", "time"])
+def test_an_empty_column_is_no_warning_of_a_library(log, name):
+    try:
+        read = log(**{name: np.full(len(truth()["time"]), np.nan)})
+    except BadInput:
+        assert name in ("voltage", "thrust", "time")
+    else:
+        read.record(np.zeros(len(read.time)))
+        assert np.isnan(read.loaded_voltage) == (name == "optical")
+        assert len(read.steady_points()) == (0 if name == "optical" else 6)
+
+
 def test_time_must_not_go_back(log):
     time = truth()["time"]
     time[500] -= 1.0
@@ -404,13 +436,57 @@ def test_rows_that_are_averages_give_a_map_and_no_record(tmp_path, vpp, capsys):
     columns = {"time": time, "signal": points.signal, "thrust": points.speed / 1e4, "voltage": points.voltage}
     path = write(tmp_path / "points.csv", columns | {"optical": points.speed})
     assert vpp(path, "-o", tmp_path / "out") == 0
-    assert "averages, no record.csv" in capsys.readouterr().out
-    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["import.json", "speed_map.json"]
+    assert "averages, so steady points and no record" in capsys.readouterr().out
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["import.json", "speed_map.json", "static.csv"]
+    static = read_static(tmp_path / "out" / "static.csv")
+    np.testing.assert_allclose(static.omega, points.speed, rtol=1e-8)
+    np.testing.assert_allclose(static.thrust, points.speed / 1e4, rtol=1e-8)
+    assert static.thrust_std.max() == static.thrust_std.min()
+    assert not static.beta_ref.any()
     nominal = float(np.median(points.voltage))
     found = read_speed_map(tmp_path / "out" / "speed_map.json")
     np.testing.assert_allclose(
         found.coefficients, [c * (nominal / NOMINAL) ** k for k, c in enumerate(COEFFICIENTS)], rtol=1e-9
     )
+
+
+def averages(t, rate=8.0):
+    """What a logger writes that averages over its rows: means of time and readings, the signal of the row's end."""
+    row = (t["time"] * rate).astype(int)
+    return {
+        n: np.array([c[row == k][-1] if n == "signal" else c[row == k].mean() for k in np.unique(row)]) for n, c in t.items()
+    }
+
+
+def test_a_log_of_eight_rows_a_second_is_of_averages(tmp_path, vpp, capsys):
+    t = truth(held=4.0)
+    path = write(tmp_path / "slow.csv", averages(t))
+    assert vpp(path, "-o", tmp_path / "out") == 0
+    said = capsys.readouterr().out
+    assert "rows lie 125" in said
+    assert "averages, so steady points and no record" in said
+    static = read_static(tmp_path / "out" / "static.csv")
+    held = [np.mean(t["optical"][(t["time"] > 4.0 * k + 2.0) & (t["time"] < 4.0 * k + 3.9)]) for k in range(8)]
+    np.testing.assert_allclose(static.omega, held, atol=3.0)  # rpm: the battery sags
+    assert vpp(path, "-o", tmp_path / "forced", "--as", "open_loop") == 0
+    assert "lags from them are wrong by as much" in capsys.readouterr().out
+    assert read_record(tmp_path / "forced" / "open_loop.csv").period == pytest.approx(0.125, rel=0.02)
+
+
+def test_logs_in_one_folder_share_the_first_ones_map(tmp_path, vpp, capsys):
+    write(tmp_path / "monday.csv", truth())
+    t = truth((0, 500, 1200, 1700, 300), seed=2)
+    write(tmp_path / "tuesday.csv", t | {"optical": 1.02 * t["optical"]})
+    assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 0
+    capsys.readouterr()
+    assert vpp(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "validation") == 0
+    assert "taken over from monday.csv" in capsys.readouterr().out
+    commands = [set(read_record(tmp_path / "stand" / f"{kind}.csv")["omega_ref"]) for kind in ("open_loop", "validation")]
+    saved = read_speed_map(tmp_path / "stand" / "speed_map.json")
+    assert float(f"{saved.omega_ref(np.array([1200.0]))[0]:.9g}") in commands[1]
+    assert vpp(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 2
+    assert "open_loop.csv: file: found one of another log" in capsys.readouterr().err
+    assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 0
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import Table, read_table, reason
-from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record
+from vpp_fmu.files import OutputFolder, Table, read_table, reason
+from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record, write_record
 from vpp_fmu.rig import FILE, Rig, infer_rig, read_rig
 
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
@@ -70,7 +70,7 @@ def read_campaign(folder: str | os.PathLike) -> Campaign:
     paths = _paths(folder, there)
     records = {n: _measured(paths[n]) if n in paths else None for n in ("open_loop", "repeat", "validation", RAW)}
     if records["open_loop"] is not None and records["repeat"] is not None:
-        _check_repeat(records["open_loop"], records["repeat"])
+        check_repeat(records["open_loop"], records["repeat"])
     static = read_static(paths["static"]) if "static" in paths else None
     steps = read_steps(paths["steps"]) if "steps" in paths else ()
     declared = read_rig(folder / FILE) if FILE in there else {}
@@ -122,7 +122,8 @@ def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
     return paths
 
 
-def _check_repeat(record: Record, repeat: Record) -> None:
+def check_repeat(record: Record, repeat: Record) -> None:
+    """BadInput where `repeat` has not the times and commands of `record`."""
     n = min(len(record), len(repeat))
     for name in COMMANDS:
         wanted, found = record[name][:n], repeat[name][:n]
@@ -148,6 +149,19 @@ def read_static(path: str | os.PathLike) -> StaticMap:
     samples = columns["samples"]
     _check_rows(table, "samples", columns, (samples >= 1.0) & (samples == np.round(samples)), "a whole number from 1")
     return StaticMap(**columns, source=table.source)
+
+
+def write_static(folder: OutputFolder, static: StaticMap) -> Path:
+    """Write steady points as static.csv, values to at most 9 significant digits."""
+    rows = zip(*(getattr(static, name).tolist() for name in GRID), strict=True)
+    return folder.write("static.csv", "\n".join([",".join(GRID), *(",".join(f"{v:.9g}" for v in row) for row in rows)]) + "\n")
+
+
+def write_steps(folder: OutputFolder, runs: Sequence[Record]) -> Path:
+    """Write runs of the same columns as steps.csv, numbered from 0."""
+    numbered = [r.with_columns(run=np.full(len(r), float(k))) for k, r in enumerate(runs)]
+    columns = {n: np.concatenate([r[n] for r in numbered]) for n in ("run", *runs[0].columns)}
+    return write_record(folder, "steps.csv", Record(columns, "steps"))
 
 
 def read_steps(path: str | os.PathLike) -> tuple[Record, ...]:

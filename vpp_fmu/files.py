@@ -83,8 +83,8 @@ def reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
-def read_text(path: str | os.PathLike) -> str:
-    """The text of a UTF-8 file, gzipped if its name ends in .gz; without byte-order mark, lines ended by LF. Or BadInput."""
+def read_bytes(path: str | os.PathLike) -> bytes:
+    """What a file holds, unpacked if its name ends in .gz. Or BadInput."""
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -98,8 +98,13 @@ def read_text(path: str | os.PathLike) -> str:
         raise BadInput(path, "file", "broken or cut off gzip data", "a whole gzip file") from error
     except OSError as error:
         raise BadInput(path, "file", f"not readable ({reason(error)})", "a file that can be read") from error
+    return data
+
+
+def read_text(path: str | os.PathLike) -> str:
+    """The text of a UTF-8 file, gzipped if its name ends in .gz; without byte-order mark, lines ended by LF. Or BadInput."""
     try:
-        text = data.decode("utf-8-sig")
+        text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise BadInput(path, f"line {line}", f"the byte 0x{error.object[error.start]:02x}", "text in UTF-8") from error

@@ -166,13 +166,13 @@ def diagnose(
         ThreadPoolExecutor(workers) as pool,
     ):  # the fits run side by side: threads in each would only fight
         stage("identify")
-        gate, accept = passed(campaign, records, accept), tuple(accept)
+        gate = passed(campaign, records, accept)
         groups, unseen = roles(gate.campaign, gate.further)
         fitted = tuple(one for group in groups for one in group)
         if given:
             at = from_given(gate.campaign, given, library, [one.record for one in fitted])
         else:
-            at = from_identification(campaign, library, seed, records or {}, accept)
+            at = from_identification(campaign, gate, library, seed)
         options = candidates(at.library, [one.record for one in fitted])
         stage("noise")
         searcher, base = _prepared(groups, at, options, pool)

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, refine
+from identification.gate.gate import Passed
 from identification.identify import Identification, identify
 from identification.static.static_map import StaticFit, static_fit
 from vpp_fmu.campaign import Campaign
@@ -62,11 +63,9 @@ class Starting:
     identification: Identification | None = None
 
 
-def from_identification(
-    campaign: Campaign, library: Iterable[Effect], seed: int, records: Mapping[str, Record], accept: Iterable[str] = ()
-) -> Starting:
-    """Start at what an identification of the campaign, and of further `records`, finds; `accept` as there."""
-    found = identify(campaign, seed=seed, records=records, accept=accept)
+def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effect], seed: int) -> Starting:
+    """Start at what an identification of the campaign, and of further records, finds; `gate`: what may be used of them."""
+    found = identify(campaign, seed=seed, gate=gate)
     names = tuple(found.refinement.names)
     rig, knowledge = found.parameters.rig, _knowledge(found.static, names)
     return Starting(sized(library, rig.scales), names, found.refinement.values, found.start, knowledge, rig, found)

@@ -52,8 +52,8 @@ class AdjointProblem(Problem):
             cost, gradient = cost + 0.5 * float(np.sum(error**2)), gradient + error @ rows
         return cost, gradient @ inner
 
-    def solve(self, start: Mapping[str, float]) -> Solution:
-        """Fit from `start` under the present weights."""
+    def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
+        """Fit from `start` under the present weights; it always goes as far as numbers do."""
         lower, upper = self.coordinates.lower, self.coordinates.upper
         costs, evaluations = [], 0
 

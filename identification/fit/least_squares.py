@@ -21,8 +21,8 @@ STRAIGHT = 0.25
 class Solution:
     """What the search found. `cost` is half the sum of squares of the residual.
 
-    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end, the latter as last made; `costs`: the cost after each
-    evaluation that lowered it, the start first; `active` (n,): parameters that stand at a bound.
+    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end; `costs`: the cost after each evaluation that lowered
+    it, the start first; `active` (n,): parameters that stand at a bound.
     """
 
     value: np.ndarray
@@ -58,11 +58,12 @@ def solve(
     Stops when no free column has a share in the residual, when a step promised and brought less than `tolerance` of the
     cost or than `enough`, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient
     turns. Damping follows Nielsen's rule. `residual_at(x)`: the residual alone, where that is cheaper: steps are tried by it,
-    and the Jacobian stays where it was as long as they bring what it promised (a chord method).
+    and the Jacobian stays where it was as long as they bring what it promised (a chord method); at the end it is of the
+    solution, unless `enough` was asked for.
     """
     x = np.clip(np.asarray(start, float), lower, upper)
     residual, jacobian = evaluate(x)
-    costs, evaluations, converged = [0.5 * float(residual @ residual)], 1, False
+    costs, evaluations, converged, fresh = [0.5 * float(residual @ residual)], 1, False, True
     damping, growth = 1e-4, 2.0
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
     while evaluations < limit and damping < 1e12:
@@ -70,37 +71,36 @@ def solve(
         pressed = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
         free = np.flatnonzero(~pressed & (length > 0))
         share = np.abs(gradient[free]) / (length[free] * np.sqrt(2 * costs[-1]) + 1e-300)
-        if not len(free) or share.max() < FLAT:
+        gained, done = 0.0, not len(free) or share.max() < FLAT
+        if not done:
+            step = np.zeros_like(x)
+            step[free] = _damped_step(normal[np.ix_(free, free)], gradient[free], length[free], damping)
+            there = np.clip(x + step, lower, upper)
+            step = there - x
+            promise = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
+            if promise <= 0:  # the bounds turned the step uphill: stay closer
+                damping, growth = damping * growth, growth * 2
+                continue
+            new_residual, new_jacobian = evaluate(there) if residual_at is None else (residual_at(there), None)
+            evaluations += 1
+            cost = 0.5 * float(new_residual @ new_residual)
+            gained, least = costs[-1] - cost, max(tolerance * costs[-1], enough)
+            done = promise <= least and abs(gained) <= least
+            if gained > 0:
+                x, residual, fresh = there, new_residual, new_jacobian is not None
+                costs.append(cost)
+                damping, growth = damping * max(1 / 3, 1 - (2 * gained / promise - 1) ** 3), 2.0
+            else:
+                damping, growth = damping * growth, growth * 2
+            jacobian = jacobian if new_jacobian is None or gained <= 0 else new_jacobian
+        if done and (fresh or enough > 0.0):
             converged = True
             break
-        step = np.zeros_like(x)
-        step[free] = _damped_step(normal[np.ix_(free, free)], gradient[free], length[free], damping)
-        there = np.clip(x + step, lower, upper)
-        step = there - x
-        promise = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
-        if promise <= 0:  # the bounds turned the step uphill: stay closer
-            damping, growth = damping * growth, growth * 2
-            continue
-        new_residual, new_jacobian = evaluate(there) if residual_at is None else (residual_at(there), None)
-        evaluations += 1
-        cost = 0.5 * float(new_residual @ new_residual)
-        gained, least = costs[-1] - cost, max(tolerance * costs[-1], enough)
-        small = promise <= least and abs(gained) <= least
-        if gained > 0:
-            x, residual = there, new_residual
-            costs.append(cost)
-            if new_jacobian is None and not small and abs(gained / promise - 1.0) > STRAIGHT:
-                residual, new_jacobian = evaluate(there)
-            if new_jacobian is not None:
-                jacobian = new_jacobian
-                normal = jacobian.T @ jacobian
-            gradient = jacobian.T @ residual
-            damping, growth = damping * max(1 / 3, 1 - (2 * gained / promise - 1) ** 3), 2.0
-        else:
-            damping, growth = damping * growth, growth * 2
-        if small:
-            converged = True
-            break
+        if not fresh and (done or gained <= 0 or abs(gained / promise - 1.0) > STRAIGHT):
+            jacobian, fresh = evaluate(x)[1], True
+        if fresh:
+            normal = jacobian.T @ jacobian
+        gradient = jacobian.T @ residual
     active = (x <= lower) | (x >= upper)
     return Solution(x, residual, jacobian, tuple(costs), evaluations, converged, active)
 

@@ -22,6 +22,9 @@ CHANNELS = ("thrust", "omega")
 REWEIGHTS = 3
 """Rounds of fit and weight; the third changes the weights by less than a per cent."""
 
+WEIGHED = 0.5
+"""Log-likelihood at which a fit may end that only weighs the channels."""
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -141,26 +144,44 @@ class Problem:
             residual[self.size :], jacobian[self.size :] = self.prior.rows(found, names)
         return residual, jacobian
 
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """The same residual alone, from a simulation without sensitivities."""
+        found, simulator = self.values | dict(values), Simulator(self.model)
+        residual = np.empty(self.size + (0 if self.prior is None else len(self.prior.names)))
+        for first in dict.fromkeys(self.twin):
+            record = self.records[first]
+            outputs = simulator.simulate(found, record.columns, record.steps)
+            for block in self._blocks:
+                if self.twin[block.record] == first:
+                    residual[block.at] = self._error(block, self.records[block.record], outputs)[0]
+        if self.prior is not None:
+            residual[self.size :], _ = self.prior.rows(found, self.coordinates.names)
+        return residual
+
     def release(self) -> None:
         """Give back what `rows` keeps of the last evaluation: as much as all records' sensitivities."""
         self._work = None
 
-    def solve(self, start: Mapping[str, float]) -> Solution:
-        """Fit from `start` under the present weights."""
-        coordinates = self.coordinates
-        return solve(self.evaluate, coordinates.vector(start), coordinates.lower, coordinates.upper)
+    def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
+        """Fit from `start` under the present weights; `enough`: cost at which it may end, 0 for as far as numbers go."""
+        c = self.coordinates
+
+        def residual_at(x: np.ndarray) -> np.ndarray:
+            return self.residual(c.values(x))
+
+        return solve(self.evaluate, c.vector(start), c.lower, c.upper, enough=enough, residual_at=residual_at)
 
     def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
         """Fit from `start`, and weigh the channels by what the fit leaves in them, until the two agree.
 
         All fits, the last is the result, the others are slim; each has its own weights, so their costs do not compare.
         """
-        found = [self.solve(start)]
-        if len(self.std) > 1 or self.prior is not None:
-            for _ in range(REWEIGHTS):
-                self.weigh(found[-1].residual)
-                found[-1] = found[-1].slim()
-                found.append(self.solve(self.coordinates.values(found[-1].value)))
+        rounds = REWEIGHTS if len(self.std) > 1 or self.prior is not None else 0
+        found = [self.solve(start, WEIGHED if rounds else 0.0)]
+        for k in range(rounds):
+            self.weigh(found[-1].residual)
+            found[-1] = found[-1].slim()
+            found.append(self.solve(self.coordinates.values(found[-1].value), WEIGHED if k < rounds - 1 else 0.0))
         return found
 
     def thrust_error(self, record: int, values: Mapping[str, float]) -> np.ndarray:
@@ -188,14 +209,20 @@ class Problem:
         return np.flatnonzero(np.isfinite(record[channel]))
 
     def _compared(self, block, record, outputs, tangents):
+        """(error, its sensitivities), both in standard deviations."""
+        error, std = self._error(block, record, outputs)
+        if block.channel == "omega":
+            return error, self._tachometers[block.record].shows(tangents[:, self._omega]) / std[:, None]
+        return error, tangents[block.rows, self._thrust] / std
+
+    def _error(self, block, record, outputs):
+        """(predicted less measured, in standard deviations; these)."""
         if block.channel == "omega":
             tachometer = self._tachometers[block.record]
             std = tachometer.std * self.std["omega"]
-            error = tachometer.shows(outputs[:, self._omega]) - tachometer.measured
-            return error / std, tachometer.shows(tangents[:, self._omega]) / std[:, None]
+            return (tachometer.shows(outputs[:, self._omega]) - tachometer.measured) / std, std
         std = self.std["thrust"]
-        error = outputs[block.rows, self._thrust] - record["thrust"][block.rows]
-        return error / std, tangents[block.rows, self._thrust] / std
+        return (outputs[block.rows, self._thrust] - record["thrust"][block.rows]) / std, std
 
 
 def _same_run(a: Record, b: Record, inputs: Sequence[str]) -> bool:

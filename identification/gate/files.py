@@ -342,8 +342,11 @@ def _signs(files: Sequence[File]) -> Iterator[Finding]:
         if r is None or r.explained < FOLLOWS:
             continue
         pitch, speed, mean = r.rise("beta"), r.rise("omega"), float(np.mean(r.thrust))
+        if pitch is not None:
+            alone, owed = r.owed_to_pitch()
+            pitch = alone if owed > BETTER else 0.0
         negative = mean < -SLOPE * r.size
-        if pitch is not None and pitch < -SLOPE * r.size and r.owed("beta") > BETTER:
+        if pitch is not None and pitch < -SLOPE * r.size:
             told = f"thrust changes by {pitch:+.3g} N from low to high pitch, and is {mean:.3g} N on average"
             if mean > SLOPE * r.size:
                 cause = "pitch counts the other way, or the blades are mounted so"

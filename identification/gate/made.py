@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpp_fmu.campaign import Campaign, StaticMap
+from vpp_fmu.campaign import Campaign, StaticMap, write_static, write_steps
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.scales import Scales
@@ -113,16 +113,10 @@ def one_mark(time: np.ndarray, omega: np.ndarray, rng: np.random.Generator) -> n
 
 def write_campaign(folder: OutputFolder, campaign: Campaign) -> None:
     """The files that a campaign's reader takes."""
-    static = campaign.static
-    if static is not None:
-        names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
-        rows = zip(*(getattr(static, n).tolist() for n in names), strict=True)
-        text = "\n".join([",".join(names), *(",".join(f"{v:.7g}" for v in row) for row in rows)])
-        folder.write("static.csv", text + "\n")
+    if campaign.static is not None:
+        write_static(folder, campaign.static)
     if campaign.steps:
-        runs = [r.with_columns(run=np.full(len(r), float(k))) for k, r in enumerate(campaign.steps)]
-        columns = {n: np.concatenate([r[n] for r in runs]) for n in ("run", *campaign.steps[0].columns)}
-        write_record(folder, "steps.csv", Record(columns, "steps"))
+        write_steps(folder, campaign.steps)
     for name in ("open_loop", "repeat", "validation"):
         if (record := getattr(campaign, name)) is not None:
             write_record(folder, f"{name}.csv", record)

@@ -97,14 +97,16 @@ class Response:
         low, high = self.at(ends, middle) if channel == "omega" else self.at(middle, ends)
         return float(high - low)
 
-    def owed(self, channel: str) -> float:
-        """How many times as much variance is left where a channel stands in its middle, and all else is fitted anew."""
-        own = {"omega": self.omega, "beta": self.beta}
-        own[channel] = np.full(len(self.thrust), np.median(own[channel]))
-        a = self.span.columns(own["omega"], own["beta"])
-        found = np.linalg.lstsq(a, self.thrust, rcond=1e-9)[0]
-        left = float(np.mean(self.left**2))
-        return float(np.mean((self.thrust - a @ found) ** 2)) / left if left > 0.0 else np.inf
+    def owed_to_pitch(self) -> tuple[float, float]:
+        """(change of the thrust from the lower to the upper tenth of the pitch, how many times as much variance is left without
+        pitch), by speed, its square and pitch alone: terms of both reach into corners in which no reading was taken."""
+        w = self.omega / (self.span.speed[1] or 1.0)
+        a = np.column_stack([np.ones_like(w), w, w**2, self.beta])
+        whole, part = (np.linalg.lstsq(columns, self.thrust, rcond=1e-9)[0] for columns in (a, a[:, :3]))
+        left = float(np.mean((self.thrust - a @ whole) ** 2))
+        low, high = np.quantile(self.beta, [0.1, 0.9])
+        without = float(np.mean((self.thrust - a[:, :3] @ part) ** 2))
+        return float(whole[3] * (high - low)), without / left if left > 0.0 else np.inf
 
 
 class Look:

@@ -6,6 +6,8 @@ What the logger does to its data, as two logs of 80 to 120 rows a second show (n
   converter: one conversion read twice. The repeat is left empty, or whatever counts readings counts it twice.
 - The logger stalls: a gap of 80 to 97 ms in most steps up, and the row stamped behind it was taken before it (the current in it
   still is the motor's inrush). Its readings are left empty, but for the voltage.
+- Its clock goes back by some ms in four of 15 875 rows: those are mended as any log's (clock.py), and counted.
+- Rows further apart than SAMPLED are averages that its program has made: steady points, and no samples.
 - Speed and thrust are smoothed from row to row: behind a gap they approach by half of what is left a row, not a time constant,
   long after the current has settled. They are left empty until less than 1 % of it is left, REMEMBERED rows in all.
 
@@ -20,6 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from identification.stand.clock import mended
 from identification.stand.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import Table, read_text
@@ -35,8 +38,11 @@ COARSE = 10.0
 """Median change from value to value over the smallest; below it neighbours of a noisy reading are equal by chance, in 3 % of
 the cases and more. The logs have 900."""
 
-AVERAGED = 1.0
-"""Median interval [s] from which rows are averages of steady points and no record in time."""
+SAMPLED = 0.04
+"""Longest median interval [s] of rows that are samples: stands take one every 8 to 12 ms; rows 125 ms apart are averages."""
+
+POINTS = 1.0
+"""Median interval [s] from which each row is a steady point by itself."""
 
 AT_REST = 0.5
 """Time [s] without a turning motor after which the thrust is that of rest."""
@@ -67,7 +73,8 @@ class Log:
     [N] as logged, voltage [V] (held too), current [A] or None; NaN where a cell is empty.
 
     Masks (n,): `repeated` thrust cells; `late` rows behind a stall; `stalled` rows that still remember one. `start`: what the
-    log calls time 0 [s]. `names`: the columns that were used, by quantity. `dropped`: rows left out, by reason.
+    log calls time 0 [s]. `names`: the columns that were used, by quantity. `dropped`: rows left out, by reason. `mended`: how
+    often the clock went back, and by how many s at most.
     """
 
     source: str
@@ -84,6 +91,7 @@ class Log:
     stalled: np.ndarray
     names: Mapping[str, str]
     dropped: Mapping[str, int] = field(default_factory=dict)
+    mended: tuple[int, float] = (0, 0.0)
 
     @property
     def interval(self) -> float:
@@ -92,8 +100,13 @@ class Log:
 
     @property
     def averaged(self) -> bool:
-        """Whether rows are averages of steady points."""
-        return self.interval > AVERAGED
+        """Whether rows are averages and no samples."""
+        return self.interval > SAMPLED
+
+    @property
+    def points(self) -> bool:
+        """Whether each row is a steady point."""
+        return self.interval > POINTS
 
     @property
     def resting(self) -> np.ndarray:
@@ -111,10 +124,10 @@ class Log:
         return float(np.median(self.voltage[turning])) if turning.any() else float("nan")
 
     def steady_points(self) -> SteadyPoints:
-        """Where the motor ran steadily; for averages, every row with the motor turning."""
+        """Where the motor ran steadily; where rows are points, every one with the motor turning."""
         if self.speed is None:
             return SteadyPoints(*np.empty((3, 0)), np.nan)
-        if self.averaged and (turning := self.speed > 0.0).any():
+        if self.points and (turning := self.speed > 0.0).any():
             signal = self.signal[turning]
             return SteadyPoints(signal, self.voltage[turning], self.speed[turning], float(signal.min()))
         return steady_points(self.time, self.signal, self.speed, self.voltage, ~self.stalled)
@@ -154,14 +167,15 @@ def read_log(path: str | os.PathLike) -> Log:
     speed = _speed(table, headers)
     names |= {"speed": speed} if speed else {}
     signal = _held(table.numbers(names["signal"], gaps=("", "nan")))
-    late, stalled = _stalls(values["time"])
+    time, *mending = mended(values["time"] - values["time"][0])
+    late, stalled = _stalls(time)
     for quantity in ("thrust", "voltage"):
         if not np.isfinite(values[quantity]).any():
             raise BadInput(path, f"column {names[quantity]}", "empty cells only", f"measured {quantity}")
     return Log(
         source=str(path),
         start=float(values["time"][0]),
-        time=values["time"] - values["time"][0],
+        time=time,
         signal=signal,
         span=_span(table, names["signal"], signal),
         speed=_converted(table, speed, "speed") if speed else None,
@@ -173,6 +187,7 @@ def read_log(path: str | os.PathLike) -> Log:
         stalled=stalled,
         names=names,
         dropped={"notes": notes, **dropped},
+        mended=tuple(mending),
     )
 
 
@@ -226,20 +241,24 @@ def _converted(table: Table, header: str, quantity: str) -> np.ndarray:
 
 
 def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str, int]]:
-    """Rows to keep, in their order, and how many are not, by reason. BadInput where time goes back."""
+    """Rows to keep, in their order, and how many are not, by reason. BadInput where time goes back by a row or more."""
     time, signal = table.numbers(names["time"], gaps=("", "nan")), table.numbers(names["signal"], gaps=("", "nan"))
     timed = np.isfinite(time)
+    if not np.isfinite(signal).any():
+        way = "vpp import csv takes the measured speed in its place (omega_ref=COLUMN:UNIT)"
+        raise BadInput(table.source, f"column {names['signal']}", "empty cells only", f"the signal that drove the motor; {way}")
     told = np.maximum.accumulate(np.isfinite(signal))
     rows = np.flatnonzero(timed & told)
+    if len(rows) < 2:
+        raise BadInput(table.source, "rows", f"{len(rows)} with time and ESC signal", "at least two")
     moved = np.round(np.diff(time[rows]), 9)
-    # Averages bear the mean of their times, and the first of them comes out a millisecond late.
-    if np.any(moved < 0.0) and np.median(moved) < AVERAGED:
-        row = int(np.argmax(moved < 0.0))
-        now, before = time[rows[row + 1]], time[rows[row]]
-        raise table.wrong(names["time"], rows[row + 1], f"{now:.9g} after {before:.9g}", "time that doesn't go back")
+    if (far := moved < -np.median(moved)).any():
+        row = int(np.argmax(far))
+        found = f"{time[rows[row + 1]]:.9g} after {time[rows[row]]:.9g}"
+        raise table.wrong(names["time"], rows[row + 1], found, "time that doesn't go back by a row or more")
     kept = rows[np.append(moved != 0.0, True)]  # of rows at one time the last, which knows most
     if len(kept) < 2:
-        raise BadInput(table.source, "rows", f"{len(kept)} with time and ESC signal", "at least two")
+        raise BadInput(table.source, names["time"], f"one and the same in {len(rows)} rows", "a time that goes on")
     early = int((timed & ~told).sum())
     return kept, {
         "no time": int((~timed).sum()),
@@ -259,7 +278,7 @@ def _stalls(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Masks (n,): the rows right behind a stall; those and the ones that still remember it."""
     step = np.diff(time)
     late = np.append(False, step > STALL * np.median(step))
-    late &= np.median(step) < AVERAGED
+    late &= np.median(step) < SAMPLED
     stalled = np.convolve(late, np.ones(REMEMBERED, bool))[: len(time)] > 0
     return late, stalled
 

@@ -40,8 +40,12 @@ class SignalRange:
         return (signal - self.low) / (self.high - self.low)
 
 
-RANGES = {"DShot": SignalRange("DShot", 0.0, 2047.0), "PWM": SignalRange("PWM", 1000.0, 2000.0)}
-"""The two kinds of signal, by name; PWM in us."""
+RANGES = {
+    "DShot": SignalRange("DShot", 0.0, 2047.0),
+    "PWM": SignalRange("PWM", 1000.0, 2000.0),
+    "throttle": SignalRange("throttle", 0.0, 1.0),
+}
+"""The kinds of signal, by name; PWM in us, throttle as a share."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ VERBS = {
     "simulate": "the open-loop response to a record",
     "compare": "two records side by side",
     "plan": "the next experiment for a model: commands, and what they would tell",
-    "import": "a test stand's log to a record",
+    "import": "somebody's log to a file of a campaign",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }

@@ -1,162 +1,26 @@
-"""Turn a test stand's log into a record: the ESC's signal becomes omega_ref through a map fitted to the log's steady parts.
+"""Somebody's log as a file of a campaign: any table, or the log of an RCbenchmark stand.
 
-Fixed pitch: beta_ref is 0. Empty in record.csv: what the log did not measure, or measured before the time it says.
-"""
+What was read as what is printed and stands in the folder beside the record; so does all that was mended or left out."""
 
-import warnings
-from pathlib import Path
+import importlib
 
-import numpy as np
+EXAMPLE = "vpp import csv flight.csv --map time=t:ms omega_ref=cmd:rpm thrust=Fz:gf -o mine --as open_loop\n  vpp check mine"
 
-from identification.stand.rcbenchmark import REMEMBERED, Log, read_log
-from identification.stand.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
-from vpp_fmu.cli.output import add_output, as_json, say_written
-from vpp_fmu.digits import number, signed
-from vpp_fmu.errors import BadInput
-from vpp_fmu.outputs import OutputSet
-from vpp_fmu.record import QUANTITIES, Record, RecordWarning, write_record
-
-EXAMPLE = "vpp import rcbenchmark tuesday.csv --speed-map monday/speed_map.json -o tuesday"
+FORMATS = {
+    "csv": "any table: CSV and its kin, Parquet, MAT, HDF5",
+    "rcbenchmark": "the log of an RCbenchmark (Tyto) thrust stand",
+}
 
 
 def configure(parser):
-    parser.add_argument("format", choices=("rcbenchmark",), metavar="FORMAT", help="whose log it is: rcbenchmark")
-    parser.add_argument("log", metavar="LOG", help="CSV as the stand's program wrote it")
-    parser.add_argument("--speed-map", metavar="M", help="speed_map.json of another log, used as it is (default: fit one)")
-    parser.add_argument("--keep-stalls", action="store_true", help="keep what was logged right behind a stall of the logger")
-    add_output(parser)
+    parts = parser.add_subparsers(dest="format", required=True, metavar="FORMAT", parser_class=type(parser))
+    for name, text in FORMATS.items():
+        module = importlib.import_module(f"vpp_fmu.cli.import_{name}")
+        own = parts.add_parser(name, help=text, description=module.__doc__, formatter_class=parser.formatter_class)
+        own.epilog = f"example:\n  {module.EXAMPLE}"
+        module.configure(own)
+        own.set_defaults(run=module.run)
 
 
 def run(options):
-    log = read_log(options.log)
-    speed_map = read_speed_map(options.speed_map) if options.speed_map else fitted(log)
-    if speed_map.signal != log.span:
-        allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
-        raise BadInput(options.speed_map, "signal, kind", speed_map.signal.kind, allowed)
-    folder = OutputSet(options.output, "import")
-    figures = told(log, speed_map, options.keep_stalls)
-    if not log.averaged:
-        tare = log.tare()
-        record = log.record(speed_map.omega_ref(log.signal), tare[0] if tare else 0.0, options.keep_stalls)
-        warn_beyond(record)
-        write_record(folder, "record.csv", record)
-    folder.write("speed_map.json", speed_map.to_json())
-    folder.write("import.json", as_json(figures))
-    print(said_of_rows(figures))
-    print(
-        *([f"rows lie {log.interval:.3g} s apart: averages, no record.csv"] if log.averaged else said_of_thrust(figures)),
-        sep="\n",
-    )
-    print(said_of_map(figures["speed_map"], bool(options.speed_map)))
-    say_written(folder)
-
-
-def fitted(log: Log) -> SpeedMap:
-    """The map of the log's own steady parts."""
-    if log.speed is None:
-        allowed = "the motor's optical or electrical speed, or the map of another log with --speed-map"
-        raise BadInput(log.source, "columns", "no speed", allowed)
-    return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
-
-
-def told(log: Log, speed_map: SpeedMap, keep_stalls: bool) -> dict:
-    """The content of import.json: what the log was, and what was done to it."""
-    filled, behind = np.isfinite(log.thrust), log.stalled & ~log.repeated
-    emptied = behind & (not keep_stalls)
-    gaps, tare = np.diff(log.time)[log.late[1:]], log.tare()
-    return {
-        "format": "vpp-import/1",
-        "log": Path(log.source).name,
-        "columns": dict(log.names),
-        "start": log.start,
-        "seconds": float(log.time[-1]),
-        "interval": log.interval,
-        "rows": len(log.time),
-        "left_out": {reason: number for reason, number in log.dropped.items() if number},
-        "thrust": {
-            "filled": int(filled.sum()),
-            "repeated": int(log.repeated.sum()),
-            "behind_stalls": int((filled & behind).sum()),
-            "kept": int((filled & ~log.repeated & ~emptied).sum()),
-        },
-        "stalls": {
-            "number": len(gaps),
-            "seconds": [float(gaps.min()), float(gaps.max())] if len(gaps) else None,
-            "rows_behind": int(log.stalled.sum()),
-            "emptied": not keep_stalls,
-        },
-        "tare": dict(zip(("mean", "spread", "readings"), tare, strict=True)) if tare else None,
-        "signal": {"kind": log.span.kind, "minimum": float(log.signal.min()), "maximum": float(log.signal.max())},
-        "speed_map": {
-            "source": speed_map.source,
-            "nominal_voltage": speed_map.nominal_voltage,
-            "rms": speed_map.rms,
-            "here": fit_quality(log.steady_points(), speed_map),
-            "rows_beyond": int(np.sum(log.signal > speed_map.fitted_to)),
-        },
-    }
-
-
-def said_of_rows(figures: dict) -> str:
-    """Rows and columns in words."""
-    left_out = ", ".join(f"{reason} {number}" for reason, number in figures["left_out"].items()) or "none"
-    signal = figures["signal"]
-    return (
-        f"rows: {figures['rows']} over {figures['seconds']:.2f} s, from {figures['start']:.6g} s of the log on; "
-        f"left out: {left_out}\n"
-        f"ESC signal: {signal['kind']}, {signal['minimum']:g} to {signal['maximum']:g}; "
-        f"speed: {figures['columns'].get('speed', 'none')}"
-    )
-
-
-def said_of_thrust(figures: dict) -> list[str]:
-    """What became of the thrust, and why, in words."""
-    thrust, stalls, tare = (figures[name] for name in ("thrust", "stalls", "tare"))
-    lines = [
-        f"thrust: {thrust['filled']} cells filled; {thrust['repeated']} repeat the last value, {thrust['behind_stalls']} more "
-        f"stand behind a stall; {thrust['kept']} readings kept",
-        "stalls: none",
-        "tare: none, the log has no rest; thrust is as logged",
-    ]
-    if stalls["number"]:
-        short, long = (1e3 * gap for gap in stalls["seconds"])
-        share = stalls["rows_behind"] / figures["rows"]
-        lines[1] = (
-            f"stalls: {stalls['number']} gaps of {short:.0f} to {long:.0f} ms in rows of {1e3 * figures['interval']:.1f} ms; "
-            f"speed and thrust of {stalls['rows_behind']} rows ({REMEMBERED} behind each, {share:.1%}) "
-            f"{'left empty' if stalls['emptied'] else 'kept as logged'}"
-        )
-    if tare:
-        lines[2] = (
-            f"tare: {signed(tare['mean'])} N taken off, the mean of {tare['readings']} readings at rest "
-            f"(spread {number(tare['spread'])} N)"
-        )
-    return lines
-
-
-def said_of_map(figures: dict, taken_over: bool) -> str:
-    """Where the map is from and how it fits, in words."""
-    here = figures["here"]
-    own = f"rms {figures['rms']:.0f} rpm, nominal {figures['nominal_voltage']:.2f} V"
-    if not taken_over:
-        return f"speed map: fitted to {here['points']} steady parts, {own}"
-    lines = [f"speed map: taken over from {figures['source']} (there {own})"]
-    if here["points"]:
-        beyond = f", {here['points_beyond']} beyond its signals left out" if here["points_beyond"] else ""
-        error = f"rms {here['rms']:.0f} rpm, at most {here['largest']:.0f} rpm"
-        lines.append(f"speed map here: {error}, on {here['points']} steady parts{beyond}")
-    if figures["rows_beyond"]:
-        lines.append(f"note: {figures['rows_beyond']} rows have a higher signal than the map was fitted to")
-    return "\n".join(lines)
-
-
-def warn_beyond(record: Record) -> None:
-    """A RecordWarning for each column that a reader of the record will refuse: better now than then."""
-    for name, column in record.columns.items():
-        signal, seen = QUANTITIES.get(name), column[np.isfinite(column)]
-        if signal is not None and len(seen) and not signal.minimum <= seen.min() <= seen.max() <= signal.maximum:
-            found = f"{name} from {seen.min():.6g} to {seen.max():.6g} {signal.unit}"
-            allowed = f"{signal.minimum:g} to {signal.maximum:g} that a record may hold"
-            warnings.warn(
-                f"{record.source}: {found}, beyond the {allowed}: readers will refuse it", RecordWarning, stacklevel=2
-            )
+    options.run(options)

@@ -1,0 +1,127 @@
+"""The command of speed that a motor's signal means, where a log has the signal and not the command."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+from identification.stand.speed_map import (
+    FEWEST,
+    PLATEAU,
+    SignalRange,
+    SpeedMap,
+    SteadyPoints,
+    fit_speed_map,
+    read_speed_map,
+    steady_points,
+)
+from vpp_fmu.errors import BadInput
+
+LAGS = np.geomspace(0.01, 5.0, 40)
+"""s, tried for the motor behind a signal that never holds."""
+
+EXPLAINED = 0.9
+"""Share of the speed's variance that a lagged map must explain: a curve and a lag leave a few per cent of a motor's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A speed map, and in words how it was come by."""
+
+    map: SpeedMap
+    told: str
+
+
+FILE = "speed_map.json"
+"""Where the logs of one stand find the map that they share."""
+
+
+def map_beside(folder: str | os.PathLike, span: SignalRange, log: str | os.PathLike) -> SpeedMap | None:
+    """The speed map that another log of the same kind of signal has left in a folder; None without one. BadInput if it is none.
+
+    A command must mean the same in all records of a rig, so their logs share one map.
+    """
+    path = Path(folder) / FILE
+    if not path.exists():
+        return None
+    found = read_speed_map(path)
+    return found if found.signal == span and found.source != Path(log).name else None
+
+
+def fitted_map(
+    source: str,
+    time: np.ndarray,
+    signal: np.ndarray,
+    speed: np.ndarray,
+    voltage: np.ndarray | None,
+    span: SignalRange,
+) -> Fitted:
+    """The map of a log (n,): of its steady parts, and where it has too few of them, of all its rows behind one lag.
+
+    Without `voltage` the map is of the signal alone, at a nominal 1 V. BadInput where neither way leads to a rising map.
+    """
+    volts = np.ones(len(time)) if voltage is None else voltage
+    turning = np.isfinite(speed) & (speed > 0.0)
+    if not turning.any():
+        raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal, or --speed-map M.json")
+    nominal = float(np.median(volts[turning]))
+    alone = "" if voltage is not None else "; without a voltage it is of the signal alone"
+    points = steady_points(time, signal, speed, volts, np.isfinite(speed))
+    if len(np.unique(points.signal)) >= FEWEST:
+        found = fit_speed_map(points, span, nominal, Path(source).name)
+        return Fitted(found, f"fitted to {len(points)} steady parts, rms {found.rms:.3g} rpm{alone}")
+    return _lagged(source, time, signal, speed, volts, span, nominal, alone)
+
+
+def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> Fitted:
+    """omega = lag of a polynomial in x = throttle * voltage / nominal: linear in its coefficients, for each lag."""
+    x = span.throttle(signal) * volts / nominal
+    turns_from = float(np.min(signal[np.nan_to_num(speed) > 0.05 * np.nanmax(speed)]))
+    on, rows = signal >= turns_from, np.isfinite(speed)
+    degree = min(3, len(np.unique(signal[on])) - 1)
+    if degree < 1:
+        allowed = f"{FEWEST} signals held for {PLATEAU:g} s, a signal that moves, or the map of another log with --speed-map"
+        raise BadInput(source, "signal", f"{degree + 1} value with the motor turning", allowed)
+    powers = np.where(on[:, None], np.vander(x, degree + 1, increasing=True), 0.0)
+    step = float(np.median(np.diff(time)))
+
+    def behind(lag: float) -> tuple[float, float, np.ndarray]:
+        kept = float(np.exp(-step / lag))
+        a = powers[0] + lfilter([0.0, 1.0 - kept], [1.0, -kept], powers - powers[0], axis=0)
+        found = np.linalg.lstsq(a[rows], speed[rows], rcond=None)[0]
+        return float(np.mean((speed[rows] - a[rows] @ found) ** 2)), lag, found
+
+    _, rough, _ = min(map(behind, LAGS))
+    left, lag, found = min(map(behind, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
+    share = 1.0 - left / max(float(np.var(speed[rows])), 1e-12)
+    coefficients = np.append(found, np.zeros(3 - degree))
+    along = np.polyval(coefficients[::-1], np.linspace(x[on].min(), x[on].max(), 101))
+    if share < EXPLAINED or np.any(np.diff(along) <= 0.0):
+        told = f"a signal that explains {share:.0%} of the speed" if share < EXPLAINED else "a speed that falls with the signal"
+        raise BadInput(source, "signal", told, "speeds that follow the signal, or the map of another log with --speed-map")
+    number = int(rows.sum())
+    span_map = SpeedMap(
+        tuple(coefficients.tolist()),
+        nominal,
+        span,
+        turns_from,
+        float(signal.max()),
+        float(np.sqrt(left)),
+        number,
+        Path(source).name,
+    )
+    told = f"fitted to all rows behind a lag of {lag:.2g} s (fewer than {FEWEST} signals hold for {PLATEAU:g} s), "
+    return Fitted(span_map, f"{told}which explains {share:.1%} of the speed{alone}")
+
+
+def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange) -> Fitted:
+    """The map of steady points, one a row (n,)."""
+    volts = np.ones(len(signal)) if voltage is None else voltage
+    turning = speed > 0.0
+    if not turning.any():
+        raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal, or --speed-map M.json")
+    points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
+    found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
+    return Fitted(found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm")

@@ -1,0 +1,183 @@
+"""Parquet, MAT and HDF5 as sheets, through the libraries that read them.
+
+A container may hold anything; a log in it is the largest set of vectors of one length, with the names that lead to them.
+"""
+
+import importlib
+import io
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from identification.stand.sheet import Sheet
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_bytes
+
+PARQUET, HDF5, MAT = b"PAR1", b"\x89HDF\r\n\x1a\n", b"MATLAB 5.0 MAT-file"
+
+_OTHERS = {
+    b"PK\x03\x04": ("a workbook or another ZIP archive", "a sheet of it saved as CSV"),
+    b"\xd0\xcf\x11\xe0": ("a workbook of old Excel", "a sheet of it saved as CSV"),
+    b"ARROW1": ("a Feather file", "the same table as Parquet or CSV"),
+    b"TDSm": ("a TDMS file", "the same table as CSV or HDF5"),
+    b"MDF ": ("an MDF file", "the same channels as CSV, MAT or HDF5"),
+    b"\xa3\x95": ("an ArduPilot log", "its messages of one kind as CSV"),
+    b"ULog": ("a PX4 log", "one topic of it as CSV (ulog2csv)"),
+}
+"""What other files begin with, what they are, and what is taken in their place."""
+
+_MOST_COLUMNS = 64
+"""A matrix with more columns than this is no table."""
+
+
+def read_container(path: str | os.PathLike) -> Sheet | None:
+    """The sheet of a container, told by how its bytes begin; None of a file that may be text. BadInput."""
+    data = read_bytes(path)
+    for mark, (found, allowed) in _OTHERS.items():
+        if data.startswith(mark):
+            raise BadInput(path, "file", found, allowed)
+    if data.startswith(PARQUET):
+        return _parquet(path, data)
+    if HDF5 in (data[:8], data[512:520]):  # a MAT file of 7.3 has 512 bytes of MATLAB's before
+        return _hdf5(path, data)
+    if data.startswith(MAT):
+        return _mat(path, data)
+    return None
+
+
+def _parquet(path: str | os.PathLike, data: bytes) -> Sheet:
+    pa, parquet = _library(path, "pyarrow"), _library(path, "pyarrow.parquet")
+    try:
+        table = parquet.read_table(pa.BufferReader(data)).flatten()
+    except (pa.ArrowException, OSError) as error:
+        raise _broken(path, "Parquet", error) from error
+    columns, units = {}, {}
+    for name, field in zip(table.column_names, table.schema, strict=True):
+        columns[name] = _array(table[name].to_numpy())
+        for key in (b"unit", b"units"):
+            if field.metadata and key in field.metadata:
+                units[name] = field.metadata[key].decode("utf-8", "replace")
+    return _sheet(path, columns, units, "Parquet")
+
+
+def _mat(path: str | os.PathLike, data: bytes) -> Sheet:
+    from scipy.io import loadmat  # noqa: PLC0415 - of all logs few are MAT files, and scipy.io takes its time
+    from scipy.io.matlab import MatReadError  # noqa: PLC0415
+
+    try:
+        content = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+    except (MatReadError, NotImplementedError, ValueError, TypeError, OSError, IndexError, MemoryError) as error:
+        raise _broken(path, "MAT", error) from error
+    opaque = [name for name, value in content.items() if type(value).__name__ == "MatlabOpaque" or name == "None"]
+    vectors = dict(_vectors({name: value for name, value in content.items() if not name.startswith("__")}))
+    if not vectors and opaque:
+        allowed = "vectors or a struct of them: only MATLAB reads a table or timetable (writetable makes CSV of it)"
+        raise BadInput(path, "file", "a MATLAB object", allowed)
+    return _sheet(path, vectors, {}, "MAT (v5 to v7.2)")
+
+
+def _hdf5(path: str | os.PathLike, data: bytes) -> Sheet:
+    h5py = _library(path, "h5py")
+    matlab = data.startswith(b"MATLAB 7.3")
+    found, units = {}, {}
+    try:
+        # Where it can, HDF5 opens the file itself: of a broken one it then says no, where reading through Python may crash.
+        with h5py.File(io.BytesIO(data) if str(path).lower().endswith(".gz") else path, "r") as file:
+
+            def visit(name, item):
+                if not isinstance(item, h5py.Dataset) or name.startswith(("#refs#", "#subsystem#")):
+                    return
+                label = name.replace("/", ".")
+                unit = item.attrs.get("units", item.attrs.get("unit", ""))
+                unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
+                if item.attrs.get("MATLAB_class", b"") in (b"char", b"cell", b"struct", b"table", b"function_handle"):
+                    return
+                value = item[()]
+                value = value.T if matlab and isinstance(value, np.ndarray) else value  # MATLAB's columns are HDF5's rows
+                names = item.attrs.get("columns", item.attrs.get("names"))
+                for own, vector in _vectors({label: value}, _texts(names)):
+                    found[own] = vector
+                    if unit:
+                        units[own] = unit
+
+            file.visititems(visit)
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError) as error:
+        raise _broken(path, "HDF5", error) from error
+    return _sheet(path, found, units, "MAT (v7.3)" if matlab else "HDF5")
+
+
+def _texts(names: object) -> list[str]:
+    """Names of columns that stand beside a matrix."""
+    if names is None:
+        return []
+    return [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in np.atleast_1d(names).tolist()]
+
+
+def _vectors(content: Mapping[str, object], names: list[str] | None = None) -> Iterator[tuple[str, np.ndarray]]:
+    """(name, vector) of all that is one, through structs and the columns of matrices; `names` of these, where they are told."""
+    for name, value in content.items():
+        array = np.asarray(value)
+        if array.dtype.names and array.ndim == 0:
+            yield from ((f"{name}.{own}", v) for own, v in _vectors({f: array[f][()] for f in array.dtype.names}))
+        elif array.dtype.names and array.ndim == 1:
+            yield from ((f"{name}.{own}", v) for own, v in _vectors({f: array[f] for f in array.dtype.names}))
+        elif array.dtype.kind not in "fiubUSOM":
+            continue
+        elif (flat := array.squeeze()).ndim == 1 and len(flat) > 1:
+            yield name, _array(flat)
+        elif flat.ndim == 2 and flat.dtype.kind in "fiu":
+            table = flat if flat.shape[0] > flat.shape[1] else flat.T
+            if table.shape[1] <= _MOST_COLUMNS:
+                own = names if names and len(names) == table.shape[1] else [str(k) for k in range(1, table.shape[1] + 1)]
+                yield from ((f"{name}.{column}", _array(table[:, k])) for k, column in enumerate(own))
+
+
+def _array(values: np.ndarray) -> np.ndarray:
+    """As a Sheet holds it: float, datetime64[ns] or text."""
+    if values.dtype.kind in "fiub":
+        return values.astype(float)
+    if values.dtype.kind == "m":
+        return values.astype("timedelta64[ns]").astype(np.int64) / 1e9
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[ns]")
+    texts = [v.decode("utf-8", "replace") if isinstance(v, bytes) else "" if v is None else str(v) for v in values.tolist()]
+    try:
+        return np.array([float(text) if text else np.nan for text in texts])
+    except ValueError:
+        return np.array(texts, dtype=object)
+
+
+def _sheet(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units: Mapping[str, str], kind: str) -> Sheet:
+    """Of the vectors those of the commonest length, of two such lengths the longer."""
+    lengths = Counter(len(vector) for vector in vectors.values())
+    if not lengths:
+        raise BadInput(path, "file", f"{kind} without a vector of two values or more", "vectors of one length, one a channel")
+    rows = max(lengths, key=lambda n: (lengths[n], n))
+    columns = {name: vector for name, vector in vectors.items() if len(vector) == rows}
+    if rows < 2:
+        raise BadInput(path, "file", f"{rows} row", "two at least")
+    heads = {name.split(".")[0] for name in columns}
+    if len(heads) == 1 and all("." in name for name in columns):  # one struct or group: its name tells nothing
+        columns = {name.split(".", 1)[1]: vector for name, vector in columns.items()}
+        units = {name.split(".", 1)[1]: unit for name, unit in units.items() if "." in name}
+    dropped = {"vectors of another length": len(vectors) - len(columns)} if len(vectors) > len(columns) else {}
+    told = f"{kind}, {len(columns)} vectors of {rows}"
+    lines = np.arange(1, rows + 1)
+    return Sheet(str(path), columns, lines, {n: u for n, u in units.items() if n in columns}, told, {}, dropped, rows_are="row")
+
+
+def _library(path: str | os.PathLike, name: str):
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        package = name.split(".", maxsplit=1)[0]
+        found = f"a file that only {package} reads, which is not installed"
+        raise BadInput(path, "file", found, "pip install 'vpp-fmu[import]', or the same table as CSV") from error
+
+
+def _broken(path: str | os.PathLike, kind: str, error: Exception) -> BadInput:
+    return BadInput(
+        path, "file", f"{kind} that its library does not read ({str(error).splitlines()[0][:120]})", f"a whole {kind} file"
+    )

@@ -1,0 +1,306 @@
+"""Text that somebody's logger wrote, as a sheet: its encoding, delimiter and decimal mark are told by its own lines.
+
+A file is comments and a preamble of any length, a row of names, rows of units or of remarks, and rows of which most cells are
+numbers or times. Each of these may be missing but the last.
+"""
+
+import codecs
+import csv
+import os
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from identification.stand.sheet import EMPTY, Sheet, plain
+from identification.stand.units import QUANTITIES, factor_of, is_unit
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_bytes, shown
+
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": " "}
+"""What parts cells, by the name that an option takes; a space stands for any number of them."""
+
+COMMENTS = ("#", "%", "//", "!")
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+_LOOK = 400
+"""Lines by which the form is told, from the middle of the file: its head is where the exceptions are."""
+
+_NUMBER = re.compile(r"[+-]?(\d[\d'\u2019\xa0\u202f.,]*|[.,]\d+)([eEdD][+-]?\d+)?")
+_TIME = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?|\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?(\s*[AaPp][Mm])?")
+_BOTH = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})+([.,])\d*")
+
+
+def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> Sheet:
+    """Read a text table. `given`: `encoding`, `delimiter` and `decimal`, those that are not to be found out. BadInput."""
+    text, encoding = _decoded(path, read_bytes(path), given.get("encoding"))
+    numbered = [
+        (i, line) for i, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1) if line.strip()
+    ]
+    said = numbered and re.fullmatch(r"sep=(.)", numbered[0][1].strip())
+    lines = numbered[1:] if said else numbered
+    notes = [(i, line) for i, line in lines if line.lstrip().startswith(COMMENTS)]
+    body = [(i, line) for i, line in lines if not line.lstrip().startswith(COMMENTS)]
+    if not body:
+        raise BadInput(path, "file", f"{len(notes)} lines of comments and no other", "a table of numbers")
+    delimiter = _delimiter(path, body, given.get("delimiter"), said.group(1) if said else None)
+    rows = [(i, _cells(line, delimiter)) for i, line in body]
+    width = _width(path, rows)
+    head, data, dropped = _parts(path, rows, width, delimiter)
+    if not head and (named := _commented_head(notes, data[0][0], delimiter, width)):
+        head = named
+        notes = notes[: -len(named)]
+    names, units, remarks = _header(path, head, width)
+    cells = [row for _, row in data]
+    decimal = given.get("decimal") or _decimal(cells, delimiter)
+    left_out = {"comments": len(notes), "lines before and behind the names": remarks, **dropped}
+    kinds = {name: key for key, name in DELIMITERS.items()}
+    read = {"encoding": encoding, "delimiter": kinds.get(delimiter, delimiter), "decimal": decimal}
+    told = f"text in {encoding}, cells parted by {read['delimiter']}, decimal {'comma' if decimal == ',' else 'point'}"
+    told += (
+        ", names on line " + str(head[-1][0] if len(head) == 1 else head[0][0]) if head else ", no names: columns are numbered"
+    )
+    columns, found = {}, {}
+    for k, name in enumerate(names):
+        columns[name], unit = _column([row[k] for row in cells], decimal)
+        if units[k] or unit:
+            found[name] = units[k] or unit
+    return Sheet(
+        source=str(path),
+        columns=columns,
+        lines=np.array([i for i, _ in data]),
+        units=found,
+        told=told,
+        read=read,
+        left_out={reason: number for reason, number in left_out.items() if number},
+        decimal=decimal,
+    )
+
+
+def _decoded(path: str | os.PathLike, data: bytes, wanted: str | None) -> tuple[str, str]:
+    """(the text, its encoding). Without a mark UTF-8 that is none is Windows' Latin, which has a letter for nearly any byte."""
+    if wanted:
+        try:
+            return data.decode(wanted).removeprefix("\ufeff"), wanted
+        except (LookupError, UnicodeError) as error:
+            raise BadInput(path, "encoding", f"bytes that are no {wanted}", "the encoding it was written in") from error
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            try:
+                return data.decode(encoding), encoding.removesuffix("-sig")
+            except UnicodeError as error:
+                raise BadInput(
+                    path, "encoding", f"a mark of {encoding} and bytes that are none", "a whole text file"
+                ) from error
+    zeros = [data[k:4000:2].count(0) / max(1, len(data[k:4000:2])) for k in (0, 1)]
+    order = ["utf-16-le", "utf-16-be"] if zeros[1] > zeros[0] else ["utf-16-be", "utf-16-le"]
+    tried = [order[0]] if max(zeros) > 0.4 > min(zeros) else ["utf-8", "cp1252", "latin-1"]
+    for encoding in tried:
+        try:
+            text = data.decode(encoding)
+        except UnicodeError:
+            continue
+        if "\0" not in text[:4000]:
+            return text, encoding
+    raise BadInput(path, "file", "bytes that are no text", "text, Parquet, MAT or HDF5")
+
+
+def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, said: str | None) -> str:
+    """What parts the cells: as told, else what makes most lines rows of one width with the most numbers in them."""
+    if wanted:
+        found = DELIMITERS.get(wanted, {"\\t": "\t"}.get(wanted, wanted))
+        if len(found) != 1 or found.isalnum() or found in "\"'.+-\n":
+            raise BadInput("command line", "--delimiter", shown(wanted), f"one character, or one of {', '.join(DELIMITERS)}")
+        return found
+    if said:
+        return said
+    middle = max(0, len(body) // 2 - _LOOK // 2)
+    sample = [line for _, line in body[middle : middle + _LOOK]]
+    scores = {}
+    for delimiter in DELIMITERS.values():
+        rows = [_cells(line, delimiter) for line in sample]
+        width, many = Counter(map(len, rows)).most_common(1)[0]
+        if width < 2:
+            continue
+        filled = [cell for row in rows if len(row) == width for cell in row if cell.strip().lower() not in EMPTY]
+        values = sum(_is_value(cell) for cell in filled) / max(1, len(filled))
+        scores[delimiter] = (round(values * many / len(rows), 2), width if delimiter != " " else 0)
+    if not scores or max(scores.values())[0] < 0.1:
+        line, text = body[len(body) // 2]
+        raise BadInput(path, f"line {line}", shown(text), "cells parted by comma, semicolon, tab, bar or space; or --delimiter")
+    return max(scores, key=scores.get)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+    except csv.Error:
+        return line.split(delimiter)
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell is a number, perhaps with its unit behind it, or a time."""
+    text = cell.strip()
+    return (
+        bool(_NUMBER.match(text) and _quantity(text))
+        or bool(_TIME.fullmatch(text))
+        or ("T" in text and bool(_TIME.match(text)))
+    )
+
+
+def _quantity(text: str) -> tuple[str, str] | None:
+    """(number, unit) of a cell such as "12.3 N", the unit "" where there is none."""
+    found = _NUMBER.match(text)
+    if found is None:
+        return None
+    rest = text[found.end() :].strip()
+    return (found.group(0), rest) if not rest or re.fullmatch(r"[A-Za-zµμ°%][\w/^·*°%-]{0,9}", rest) else None
+
+
+def _width(path, rows: Sequence[tuple[int, list[str]]]) -> int:
+    """Cells of a row: of most rows with numbers, without the empty one that a delimiter at a line's end makes."""
+    middle = max(0, len(rows) // 2 - _LOOK)
+    counts = Counter(len(cells) for _, cells in rows[middle : middle + 2 * _LOOK] if _is_data(cells))
+    if not counts:
+        allowed = "rows of which half the cells or more are numbers"
+        raise BadInput(path, f"line {rows[-1][0]}", shown(" ".join(rows[-1][1])), allowed)
+    return counts.most_common(1)[0][0]
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    filled = [cell for cell in cells if cell.lower() not in EMPTY]
+    return bool(filled) and 2 * sum(map(_is_value, filled)) >= len(filled)
+
+
+def _parts(path, rows, width: int, delimiter: str):
+    """(lines of the head, rows of data, what was dropped by reason): data begins with the first row of the right width."""
+    first = next(k for k, (_, cells) in enumerate(rows) if len(cells) == width and _is_data(cells))
+    head = [(i, _joined(cells) if delimiter == " " else cells) for i, cells in rows[:first]]
+    named = [len(cells) for _, cells in head if not _is_data(cells)]
+    if delimiter == "," and named and 2 < named[-1] <= width / 1.5:
+        line, names = rows[first][0], named[-1]
+        allowed = f"{names}, as there are names: a comma can't part cells and mark decimals too"
+        raise BadInput(path, f"line {line}", f"{width} cells", allowed)
+    head = [(i, cells) for i, cells in head if _of_width(cells, width)]
+    preamble = first - len(head)
+    data, dropped = [], Counter({"lines before the table": preamble})
+    names = [cells for _, cells in head]
+    for k, (line, cells) in enumerate(rows[first:], first):
+        if len(cells) != width and k == len(rows) - 1:
+            dropped["cut off at the end"] += 1
+        elif cells in names:
+            dropped["names once more"] += 1
+        elif len(cells) == width or (len(cells) == width + 1 and not cells[-1]):
+            data.append((line, cells[:width]))
+        elif not any(cells):
+            dropped["empty rows"] += 1
+        else:
+            found = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
+            raise BadInput(path, f"line {line}", found, f"{width}, as in most rows")
+    if len(data) < 2:
+        raise BadInput(path, "file", f"{len(data)} row of numbers", "two at least")
+    return head, data, dict(dropped)
+
+
+def _joined(cells: Sequence[str]) -> list[str]:
+    """The cells with units that a space has torn from their names put back."""
+    found: list[str] = []
+    for cell in cells:
+        if found and re.fullmatch(r"[(\[{].*[)\]}]", cell):
+            found[-1] += f" {cell}"
+        else:
+            found.append(cell)
+    return found
+
+
+def _of_width(cells: Sequence[str], width: int) -> bool:
+    """Whether a line in front of the numbers is a row of names, units or remarks for them. A last column without a name is one
+    that nobody needs (a comma at the line's end), and more names than cells are none of these cells."""
+    more = len(cells) == width + 1 and (not cells[-1] or cells[-1].casefold() == "comment")  # LabVIEW's, which nobody fills
+    return (len(cells) in (width, width - 1) or more) and sum(map(bool, cells)) * 2 >= width
+
+
+def _commented_head(notes, first: int, delimiter: str, width: int):
+    """The last comment before the numbers, where it names as many columns as they have."""
+    before = [(i, line.lstrip().lstrip("#%!/").strip()) for i, line in notes if i < first]
+    rows = [(i, _cells(line, delimiter)) for i, line in before[-2:]]
+    if len(rows) == 2 and all(len(cells) == width and not _is_data(cells) for _, cells in rows) and _units(rows[1][1]):
+        return rows
+    rows = rows[-1:]
+    return rows if rows and len(rows[0][1]) == width and not _is_data(rows[0][1]) else []
+
+
+def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
+    """(names, units, lines that are neither) of the rows in front of the numbers. Names are the row before the units'; else
+    the last row of which no two cells are the same."""
+    if not head:
+        return [str(k) for k in range(1, width + 1)], [""] * width, 0
+    rows = [[*cells, *[""] * width][:width] for _, cells in head]
+    units = next((k for k, row in enumerate(rows) if k and _units(row)), None)
+    distinct = [k for k, row in enumerate(rows) if all(row[:-1]) and len(set(row)) == width]
+    named = units - 1 if units and (units - 1 in distinct or not distinct) else max(distinct, default=0)
+    names = []
+    for k, name in enumerate(rows[named], 1):
+        clean = " ".join(name.split())
+        if not clean.isprintable():
+            raise BadInput(path, f"line {head[named][0]}, column {k}", shown(clean), "a name of printable characters")
+        if clean in names:
+            clean = f"{clean}.{k}"
+        names.append(clean or str(k))
+    found = [unit.strip("()[]{}<> ") for unit in rows[units]] if units else [""] * width
+    return names, [unit if is_unit(unit) else "" for unit in found], len(head) - 1 - (units is not None)
+
+
+def _units(row: Sequence[str]) -> bool:
+    """Whether a row in front of the numbers tells units: most of its cells are some quantity's."""
+    filled = [cell.strip("()[]{}<> ") for cell in row if cell.strip("()[]{}<> -")]
+    known = sum(
+        any(factor_of(q, cell) is not None for q in QUANTITIES.values() if q.unit or cell in ("us", "µs", "%"))
+        for cell in filled
+    )
+    return bool(filled) and 2 * known >= len(filled)
+
+
+def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    """The decimal mark, by the cells that have one."""
+    commas = points = 0
+    for row in rows[: 10 * _LOOK]:
+        for cell in row:
+            if "," not in cell:
+                points += "." in cell and bool(_NUMBER.match(cell))
+            elif found := _BOTH.fullmatch(cell):
+                if found.group(1) != found.group(2):  # one mark parts thousands, the other is the decimal's
+                    return found.group(2)
+                commas += 1
+            elif _NUMBER.fullmatch(cell):
+                commas += 1
+    return "," if commas and (not points or (delimiter != "," and commas > points)) else "."
+
+
+def _column(cells: list[str], decimal: str) -> tuple[np.ndarray, str]:
+    """(the cells, as numbers where all are; the unit that stands behind the numbers of all of them)."""
+    if decimal == ".":
+        try:
+            return np.array([cell if "_" not in cell else "x" for cell in cells]).astype(float), ""
+        except ValueError:
+            pass
+    texts = [plain(cell, decimal) for cell in cells]
+    try:
+        return np.array([text or "nan" for text in texts]).astype(float), ""
+    except ValueError:
+        pass
+    parts = [_quantity(text) if text else ("", "") for text in texts[:50]]
+    behind = {part[1] for text, part in zip(texts, parts, strict=False) if text and part} if all(parts) else set()
+    if len(behind) == 1 and (unit := behind.pop()) and any(factor_of(q, unit) for q in QUANTITIES.values()):
+        return np.array([text.removesuffix(unit).strip() for text in texts], dtype=object), unit
+    return np.array(cells, dtype=object), ""

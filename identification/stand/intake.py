@@ -1,0 +1,198 @@
+"""A sheet and what its columns are, as a record: its clock, commands and readings, and what had to be done to them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.stand.clock import Clock, read_clock
+from identification.stand.commands import averaged_map, fitted_map
+from identification.stand.mapping import ROWS, Plan
+from identification.stand.sheet import Sheet
+from identification.stand.speed_map import RANGES, SignalRange, SpeedMap
+from identification.stand.units import QUANTITIES, SIGNALS, factor_of, signal_unit
+from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
+from vpp_fmu.record import QUANTITIES as RANGE
+from vpp_fmu.record import Record
+
+COMMANDS = ("omega_ref", "beta_ref", "signal", "run")
+
+FASTER = 1.0
+"""s, the median from row to row from which rows are steady points and no record in time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A log in a record's units: every quantity of the plan, each (n,); `time` and `clock` where the log has them.
+
+    `said`: what was done, a line each. `speed_map`: by which the command was found, None where the log has it.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    clock: Clock | None
+    said: tuple[str, ...]
+    source: str
+    speed_map: SpeedMap | None = None
+
+    @property
+    def points(self) -> bool:
+        """Whether rows are steady points: without a time, or too far apart for anything that moves."""
+        return self.clock is None or self.clock.step > FASTER
+
+    def record(self) -> Record:
+        """Without what only steps and means have."""
+        return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
+
+
+def signal_range(sheet: Sheet, plan: Plan) -> SignalRange | None:
+    """Of the plan's signal, by its unit; None where it has none."""
+    return RANGES[SIGNALS[signal_unit(plan.columns["signal"].unit)]] if "signal" in plan.columns else None
+
+
+def take_in(sheet: Sheet, plan: Plan, kind: str, speed_map: SpeedMap | None = None) -> Taken:
+    """Take a sheet in as a campaign's `kind`. `speed_map`: what the signal means; None: fitted to the log. BadInput."""
+    _check(sheet, plan, kind)
+    clock, rows, said = None, np.arange(len(sheet)), []
+    if "time" in plan.columns:
+        clock = _clock(sheet, plan, kind)
+        rows, said = clock.rows, [f"time 0 is {clock.start} of the log", *clock.said]
+    columns = {"time": clock.time} if clock else {}
+    for quantity, column in plan.columns.items():
+        if quantity != "time":
+            columns[quantity] = sheet.numbers(column.name)[rows] * factor_of(QUANTITIES[quantity], column.unit)
+    if clock and len(clock.restarts) > 1 and "run" not in columns:
+        columns["run"] = np.searchsorted(clock.restarts, np.arange(len(rows)), side="right").astype(float)
+        said.append(f"time: begins anew {len(clock.restarts) - 1} times, each a run")
+    for name, column in list(columns.items()):
+        if not np.isfinite(column).any():
+            if name in ("thrust", "omega_ref", "beta_ref", "signal"):
+                raise BadInput(
+                    sheet.source, f"{name}, column {plan.columns[name].name}", "empty cells only", QUANTITIES[name].meaning
+                )
+            del columns[name]
+            said.append(f"{name}: no value in any row, left out")
+    columns, told = _held(columns)
+    said += told
+    columns, told, speed_map = _commanded(sheet, plan, columns, clock, kind, speed_map)
+    taken = Taken(columns, clock, (*said, *told), sheet.source, speed_map)
+    _check_ranges(sheet, plan, taken)
+    return taken
+
+
+def _check(sheet: Sheet, plan: Plan, kind: str) -> None:
+    if "thrust" not in plan.columns:
+        raise BadInput(sheet.source, "thrust", f"no column for it among {_names(sheet)}", "--map thrust=COLUMN:UNIT")
+    if "time" not in plan.columns and kind != "static":
+        allowed = "--map time=COLUMN:UNIT, or time=row:4ms where rows are that far apart"
+        raise BadInput(sheet.source, "time", f"no column for it among {_names(sheet)}", allowed)
+    known = {"omega_ref", "signal"} & {*plan.columns, *plan.fixed} or (kind == "static" and "omega" in plan.columns)
+    if not known:
+        allowed = (
+            "--map omega_ref=COLUMN:rpm, or signal=COLUMN:us with a measured omega; thrust against measured speed alone: the "
+            "measured column as omega_ref"
+        )
+        raise BadInput(sheet.source, "omega_ref", f"no column for the command of speed among {_names(sheet)}", allowed)
+
+
+def _names(sheet: Sheet) -> str:
+    text = ", ".join(sheet.columns)
+    return text if len(text) < 200 else f"{text[:197]}..."
+
+
+def _clock(sheet: Sheet, plan: Plan, kind: str) -> Clock:
+    column = plan.columns["time"]
+    if column.name == ROWS and ROWS not in sheet.columns:
+        step = factor_of(QUANTITIES["time"], column.unit)
+        return Clock(np.arange(len(sheet)), step * np.arange(len(sheet)), f"row 1, rows are {column.unit} apart", ())
+    return read_clock(sheet, column.name, column.unit, runs=kind == "steps")
+
+
+def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Commands through empty cells, which hold what was last commanded; rows before the first command are left out."""
+    there = [name for name in COMMANDS if name in columns]
+    said, begun = [], np.ones(len(next(iter(columns.values()))), bool)
+    for name in there:
+        begun &= np.maximum.accumulate(np.isfinite(columns[name]))
+    if not begun.all():
+        said.append(f"{int((~begun).sum())} rows before the first command, left out")
+        columns = {name: column[begun] for name, column in columns.items()}
+    if "time" in columns:
+        columns["time"] = columns["time"] - columns["time"][0]
+    for name in there:
+        empty = ~np.isfinite(columns[name])
+        if empty.any():
+            last = np.maximum.accumulate(np.where(empty, 0, np.arange(len(empty))))
+            columns[name] = columns[name][last]
+            said.append(f"{name}: {int(empty.sum())} empty cells hold the value before")
+    return columns, said
+
+
+def _commanded(sheet: Sheet, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
+    """(columns with both commands, what was said, the speed map)."""
+    rows, said = len(columns["thrust"]), []
+    if "signal" in columns and "omega_ref" not in columns:
+        span = signal_range(sheet, plan)
+        signal = columns.pop("signal")
+        _check_signal(sheet, plan, signal, span)
+        if speed_map is not None:
+            said.append(f"speed map: taken over from {speed_map.source} (there rms {speed_map.rms:.3g} rpm)")
+        else:
+            if "omega" not in columns:
+                allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
+                raise BadInput(sheet.source, "omega_ref", "a signal and no measured speed", allowed)
+            volts = _filled(columns["voltage"]) if "voltage" in columns else None
+            points = clock is None or clock.step > FASTER
+            args = (signal, columns["omega"], volts, span)
+            found = averaged_map(sheet.source, *args) if points else fitted_map(sheet.source, columns["time"], *args)
+            speed_map = found.map
+            said.append(f"speed map: {found.told}")
+        columns["omega_ref"] = speed_map.omega_ref(signal)
+    elif "signal" in columns:
+        del columns["signal"]
+    for name, value in plan.fixed.items():
+        columns[name] = np.full(rows, value)
+    if "omega_ref" not in columns:
+        columns["omega_ref"] = columns["omega"]
+        said.append("omega_ref: the measured speed, as the log has no command")
+    if "beta_ref" not in columns:
+        pitch = columns.get("beta")
+        if pitch is not None and np.nanmax(pitch) - np.nanmin(pitch) > 1.0:
+            found = f"a measured pitch from {np.nanmin(pitch):.4g} to {np.nanmax(pitch):.4g} deg and no command of it"
+            raise BadInput(
+                sheet.source, "beta_ref", found, "--map beta_ref=COLUMN:deg, the measured column if there is no other"
+            )
+        value = 0.0 if pitch is None else float(np.nanmean(pitch))
+        columns["beta_ref"] = np.full(rows, value)
+        said.append(
+            f"beta_ref: not in the log, taken as a fixed pitch of {number(value)} deg (another: --fixed beta_ref=8:deg)"
+        )
+    first = [name for name in ("time", "run", "omega_ref", "beta_ref", "omega") if name in columns]
+    return {name: columns[name] for name in (*first, *(n for n in columns if n not in first))}, said, speed_map
+
+
+def _filled(column: np.ndarray) -> np.ndarray:
+    """(n,) with empty cells on a line between their neighbours."""
+    rows, there = np.arange(len(column)), np.isfinite(column)
+    return np.interp(rows, rows[there], column[there])
+
+
+def _check_signal(sheet: Sheet, plan: Plan, signal: np.ndarray, span: SignalRange) -> None:
+    low, high = (600.0, 2400.0) if span.kind == "PWM" else (span.low, span.high)
+    if signal.min() < low or signal.max() > high:
+        found = f"{signal.min():.6g} to {signal.max():.6g}"
+        allowed = f"{low:g} to {high:g} of {span.kind}; the unit is us, % or 1, or none of DShot"
+        raise BadInput(sheet.source, f"signal, column {plan.columns['signal'].name}", found, allowed)
+
+
+def _check_ranges(sheet: Sheet, plan: Plan, taken: Taken) -> None:
+    """BadInput for a column beyond what a record may hold, which is nearly always another unit's."""
+    for name, values in taken.columns.items():
+        quantity = RANGE.get(name)
+        outside = (values < quantity.minimum) | (values > quantity.maximum) if quantity else np.zeros(1, bool)
+        if outside.any():
+            column = plan.columns.get(name) or plan.columns.get("signal")
+            row = int(np.argmax(outside))
+            field = f"{name}, column {column.name} in {column.unit}" if column else name
+            allowed = f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}; is it the right unit?"
+            raise BadInput(sheet.source, field, f"{values[row]:.6g} {quantity.unit} in {int(outside.sum())} rows", allowed)

@@ -1,0 +1,312 @@
+"""What the columns of a log are: told by a user, read from an earlier import, or proposed from the log's header."""
+
+import json
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.stand.clock import CALENDAR, guessed_unit, is_calendar
+from identification.stand.sheet import Sheet, plain, split_unit
+from identification.stand.units import QUANTITIES, factor_of
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text, shown
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+FORMAT = "vpp-mapping/1"
+FILE = "import.toml"
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+ROWS = "row"
+"""Stands for a column that counts rows, where a log has no time: time=row:4ms."""
+
+SURE, LIKELY, GUESS = "sure", "likely", "guess"
+"""How a proposal was come by: name and unit stand in the log; the unit doesn't, but only one will do; else."""
+
+_WORDS = {
+    "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
+    "thrust": "thrust fz force schub schubkraft kraft load loadcell lift f poussee empuje newton",
+    "omega": "omega rpm speed n drehzahl rotor rot motorspeed optical electrical rev tach tacho tachometer velocity w vitesse",
+    "beta": "beta pitch blade collective anstellwinkel blattwinkel bladeangle bladepitch angle servo",
+    "signal": "esc throttle pwm dshot gas",
+    "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
+    "current": "current amp amps ampere i ibat strom ibatt",
+    "run": "run step stepnumber lauf test",
+    "thrust_std": "",
+    "samples": "samples",
+}
+"""Words of a header by what they mean, what is sought first in front."""
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_COMMAND = _words("cmd command commanded ref reference set setpoint sp target soll des desired demand demanded wanted")
+_NOISE = _words("motor prop propeller signal measured meas ist actual value raw rotor sensor channel ch filtered")
+_NOT = _words("torque mz mx my power watt efficiency acc accx accy accz vibration temperature temp esc2 cell moment")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the log and the unit that it is in; `sure`: how the pair was come by, "" where a user told it."""
+
+    name: str
+    unit: str
+    sure: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.unit}" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a log's columns are, by quantity, and quantities that stand `fixed` at a value in the record's unit. `read`: how the
+    file is read."""
+
+    columns: Mapping[str, Column]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    read: Mapping[str, str] = field(default_factory=dict)
+
+    def section(self, log: str) -> dict:
+        """As a section of import.toml."""
+        fixed = {name: f"{value!r}:{QUANTITIES[name].unit}" for name, value in self.fixed.items()}
+        return {"log": log, "columns": {q: str(c) for q, c in self.columns.items()}, "fixed": fixed, "read": dict(self.read)}
+
+    def words(self) -> str:
+        """As options of the command line."""
+        pairs = [f"{quantity}={column}" for quantity, column in self.columns.items()]
+        fixed = [f"--fixed {name}={value:.9g}:{QUANTITIES[name].unit}" for name, value in self.fixed.items()]
+        return " ".join(["--map", *(f"'{p}'" if re.search(r"[^\w=:./%-]", p) else p for p in pairs), *fixed])
+
+
+def parse_pairs(pairs: Iterable[str], sheet: Sheet) -> dict[str, Column]:
+    """The columns of NAME=COLUMN:UNIT, each as the sheet names it; without :UNIT the unit is the header's. BadInput."""
+    found = {}
+    for pair in pairs:
+        quantity, equals, rest = pair.partition("=")
+        if not equals or quantity not in QUANTITIES or not rest.strip():
+            allowed = f"NAME=COLUMN:UNIT with NAME one of {', '.join(QUANTITIES)}"
+            raise BadInput("command line", "--map", shown(pair), allowed)
+        if quantity in found:
+            raise BadInput("command line", f"--map {quantity}", "twice", "each quantity once")
+        found[quantity] = _pair(quantity, rest.strip(), sheet)
+    return found
+
+
+def parse_fixed(pairs: Iterable[str]) -> dict[str, float]:
+    """Values of NAME=VALUE:UNIT, in a record's units. BadInput."""
+    found = {}
+    for pair in pairs:
+        name, _, rest = pair.partition("=")
+        value, _, unit = rest.partition(":")
+        quantity = QUANTITIES.get(name) if name in ("omega_ref", "beta_ref", "voltage") else None
+        factor = factor_of(quantity, unit or quantity.unit) if quantity else None
+        try:
+            found[name] = float(value) * (factor if factor is not None else float("nan"))
+        except ValueError:
+            found[name] = float("nan")
+        if not np.isfinite(found[name]):
+            allowed = "NAME=VALUE:UNIT with NAME omega_ref, beta_ref or voltage, such as beta_ref=8:deg"
+            raise BadInput("command line", "--fixed", shown(pair), allowed)
+    return found
+
+
+def _pair(quantity: str, text: str, sheet: Sheet) -> Column:
+    """COLUMN or COLUMN:UNIT; a column's own name may hold a colon."""
+    name, colon, unit = text.rpartition(":")
+    if not colon or text in sheet.columns:
+        name, unit = text, None
+    unit = None if unit is None else unit.strip()
+    counts_rows = quantity == "time" and name == ROWS and ROWS not in sheet.columns
+    name = ROWS if counts_rows else sheet.find(name)
+    if unit is None:
+        unit = CALENDAR if quantity == "time" and is_calendar(sheet.columns[name]) else sheet.unit(name)
+        if unit is None and not QUANTITIES[quantity].unit:
+            unit = ""
+    if unit is None or (not _fits(quantity, unit)):
+        found = "no unit, in the log or behind the column" if unit is None else f"the unit {shown(unit)}"
+        raise BadInput(sheet.source, f"{quantity}={name}", found, _allowed(quantity))
+    return Column(name, unit)
+
+
+def _fits(quantity: str, unit: str) -> bool:
+    return (quantity == "time" and unit == CALENDAR) or factor_of(QUANTITIES[quantity], unit) is not None
+
+
+def _allowed(quantity: str) -> str:
+    if quantity == "signal":
+        return "us, % or 1, or no unit for the numbers of DShot: signal=COLUMN:us"
+    unit = QUANTITIES[quantity].unit
+    if quantity == "time":
+        return f"a unit of time, or {CALENDAR} for dates and times of day: time=COLUMN:s"
+    return f"a unit that pint can turn into {unit}, with a factor if need be: {quantity}=COLUMN:{unit}" if unit else "no unit"
+
+
+def propose(sheet: Sheet) -> dict[str, Column]:
+    """What the header makes likely, by quantity: at most one column each, and of those that fit equally the first."""
+    best: dict[str, tuple[tuple, Column]] = {}
+    for place, name in enumerate(sheet.columns):
+        if found := _proposed(sheet, name):
+            quantity, score, column = found
+            _, moving = _alive(sheet, name, quantity)
+            if column.sure == GUESS and not moving:
+                continue
+            key = (moving, score, -place)
+            if quantity not in best or key > best[quantity][0]:
+                best[quantity] = key, column
+    found = {quantity: best[quantity][1] for quantity in QUANTITIES if quantity in best}
+    if "omega_ref" in found:
+        found.pop("signal", None)
+    return found
+
+
+def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
+    """(quantity, score, column) of a header's name; None where it says nothing of a record's."""
+    base, _ = split_unit(name)
+    text = re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base)
+    tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
+    tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # as it is written: N is newton, n is none
+    exact = base.casefold().replace(" ", "_")
+    if exact in QUANTITIES:
+        quantity, score = exact, 3.0
+    else:
+        if not tokens or set(tokens) & _NOT:
+            return None
+        command = any(_commands(t) for t in tokens)
+        scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
+        quantity = max(scores, key=scores.get)
+        score = scores[quantity]
+        if score <= 0.0:
+            return None
+        if command and quantity in ("omega", "beta"):
+            quantity += "_ref"
+    unit, sure = sheet.unit(name), SURE
+    if quantity == "time" and is_calendar(sheet.columns[name]):
+        return quantity, score, Column(name, CALENDAR, SURE)
+    if sheet.columns[name].dtype.kind == "O" and not _numeric(sheet, name):
+        return None
+    if unit is None and tail and factor_of(QUANTITIES[quantity], tail) is not None and QUANTITIES[quantity].unit:
+        unit = tail
+    if unit is None and exact in QUANTITIES and {"omega_ref", "beta_ref"} <= set(sheet.columns):
+        unit = QUANTITIES[exact].unit  # a record in this project's own names, which has its own units
+    if unit is None and quantity in ("omega", "omega_ref") and "rpm" in tokens:
+        unit = "rpm"
+    if unit is not None and not _fits(quantity, unit):  # "motor cmd (us)" is no speed
+        is_signal = quantity in ("omega", "omega_ref") and unit and factor_of(QUANTITIES["signal"], unit) is not None
+        return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
+    if unit is None:
+        unit, sure = _assumed(sheet, name, quantity)
+    return None if unit is None else (quantity, score, Column(name, unit, sure))
+
+
+def _score(tokens: list[str], words: list[str]) -> float:
+    """How well a name's words are a quantity's: all of them, or some; the words in front of the list say more."""
+    places = [next((k for k, word in enumerate(words) if _is(t, word)), None) for t in tokens]
+    known = [place for place in places if place is not None]
+    if not known:
+        return 0.0
+    rest = [t for t, place in zip(tokens, places, strict=True) if place is None and t not in _NOISE]
+    return (2.0 if not rest else 1.0) - 0.01 * min(known)
+
+
+def _is(token: str, word: str) -> bool:
+    """Whether a word of a header is one of a list, by itself or, if it is long enough to be meant, in a compound."""
+    return token == word or (len(word) >= 4 and (token.startswith(word) or token.endswith(word)))
+
+
+def _commands(token: str) -> bool:
+    return token in _COMMAND or any(len(word) >= 4 and token.startswith(word) for word in _COMMAND) or token.endswith("cmd")
+
+
+def _assumed(sheet: Sheet, name: str, quantity: str) -> tuple[str | None, str]:
+    """(unit, how sure) where the log tells none."""
+    if quantity == "time":
+        unit = guessed_unit(sheet.numbers(name))
+        return unit or "s", LIKELY if unit else GUESS
+    if quantity == "signal":
+        values = sheet.numbers(name)
+        seen = values[np.isfinite(values)]
+        if not len(seen):
+            return None, GUESS
+        high, low = float(seen.max()), float(seen.min())
+        if 700.0 <= low <= high <= 2300.0:
+            return "us", LIKELY
+        return ("1" if high <= 1.0 else "%" if high <= 100.0 else ""), LIKELY if high > 100.0 else GUESS
+    unit = QUANTITIES[quantity].unit
+    if not unit:
+        return "", SURE
+    return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
+
+
+def _numeric(sheet: Sheet, name: str) -> bool:
+    """Whether most cells are numbers: what the others are is said when the column is read."""
+    texts = [plain(cell, sheet.decimal) for cell in sheet.columns[name].tolist()[:1000]]
+    filled = [text for text in texts if text]
+    return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
+
+
+def _alive(sheet: Sheet, name: str, quantity: str) -> tuple[bool, bool]:
+    """(whether a column has values, whether they move): of two speeds the one that is connected."""
+    if quantity == "time" or sheet.columns[name].dtype.kind == "O":
+        return True, True
+    values = sheet.numbers(name)
+    seen = values[np.isfinite(values)]
+    return len(seen) > 0, len(seen) > 1 and bool(np.ptp(seen) > 0.0)
+
+
+def to_toml(sections: Mapping[str, Mapping]) -> str:
+    """The file import.toml, of sections by kind as `Plan.section` makes and `read_toml` reads them. `--map` takes it."""
+    lines = [f"format = {json.dumps(FORMAT)}"]
+    for kind, section in sections.items():
+        lines += ["", f"[{kind}]", f"log = {_quoted(str(section.get('log', '')))}"]
+        for part in ("columns", "fixed", "read"):
+            if section.get(part):
+                lines += ["", f"[{kind}.{part}]", *(f"{name} = {_quoted(text)}" for name, text in section[part].items())]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def read_toml(path: str | os.PathLike) -> dict[str, dict]:
+    """The sections of an import.toml by kind, each `log`, `columns`, `fixed`, `read` as text. BadInput names the field."""
+    try:
+        content = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(
+            path, "file", f"no TOML ({' '.join(str(error).split())[:120]})", "an import.toml that vpp import wrote"
+        ) from error
+    if content.get("format") != FORMAT:
+        raise BadInput(path, "format", shown(str(content.get("format", ""))), FORMAT)
+    sections = {kind: section for kind, section in content.items() if kind != "format"}
+    for kind, section in sections.items():
+        if not isinstance(section, dict) or not isinstance(section.get("columns"), dict):
+            raise BadInput(path, kind, "no table columns", f'[{kind}.columns] with NAME = "COLUMN:UNIT"')
+        for part in ("columns", "fixed", "read"):
+            entries = section.get(part, {})
+            if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
+                raise BadInput(path, f"{kind}.{part}", "an entry that is no text", 'NAME = "TEXT"')
+    if not sections:
+        raise BadInput(path, "file", "no section", "one a kind of file, such as [open_loop]")
+    return sections
+
+
+def section_of(path: str | os.PathLike, kind: str) -> dict:
+    """The section of a kind, or another one if it says the same of the columns as all others. BadInput."""
+    sections = read_toml(path)
+    if kind in sections:
+        return sections[kind]
+    first, *others = sections.values()
+    if any(other["columns"] != first["columns"] for other in others):
+        raise BadInput(path, kind, f"sections {', '.join(sections)}, which differ", f"a section [{kind}]")
+    return first

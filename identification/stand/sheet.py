@@ -1,0 +1,115 @@
+"""A log as its file tells it, before anybody says what its columns mean: cells by name, units where the file has them."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import shown
+
+EMPTY = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "---", "inf", "-inf", "+inf"))
+"""Cells that loggers write where they have no value, in lower case."""
+
+_UNIT_IN_NAME = re.compile(r"^(.*?)[\s_]*(?:\(([^()]*)\)|\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\s/\s*(\S+)|,\s+(\S+))\s*$")
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A table. `columns`: by name in the file's order, (n,) float, datetime64[ns], or str as found; `units` by name where
+    the file tells them; `lines` (n,): where each row stands, in `rows_are` ("line" of a text, "row" of a container).
+
+    `told`: how it was read, in words; `read`: the same as options that read it again; `left_out`: lines that are no rows, by
+    reason. `decimal`: the mark in cells that are text.
+    """
+
+    source: str
+    columns: Mapping[str, np.ndarray]
+    lines: np.ndarray
+    units: Mapping[str, str] = field(default_factory=dict)
+    told: str = ""
+    read: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    decimal: str = "."
+    rows_are: str = "line"
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
+        """The error that names a cell."""
+        return BadInput(self.source, f"{name}, {self.rows_are} {self.lines[row]}", found, allowed)
+
+    def find(self, wanted: str) -> str:
+        """The name of the column that a user means: by its name, its name without the unit, or its number from 1. BadInput."""
+        if wanted in self.columns:
+            return wanted
+        for form in (_folded, lambda name: _folded(split_unit(name)[0])):
+            found = [name for name in self.columns if form(name) == form(wanted)]
+            if len(found) == 1:
+                return found[0]
+        names = list(self.columns)
+        if wanted.strip().isdigit() and 1 <= int(wanted) <= len(names):
+            return names[int(wanted) - 1]
+        allowed = f"one of {', '.join(names)}"
+        raise BadInput(
+            self.source, f"column {wanted}", "no such column", allowed if len(allowed) < 400 else f"{allowed[:397]}..."
+        )
+
+    def unit(self, name: str) -> str | None:
+        """The unit that the file tells of a column: its unit row's, else that in its name; None where it tells none."""
+        return self.units.get(name) or split_unit(name)[1] or None
+
+    def numbers(self, name: str) -> np.ndarray:
+        """(n,) the column as float, NaN where a cell is empty or no finite number of a logger's. BadInput names the first cell
+        that is neither."""
+        cells = self.columns[name]
+        if cells.dtype.kind == "f":
+            return np.where(np.isfinite(cells), cells, np.nan)
+        if cells.dtype.kind == "M":
+            raise self.wrong(name, 0, f"a date, {cells[0]}", "a number")
+        texts = [plain(cell, self.decimal) for cell in cells.tolist()]
+        try:
+            return np.array([text or "nan" for text in texts]).astype(float)
+        except ValueError:
+            values = np.array([_number(text) for text in texts])
+        bad = [row for row in np.flatnonzero(np.isnan(values)) if texts[row] and texts[row].lower() not in EMPTY]
+        if bad:
+            raise self.wrong(name, bad[0], shown(str(cells[bad[0]])), "a number or an empty cell")
+        return values
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """(name, unit) of a header such as "Thrust (gf)", "Thrust [gf]" or "Thrust / gf"; the unit is "" where there is none."""
+    found = _UNIT_IN_NAME.match(name)
+    if found is None or not found.group(1).strip():
+        return name.strip(), ""
+    return found.group(1).strip(), next((part for part in found.groups()[1:] if part), "").strip()
+
+
+def plain(cell: str, decimal: str) -> str:
+    """A cell as Python reads numbers: with a point, without marks of thousands; "" of what loggers write for no value."""
+    text = cell.strip().replace("\u2212", "-")
+    if text.lower() in EMPTY:
+        return ""
+    for mark in ("'", "\u2019", "\xa0", "\u202f"):
+        if mark in text:
+            text = text.replace(mark, "")
+    if decimal == ",":
+        whole = re.fullmatch(r"[+-]?\d{1,3}(\.\d{3})+(,\d*)?", text)
+        return (text.replace(".", "") if whole else text).replace(",", ".")
+    return text.replace(",", "") if re.fullmatch(r"[+-]?\d{1,3}(,\d{3})+(\.\d*)?", text) else text
+
+
+def _number(text: str) -> float:
+    """NaN for whatever is none; Python alone takes 1_000 for one."""
+    try:
+        value = float(text) if "_" not in text else np.nan
+    except ValueError:
+        return np.nan
+    return value if np.isfinite(value) else np.nan
+
+
+def _folded(name: str) -> str:
+    return " ".join(name.split()).casefold()

@@ -1,0 +1,125 @@
+"""What a log's columns may mean, and the factor from a log's unit to a record's; pint knows the units.
+
+    value in a record = factor * value in the log
+
+A unit may bear a number of its own: "4 ms" of a count of rows, "-1 N" of a cell that counts downwards, "0.0123 N" of a digit.
+"""
+
+import re
+import tokenize
+from dataclasses import dataclass
+from functools import lru_cache
+
+import pint
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A column that a log may hold: its `unit` in a record and what it means. `turning`: a count of turns, so that Hz and 1/min
+    are turns too; `force`: grams and pounds are those of weight."""
+
+    name: str
+    unit: str
+    meaning: str
+    turning: bool = False
+    force: bool = False
+
+
+QUANTITIES = {
+    q.name: q
+    for q in (
+        Quantity("time", "s", "time of a row"),
+        Quantity("omega_ref", "rpm", "commanded speed", turning=True),
+        Quantity("beta_ref", "deg", "commanded pitch"),
+        Quantity("omega", "rpm", "measured speed", turning=True),
+        Quantity("thrust", "N", "measured thrust", force=True),
+        Quantity("beta", "deg", "measured pitch"),
+        Quantity("voltage", "V", "supply voltage"),
+        Quantity("current", "A", "supply current"),
+        Quantity("signal", "", "signal to the motor's controller: us, % or 1, in the place of omega_ref"),
+        Quantity("run", "", "number of a step's run"),
+        Quantity("thrust_std", "N", "spread of the readings of a mean", force=True),
+        Quantity("samples", "", "readings in a mean"),
+    )
+}
+"""All that a mapping may name."""
+
+_NO = (pint.errors.PintError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, SyntaxError, AssertionError)
+_NO += (RecursionError, tokenize.TokenError)
+"""How pint's parser, which is a calculator's, says that a text is no unit."""
+
+SIGNALS = {"us": "PWM", "%": "throttle", "1": "throttle", "": "DShot"}
+"""The kind of a motor's signal, by the unit it is in."""
+
+
+def factor_of(quantity: Quantity, unit: str) -> float | None:
+    """The factor from a unit to the quantity's own; None where pint does not know it or it is one of something else.
+
+    Case is tried as it stands and then lowered: RPM is rpm, but MN is no mN.
+    """
+    if quantity.name == "signal":
+        return _signal_factor(unit)
+    if not quantity.unit:
+        return 1.0 if unit.strip() in ("", "1") else None
+    for text in dict.fromkeys((unit.strip(), unit.strip().lower())):
+        found = _parsed(text)
+        if found is not None and (factor := _factor(quantity, found)) is not None:
+            return factor
+    return None
+
+
+def is_unit(text: str) -> bool:
+    """Whether pint knows a unit, of whatever it may be."""
+    return text == "%" or _parsed(text.strip()) is not None or _parsed(text.strip().lower()) is not None
+
+
+def signal_unit(unit: str) -> str | None:
+    """The unit of a motor's signal as SIGNALS names it: us, %, 1, or "" of DShot's numbers; None for any other."""
+    text = unit.strip()
+    if text in ("%", "1", ""):
+        return text
+    if text.lower() in ("percent", "pct"):
+        return "%"
+    found = _parsed(text)
+    return "us" if found is not None and found.is_compatible_with("us") else None
+
+
+def _signal_factor(unit: str) -> float | None:
+    kind = signal_unit(unit)
+    if kind is None:
+        return None
+    return float(_parsed(unit.strip()).to("us").magnitude) if kind == "us" else {"%": 0.01}.get(kind, 1.0)
+
+
+def _factor(quantity: Quantity, found: pint.Quantity) -> float | None:
+    units = _registry()
+    if quantity.force and found.check("[mass]"):
+        found = found * units.standard_gravity
+    if quantity.turning and found.check("1/[time]") and "radian" not in found.to_base_units().units._units:
+        found = found * units.turn
+    if found.dimensionless and "radian" not in found.to_base_units().units._units:
+        return None  # pint takes a bare number for radians; nobody who leaves a unit out means them
+    try:
+        factor = float(found.to(quantity.unit).magnitude)
+    except pint.errors.PintError:
+        return None
+    return factor if factor else None
+
+
+@lru_cache(maxsize=512)
+def _parsed(text: str) -> pint.Quantity | None:
+    """What pint makes of a unit; None where it makes nothing of it."""
+    if len(text) > 40 or not re.search(r"[^\W\d_]|[°%]", text) or re.search(r"[\d)]\s*(\*\*|\^)", text):
+        return None  # a power of a number is no unit, and 9**9**9 would keep pint busy for good
+    try:
+        return _registry().Quantity(_registry().parse_expression(re.sub(r"(?<=[A-Za-z])(-\d)", r"^\1", text)))
+    except _NO:
+        return None
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry:
+    """Made when first needed: it takes half a second. U is the turn of a German nameplate."""
+    units = pint.UnitRegistry(on_redefinition="ignore")
+    units.define("@alias turn = rev = r = U")
+    return units

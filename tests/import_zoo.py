@@ -1,0 +1,530 @@
+"""Logs as strangers write them: one truth in many formats, by a writer that knows nothing of the importer.
+
+Each format says which words its user types and how exactly its digits hold the truth, or what must be said of why it can't be
+read.
+"""
+
+import datetime
+import gzip
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+ROWS, STEP = 400, 0.01
+"""Rows of the truth, and s between them."""
+
+G, TURN = 9.80665, np.pi / 30.0
+"""m/s^2; rad/s in a rpm."""
+
+START = datetime.datetime(2024, 5, 31, 23, 59, 58, 250000)
+"""What a calendar says at time 0: a month ends two seconds later."""
+
+
+def truth() -> dict[str, np.ndarray]:
+    """A log in a record's units, each (ROWS,): commands that are held, readings with noise, a voltage that sags."""
+    rng = np.random.default_rng(16)
+    time = np.round(STEP * np.arange(ROWS), 6)
+    omega_ref = np.repeat(rng.integers(2000, 6000, 8).astype(float), 50)
+    beta_ref = np.repeat(np.round(rng.uniform(-4.0, 9.0, 16), 2), 25)
+    omega = np.round(omega_ref + rng.normal(0.0, 5.0, ROWS), 3)
+    thrust = np.round(12.0 * (omega / 6000.0) ** 2 + 0.3 * beta_ref + rng.normal(0.0, 0.05, ROWS), 5)
+    voltage = np.round(23.1 - 0.2 * time, 4)
+    return {"time": time, "omega_ref": omega_ref, "beta_ref": beta_ref, "omega": omega, "thrust": thrust, "voltage": voltage}
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way to write the truth. `write(path, truth)`; `words`: what its user types behind the file's name; `time` and `rest`:
+    how far off time [s] and the other columns (relative) may be, by the digits that are written; `refused`: what must stand in
+    the one line that says why not, "" where the log must come in; `said`: what must stand in the output."""
+
+    name: str
+    file: str
+    write: Callable[[Path, Mapping[str, np.ndarray]], None]
+    words: Sequence[str] = ()
+    time: float = 1e-9
+    rest: float = 1e-8
+    refused: str = ""
+    said: Sequence[str] = ()
+    columns: Sequence[str] = ("time", "omega_ref", "beta_ref", "omega", "thrust", "voltage")
+    keep: Callable[[int], np.ndarray] = field(default=lambda rows: np.ones(rows, bool))
+
+
+PLAIN = {
+    "time": "time",
+    "omega_ref": "omega_ref",
+    "beta_ref": "beta_ref",
+    "omega": "omega",
+    "thrust": "thrust",
+    "voltage": "voltage",
+}
+OWN = (
+    "--map",
+    "time=time:s",
+    "omega_ref=omega_ref:rpm",
+    "beta_ref=beta_ref:deg",
+    "omega=omega:rpm",
+    "thrust=thrust:N",
+    "voltage=voltage:V",
+)
+TOLD = {
+    "time": "t (s)",
+    "omega_ref": "speed cmd (rpm)",
+    "beta_ref": "pitch cmd (deg)",
+    "omega": "speed (rpm)",
+    "thrust": "Fz (N)",
+    "voltage": "Vbat (V)",
+}
+
+
+def text(
+    names: Mapping[str, str] | None = None,
+    delimiter: str = ",",
+    decimal: str = ".",
+    head: Sequence[str] = (),
+    under: Sequence[Sequence[str]] = (),
+    end: str = "\n",
+    encoding: str = "utf-8",
+    mark: bytes = b"",
+    factors: Mapping[str, float] | None = None,
+    digits: str = ".10g",
+    cells: Mapping[str, Callable[[float], str]] | None = None,
+    quote: bool = False,
+    tail: str = "",
+    lines: Callable[[list[str]], list[str]] = lambda rows: rows,
+    pack: bool = False,
+    title: Callable[[str], str] = lambda row: row,
+):
+    """A writer of text. `factors`: from a record's unit to the file's; `cells`: how a quantity is written, else as a number."""
+    names, factors, cells = TOLD if names is None else names, factors or {}, cells or {}
+
+    def write(path: Path, t: Mapping[str, np.ndarray]) -> None:
+        def row(parts):
+            return delimiter.join(f'"{part}"' if quote else part for part in parts) + tail
+
+        def cell(name, value):
+            if name in cells:
+                return cells[name](value)
+            return "" if np.isnan(value) else f"{value * factors.get(name, 1.0):{digits}}".replace(".", decimal)
+
+        rows = [row([cell(name, t[name][k]) for name in names]) for k in range(len(t["time"]))]
+        titles = [title(row(names.values()))] if any(names.values()) else []
+        content = end.join([*head, *titles, *(row(u) for u in under), *lines(rows)]) + end
+        data = mark + content.encode(encoding)
+        path.write_bytes(gzip.compress(data) if pack else data)
+
+    return write
+
+
+def stamped(form: str, cut: int = 6, hours: float = 0.0, spell: Callable[[str], str] = lambda s: s) -> Callable[[float], str]:
+    """A time as a calendar writes it, to so many digits of a second."""
+
+    def cell(seconds: float) -> str:
+        moment = START + datetime.timedelta(hours=hours, microseconds=round(1e6 * seconds))
+        return spell(moment.strftime(form).replace("%f", f"{moment.microsecond:06d}"[:cut]))
+
+    return cell
+
+
+def epoch(unit: float, digits: int) -> Callable[[float], str]:
+    """Seconds since 1970 in a unit."""
+    first = int(START.replace(tzinfo=datetime.timezone.utc).timestamp() * 1000)  # ms
+    return lambda seconds: (
+        f"{(first + 1000 * round(1e6 * seconds) / 1e6) / 1000 / unit:.{digits}f}"
+        if unit == 1.0
+        else str(round((first * 1000 + round(1e6 * seconds)) * round(1e-6 / unit * 1e6) // 10**6))
+    )
+
+
+def containers() -> list[Format]:
+    """Parquet, MAT and HDF5, by their own libraries; MAT 7.3 as MATLAB lays it out: a head of 512 bytes, then HDF5."""
+
+    def parquet(path, t, stamp=False, units=False):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        arrays = dict(t)
+        if stamp:
+            arrays["time"] = np.datetime64(START, "us") + np.round(1e6 * t["time"]).astype("timedelta64[us]")
+        schema = None
+        if units:
+            told = {"time": "s", "omega_ref": "rad/s", "beta_ref": "deg", "omega": "rad/s", "thrust": "kgf", "voltage": "V"}
+            schema = pa.schema([pa.field(n, pa.float64(), metadata={"unit": u}) for n, u in told.items()])
+            arrays |= {"omega_ref": t["omega_ref"] * TURN, "omega": t["omega"] * TURN, "thrust": t["thrust"] / G}
+        pq.write_table(pa.table(arrays, schema=schema), path)
+
+    def mat(path, t, struct=False):
+        from scipy.io import savemat
+
+        content = {name: column[:, None] for name, column in t.items()}
+        savemat(path, {"log": content, "fs": 100.0} if struct else content | {"note": "stand 3", "fs": 100.0})
+
+    def mat73(path, t):
+        import h5py
+
+        with h5py.File(path, "w", userblock_size=512) as file:
+            for name, column in t.items():
+                data = file.create_dataset(f"run/{name}", data=column[None, :])
+                data.attrs["MATLAB_class"] = np.bytes_("double")
+            note = file.create_dataset("note", data=np.frombuffer("stand".encode("utf-16-le"), np.uint16)[:, None])
+            note.attrs["MATLAB_class"] = np.bytes_("char")
+        with open(path, "r+b") as file:
+            file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+    def hdf5(path, t, form="vectors"):
+        import h5py
+
+        with h5py.File(path, "w") as file:
+            if form == "vectors":
+                for name, column in t.items():
+                    scale, unit = {"time": (1e3, "ms"), "thrust": (1e3 / G, "gf")}.get(name, (1.0, ""))
+                    data = file.create_dataset(name, data=column * scale)
+                    data.attrs["units"] = unit or {"omega": "rpm", "omega_ref": "rpm", "beta_ref": "deg", "voltage": "V"}[name]
+            elif form == "matrix":
+                data = file.create_dataset("table", data=np.column_stack(list(t.values())))
+                data.attrs["columns"] = [name.encode() for name in t]
+            else:
+                rows = np.zeros(len(t["time"]), dtype=[(name, float) for name in t])
+                for name, column in t.items():
+                    rows[name] = column
+                file.create_dataset("log", data=rows)
+
+    def part(function, **options):
+        return lambda path, t: function(path, t, **options)
+
+    return [
+        Format("Parquet", "log.parquet", part(parquet), OWN),
+        Format(
+            "Parquet, timestamps",
+            "log.parquet",
+            part(parquet, stamp=True),
+            [w for w in OWN if w != "time=time:s"] + ["time=time:iso"],
+        ),
+        Format("Parquet, units in its schema", "log.parquet", part(parquet, units=True)),
+        Format("MAT v5, vectors", "log.mat", part(mat), OWN),
+        Format("MAT v5, a struct", "log.mat", part(mat, struct=True), OWN),
+        Format("MAT v7.3", "log.mat", mat73, OWN),
+        Format("HDF5, vectors with units", "log.h5", part(hdf5)),
+        Format("HDF5, a matrix with names", "log.h5", part(hdf5, form="matrix"), OWN),
+        Format("HDF5, a compound", "log.h5", part(hdf5, form="compound"), OWN),
+    ]
+
+
+def _without(row: int, by: str) -> Callable[[list[str]], list[str]]:
+    return lambda rows: [*rows[:row], by, *rows[row:]]
+
+
+def _clock_back(t):
+    """Three rows whose stamp is 4 ms before the row in front of them."""
+    time = t["time"].copy()
+    time[[80, 180, 280]] = time[[79, 179, 279]] - 0.004
+    return t | {"time": time}
+
+
+def _with(change, write):
+    return lambda path, t: write(path, change(dict(t)))
+
+
+def _holes(t):
+    thrust = t["thrust"].copy()
+    thrust[::7] = np.nan
+    return t | {"thrust": thrust}
+
+
+def _texts() -> list[Format]:
+    told = [name.split(" (")[0] for name in TOLD.values()]
+    units = [name.split(" (")[1][:-1] for name in TOLD.values()]
+    bare = dict(zip(TOLD, told, strict=True))
+    comma = {"delimiter": ";", "decimal": ","}
+    german = {"time": "Zeit [s]", "omega_ref": "Solldrehzahl [U/min]", "beta_ref": "Soll-Pitch [°]"}
+    german |= {"omega": "Istdrehzahl [U/min]", "thrust": "Schub [N]", "voltage": "Spannung [V]"}
+    number = lambda value: f"{value:.10g}"  # noqa: E731
+    na = {"thrust": lambda v: "NA" if np.isnan(v) else number(v)}
+    dash = {"thrust": lambda v: "-" if np.isnan(v) else number(v)}
+    return [
+        Format("a record's own names", "log.csv", text(PLAIN), OWN),
+        Format("units in the names", "log.csv", text()),
+        Format("semicolon, decimal comma", "log.csv", text(**comma)),
+        Format("tab", "log.txt", text(delimiter="\t")),
+        Format("tab, decimal comma", "log.txt", text(delimiter="\t", decimal=",")),
+        Format("bar", "log.txt", text(delimiter="|")),
+        Format("spaces", "log.dat", text(PLAIN, delimiter="   "), OWN),
+        Format(
+            "spaces, units torn from names",
+            "log.dat",
+            text({n: f"{n} {v.split()[-1]}" for n, v in TOLD.items()}, delimiter=" "),
+        ),
+        Format("comma and space", "log.csv", text(delimiter=", ")),
+        Format("all quoted", "log.csv", text(quote=True)),
+        Format("quoted, comma and decimal comma", "log.csv", text(quote=True, decimal=",")),
+        Format("Excel's sep=", "log.csv", text(head=["sep=;"], **comma)),
+        Format("a row of units", "log.csv", text(bare, under=[units])),
+        Format("units in brackets, decimal comma", "log.csv", text(bare, under=[[f"[{u}]" for u in units]], **comma)),
+        Format(
+            "an empty column, - for its unit",
+            "log.csv",
+            _with(
+                lambda t: t | {"note": t["time"]},
+                text(bare | {"note": "note"}, under=[[*units, "-"]], cells={"note": lambda v: ""}),
+            ),
+        ),
+        Format("units, then remarks", "log.csv", text(bare, under=[units, ["raw", "-", "-", "filtered", "raw", "raw"]])),
+        Format("numpy's savetxt", "log.txt", text(PLAIN, delimiter=" ", title=lambda row: f"# {row}", digits=".18e"), OWN),
+        Format(
+            "comments of three kinds",
+            "log.csv",
+            text(head=["# stand 3", "% by hand", "// no wind"], lines=_without(50, "# knock")),
+        ),
+        Format("a preamble", "log.csv", text(head=["Logger,V2.1", "Serial: 17", "", "Operator,Smith, J."])),
+        Format(
+            "no names",
+            "log.csv",
+            text(dict.fromkeys(PLAIN, "")),
+            ("--map", *(f"{n}={k}:{u}" for k, (n, u) in enumerate(zip(PLAIN, units, strict=True), 1))),
+        ),
+        Format(
+            "names once more",
+            "log.csv",
+            text(lines=lambda r: [*r[:200], ",".join(TOLD.values()), *r[200:]]),
+            said=["names once more 1"],
+        ),
+        Format("cut off in the last row", "log.csv", text(lines=lambda r: [*r, "4.0,3000,2"]), said=["cut off at the end 1"]),
+        Format("a comma at each end", "log.csv", text(tail=",")),
+        Format("UTF-8 with mark, CRLF", "log.csv", text(mark=b"\xef\xbb\xbf", end="\r\n")),
+        Format(
+            "UTF-16 LE with mark, tabs", "log.txt", text(mark=b"\xff\xfe", encoding="utf-16-le", delimiter="\t", end="\r\n")
+        ),
+        Format("UTF-16 BE with mark", "log.csv", text(mark=b"\xfe\xff", encoding="utf-16-be")),
+        Format("UTF-16 LE without mark", "log.csv", text(encoding="utf-16-le")),
+        Format("Latin-1, umlauts and degrees", "log.csv", text(german, encoding="latin-1", **comma)),
+        Format("lines ended by CR", "log.csv", text(end="\r")),
+        Format("gzip", "log.csv.gz", text(pack=True)),
+        Format(
+            "1.234,56",
+            "log.csv",
+            text(
+                delimiter=";",
+                cells={n: lambda v: f"{v:,.6f}".translate(str.maketrans(",.", ".,")) for n in ("omega", "omega_ref", "thrust")},
+                decimal=",",
+            ),
+            rest=1e-6,
+        ),
+        Format(
+            '"1,234.56"',
+            "log.csv",
+            text(quote=True, cells={n: lambda v: f"{v:,.6f}" for n in ("omega", "omega_ref")}),
+            rest=1e-6,
+        ),
+        Format("1'234.56", "log.csv", text(cells={"omega": lambda v: f"{v:,.6f}".replace(",", "'")}), rest=1e-6),
+        Format(
+            "units behind the numbers",
+            "log.csv",
+            text(
+                bare | {"thrust": "Fz"},
+                under=[],
+                cells={
+                    "time": lambda v: f"{v:.3f} s",
+                    "omega": lambda v: f"{v:.3f} rpm",
+                    "omega_ref": lambda v: f"{v:.0f} rpm",
+                    "thrust": lambda v: f"{v:.5f} N",
+                    "beta_ref": lambda v: f"{v:.2f} deg",
+                    "voltage": lambda v: f"{v:.4f} V",
+                },
+            ),
+        ),
+        Format("1.5E+03", "log.csv", text(digits=".9E")),
+        Format("NA for no value", "log.csv", _with(_holes, text(cells=na)), keep=lambda n: np.arange(n) % 7 > 0),
+        Format(
+            "- for no value, decimal comma",
+            "log.csv",
+            _with(_holes, text(cells={n: lambda v, f=f: f(v).replace(".", ",") for n, f in dash.items()}, **comma)),
+            keep=lambda n: np.arange(n) % 7 > 0,
+        ),
+        Format(
+            "rad/s, gf, rad",
+            "log.csv",
+            text(PLAIN, factors={"omega": TURN, "omega_ref": TURN, "thrust": 1e3 / G, "beta_ref": np.pi / 180}),
+            [
+                *(w for w in OWN if "omega" not in w and "thrust" not in w and "beta" not in w),
+                "omega=omega:rad/s",
+                "omega_ref=omega_ref:rad/s",
+                "thrust=thrust:gf",
+                "beta_ref=beta_ref:rad",
+            ],
+        ),
+        Format(
+            "Hz, kg, mV",
+            "log.csv",
+            text(
+                {**TOLD, "omega": "speed (Hz)", "omega_ref": "speed cmd (Hz)", "thrust": "Fz (kg)", "voltage": "Vbat (mV)"},
+                factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 1 / G, "voltage": 1e3},
+            ),
+        ),
+        Format(
+            "1/min, lbf",
+            "log.csv",
+            text(
+                {**TOLD, "omega": "n [1/min]", "omega_ref": "n_soll [min-1]", "thrust": "Thrust (lbf)"},
+                factors={"thrust": 1 / 4.4482216152605},
+            ),
+        ),
+        Format(
+            "rev/s, ozf",
+            "log.csv",
+            text(
+                {**TOLD, "omega": "speed (rev/s)", "omega_ref": "speed cmd (rev/s)", "thrust": "thrust (ozf)"},
+                factors={"omega": 1 / 60, "omega_ref": 1 / 60, "thrust": 16 / 4.4482216152605},
+            ),
+        ),
+        Format(
+            "thrust downwards",
+            "log.csv",
+            text(factors={"thrust": -1e3 / G}),
+            ("--map", "time=1:s", "omega_ref=2:rpm", "beta_ref=3:deg", "omega=4:rpm", "thrust=5:-1 gf", "voltage=6:V"),
+        ),
+    ]
+
+
+def _clocks() -> list[Format]:
+    def timed(name, cell, said=(), time=1e-9, rest=1e-8, head="stamp", **options):
+        words = [w for w in OWN if not w.startswith("time=")] + [f"time=stamp{options.pop('unit')}"]
+        return Format(
+            name, "log.csv", text({**PLAIN, "time": head}, cells={"time": cell}, **options), words, time, rest, said=said
+        )
+
+    def plain(scale, digits, offset=0.0):
+        return lambda s: f"{(s + offset) * scale:.{digits}f}"
+
+    wrap = 2**32
+    return [
+        timed("ms", plain(1e3, 0), unit=":ms"),
+        timed("minutes, first one not 0", plain(1 / 60, 10, 754.3), unit=":min", time=1e-7),
+        timed("days of Excel", plain(1 / 86400, 12, 45443.2 * 86400), unit=":day", time=2e-6),
+        timed("since 1970, s", epoch(1.0, 6), unit=":s", time=1e-6),
+        timed("since 1970, ms", epoch(1e-3, 0), unit=":ms", time=1e-6),
+        timed("since 1970, us", epoch(1e-6, 0), unit=":us", time=1e-6),
+        timed("since 1970, ns", epoch(1e-9, 0), unit=":ns", time=1e-6),
+        timed("ISO, Z", stamped("%Y-%m-%dT%H:%M:%S.%%fZ"), unit=""),
+        timed("ISO, offset, blank", stamped("%Y-%m-%d %H:%M:%S.%%f+02:00", 3), unit=":iso"),
+        timed("31.05.2024 23:59:58,250", stamped("%d.%m.%Y %H:%M:%S,%%f", 3), unit="", delimiter=";", decimal=","),
+        timed("05/31/2024 11:59:58.250 PM", stamped("%m/%d/%Y %I:%M:%S.%%f %p", 3), unit=""),
+        timed("time of day over midnight", stamped("%H:%M:%S.%%f", 3), unit="", said=["midnight"]),
+        timed(
+            "whole seconds for 100 rows", stamped("%Y-%m-%d %H:%M:%S", hours=0.0), unit="", said=["spread evenly"], time=0.011
+        ),
+        timed(
+            "a 32-bit counter of us, begun anew",
+            lambda s: str((wrap - 1_500_000 + round(1e6 * s)) % wrap),
+            unit=":us",
+            said=["unwound"],
+        ),
+        Format(
+            "no time: rows 10 ms apart",
+            "log.csv",
+            text({n: v for n, v in PLAIN.items() if n != "time"}),
+            [w for w in OWN if not w.startswith("time=")] + ["time=row:10ms"],
+        ),
+        Format(
+            "goes back by 4 ms in 3 rows",
+            "log.csv",
+            _with(_clock_back, text()),
+            said=["goes back in 3 of 400 rows, by 4 ms"],
+            time=0.0101,
+        ),
+        Format(
+            "each tenth row twice",
+            "log.csv",
+            text(lines=lambda r: [x for k, row in enumerate(r) for x in [row] * (1 + (k % 10 == 5))]),
+            said=["40 rows at the time of the next one"],
+        ),
+    ]
+
+
+def _refused() -> list[Format]:
+    def raw(data):
+        return lambda path, t: path.write_bytes(data)
+
+    def workbook(path, t):
+        with zipfile.ZipFile(path, "w") as file:
+            file.writestr("xl/workbook.xml", "<workbook/>")
+
+    def unit(word):
+        return [w for w in OWN if not w.startswith("thrust=")] + [f"thrust=thrust:{word}"]
+
+    back = lambda t: t | {"time": np.where(np.arange(ROWS) < 200, t["time"], t["time"] - 1.0)}  # noqa: E731
+    return [
+        Format("a workbook", "log.xlsx", workbook, refused="workbook"),
+        Format("comma for both", "log.csv", text(decimal=","), refused="decimal"),
+        Format("back by a second", "log.csv", _with(back, text()), refused="back by 0.99"),
+        Format("a unit that nobody knows", "log.csv", text(PLAIN), unit("bananas"), refused="bananas"),
+        Format("a unit of something else", "log.csv", text(PLAIN), unit("rpm"), refused="turn into N"),
+        Format(
+            "no unit",
+            "log.csv",
+            text(PLAIN),
+            ("--map", "time=time:s", "thrust=thrust", "omega_ref=omega_ref:rpm"),
+            refused="no unit",
+        ),
+        Format("no thrust", "log.csv", text({n: v for n, v in TOLD.items() if n != "thrust"}), refused="thrust"),
+        Format("no command", "log.csv", text({n: v for n, v in TOLD.items() if n != "omega_ref"}), refused="command of speed"),
+        Format("no such column", "log.csv", text(PLAIN), ("--map", "thrust=Fx:N"), refused="column Fx"),
+        Format(
+            "a word among numbers",
+            "log.csv",
+            text(cells={"thrust": lambda v: "overload" if v > 10.0 else f"{v:.5f}"}),
+            refused="overload",
+        ),
+        Format("a row too long", "log.csv", text(lines=_without(100, "1,2,3,4,5,6,7,8")), refused="8 cells"),
+        Format("bytes", "log.csv", raw(bytes(range(256)) * 20), refused="no text"),
+        Format("empty", "log.csv", raw(b""), refused="comments"),
+        Format("prose", "log.txt", raw(b"On the first day the rotor broke.\nOn the second day too.\n"), refused="line"),
+        Format("half a Parquet file", "log.parquet", raw(b"PAR1" + bytes(100)), refused="Parquet"),
+        Format(
+            "half a MAT file", "log.mat", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(128) + bytes(64)), refused="MAT"
+        ),
+        Format("half an HDF5 file", "log.h5", raw(b"\x89HDF\r\n\x1a\n" + bytes(64)), refused="HDF5"),
+    ]
+
+
+def formats() -> list[Format]:
+    """The whole zoo."""
+    return [*_texts(), *_clocks(), *containers(), *_refused()]
+
+
+def came_out(format: Format, folder: Path, run: Callable[[list[str]], tuple[int, str, str]]) -> tuple[bool, str]:
+    """Write a format into a new folder, import it and read the record with the csv module: (whether it is as it must be, what
+    came out in words). `run`: the command line, which returns its exit code, output and errors."""
+    t, path = truth(), folder / format.file
+    format.write(path, t)
+    code, out, err = run(["import", "csv", str(path), *format.words, "-o", str(folder / "out")])
+    if format.refused:
+        one_line = code == 2 and err.count("\n") == 1 and format.refused in err and "found" in err and "allowed is" in err
+        return one_line and not (folder / "out").exists(), err.strip().replace(str(folder) + "/", "")
+    if code:
+        return False, err.strip().replace(str(folder) + "/", "")
+    missing = [part for part in format.said if part not in out]
+    if missing:
+        return False, f"not said: {', '.join(missing)}"
+    return _compared(format, t, folder / "out" / "open_loop.csv")
+
+
+def _compared(format: Format, t: Mapping[str, np.ndarray], path: Path) -> tuple[bool, str]:
+    head, *rows = [line.split(",") for line in path.read_text().splitlines()]
+    if set(head) != set(format.columns):
+        return False, f"columns {', '.join(head)}"
+    if len(rows) != ROWS:
+        return False, f"{len(rows)} rows of {ROWS}"
+    worst = {}
+    for k, name in enumerate(head):
+        found = np.array([float(row[k] or "nan") for row in rows])
+        kept = format.keep(ROWS) if name == "thrust" else np.ones(ROWS, bool)
+        if np.isnan(found[kept]).any() or np.isfinite(found[~kept]).any():
+            return False, f"{name}: other cells are empty"
+        scale = 1.0 if name == "time" else np.abs(t[name]).max()
+        worst[name] = float(np.max(np.abs(found - t[name])[kept]) / scale)
+    off = max(worst[n] for n in worst if n != "time")
+    good = worst["time"] <= format.time and off <= format.rest
+    return good, f"time within {worst['time']:.1e} s, the rest within {off:.1e}"

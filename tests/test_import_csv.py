@@ -1,0 +1,520 @@
+"""Somebody's log into its place in a campaign: mapping, units, clock, commands, what is said, what is never overwritten."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from import_zoo import PLAIN, Format, came_out, text, truth
+
+from identification.gate.made import Maker
+from identification.stand.clock import guessed_unit, mended, read_clock
+from identification.stand.commands import fitted_map
+from identification.stand.mapping import read_toml
+from identification.stand.sampling import between, said_of_gaps, said_of_rows
+from identification.stand.sheet import Sheet, plain, split_unit
+from identification.stand.speed_map import RANGES
+from identification.stand.units import QUANTITIES, factor_of
+from vpp_fmu.campaign import read_campaign, read_static, read_steps
+from vpp_fmu.cli import main
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.scales import Scales
+from vpp_fmu.record import Record, read_record
+
+
+@pytest.fixture
+def vpp(capsys):
+    """Runs the command line: exit code, output, errors."""
+
+    def run(*words):
+        code = main(["import", "csv", *map(str, words)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def table(path, columns, delimiter=","):
+    """Columns as text, by the csv module; NaN is an empty cell."""
+    with open(path, "w", newline="") as file:
+        writer = csv.writer(file, delimiter=delimiter)
+        writer.writerow(columns)
+        for row in zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True):
+            writer.writerow("" if str(v) == "nan" else v for v in row)
+    return path
+
+
+def lagged(commands, step, lag):
+    """(n,) a held command behind one lag, exactly: what is measured in a row is before the row's command acts."""
+    kept, out = np.exp(-step / lag), np.empty(len(commands))
+    out[0] = commands[0]
+    for k in range(1, len(commands)):
+        out[k] = commands[k - 1] + kept * (out[k - 1] - commands[k - 1])
+    return out
+
+
+def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
+    """A thrust stand of fixed pitch: signal [us], speed [rpm] by a parabola behind one lag, thrust [gf]."""
+    rng = np.random.default_rng(seed)
+    time = np.round(step * np.arange(rows), 6)
+    signal = np.repeat(rng.integers(1150, 1900, rows), round(hold / step))[:rows].astype(float)
+    speed = lagged(200.0 + 9.5 * (signal - 1000.0) - 0.0025 * (signal - 1000.0) ** 2, step, lag)
+    thrust = 8.0 * (speed / 6000.0) ** 2 / 9.80665e-3 + rng.normal(0.0, 5.0, rows)
+    return {"Time (s)": time, "ESC (us)": signal, "RPM": np.round(speed), "Thrust (gf)": np.round(thrust, 1)}
+
+
+# Units and names
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "factor"),
+    [
+        ("thrust", "gf", 9.80665e-3),
+        ("thrust", "g", 9.80665e-3),
+        ("thrust", "kg", 9.80665),
+        ("thrust", "lbf", 4.4482216152605),
+        ("thrust", "ozf", 4.4482216152605 / 16),
+        ("thrust", "-1 N", -1.0),
+        ("thrust", "0.0123 N", 0.0123),
+        ("omega", "rad/s", 30.0 / np.pi),
+        ("omega", "Hz", 60.0),
+        ("omega", "1/min", 1.0),
+        ("omega", "U/min", 1.0),
+        ("omega", "RPM", 1.0),
+        ("omega", "deg/s", 1.0 / 6.0),
+        ("time", "MS", 1e-3),
+        ("time", "4 ms", 4e-3),
+        ("beta", "rad", 180.0 / np.pi),
+        ("beta", "°", 1.0),
+        ("voltage", "mV", 1e-3),
+        ("signal", "us", 1.0),
+        ("signal", "%", 0.01),
+    ],
+)
+def test_units_by_their_definitions(quantity, unit, factor):
+    assert factor_of(QUANTITIES[quantity], unit) == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit"),
+    [("thrust", "rpm"), ("thrust", ""), ("omega", "1"), ("beta", ""), ("time", "bananas"), ("omega", "N"), ("thrust", ")(")],
+)
+def test_a_unit_of_something_else_is_none(quantity, unit):
+    assert factor_of(QUANTITIES[quantity], unit) is None
+
+
+def test_whatever_stands_for_a_unit_is_one_or_none():
+    rng = np.random.default_rng(1)
+    alphabet = list("NgfrpmsVA19.-+*/^()[]{}%°µ² _\\'\",;:#!=<>~?&|\t\x00é")
+    for length in rng.integers(1, 9, 3000):
+        unit = "".join(rng.choice(alphabet, length))
+        for name in ("thrust", "time", "signal"):
+            factor = factor_of(QUANTITIES[name], unit)
+            assert factor is None or np.isfinite(factor)
+    assert factor_of(QUANTITIES["time"], "9**9**9**9 s") is None
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        ("Thrust (gf)", ("Thrust", "gf")),
+        ("Fz [N]", ("Fz", "N")),
+        ("n / rpm", ("n", "rpm")),
+        ("Zeit, ms", ("Zeit", "ms")),
+        ("thrust", ("thrust", "")),
+        ("Torque (N·m)", ("Torque", "N·m")),
+    ],
+)
+def test_a_header_is_a_name_and_a_unit(header, parts):
+    assert split_unit(header) == parts
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimal", "number"),
+    [
+        ("1.234,5", ",", "1234.5"),
+        ("1.234", ",", "1234"),
+        ("12,5", ",", "12.5"),
+        ("1,234.5", ".", "1234.5"),
+        ("1'234", ".", "1234"),
+        ("\u22123", ".", "-3"),
+        ("n/a", ".", ""),
+    ],
+)
+def test_cells_as_they_are_written_elsewhere(cell, decimal, number):
+    assert plain(cell, decimal) == number
+
+
+# Clocks
+
+
+def sheet(**columns):
+    arrays = {n: np.array(c, dtype=object if isinstance(c[0], str) else float) for n, c in columns.items()}
+    return Sheet("log.csv", arrays, np.arange(2, 2 + len(next(iter(arrays.values())))))
+
+
+def test_of_two_rows_at_odds_both_are_put_between_their_neighbours():
+    fixed, count, furthest = mended(np.array([0.0, 1.0, 2.0, 1.9, 4.0, 5.0]))
+    np.testing.assert_allclose(fixed, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    assert (count, furthest) == (1, pytest.approx(0.1))
+    for end in ([0.0, 1.0, 2.0, 1.5], [0.0, -0.4, 1.0, 2.0], [0.0, 1.0, 0.5, 0.2, 0.1, 5.0]):
+        assert np.all(np.diff(mended(np.array(end))[0]) > 0.0)
+
+
+def test_a_clock_that_stands_is_refused_and_a_clock_that_jumps_is_named():
+    with pytest.raises(BadInput, match=r"t, line 5: found 1\.0 after 3\.0, back by 2 s"):
+        read_clock(sheet(t=[1.0, 2.0, 3.0, 1.0, 2.0]), "t", "s")
+    runs = read_clock(sheet(t=[1.0, 2.0, 3.0, 1.0, 2.0]), "t", "s", runs=True)
+    np.testing.assert_array_equal(runs.time, [0.0, 1.0, 2.0, 0.0, 1.0])
+    np.testing.assert_array_equal(runs.restarts, [0, 3])
+
+
+def test_a_leap_over_february_and_a_day_that_must_be_first():
+    clock = read_clock(sheet(t=["28.02.2023 23:59:59", "01.03.2023 00:00:01"]), "t", "iso")
+    np.testing.assert_allclose(clock.time, [0.0, 2.0])
+    clock = read_clock(sheet(t=["2/28/2023 23:59:59", "3/1/2023 00:00:01"]), "t", "iso")
+    np.testing.assert_allclose(clock.time, [0.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "unit"),
+    [
+        ([1717236000.1, 1717236000.2], "s"),
+        ([1717236000123.0, 1717236000133.0], "ms"),
+        ([0.0, 0.01, 0.02], "s"),
+        ([0.0, 10.0, 20.0], "ms"),
+        ([0.0, 4000.0], "us"),
+        ([0.0, 1.0], None),
+    ],
+)
+def test_a_time_without_a_unit_is_told_by_its_size_where_only_one_will_do(values, unit):
+    assert guessed_unit(np.array(values)) == unit
+
+
+# The mapping
+
+
+def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, vpp):
+    path = table(tmp_path / "log.csv", stand())
+    code, out, _ = vpp(path, "--propose", "-o", tmp_path / "out")
+    assert code == 0
+    assert "signal     <- ESC (us)" in out
+    assert "sure" in out
+    assert not (tmp_path / "out").exists()
+    assert vpp(path, "--propose", tmp_path / "mine.toml")[0] == 0
+    assert vpp(path, "--propose", tmp_path / "mine.toml")[0] == 2  # it is there
+    told = read_toml(tmp_path / "mine.toml")
+    assert told["open_loop"]["columns"] == {
+        "time": "Time (s):s",
+        "omega": "RPM:rpm",
+        "thrust": "Thrust (gf):gf",
+        "signal": "ESC (us):us",
+    }
+    assert vpp(path, "--map", tmp_path / "mine.toml", "-o", tmp_path / "a")[0] == 0
+    assert vpp(path, "-o", tmp_path / "b")[0] == 0
+    assert (tmp_path / "a" / "open_loop.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
+    assert vpp(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "c", "--as", "validation")[0] == 0
+    assert (tmp_path / "c" / "validation.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
+
+
+def test_a_header_that_leaves_doubt_is_refused_with_the_words_that_would_do(tmp_path, vpp):
+    t = truth()
+    path = table(
+        tmp_path / "log.csv", {"t": t["time"], "speed_cmd": t["omega_ref"], "pitch_cmd": t["beta_ref"], "force": t["thrust"]}
+    )
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert code == 2
+    assert "thrust from force without a unit" in err
+    words = err.split("--map ")[1].split()
+    assert vpp(path, "--map", *words, "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--map", "thurst=Fz:N"), "--map: found 'thurst=Fz:N'"),
+        (("--map", "thrust=thrust:N", "thrust=omega:N"), "--map thrust: found twice"),
+        (("--map", "a.toml", "b.toml"), "--map: found a.toml b.toml"),
+        (("--fixed", "thrust=3:N"), "--fixed: found 'thrust=3:N'"),
+        (("--fixed", "beta_ref=8:N"), "--fixed: found 'beta_ref=8:N'"),
+        (("--encoding", "utf-99"), "--encoding: found utf-99"),
+        (("--delimiter", "ab"), "--delimiter: found 'ab'"),
+        (("--map", "nowhere.toml"), "nowhere.toml: file: found no such file"),
+    ],
+)
+def test_bad_words_are_one_line(tmp_path, vpp, words, told):
+    text(PLAIN)(tmp_path / "log.csv", truth())
+    code, _, err = vpp(tmp_path / "log.csv", *words, "-o", tmp_path / "out")
+    assert code == 2
+    assert told in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "no toml [",
+        'format = "x"',
+        'format = "vpp-mapping/1"',
+        'format = "vpp-mapping/1"\n[static]\nlog = "a"',
+        'format = "vpp-mapping/1"\n[static.columns]\ntime = 3',
+    ],
+)
+def test_a_bad_toml_is_one_line(tmp_path, vpp, content):
+    text(PLAIN)(tmp_path / "log.csv", truth())
+    (tmp_path / "m.toml").write_text(content)
+    code, _, err = vpp(tmp_path / "log.csv", "--map", tmp_path / "m.toml", "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "m.toml" in err
+
+
+# Into the campaign
+
+
+def test_another_log_is_not_written_over_and_sections_of_the_mapping_stay(tmp_path, vpp):
+    first, second = table(tmp_path / "a.csv", stand()), table(tmp_path / "b.csv", stand(seed=6))
+    assert vpp(first, "-o", tmp_path / "mine")[0] == 0
+    before = (tmp_path / "mine" / "open_loop.csv").read_bytes()
+    code, _, err = vpp(second, "-o", tmp_path / "mine")
+    assert code == 2
+    assert "open_loop.csv: file: found one of another log" in err
+    assert (tmp_path / "mine" / "open_loop.csv").read_bytes() == before
+    assert not [p for p in (tmp_path / "mine").iterdir() if p.name.startswith(".")]
+    code, out, _ = vpp(second, "-o", tmp_path / "mine", "--as", "validation")
+    assert code == 0
+    assert "taken over from a.csv" in out
+    assert set(read_toml(tmp_path / "mine" / "import.toml")) == {"open_loop", "validation"}
+    assert vpp(second, "-o", tmp_path / "mine", "--replace")[0] == 0
+    assert (tmp_path / "mine" / "open_loop.csv").read_bytes() != before
+    campaign = read_campaign(tmp_path / "mine")
+    assert campaign.open_loop is not None
+    assert campaign.validation is not None
+
+
+def test_the_command_of_a_signal_is_the_parabola_that_the_motor_follows(tmp_path, vpp):
+    log = stand()
+    code, out, _ = vpp(table(tmp_path / "log.csv", log), "-o", tmp_path / "mine")
+    assert code == 0
+    assert "without a voltage" in out
+    assert "fixed pitch of 0 deg" in out
+    record = read_record(tmp_path / "mine" / "open_loop.csv")
+    x = log["ESC (us)"] - 1000.0
+    np.testing.assert_allclose(record["omega_ref"], 200.0 + 9.5 * x - 0.0025 * x**2, atol=3.0)  # rpm, written in whole ones
+    assert not record["beta_ref"].any()
+
+
+def test_a_signal_that_never_holds_is_mapped_behind_a_lag():
+    log = stand(hold=0.3)
+    found = fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"], None, RANGES["PWM"])
+    assert "behind a lag of 0.12 s" in found.told
+    x = np.linspace(150.0, 900.0, 50)
+    np.testing.assert_allclose(found.map.omega_ref(1000.0 + x), 200.0 + 9.5 * x - 0.0025 * x**2, atol=10.0)
+    with pytest.raises(BadInput, match="of the speed"):
+        fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"][::-1], None, RANGES["PWM"])
+
+
+def test_steps_are_cut_at_moves_without_sharing_a_row(tmp_path, vpp):
+    t = truth()
+    step = np.repeat([3000.0, 4000.0, 3000.0, 5000.0], 100)
+    path = table(tmp_path / "log.csv", {n: t[n] for n in PLAIN} | {"omega_ref": step, "beta_ref": np.full(400, 3.0)})
+    words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta_ref=beta_ref:deg", "thrust=thrust:N")
+    assert vpp(path, *words, "-o", tmp_path / "mine", "--as", "steps")[0] == 0
+    runs = read_steps(tmp_path / "mine" / "steps.csv")
+    assert [set(r["omega_ref"]) for r in runs] == [{3000.0, 4000.0}, {4000.0, 3000.0}, {3000.0, 5000.0}]
+    thrust = np.concatenate([r["thrust"] for r in runs])
+    assert len(np.unique(thrust)) == len(thrust)
+    assert [int(np.argmax(r["omega_ref"] != r["omega_ref"][0])) for r in runs] == [20, 20, 20]
+
+
+def test_a_clock_that_begins_anew_parts_the_runs(tmp_path, vpp):
+    t = truth()
+    columns = {n: t[n] for n in PLAIN} | {
+        "time": np.tile(t["time"][:100], 4),
+        "omega_ref": np.tile(np.repeat([3000.0, 4000.0], 50), 4),
+        "beta_ref": np.full(400, 3.0),
+    }
+    words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta_ref=beta_ref:deg", "thrust=thrust:N")
+    path = table(tmp_path / "log.csv", columns)
+    code, out, _ = vpp(path, *words, "-o", tmp_path / "mine", "--as", "steps")
+    assert code == 0
+    assert "begins anew 3 times" in out
+    assert [len(r) for r in read_steps(tmp_path / "mine" / "steps.csv")] == [100] * 4
+    assert vpp(path, *words, "-o", tmp_path / "other")[0] == 2
+
+
+def test_steady_points_one_a_row_and_of_a_record(tmp_path, vpp):
+    rng = np.random.default_rng(1)
+    omega, beta = (g.ravel() for g in np.meshgrid(np.linspace(2000.0, 6000.0, 6), np.linspace(-4.0, 8.0, 5)))
+    w, b = omega / 6000.0, (beta + 5.0) / 15.0
+    thrust = 15.0 * (0.4 * w**2 + 0.5 * w**2 * b) + rng.normal(0.0, 0.02, len(w))
+    path = table(tmp_path / "points.csv", {"rpm": omega, "pitch (deg)": beta, "T (N)": thrust}, ";")
+    words = ("--map", "omega=rpm:rpm", "beta_ref=pitch:deg", "thrust=T:N")
+    code, out, _ = vpp(path, *words, "-o", tmp_path / "mine", "--as", "static")
+    assert code == 0
+    assert "30 points" in out
+    static = read_static(tmp_path / "mine" / "static.csv")
+    np.testing.assert_allclose(static.thrust, thrust, rtol=1e-8)
+    np.testing.assert_allclose(static.omega_ref, omega)
+    assert static.thrust_std[0] == pytest.approx(0.02, rel=0.4)
+    t = truth()
+    text(PLAIN)(tmp_path / "log.csv", t)
+    words = ("--map", *(f"{n}={n}:{u}" for n, u in (("time", "s"), ("omega_ref", "rpm"), ("beta_ref", "deg"), ("thrust", "N"))))
+    assert vpp(tmp_path / "log.csv", *words, "-o", tmp_path / "other", "--as", "static")[0] == 0
+    static = read_static(tmp_path / "other" / "static.csv")
+    means = [t["thrust"][25 * k + 13 : 25 * k + 25].mean() for k in range(16)]  # the second half of each hold of 0.25 s
+    np.testing.assert_allclose(static.thrust, means, rtol=1e-6)
+
+
+def test_a_repeat_takes_the_open_loops_times_within_half_a_row(tmp_path, vpp):
+    t, rng = truth(), np.random.default_rng(2)
+    words = ("--map", *(f"{n}={n}:{u}" for n, u in (("time", "s"), ("omega_ref", "rpm"), ("beta_ref", "deg"), ("thrust", "N"))))
+    jittered = t | {"time": t["time"] + np.append(0.0, rng.uniform(-0.003, 0.003, 399)), "thrust": t["thrust"][::-1]}
+    for name, columns in (("a", t), ("b", jittered), ("c", t | {"omega_ref": t["omega_ref"][::-1]})):
+        table(tmp_path / f"{name}.csv", columns)
+    assert vpp(tmp_path / "a.csv", *words, "-o", tmp_path / "mine")[0] == 0
+    code, out, _ = vpp(tmp_path / "b.csv", *words, "-o", tmp_path / "mine", "--as", "repeat")
+    assert code == 0
+    assert "that of open_loop.csv" in out
+    assert read_campaign(tmp_path / "mine").repeat is not None
+    code, _, err = vpp(tmp_path / "c.csv", *words, "-o", tmp_path / "mine", "--as", "repeat", "--replace")
+    assert code == 2
+    assert "omega_ref, row 1 of the data" in err
+
+
+def test_what_no_record_may_hold_is_refused_with_its_column(tmp_path, vpp):
+    t = truth()
+    path = table(tmp_path / "log.csv", t | {"omega": 1e4 * t["omega"]})
+    words = ("--map", "time=time:s", "omega_ref=omega_ref:rpm", "omega=omega:Hz", "thrust=thrust:N")
+    code, _, err = vpp(path, *words, "-o", tmp_path / "out")
+    assert code == 2
+    assert "omega, column omega in Hz" in err
+    assert "is it the right unit?" in err
+
+
+def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, vpp):
+    t = truth()
+    path = table(tmp_path / "log.csv", t)
+    words = ["--map", "time=time:s", "omega_ref=omega_ref:rpm", "beta=beta_ref:deg", "thrust=thrust:N"]
+    assert "a measured pitch from" in vpp(path, *words, "-o", tmp_path / "out")[2]
+    assert vpp(path, *words, "--fixed", "beta_ref=0.1:rad", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["beta_ref"], np.degrees(0.1), rtol=1e-8)
+
+
+# What is said of the rows
+
+
+def test_averages_passed_off_as_samples_show_in_their_commands():
+    fine = stand(rows=30000, step=0.01, hold=2.003)
+    rows = {n: np.array([part.mean() for part in np.array_split(c, 2400)]) for n, c in fine.items()}
+    record = Record(
+        {
+            "time": rows["Time (s)"],
+            "omega_ref": 5.0 * rows["ESC (us)"],
+            "beta_ref": np.zeros(2400),
+            "thrust": rows["Thrust (gf)"],
+        },
+        "x",
+    )
+    through, moves = between(record)
+    assert through > 0.8 * moves
+    assert any(line.startswith("averages: in ") for line in said_of_rows(record))
+    sampled = {n: c[::12] for n, c in fine.items()}
+    record = Record(
+        {
+            "time": sampled["Time (s)"],
+            "omega_ref": 5.0 * sampled["ESC (us)"],
+            "beta_ref": np.zeros(2500),
+            "thrust": sampled["Thrust (gf)"],
+        },
+        "x",
+    )
+    assert between(record)[0] == 0
+    said = said_of_rows(record)
+    assert [line.split(":")[0] for line in said] == ["slow sampling"]
+    assert "120 ms" in said[0]
+
+
+def test_a_quick_log_is_told_nothing_and_a_gap_is():
+    log = stand()
+    columns = {
+        "time": log["Time (s)"],
+        "omega_ref": 5.0 * log["ESC (us)"],
+        "beta_ref": np.zeros(6000),
+        "thrust": log["Thrust (gf)"],
+    }
+    assert said_of_rows(Record(columns, "x")) == said_of_gaps(Record(columns, "x")) == []
+    kept = np.ones(6000, bool)
+    kept[3000:3025] = False
+    gapped = Record(columns, "x").part(kept)
+    assert said_of_gaps(gapped) == ["gaps: 1 steps of more than 4 rows of 10 ms, the longest of 0.26 s at 29.99 s"]
+
+
+def test_frozen_and_clipped_channels_are_said_at_import(tmp_path, vpp):
+    log = stand()
+    log["Thrust (gf)"] = np.minimum(log["Thrust (gf)"], 600.0)
+    log["RPM"] = np.where(np.arange(6000) > 4000, log["RPM"][4000], log["RPM"])
+    log["Vbat (V)"] = np.full(6000, np.nan)
+    code, out, _ = vpp(table(tmp_path / "log.csv", log), "-o", tmp_path / "mine")
+    assert code == 0
+    assert "warning clipped: log.csv, thrust: " in out
+    assert "warning frozen: log.csv, omega: " in out
+    assert "voltage: no value in any row, left out" in out
+
+
+def test_the_zoo_is_judged_by_what_was_written(tmp_path, vpp):
+    """A zoo that finds everything in order finds nothing: a truth that was changed on the way must show."""
+
+    def off(path, t):
+        text()(path, t | {"thrust": t["thrust"] + 1e-4})
+
+    for name, write in (("right", text()), ("off", off)):
+        (tmp_path / name).mkdir()
+        good, told = came_out(Format(name, "log.csv", write), tmp_path / name, lambda words: vpp(*words[2:]))
+        assert good == (name == "right"), told
+
+
+# From a stranger's log to a report, in two commands
+
+RIG = Maker(
+    scales=Scales(),
+    speed=(2000.0, 6000.0),
+    pitch=(-5.0, 10.0),
+    row=0.005,
+    hold=(0.8, 1.6),
+    section=8.0,
+    noise=0.1,
+    digit=0.003,
+    values={"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1},
+)
+
+
+def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_path, vpp, capsys):
+    rng = np.random.default_rng(4)
+    record, path = RIG.record(RIG.orders(rng), rng, "rig"), tmp_path / "Messung.csv"
+    factors = {"omega_ref": np.pi / 30.0, "beta_ref": 1.0, "omega": np.pi / 30.0, "thrust": 1e3 / 9.80665}
+    lines = ["Prüfstand Süd;Protokoll 17", "", "Zeitstempel;Soll-Drehzahl;Soll-Pitch;Drehzahl;Schub", "ms;rad/s;°;rad/s;gf"]
+    for k, time in enumerate(record.time):
+        cells = [f"{1717236000123 + round(1e3 * time)}", *(f"{f * record[n][k]:.6f}" for n, f in factors.items())]
+        lines.append(";".join(cells).replace(".", ","))
+    path.write_bytes("\r\n".join(lines).encode("cp1252"))
+    code, out, _ = vpp(path, "-o", tmp_path / "mine", "--as", "open_loop")
+    assert code == 0
+    assert "error" not in out
+    assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    assert (tmp_path / "out" / "report.html").stat().st_size > 1e5
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"] == "none"
+    fitted = json.loads((tmp_path / "out" / "parameters.json").read_text())["parameters"]
+    lag = fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"]
+    assert lag == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
+    path = table(tmp_path / "log.csv", stand(rows=3000))
+    assert vpp(path, "-o", tmp_path / "mine")[0] == 0
+    words = ["--workers", "1", "--effects", "speed_delay"]
+    assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), *words]) == 0
+    fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
+    assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
+    assert (tmp_path / "out" / "report.html").stat().st_size > 1e5

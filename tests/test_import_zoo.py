@@ -1,0 +1,35 @@
+"""Every format of the zoo: what came out of the importer equals what went in, or one line says why not."""
+
+import pytest
+from import_zoo import came_out, containers, formats
+
+from vpp_fmu.cli import main
+
+NEEDS = {"Parquet": "pyarrow", "HDF5": "h5py", "MAT v7.3": "h5py"}
+"""What reads a container, by the beginning of a format's name."""
+
+
+@pytest.mark.parametrize("format", formats(), ids=lambda format: format.name)
+def test_what_comes_out_is_what_went_in(format, tmp_path, capsys):
+    if format in containers() or "half a" in format.name:
+        for kind, library in NEEDS.items():
+            if kind in format.name:
+                pytest.importorskip(library, reason=f"{library} is not installed (extra import)")
+
+    def run(words):
+        code = main(words)
+        return code, *capsys.readouterr()
+
+    good, told = came_out(format, tmp_path, run)
+    assert good, told
+
+
+def test_a_container_without_its_library_is_told_with_the_extra_that_brings_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    path = tmp_path / "log.parquet"
+    path.write_bytes(b"PAR1" + bytes(20))
+    assert main(["import", "csv", str(path), "-o", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "only pyarrow reads, which is not installed" in error
+    assert "vpp-fmu[import]" in error
+    assert error.count("\n") == 1

@@ -1,0 +1,174 @@
+"""Any table as a file of a campaign: CSV with any delimiter, decimal mark, head, encoding and clock; Parquet, MAT, HDF5.
+
+--map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
+("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). In the place of
+omega_ref a signal to the motor's controller will do, with a measured omega: its map is fitted to the log, and shared by all
+logs of the folder. Without --map a log's own header must leave no doubt; --propose shows it. The mapping is saved in
+import.toml beside the record, and --map import.toml uses it again.
+
+Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples."""
+
+import codecs
+from pathlib import Path
+
+import numpy as np
+
+from identification.stand.commands import FILE as SPEED_MAP
+from identification.stand.commands import map_beside
+from identification.stand.containers import read_container
+from identification.stand.delimited import DELIMITERS, read_delimited
+from identification.stand.intake import Taken, signal_range, take_in
+from identification.stand.mapping import (
+    FILE,
+    GUESS,
+    Plan,
+    parse_fixed,
+    parse_pairs,
+    propose,
+    read_toml,
+    section_of,
+    to_toml,
+)
+from identification.stand.sampling import said_of_gaps
+from identification.stand.sheet import Sheet
+from identification.stand.speed_map import read_speed_map
+from identification.stand.units import QUANTITIES
+from vpp_fmu.cli.import_place import add_kind, placed
+from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+
+EXAMPLE = (
+    "vpp import csv log.csv --propose\n"
+    "  vpp import csv log.csv --map time=t:ms omega_ref=soll:rad/s omega=ist:rad/s thrust=Fz:gf -o mine --as open_loop"
+)
+
+
+def configure(parser):
+    parser.add_argument("log", metavar="LOG", help="the table; .gz is unpacked")
+    text = "NAME=COLUMN:UNIT, one or more, or an import.toml (default: as --propose says, where it is sure)"
+    parser.add_argument("--map", action="extend", nargs="+", default=[], metavar="M", help=text)
+    text = "a command or voltage that the log does not have: beta_ref=8:deg; may be repeated"
+    parser.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE:UNIT", help=text)
+    add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
+    text = "print what the header proposes, and stop; with FILE save that as TOML for --map"
+    parser.add_argument("--propose", nargs="?", const="", metavar="FILE", help=text)
+    parser.add_argument(
+        "--speed-map", metavar="M", help="speed_map.json of another log, for a signal (default: the folder's own)"
+    )
+    text = f"what parts cells: {', '.join(DELIMITERS)}, or one character (default: found out)"
+    parser.add_argument("--delimiter", metavar="D", help=text)
+    parser.add_argument("--decimal", choices=("point", "comma"), help="decimal mark (default: found out)")
+    parser.add_argument("--encoding", metavar="E", help="such as utf-16 or cp1252 (default: found out)")
+    add_output(parser)
+
+
+def run(options):
+    section = _section(options)
+    sheet = _sheet(options, section.get("read", {}))
+    print(f"{Path(sheet.source).name}: {sheet.told}; {len(sheet)} rows, {len(sheet.columns)} columns")
+    if sheet.left_out:
+        print(f"left out: {', '.join(f'{reason} {count}' for reason, count in sheet.left_out.items())}")
+    if options.propose is not None:
+        _propose(sheet, options)
+        return
+    plan = _plan(options, section, sheet)
+    span = signal_range(sheet, plan)
+    given = read_speed_map(options.speed_map) if options.speed_map else None
+    if given and span and given.signal != span:
+        raise BadInput(
+            options.speed_map, "signal, kind", given.signal.kind, f"a map for {span.kind}, which is in {options.log}"
+        )
+    beside = map_beside(options.output, span, options.log) if span and given is None else None
+    taken = take_in(sheet, plan, options.kind, given or beside)
+    _say_columns(sheet, plan, taken)
+    for line in taken.said:
+        print(line)
+    _write(options, plan, taken)
+
+
+def _section(options) -> dict:
+    """What the import.toml among --map says, empty without one. BadInput."""
+    files = [word for word in options.map if "=" not in word]
+    if len(files) > 1 or (files and not files[0].endswith(".toml")):
+        raise BadInput("command line", "--map", " ".join(files), "NAME=COLUMN:UNIT, one or more, and at most one FILE.toml")
+    return section_of(files[0], options.kind) if files else {}
+
+
+def _sheet(options, read: dict) -> Sheet:
+    if options.encoding is not None:
+        try:
+            codecs.lookup(options.encoding)
+        except LookupError as error:
+            raise BadInput(
+                "command line", "--encoding", options.encoding, "an encoding's name such as utf-16 or cp1252"
+            ) from error
+    decimal = {"point": ".", "comma": ","}.get(options.decimal)
+    own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
+    given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
+    sheet = read_container(options.log)
+    return read_delimited(options.log, given) if sheet is None else sheet
+
+
+def _plan(options, section: dict, sheet: Sheet) -> Plan:
+    """Pairs of the command line before the TOML's; where there is neither the proposal, if it is sure. BadInput."""
+    own = parse_pairs([word for word in options.map if "=" in word], sheet)
+    saved = parse_pairs([f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own], sheet)
+    fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
+    columns = {**saved, **own}
+    if not columns:
+        columns = propose(sheet)
+        if doubtful := {q: c for q, c in columns.items() if c.sure == GUESS}:
+            found = ", ".join(f"{q} from {c.name} without a unit" for q, c in doubtful.items())
+            raise BadInput(sheet.source, "columns", found, f"the right units with {Plan(columns, fixed).words()}")
+    columns = {q: columns[q] for q in QUANTITIES if q in columns and q not in fixed}
+    return Plan(columns, fixed, sheet.read)
+
+
+def _propose(sheet: Sheet, options) -> None:
+    columns = propose(sheet)
+    plan = Plan(columns, parse_fixed(options.fixed), sheet.read)
+    width = max((len(c.name) for c in columns.values()), default=0)
+    for quantity, column in columns.items():
+        note = {"": ""}.get(column.unit, f"in {column.unit}")
+        print(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
+    unused = [name for name in sheet.columns if name not in {c.name for c in columns.values()}]
+    print(f"not used: {', '.join(unused) or 'none'}")
+    if columns:
+        print(f"as options: {plan.words()}")
+    if options.propose:
+        folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
+        if (folder.path / name).exists() and not options.replace:
+            raise BadInput(options.propose, "file", "one that is there already", "a new file, or --replace")
+        folder.write(name, to_toml({options.kind: plan.section(Path(options.log).name)}))
+        print(f"saved in {options.propose}")
+
+
+def _say_columns(sheet: Sheet, plan: Plan, taken: Taken) -> None:
+    for quantity, column in plan.columns.items():
+        values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
+        span = ""
+        if values is not None and np.isfinite(values).any():
+            empty = int((~np.isfinite(values)).sum())
+            span = f": {number(float(np.nanmin(values)))} to {number(float(np.nanmax(values)))} {unit}".rstrip()
+            span += f", {empty} cells empty" if empty else ""
+        how = f" ({column.sure})" if column.sure else ""
+        print(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
+    for name, value in plan.fixed.items():
+        print(f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed")
+
+
+def _write(options, plan: Plan, taken: Taken) -> None:
+    """The campaign's file, the mapping, the speed map: all of them or none."""
+    place = Path(options.output)
+    sections = read_toml(place / FILE) if (place / FILE).exists() else {}
+    folder, said = placed(place, options.kind, taken, options.replace)
+    folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
+    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
+        folder.write(SPEED_MAP, taken.speed_map.to_json())
+    if taken.clock is not None and "run" not in taken.columns:
+        said = said_of_gaps(taken.record()) + said
+    for line in said:
+        print(line)
+    say_written(folder)

@@ -1,0 +1,56 @@
+"""Where an imported log goes in a campaign's folder: one file of its kind, and never silently over another log's."""
+
+from pathlib import Path
+
+from identification.stand.intake import Taken
+from identification.stand.kinds import KINDS, repeat_of, runs_of, static_of
+from identification.stand.sampling import findings, said_of_rows
+from vpp_fmu.campaign import write_static, write_steps
+from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.record import Record, read_record, write_record
+
+
+def add_kind(parser, default: str | None, text: str) -> None:
+    """The options --as and --replace."""
+    parser.add_argument("--as", dest="kind", choices=KINDS, default=default, help=text)
+    parser.add_argument("--replace", action="store_true", help="replace a file of another log")
+
+
+def placed(place: Path, kind: str, taken: Taken, replace: bool) -> tuple[OutputSet, list[str]]:
+    """(the folder with the file KIND.csv written but not yet put into its place, what is to be said of it). BadInput."""
+    if kind == "static":
+        static, said = static_of(taken)
+    elif kind == "steps":
+        runs, said = runs_of(taken)
+        said += said_of_rows(runs[0])
+    else:
+        record, said = _record(place, kind, taken)
+    if (other := there(place, kind)) and other.suffix == ".gz":
+        raise BadInput(other, "file", "one that is there already", f"no {kind}.csv.gz beside {kind}.csv")
+    folder = OutputSet(place, "import")
+    if kind == "static":
+        write_static(folder, static)
+    elif kind == "steps":
+        write_steps(folder, runs)
+    else:
+        write_record(folder, f"{kind}.csv", record)
+    if kind in KINDS and f"{kind}.csv" in folder.replaced and not replace:
+        raise BadInput(place / f"{kind}.csv", "file", "one of another log", "another folder, another --as, or --replace")
+    return folder, said
+
+
+def _record(place: Path, kind: str, taken: Taken) -> tuple[Record, list[str]]:
+    record, said = taken.record(), []
+    if taken.points:
+        allowed = "rows that show how thrust moves; steady points go in with --as static"
+        raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed)
+    if kind == "repeat" and (first := there(place, "open_loop")):
+        record, said = repeat_of(record, read_record(first, holes=("thrust",)))
+    return record, [*said, *said_of_rows(record), *(f.text for f in findings(record))]
+
+
+def there(folder: Path, kind: str) -> Path | None:
+    """A kind's file in a folder, packed or not; None without one."""
+    return next((path for suffix in ("csv", "csv.gz") if (path := folder / f"{kind}.{suffix}").exists()), None)
