@@ -73,21 +73,23 @@ class Course:
             tuple(t.shows(grid) for t in experiment.tachometers) if len(experiment.omega_time) else (),
         )
 
-    def stage(self, u: str, form: float) -> tuple[np.ndarray, float]:
-        """(what a channel's lag has still to go (blocks,), its time constant s)."""
+    def stage(self, u: str, form: float, swapped: bool) -> tuple[np.ndarray, float, float]:
+        """(what a channel's lag has still to go (blocks,), its time constant s, the other's). `swapped`: the two lags in the
+        other order, which is the same to whatever does not stand between them."""
         inner_tau, outer_tau = self.values[f"tau_{u}_2"], self.values[f"tau_{u}_1"]
+        inner_tau, outer_tau = (outer_tau, inner_tau) if swapped else (inner_tau, outer_tau)
         word = "speed" if u == "omega" else "pitch"
         command, reached = self.drivers[f"{word}_command"], self.drivers[word]
         inner = lagged(command, inner_tau, self.step)
-        return (command - inner, inner_tau) if form == INNER else (inner - reached, outer_tau)
+        return (command - inner, inner_tau, outer_tau) if form == INNER else (inner - reached, outer_tau, inner_tau)
 
-    def driver(self, name: str, port: str, form: float) -> np.ndarray:
+    def driver(self, name: str, port: str, form: float, swapped: bool) -> np.ndarray:
         """A driver (blocks,) as a port sees it."""
         if DRIVERS[name].own_stage(PORTS[port]):
-            return self.stage(PORTS[port].channel, form)[0]
+            return self.stage(PORTS[port].channel, form, swapped)[0]
         return self.drivers[name]
 
-    def response(self, port: str, form: float, terms: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def response(self, port: str, form: float, swapped: bool, terms: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(change of the thrust's block means (blocks, k) N, of the speed (blocks, k) rpm or None) for terms (blocks, k)."""
         place = PORTS[port]
         if port in ("thrust", "reading"):
@@ -98,11 +100,11 @@ class Course:
         if port.endswith("command_share"):
             terms = self.drivers["speed_command"][:, None] * terms
         if place.staged:
-            left, tau = self.stage(u, form)
+            left, tau, other = self.stage(u, form, swapped)
             terms = left[:, None] * terms if port.endswith("share") else tau * terms
             terms = lagged(terms, tau, self.step)
             if form == INNER:
-                terms = lagged(terms, self.values[f"tau_{u}_1"], self.step)
+                terms = lagged(terms, other, self.step)
         elif place.whole:
             terms = lagged(lagged(terms, self.values[f"tau_{u}_2"], self.step), self.values[f"tau_{u}_1"], self.step)
         if u == "beta":
@@ -166,6 +168,5 @@ def knots_of(v: np.ndarray, signed: bool) -> np.ndarray:
     reach = max(-low, high)
     if reach <= 0.0:
         return np.zeros(0)
-    above = reach * np.array([0.02, 0.08, 0.3, 1.0])
+    above = reach * np.array([0.04, 0.15, 0.4, 1.0])
     return np.concatenate([-above[::-1], [0.0], above])
-

@@ -5,6 +5,7 @@ Curves are groups of hats; plays, holds, relays and sines are single columns, or
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -47,7 +48,8 @@ FREE_AT_REST = ("speed_command", "speed_command_share", "rotor_speed", "thrust",
 
 @dataclass(frozen=True, eq=False)
 class Lead:
-    """A term that looks worth a refit: where, by what, how; `values` of its shape, `pinned`: those that stay where they are.
+    """A term that looks worth a refit: where, by what, how; `swapped`: with the channel's lags in
+    the other order; `values` of its shape, `pinned`: those that stay where they are.
 
     `needed`: fall that the best of all looks reaches by chance; `looks`: how many there were."""
 
@@ -57,6 +59,7 @@ class Lead:
     lag: float | None
     times: str
     form: float
+    swapped: bool
     span: tuple[float, float]
     values: dict[str, float]
     pinned: tuple[str, ...]
@@ -96,14 +99,15 @@ def _lags(scores: Scores) -> list[float]:
     return [lag * scale for lag in LAGS if lag * scale <= longest]
 
 
-def _forms(port: str) -> tuple[float, ...]:
-    return (INNER, OUTER) if PORTS[port].staged else (OUTER,)
+def forms_of(port: str) -> tuple[tuple[float, bool], ...]:
+    """(lag that a port bends, whether the two stand in the other order) to look at."""
+    return tuple(product((INNER, OUTER), (False, True))) if PORTS[port].staged else ((OUTER, False),)
 
 
-def _responses(scores: Scores, port: str, form: float, terms: list[np.ndarray], times: str = ""):
+def _responses(scores: Scores, port: str, form: tuple[float, bool], terms: list[np.ndarray], times: str = ""):
     courses = scores.courses
     terms = [f * (c.w**2)[:, None] if times else f for c, f in zip(courses, terms, strict=True)]
-    return [c.response(port, form, f) for c, f in zip(courses, terms, strict=True)]
+    return [c.response(port, *form, f) for c, f in zip(courses, terms, strict=True)]
 
 
 def _span(parts: list[np.ndarray]) -> tuple[float, float]:
@@ -118,9 +122,11 @@ def _curves(scores: Scores) -> Iterator[Lead]:
             for port, place in PORTS.items():
                 if port == "reading" and name != "thrust":
                     continue  # in front of all effects of the reading it is the thrust's
-                for form in _forms(port):
-                    own = driver.own_stage(place)
-                    v = [lagged(c.driver(name, port, form), lag, c.step) for c in scores.courses] if own else common
+                own = driver.own_stage(place)
+                if own and lag > 0.0:
+                    continue  # an actuator's law goes by what there is to go now
+                for form in forms_of(port):
+                    v = [c.driver(name, port, *form) for c in scores.courses] if own else common
                     for times in ("", "speed_squared") if port == "thrust" else ("",):
                         if (lead := _curve(scores, port, name, lag, form, times, v)) is not None:
                             yield lead
@@ -141,7 +147,7 @@ def _curve(scores, port, name, lag, form, times, v) -> Lead | None:
     values = {f"at_{k + 1}": float(a) for k, a in enumerate(at)} | {f"value_{k + 1}": 0.0 for k in pinned}
     values |= {f"value_{k + 1}": float(share) for k, share in zip(kept, scored.shares, strict=True)}
     stay = (*(f"at_{k + 1}" for k in range(len(at))), *(f"value_{k + 1}" for k in pinned))
-    return Lead(port, name, "curve", lag or None, times, form, _span(v), values, stay, scored)
+    return Lead(port, name, "curve", lag or None, times, *form, _span(v), values, stay, scored)
 
 
 def _memories(scores: Scores) -> Iterator[Lead]:
@@ -170,12 +176,12 @@ def _relays(scores: Scores) -> Iterator[Lead]:
 
 def _each(scores, port, name, shape, v, points, terms, lag=0.0) -> Iterator[Lead]:
     """A lead for each column by itself; the products of all are made at once."""
-    for form in _forms(port):
+    for form in forms_of(port):
         gram, product = scores.products(_responses(scores, port, form, terms))
         for k, point in enumerate(points):
             scored = scores.group(gram[:, k : k + 1, k : k + 1], product[:, k : k + 1])
             values = {**point, "gain": float(scored.shares[0])}
-            yield Lead(port, name, shape, lag or None, "", form, _span(v), values, (), scored)
+            yield Lead(port, name, shape, lag or None, "", *form, _span(v), values, (), scored)
 
 
 def _sines(scores: Scores) -> Iterator[Lead]:
@@ -192,4 +198,4 @@ def _sines(scores: Scores) -> Iterator[Lead]:
             pair = [k, k + len(some)]
             scored = scores.group(gram[:, pair][:, :, pair], product[:, pair])
             values = {"in_phase": float(scored.shares[0]), "quadrature": float(scored.shares[1]), "frequency": frequency}
-            yield Lead("thrust", "time", "sine", None, "", OUTER, (0.0, seconds), values, (), scored)
+            yield Lead("thrust", "time", "sine", None, "", OUTER, False, (0.0, seconds), values, (), scored)

@@ -1,7 +1,8 @@
 """Group score tests beside a fit: what a group of columns could gain if the fitted parameters follow, in all and held out.
 
-With C the group's columns less what the parameters can follow, r the residual: the fall is r'C (C'C)^-1 C'r / 2, under noise alone
-half a chi^2 of as many degrees of freedom as C has directions. Held out, the shares of each fold come from the others.
+With C the group's columns less what the parameters can follow, r the residual: the fall is r'C (C'C)^-1 C'r / 2, under noise
+alone half a chi^2 of as many degrees of freedom as C has directions. Held out, the shares of each third of the records come
+from the others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,9 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.diagnose.crossval import folds
+from identification.diagnose.crossval import thirds
 from identification.diagnose.evidence.linearised import Linearised
-from identification.diagnose.judgement import FOLDS
 from identification.diagnose.learned.columns import Course
 
 DEPENDENT = 1e-3
@@ -34,24 +34,26 @@ class Scores:
     """Score tests beside a linearised fit, on the experiments' courses."""
 
     def __init__(self, about: Linearised, columns: np.ndarray, courses: Sequence[Course], scale: Mapping[str, float], times):
-        """`columns` (rows, n): the fitted parameters' sensitivities; `scale` divides each channel's; `times`: as of Evidence."""
+        """`columns` (rows, n): the fitted parameters' sensitivities; `scale` divides each channel's; `times`: as of
+        Evidence."""
         self.courses, self._scale = courses, scale
-        fold = np.concatenate([folds(time, seconds) for time, seconds in times])
+        fold = np.concatenate([thirds(time, seconds) for time, seconds in times])
+        self._folds = range(int(fold.max()) + 1)
         sizes = [c.experiment.sizes["thrust"] for c in courses]
         sizes += [len(c.experiment.omega_time) for c in courses if len(c.experiment.omega_time)]
         self._slices = np.split(np.arange(len(fold)), np.cumsum(sizes)[:-1])
         self._fold, self._columns, self._residual = fold, columns, about.residual
         self._inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
-        self._squares = [float(np.sum(about.residual[fold == k] ** 2)) for k in range(FOLDS)]
-        self._inner = [columns[fold == k].T @ columns[fold == k] for k in range(FOLDS)]
-        self._against = [columns[fold == k].T @ about.residual[fold == k] for k in range(FOLDS)]
+        self._squares = [float(np.sum(about.residual[fold == k] ** 2)) for k in self._folds]
+        self._inner = [columns[fold == k].T @ columns[fold == k] for k in self._folds]
+        self._against = [columns[fold == k].T @ about.residual[fold == k] for k in self._folds]
         self._parts = {heard: self._part(heard) for heard in (False, True)}
 
     def _part(self, heard: bool):
         """Of the rows that a response reaches, fold by fold: (order, ends of the folds, sensitivities, residual)."""
         places = np.concatenate(self._slices if heard else self._slices[: len(self.courses)])
         order = np.argsort(self._fold[places], kind="stable")
-        ends = np.searchsorted(self._fold[places][order], np.arange(FOLDS + 1))
+        ends = np.searchsorted(self._fold[places][order], np.arange(len(self._folds) + 1))
         own = places[order]
         return order, ends, self._columns[own].copy(), self._residual[own].copy()
 
@@ -76,7 +78,7 @@ class Scores:
 
     def group(self, gram: np.ndarray, product: np.ndarray) -> Scored:
         """The test of a group by its products."""
-        whole, score = gram.sum(axis=0), product.sum(axis=0)
+        whole = gram.sum(axis=0)
         size = np.sqrt(np.maximum(np.diag(whole), 0.0))
         if not size.max(initial=0.0) > 0.0:
             return Scored(0.0, 0.0, 0, np.zeros(len(size)))
@@ -84,7 +86,7 @@ class Scores:
         gram, product = gram / np.outer(size, size), product / size
         shares, rank = _solved(gram.sum(axis=0), -product.sum(axis=0))
         left, total = 0.0, sum(self._squares)
-        for k in range(FOLDS):
+        for k in self._folds:
             other, _ = _solved(gram.sum(axis=0) - gram[k], product[k] - product.sum(axis=0))
             left += self._squares[k] + 2.0 * float(other @ product[k]) + float(other @ gram[k] @ other)
         held = 0.5 * len(self._fold) * float(np.log(total / max(left, 1e-300)))

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from vpp_fmu.kernel.effects.stage import WHICH_LAG
 from vpp_fmu.kernel.learned.drivers import DRIVERS
 from vpp_fmu.kernel.learned.ports import PORTS
-from vpp_fmu.kernel.learned.shapes import SHAPES, Sizes
+from vpp_fmu.kernel.learned.shapes import LAWS, SHAPES, Sizes
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
@@ -54,7 +54,10 @@ def learned(
             last = x.lagged
             before, after = last, ops.lag_ramp(last, before, after, p.lag, dt)
             moved["lagged"] = after
+        if lag is None and not place.whole and not cause.known(place):
+            after = before  # a loop without a lag: to go on as it went would make it swing
         at = 0.5 * (before + after) if place.whole else after
+        at = ops.clip(at, *span) if shape in LAWS else at  # as a curve is: flat beyond where it was learned
         f, memory = look.value(ops, x, p, at, dt)
         if times:
             w = s.omega / s.omega_scale

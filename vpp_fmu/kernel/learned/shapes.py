@@ -64,15 +64,16 @@ def _per(unit: str, other: str) -> str:
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape. `declared(sizes, values)`: its parameters, at `values`; `value(ops, x, p, v, dt)`: (f, its next states).
+    """A shape. `equation`: f over the driver v; `declared(sizes, values)`: its parameters, at `values`; `value(ops, x, p, v,
+    dt)`: (f, its next states).
 
     `off(values)`: the parameters that switch it off at 0; `memory`: its states by name, each (unit, "" for the driver's; what
-    it is; its start from the settled driver: start(ops, p, v)). `words`: of a sentence. `driven`: it has a driver; else it goes
+    it is; its start from the settled driver: start(ops, p, v)). `driven`: it has a driver; else it goes
     by time alone.
     """
 
     name: str
-    words: str
+    equation: str
     declared: Callable[[Sizes, Mapping[str, float]], tuple[Parameter, ...]]
     value: Callable
     off: Callable[[Mapping[str, float]], tuple[str, ...]] = lambda values: ("gain",)
@@ -197,32 +198,58 @@ _TURNS = {
 SHAPES = {
     shape.name: shape
     for shape in (
-        Shape("curve", "a curve", _curve_declared, _curve, lambda v: tuple(f"value_{k + 1}" for k in range(knots(v)))),
-        Shape("line", "in proportion to", _line_declared, lambda ops, x, p, v, dt: (p.gain * v, {})),
-        Shape("square", "with the square of", _square_declared, lambda ops, x, p, v, dt: (p.gain * v * ops.abs(v), {})),
+        Shape(
+            "curve",
+            "straight between knots, flat beyond",
+            _curve_declared,
+            _curve,
+            lambda v: tuple(f"value_{k + 1}" for k in range(knots(v))),
+        ),
+        Shape("line", "gain v", _line_declared, lambda ops, x, p, v, dt: (p.gain * v, {})),
+        Shape("square", "gain v |v|", _square_declared, lambda ops, x, p, v, dt: (p.gain * v * ops.abs(v), {})),
         Shape(
             "hinge",
-            "in proportion beyond a knee of",
+            "gain max(side (v - knee), 0)",
             _hinge_declared,
             lambda ops, x, p, v, dt: (p.gain * ops.maximum(p.side * (v - p.knee), 0.0), {}),
         ),
         Shape(
             "threshold",
-            "a step at a level of",
+            "gain where v > level",
             _threshold_declared,
             lambda ops, x, p, v, dt: (p.gain * ops.where(v > p.level, 1.0, 0.0), {}),
         ),
         Shape(
             "saturation",
-            "in proportion up to a limit of",
+            "gain clip(v, -limit, limit)",
             _saturation_declared,
             lambda ops, x, p, v, dt: (p.gain * ops.clip(v, -p.limit, p.limit), {}),
         ),
-        Shape("sign", "with the sign of", _sign_declared, lambda ops, x, p, v, dt: (p.gain * ops.tanh(v / p.width), {})),
-        Shape("play", "by a play in", _play_declared, _play, memory={"driven": ("", "the driver behind the play", _FOLLOWS)}),
-        Shape("hold", "by holding", _hold_declared, _hold, memory={"held": ("", "the driver that is held", _FOLLOWS)}),
-        Shape("relay", "switched by two thresholds of", _relay_declared, _relay, memory=_SWITCHED),
-        Shape("sine", "with a sine of", _sine_declared, _sine, lambda v: ("in_phase", "quadrature"), _TURNS, driven=False),
+        Shape("sign", "gain tanh(v / width)", _sign_declared, lambda ops, x, p, v, dt: (p.gain * ops.tanh(v / p.width), {})),
+        Shape(
+            "play",
+            "gain (driven - v), driven <- clip(driven, v - half_gap, v + half_gap)",
+            _play_declared,
+            _play,
+            memory={"driven": ("", "the driver behind the play", _FOLLOWS)},
+        ),
+        Shape(
+            "hold",
+            "gain (held - v), held <- v where |v - held| > half_width",
+            _hold_declared,
+            _hold,
+            memory={"held": ("", "the driver that is held", _FOLLOWS)},
+        ),
+        Shape("relay", "gain from v > upper on until v < lower", _relay_declared, _relay, memory=_SWITCHED),
+        Shape(
+            "sine",
+            "in_phase sin(2 pi frequency t) + quadrature cos(2 pi frequency t)",
+            _sine_declared,
+            _sine,
+            lambda v: ("in_phase", "quadrature"),
+            _TURNS,
+            driven=False,
+        ),
     )
 }
 """Every shape by its name."""
