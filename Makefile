@@ -22,6 +22,8 @@ study: .venv/ready
 
 interop: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[interop]'
+	test -d .venv/cofmupy || $(PYTHON) -m venv .venv/cofmupy # it pins an FMPy of its own
+	.venv/cofmupy/bin/python -m pip install --quiet --disable-pip-version-check cofmupy
 	$(BIN)/python -m tests.interop
 
 .venv/ready: pyproject.toml constraints.txt

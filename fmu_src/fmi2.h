@@ -5,6 +5,7 @@
 #include <stdarg.h>
 #include <stdbool.h>
 #include <stddef.h>
+#include <string.h>
 
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
@@ -48,3 +49,16 @@ typedef struct {
   void (*stepFinished)(fmi2ComponentEnvironment environment, fmi2Status status);
   fmi2ComponentEnvironment componentEnvironment;
 } fmi2CallbackFunctions;
+
+typedef fmi2CallbackLogger Logger;
+
+/* One message to the importer; `%` doubled, since it becomes a format there. */
+static void deliver(Logger logger, void *environment, const char *name, int status, const char *category, const char *text) {
+  char safe[2 * 512], *at = safe;
+  for (const char *c = text; *c && at < safe + sizeof safe - 2; c++) {
+    if (*c == '%') *at++ = '%';
+    *at++ = *c;
+  }
+  *at = '\0';
+  logger(environment, name, (fmi2Status)status, category, safe);
+}

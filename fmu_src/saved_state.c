@@ -1,11 +1,11 @@
 /* An instance's past and present as one block of doubles: what get, set and serialise of FMU states hand around.
  *
- *   tag of the model, checksum, state of the call sequence, settled, wait for the next sample, are tangents carried,
- *   all values, for each delay: acting, latest, span, count, waits..., values..., all tangents if carried
+ *   tag of the model, checksum, state of the call sequence, settled, time, wait for the next sample, are tangents carried,
+ *   which states were chosen, all values, for each delay: acting, latest, span, count, waits..., values..., all tangents if carried
  *
  * What prepare() made is left out: it follows from the values. */
 
-enum { TAG, CHECKSUM, STATE, SETTLED, WAIT, CARRIED, HEAD };
+enum { TAG, CHECKSUM, STATE, SETTLED, TIME, WAIT, CARRIED, HEAD };
 
 typedef struct {
   size_t count;
@@ -13,7 +13,7 @@ typedef struct {
 } Saved;
 
 static size_t saved_count(const Slave *s) {
-  size_t count = HEAD + N_VALUES + (s->carried ? N_PARAMETERS * N_VALUES : 0);
+  size_t count = HEAD + N_STATES + N_VALUES + (s->carried ? N_PARAMETERS * N_VALUES : 0);
   for (int k = 0; k < N_DELAYED; k++) count += 4 + 2 * (size_t)s->m.lines[k].count;
   return count;
 }
@@ -36,8 +36,10 @@ static void save(const Slave *s, Saved *saved) {
   saved->data[TAG] = MODEL_TAG;
   saved->data[STATE] = s->state;
   saved->data[SETTLED] = s->settled;
+  saved->data[TIME] = s->time;
   saved->data[WAIT] = s->m.wait;
   saved->data[CARRIED] = s->carried != NULL;
+  for (int i = 0; i < N_STATES; i++) *at++ = s->chosen[i];
   memcpy(at, s->m.v, sizeof s->m.v);
   at += N_VALUES;
   for (int k = 0; k < N_DELAYED; k++) {
@@ -57,7 +59,7 @@ static void save(const Slave *s, Saved *saved) {
 }
 
 static bool is_whole(const double *data, size_t count) {
-  return count >= HEAD + N_VALUES && data[TAG] == MODEL_TAG && data[CHECKSUM] == checksum(data, count);
+  return count >= HEAD + N_STATES + N_VALUES && data[TAG] == MODEL_TAG && data[CHECKSUM] == checksum(data, count);
 }
 
 /* Everything as it was saved; false where memory is lacking. */
@@ -70,6 +72,8 @@ static bool restore(Slave *s, const Saved *saved) {
   }
   s->state = (int)saved->data[STATE];
   s->settled = saved->data[SETTLED] != 0.0;
+  s->time = saved->data[TIME];
+  for (int i = 0; i < N_STATES; i++) s->chosen[i] = *at++ != 0.0;
   memcpy(s->m.v, at, sizeof s->m.v);
   at += N_VALUES;
   start_schedule(s);

@@ -11,12 +11,14 @@ static bool carry_sensitivities(Slave *s) {
   return s->carried != NULL;
 }
 
+static void settle_along(Slave *s, double *along);
+
 /* The tangents of the values that the instance has settled on. */
 static void start_sensitivities(Slave *s) {
   memset(s->carried, 0, sizeof(double[N_PARAMETERS_OR_1][N_VALUES]));
   for (int j = 0; j < N_PARAMETERS; j++) {
     s->carried[j][FIRST_PARAMETER + j] = 1.0;
-    start_along(s->m.v, s->carried[j]);
+    settle_along(s, s->carried[j]);
   }
 }
 

@@ -1,4 +1,4 @@
-/* One instance of an FMU. Comes after the generated model and schedule.c. */
+/* One instance of an FMU. Comes after the generated model and its tables, and after schedule.c. */
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -8,19 +8,18 @@
 #define FIRST_STATE (FIRST_PARAMETER + N_PARAMETERS)
 #define MESSAGE 512
 
-/* The state machine of the standard (2.0.4, section 4.2.4), as bits so that a set of states is a number. There is no fatal
- * one: instances share nothing, so nothing that befalls one can harm another, and each can be reset. */
-enum { INSTANTIATED = 1, INITIALISING = 2, STEPPING = 4, TERMINATED = 8, FAILED = 16, ANY = 31 };
-
-enum { DISCARD, ERROR, FATAL, N_CATEGORIES };
+/* Instances share nothing, so nothing that befalls one can harm another, and each can be reset: there is no fatal state. */
+typedef enum { OK, WARNED, DISCARDED, REFUSED } Status; /* numbered as both versions of the standard do */
 
 typedef struct {
   Instance m; /* first: schedule.c's steps know no more of a slave */
   int state;
-  bool settled; /* outputs and states are those of the inputs and parameters that stand now */
-  double (*carried)[N_VALUES]; /* the tangent of each parameter, or NULL */
-  fmi2CallbackLogger logger;
-  fmi2ComponentEnvironment environment;
+  bool settled;                  /* outputs and states are those of the inputs and parameters that stand now */
+  bool chosen[N_STATES_OR_1];    /* this state begins where it was set to, not where the inputs settle it */
+  double time;                   /* the communication point reached, s */
+  double (*carried)[N_VALUES];   /* the tangent of each parameter, or NULL */
+  Logger logger;
+  void *environment;
   bool tells[N_CATEGORIES];
   char *name;
 #if N_DELAYED

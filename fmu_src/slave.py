@@ -1,17 +1,51 @@
-"""The Python FMU's slave: a traced model under pythonfmu's calls.
+"""The Python FMU's slave: a traced model under pythonfmu's calls, as strict as the native flavour (`protocol.c`).
 
-An export is one file: schedule.py, this text, the generated functions and a class that names them (`vpp_fmu.export`). It
-travels alone, so it may import nothing but the standard library and pythonfmu, which travels with it; the one import of
-this project below is dropped on the way, since schedule.py then stands in the same file.
+An export is one file: schedule.py, the table of calls, this text, the generated functions and a class that names them
+(`vpp_fmu.export`). It travels alone, so it may import nothing but the standard library and pythonfmu, which travels with it;
+what is imported of this project below is dropped on the way, since it then stands in the same file.
 
 All values live in one list `v`, in the order of the value references: inputs, outputs, parameters, states.
+
+pythonfmu's binary answers an exception with fmi2Fatal, and gives up what it holds of the instance without owning it: its
+references to the instance, its class and its messages are dropped once for each exception, and used and dropped again
+afterwards (`upstream/` beside this file mends it there). `_kept` takes as many more before an exception leaves.
 """
 
-from math import inf, isfinite
+import ctypes
+import json
+import weakref
+import zlib
+from functools import wraps
+from math import isfinite
 
+from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
-from vpp_fmu.kernel.schedule import DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.calls import (
+    ENTER_STATES,
+    EXIT_STATES,
+    FAILED,
+    GET_STATES,
+    IN_WORDS,
+    INITIALISING,
+    INSTANTIATED,
+    LOG_CATEGORIES,
+    SET_STATES,
+    SLACK,
+    STEP_STATES,
+    STEPPING,
+    TERMINATE_STATES,
+    TERMINATED,
+)
+from vpp_fmu.kernel.schedule import NOW, PIECES, DelayFull, DelayLine, run_held, run_sampled
+
+TYPE_NAMES = ("Real", "Integer", "Boolean")
+REAL, INTEGER, BOOLEAN = TYPE_NAMES
+SAVED = ("time", "state", "settled", "scheduled", "wait")
+
+
+ALIVE = weakref.WeakSet()
+"""All instances of this FMU."""
 
 
 class Refused(ValueError):
@@ -21,17 +55,43 @@ class Refused(ValueError):
         return str(self)
 
 
+def _kept(*instances):
+    """One more reference to all that pythonfmu's binary drops of these instances on an exception."""
+    for instance in instances:
+        for held in (type(instance), instance, instance.log_queue):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
+
+
+def call(method):
+    """A method that pythonfmu's binary calls: whatever it raises, a host's Ctrl-C included, leaves the instance whole."""
+
+    @wraps(method)
+    def guarded(self, *arguments):
+        try:
+            return method(self, *arguments)
+        except BaseException:
+            self._fail()
+            raise
+
+    return guarded
+
+
 class TracedSlave(Fmi2Slave):
     """One instance of a traced model. A generated subclass brings what is declared here, and a way to step from below."""
 
     NAME = ""
+    TAG = ""  # of the content, so that only this FMU's states are taken
     VARIABLES = ()  # name of each value
+    TYPES = ()  # type of each value
     START = ()  # each value at instantiation
-    RANGES = ()  # (minimum, maximum, unit) of each parameter
+    RANGES = ()  # (minimum, maximum, what follows a number, the range in words) of each parameter
+    TUNABLE = ()  # which parameters may change while the model runs
     N_INPUTS = N_OUTPUTS = N_PARAMETERS = 0
     DELAYS = ()  # (position of the input, position of its delay)
     SAMPLE_TIME = None  # position of the period of a sampled model
-    start = prepare = step = largest_step = None  # as vpp_fmu.tracer.emit.python_source says
+    start = prepare = step = largest_step = total = None  # as vpp_fmu.tracer.emit.python_source says
+
+    log_categories = LOG_CATEGORIES
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -39,113 +99,317 @@ class TracedSlave(Fmi2Slave):
         self.v = list(self.START)
         self.first_parameter = self.N_INPUTS + self.N_OUTPUTS
         self.first_state = self.first_parameter + self.N_PARAMETERS
-        self.initialised = self.settled = False
+        self.reals = frozenset(i for i, kind in enumerate(self.TYPES) if kind == REAL)
+        self.real_inputs = self.reals & frozenset(range(self.N_INPUTS))
+        self.state, self.settled, self.scheduled, self.chosen, self.time = INSTANTIATED, False, False, {}, 0.0
         self.prepared_for = self.constants = None
-        self.lines, self.largest, self.wait = [], inf, 0.0
+        self.lines, self.wait, self.longest = [], 0.0, 0.0
+        ALIVE.add(self)
 
-    def set_real(self, vrs, values):
-        v, n = self.v, self.N_INPUTS
-        for vr, value in zip(vrs, values, strict=True):
-            if vr >= n:
-                self._set_parameter(vr, value)
-            elif value - value == 0.0:  # finite, without the price of a call
-                v[vr] = value
-            else:
-                raise Refused(f"{self.NAME}: {self.VARIABLES[vr]} can't be set to {value}, a finite number is needed")
-        self.settled = False
+    @call
+    def setup_experiment(self, start_time, *_):
+        """pythonfmu hands the start time over as the initialization begins."""
+        self._allow("fmi2EnterInitializationMode", ENTER_STATES)
+        if not isfinite(start_time):
+            raise Refused(f"{self.NAME}: start time is {start_time} s, a finite number is needed")
+        self.time = start_time
 
-    def get_real(self, vrs):
-        if not (self.initialised or self.settled):
-            self._settle()
-        v = self.v
-        try:
-            return [v[vr] for vr in vrs]
-        except IndexError:
-            raise self._unknown(max(vrs)) from None
+    @call
+    def enter_initialization_mode(self):
+        self._allow("fmi2EnterInitializationMode", ENTER_STATES)
+        self.state = INITIALISING
 
+    @call
     def exit_initialization_mode(self):
         """Start at rest on the inputs that stand now."""
-        for i, (low, high, unit) in enumerate(self.RANGES, self.first_parameter):
-            if not low <= self.v[i] <= high:
-                raise Refused(f"{self.NAME}: {self.VARIABLES[i]} is {self.v[i]} {unit}, allowed is {low} to {high} {unit}")
+        self._allow("fmi2ExitInitializationMode", EXIT_STATES)
+        for k in range(self.N_PARAMETERS):
+            self._check_range(k)
         self._settle()
+        if not self._has_numbers():
+            raise self._no_numbers(self.time)
         self._schedule()
-        self.initialised = True
+        self.state, self.scheduled = STEPPING, True
+        self._report(f"initialised at {self.time} s")
+
+    @call
+    def terminate(self):
+        self._allow("fmi2Terminate", TERMINATE_STATES)
+        self.state = TERMINATED
+        self._report(f"terminated at {self.time} s")
+
+    # Called at each step: guarded as `call` does, without the price of one more call.
+
+    def set_real(self, vrs, values):
+        try:
+            if not self.state & SET_STATES:
+                self._allow("fmi2SetReal", SET_STATES)
+            v, known = self.v, self.real_inputs
+            for vr, value in zip(vrs, values, strict=True):
+                if vr in known and value - value == 0.0:  # finite
+                    v[vr] = value
+                else:
+                    self._set("fmi2SetReal", REAL, vr, value)
+            self.settled = False
+        except BaseException:
+            self._fail()
+            raise
+
+    def get_real(self, vrs):
+        try:
+            if self.state != STEPPING:
+                self._allow("fmi2GetReal", GET_STATES)
+                self._settle()
+            if not self.reals.issuperset(vrs):
+                for vr in vrs:
+                    self._check_type("fmi2GetReal", REAL, vr)
+            v = self.v
+            return [v[vr] for vr in vrs]
+        except BaseException:
+            self._fail()
+            raise
+
+    def do_step(self, current_time, step_size):
+        try:
+            if self.state != STEPPING:
+                self._allow("fmi2DoStep", STEP_STATES)
+            if step_size != self.prepared_for:
+                self._check_step(step_size)
+            if current_time != self.time:
+                self._check_time(current_time, step_size)
+            self._take(current_time, step_size)
+            self.time = current_time + step_size
+            return True
+        except BaseException:
+            self._fail()
+            raise
+
+    @call
+    def set_integer(self, vrs, values):
+        self._set_all("fmi2SetInteger", INTEGER, vrs, values)
+
+    @call
+    def set_boolean(self, vrs, values):
+        self._set_all("fmi2SetBoolean", BOOLEAN, vrs, values)
+
+    @call
+    def set_string(self, vrs, values):
+        self._set_all("fmi2SetString", "String", vrs, values)
+
+    @call
+    def get_integer(self, vrs):
+        return [int(value) for value in self._get_all("fmi2GetInteger", INTEGER, vrs)]
+
+    @call
+    def get_boolean(self, vrs):
+        return [bool(value) for value in self._get_all("fmi2GetBoolean", BOOLEAN, vrs)]
+
+    @call
+    def get_string(self, vrs):
+        return self._get_all("fmi2GetString", "String", vrs)
+
+    @call
+    def _get_fmu_state(self):
+        lines = [None if line is None else dict(vars(line), waits=[*line.waits], values=[*line.values]) for line in self.lines]
+        kept = {name: getattr(self, name) for name in SAVED}
+        return {"tag": self.TAG, **kept, "v": [*self.v], "chosen": [*self.chosen.items()], "lines": lines}
+
+    @call
+    def _set_fmu_state(self, state):
+        if not isinstance(state, dict) or state.get("tag") != self.TAG:
+            raise Refused(f"{self.NAME}: this is no state of this FMU")
+        self.v[:], self.chosen, self.lines = state["v"], dict(state["chosen"]), []
+        if state["scheduled"]:
+            self._schedule()
+        vars(self).update((name, state[name]) for name in SAVED)
+        for line, kept in zip(self.lines, state["lines"], strict=True):
+            if line is not None:
+                vars(line).update(kept, waits=[*kept["waits"]], values=[*kept["values"]])
+
+    @classmethod
+    def _fmu_state_to_bytes(cls, state):
+        text = json.dumps(state)
+        return json.dumps({"sum": zlib.crc32(text.encode()), "state": text}).encode()
+
+    @classmethod
+    def _fmu_state_from_bytes(cls, data):
+        try:
+            packed = json.loads(data.decode())
+            if packed["sum"] != zlib.crc32(packed["state"].encode()):
+                raise ValueError
+            state = json.loads(packed["state"])
+            if state["tag"] != cls.TAG:
+                raise ValueError
+        except (ValueError, KeyError, TypeError, RecursionError):
+            # Which instance was asked isn't told, so all are kept.
+            _kept(*(instance for instance in ALIVE if type(instance) is cls))
+            raise Refused(f"{cls.NAME}: these {len(data)} bytes are no serialised state of this FMU") from None
+        return state
+
+    def _fail(self):
+        self.state = FAILED
+        _kept(self)
+
+    def _allow(self, name, states):
+        if not self.state & states:
+            raise Refused(f"{self.NAME}: {name} is not allowed {IN_WORDS[self.state]}")
+
+    def _report(self, text):
+        self.log(f"{self.NAME}: {text}", Fmi2Status.ok, "logEvents")
+
+    def _set_all(self, name, kind, vrs, values):
+        self._allow(name, SET_STATES)
+        for vr, value in zip(vrs, values, strict=True):
+            self._set(name, kind, vr, value)
+        self.settled = False
+
+    def _get_all(self, name, kind, vrs):
+        self._allow(name, GET_STATES)
+        self._settle()
+        for vr in vrs:
+            self._check_type(name, kind, vr)
+        return [self.v[vr] for vr in vrs]
+
+    def _check_type(self, name, kind, vr):
+        if not 0 <= vr < len(self.v):  # pythonfmu takes references for signed
+            reference = vr % 2**32
+            raise Refused(f"{self.NAME}: value reference {reference} is unknown, allowed is 0 to {len(self.v) - 1}")
+        if self.TYPES[vr] != kind:
+            raise Refused(f"{self.NAME}: {name}: {self.VARIABLES[vr]} is of type {self.TYPES[vr]}")
+
+    def _set(self, name, kind, vr, value):
+        self._check_type(name, kind, vr)
+        variable, k = self.VARIABLES[vr], vr - self.first_parameter
+        is_parameter, is_state = self.first_parameter <= vr < self.first_state, vr >= self.first_state
+        if vr >= self.N_INPUTS and not is_parameter and not is_state:
+            raise Refused(f"{self.NAME}: {variable} is computed, it can't be set")
+        if is_state and self.state == STEPPING:
+            raise Refused(f"{self.NAME}: {variable} can't be set after initialisation, it is computed from then on")
+        if is_parameter and self.state == STEPPING and not self.TUNABLE[k]:
+            raise Refused(f"{self.NAME}: {variable} is fixed, it can't be set after initialisation")
+        value = float(value)
+        if not isfinite(value):
+            raise Refused(f"{self.NAME}: {variable} can't be set to {value}, a finite number is needed")
+        self.v[vr] = value
+        if is_state:
+            self.chosen[vr] = value
+        if is_parameter and self.state == STEPPING:
+            self._check_range(k)
+            self.prepared_for = None
+            self._retune()
+            self._report(f"{variable} set to {value}")
+
+    def _check_range(self, k):
+        (low, high, unit, words), value = self.RANGES[k], self.v[self.first_parameter + k]
+        if not low <= value <= high:
+            name = self.VARIABLES[self.first_parameter + k]
+            raise Refused(f"{self.NAME}: {name} is {value}{unit}, allowed is {words}")
 
     def _settle(self):
-        self.start(self.v, None)
+        """During initialisation what is read must follow what was set; from then on steps alone move outputs and states."""
+        if self.state != INITIALISING or self.settled:
+            return
+        try:
+            self.start(self.v, None)
+            self._show_chosen()
+        except (ArithmeticError, ValueError):
+            raise self._no_numbers(self.time) from None
         self.settled = True
 
-    def _schedule(self):
-        """What a way to step derives from the parameters before its first step."""
+    def _show_chosen(self):
+        """Where states were chosen, the outputs must follow them: they are what an instant of a step from there gives. A
+        sampled law has not run yet: its outputs wait."""
+        v, first = self.v, self.first_state
+        for vr, value in self.chosen.items():
+            v[vr] = value
+        if self.chosen and self.SAMPLE_TIME is None:
+            states = v[first:]
+            self.step(v, self.prepare(v, NOW, ()), None)
+            v[first:] = states
 
-    def _prepare(self, dt):
-        self.prepared_for, self.constants = dt, self.prepare(self.v, dt, ())
+    def _has_numbers(self):
+        outputs, states = self.v[self.N_INPUTS : self.first_parameter], self.v[self.first_state :]
+        return all(map(isfinite, (*outputs, *states)))
+
+    def _no_numbers(self, time):
+        inputs = ", ".join(f"{name} = {value}" for name, value in zip(self.VARIABLES, self.v[: self.N_INPUTS], strict=False))
+        return Refused(f"{self.NAME}: no finite numbers come of {inputs} at {time} s")
 
     def _check_step(self, step_size):
         if not (step_size > 0.0 and isfinite(step_size)):
             raise Refused(f"{self.NAME}: communication step is {step_size} s, a positive number is needed")
+        if step_size > self.longest:
+            raise Refused(f"{self.NAME}: communication step is {step_size} s, allowed is up to {self.longest} s")
 
-    def _set_parameter(self, vr, value):
-        if vr >= len(self.v):
-            raise self._unknown(vr)
-        name = self.VARIABLES[vr]
-        if not self.first_parameter <= vr < self.first_state:
-            raise Refused(f"{self.NAME}: {name} is computed, it can't be set")
-        if self.initialised:
-            raise Refused(f"{self.NAME}: {name} is fixed, it can't be set after initialisation")
-        if not isfinite(value):
-            raise Refused(f"{self.NAME}: {name} can't be set to {value}, a finite number is needed")
-        self.v[vr] = value
+    def _check_time(self, time, step_size):
+        if not abs(time - self.time) <= SLACK * step_size + NOW * abs(time):
+            raise Refused(f"{self.NAME}: the step is to begin at {time} s, the instance is at {self.time} s")
 
-    def _unknown(self, vr):
-        return Refused(f"{self.NAME}: value reference {vr} is unknown, allowed is 0 to {len(self.v) - 1}")
+    def _take(self, time, step_size):
+        try:
+            self._advance(step_size)
+        except DelayFull as full:
+            raise Refused(f"{self.NAME}: {full}") from None
+        except (ArithmeticError, ValueError):
+            raise self._no_numbers(time) from None
+        total = self.total(self.v)
+        if total - total != 0.0 and not self._has_numbers():
+            raise self._no_numbers(time)
 
-    def _get_fmu_state(self):
-        lines = [None if line is None else dict(vars(line), waits=[*line.waits], values=[*line.values]) for line in self.lines]
-        return {"v": [*self.v], "lines": lines, "wait": self.wait, "initialised": self.initialised}
+    def _prepare(self, dt):
+        self.prepared_for, self.constants = dt, self.prepare(self.v, dt, ())
 
-    def _set_fmu_state(self, state):
-        self.v[:] = state["v"]
-        self.wait, self.initialised, self.settled = state["wait"], state["initialised"], False
-        self.prepared_for = None
-        if self.initialised:
-            self._schedule()
-            for line, kept in zip(self.lines, state["lines"], strict=True):
-                if line is not None:
-                    vars(line).update(kept, waits=[*kept["waits"]], values=[*kept["values"]])
+    def _schedule(self):
+        """What a way to step derives from the parameters before its first step."""
+        self.prepared_for, self.wait = None, 0.0
+        self._retune()
+
+    def _retune(self):
+        """What a way to step derives from the parameters, whenever they change."""
 
 
 class Exact:
     """Steps of a model that is exact for held inputs: one step of the chain is one communication step."""
 
-    def do_step(self, current_time, step_size):
-        if step_size != self.prepared_for:
-            self._check_step(step_size)
-            self._prepare(step_size)
-        self.step(self.v, self.constants, None)
-        return True
+    def _retune(self):
+        self.longest = float("inf")
+
+    def _take(self, time, step_size):
+        v = self.v
+        try:
+            if step_size != self.prepared_for:
+                self._prepare(step_size)
+            self.step(v, self.constants, None)
+        except (ArithmeticError, ValueError):
+            raise self._no_numbers(time) from None
+        total = self.total(v)
+        if total - total != 0.0 and not self._has_numbers():
+            raise self._no_numbers(time)
 
 
 class Scheduled:
     """Steps of a model with delays, or with a largest step."""
 
     def _schedule(self):
+        super()._schedule()
         self.lines = [None] * self.N_INPUTS
         for i, _ in self.DELAYS:
             self.lines[i] = DelayLine(self.v[i])
         self.delays = [None] * self.N_INPUTS
         for i, delay in self.DELAYS:
             self.delays[i] = self.v[delay]
-        self.largest = self.largest_step(self.v)
 
-    def do_step(self, current_time, step_size):
-        self._check_step(step_size)
+    def _retune(self):
+        self.largest = self.largest_step(self.v)
+        self.longest = PIECES * self.largest
+
+    def _advance(self, step_size):
         n = self.N_INPUTS
         held = self.v[:n]
-        run_held(self.lines, self.delays, held, step_size, self.largest, self._piece)
-        self.v[:n] = held
-        return True
+        try:
+            run_held(self.lines, self.delays, held, step_size, self.largest, self._piece)
+        finally:
+            self.v[:n] = held
 
     def _piece(self, acting, dt):
         if dt != self.prepared_for:
@@ -157,13 +421,12 @@ class Scheduled:
 class Sampled:
     """Steps of a sampled law: it runs when a sample is due, whatever the communication step."""
 
-    def _schedule(self):
+    def _retune(self):
         self._prepare(self.v[self.SAMPLE_TIME])
+        self.longest = PIECES * self.prepared_for
 
-    def do_step(self, current_time, step_size):
-        self._check_step(step_size)
+    def _advance(self, step_size):
         self.wait = run_sampled(self.wait, self.prepared_for, step_size, self._sample)
-        return True
 
     def _sample(self, period):
         self.step(self.v, self.constants, None)

@@ -117,6 +117,7 @@ class Slave:
     def __init__(self, fmu: Fmu, initialised: bool = True):
         self.messages: list[str] = []
         self.references = {name: v.valueReference for name, v in fmu.variables.items()}
+        self.types = {name: v.type for name, v in fmu.variables.items()}
         identifier = fmu.description.coSimulation.modelIdentifier
         self.fmi = FMU2Slave(
             guid=fmu.description.guid, unzipDirectory=fmu.folder, modelIdentifier=identifier, instanceName=identifier
@@ -126,13 +127,14 @@ class Slave:
         self._callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
         self._callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
         self.fmi.instantiate(callbacks=self._callbacks, loggingOn=True)
-        self.freed = False
+        self.freed, self.time = False, 0.0
         atexit.register(self._at_end)  # an instance that outlives the interpreter's end takes the process down
         if initialised:
             self.initialise()
 
     def initialise(self, **values: float) -> "Slave":
         """Through the initialisation with these variables set in it."""
+        self.time = 0.0
         self.fmi.setupExperiment(startTime=0.0)
         self.fmi.enterInitializationMode()
         self.set(**values)
@@ -141,17 +143,37 @@ class Slave:
 
     def set(self, **values: float) -> None:
         """Set variables."""
-        self.fmi.setReal([self.references[name] for name in values], list(values.values()))
+        for kind, convert in (("Real", float), ("Boolean", bool), ("Integer", int)):
+            chosen = [name for name in values if self.types[name] == kind]
+            if chosen:
+                setter = getattr(self.fmi, f"set{kind}")
+                setter([self.references[name] for name in chosen], [convert(values[name]) for name in chosen])
 
     def get(self, *names: str) -> list[float]:
         """Values of variables."""
-        return self.fmi.getReal([self.references[name] for name in names])
+        found = {}
+        for kind in ("Real", "Boolean", "Integer"):
+            chosen = [name for name in names if self.types[name] == kind]
+            if chosen:
+                getter = getattr(self.fmi, f"get{kind}")
+                found |= zip(chosen, map(float, getter([self.references[name] for name in chosen])), strict=True)
+        return [found[name] for name in names]
 
-    def step(self, inputs: Mapping[str, float], dt: float, *names: str, time: float = 0.0) -> list[float]:
-        """Hold inputs for a step; values of variables at its end."""
+    def step(self, inputs: Mapping[str, float], dt: float, *names: str) -> list[float]:
+        """Hold inputs for a step from where the last one ended; values of variables at its end."""
         self.set(**inputs)
-        self.fmi.doStep(time, dt)
+        self.fmi.doStep(self.time, dt)
+        self.time += dt
         return self.get(*names)
+
+    def kept(self):
+        """The instance's state, and the time that goes with it."""
+        return self.fmi.getFMUstate(), self.time
+
+    def restore(self, kept) -> None:
+        """Back to what was kept."""
+        state, self.time = kept
+        self.fmi.setFMUstate(state)
 
     def free(self) -> None:
         """Let the instance go."""

@@ -80,6 +80,7 @@ def test_c_is_python_to_the_bit(effect):
 def test_the_probe_shows(effect):
     model = plant([effect.name])
     inputs, steps = random_steps(5000, 250, model=model), np.full(4999, STEP)
+    inputs["omega_ref"][2000:3000] = 0.0  # a rest, which the start from it needs
     on = simulator(model).simulate(named(effect, effect.probe), inputs, steps)
     moved = np.abs(on - simulator(BASE).simulate({}, inputs, steps)).max(axis=0)
     assert (moved > [0.03, 3.0, 0.03]).any(), f"thrust, omega, beta differ by no more than {moved} N, rpm, deg"

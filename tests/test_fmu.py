@@ -51,8 +51,11 @@ def test_every_variable_says_what_it_is(fmu_files, name, causality):
     variables = [v for v in root.iter("ScalarVariable") if v.get("causality") == causality]
     assert variables
     for v in variables:
-        real = v.find("Real")
         assert v.get("description"), v.get("name")
+        real = v.find("Real")
+        if real is None:
+            assert (v.get("name"), v[0].tag, v[0].get("start")) == ("speed_only", "Boolean", "false")
+            continue
         assert real.get("unit") in units, v.get("name")
         missing = {"min", "max", "nominal"} - set(real.attrib)
         assert not missing, f"{v.get('name')} has no {missing}"
@@ -69,6 +72,10 @@ def test_units_are_si_factors(fmu_files, name):
     assert factors.get("rpm.s/deg", 6.0) == pytest.approx(6.0, rel=1e-15)
 
 
+def started(variable):
+    return float(variable.start == "true") if variable.type == "Boolean" else float(variable.start)
+
+
 @each_fmu
 def test_the_contracts_variables_are_there(fmu_files, fmus, name):
     plant = ["tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c11", "c21", "c12", "c30"]
@@ -80,7 +87,7 @@ def test_the_contracts_variables_are_there(fmu_files, fmus, name):
         by["parameter"] += list(PROBES)
     for causality, names in by.items():
         assert len(fmus[name].references(names, causality)) == len(names)
-    shown = {v.name: float(v.start) for v in fmus[name].variables.values() if v.causality == "parameter"}
+    shown = {v.name: started(v) for v in fmus[name].variables.values() if v.causality == "parameter"}
     assert shown == MODELS[name].values(PROBES if name == "all_on" else {})
 
 
@@ -91,14 +98,17 @@ def test_initial_unknowns_name_all_that_the_outputs_start_from(fmus, name):
     outputs = [v.name for v in description.modelVariables if v.causality == "output"]
     assert set(listed) == set(outputs)
     inputs = {v.name: 0.97 * float(v.nominal) for v in description.modelVariables if v.causality == "input"}
-    values = {v.name: float(v.start) for v in description.modelVariables if v.causality == "parameter"}
-    ranges = {v.name: (float(v.min), float(v.max)) for v in description.modelVariables if v.min is not None}
+    values = {v.name: started(v) for v in description.modelVariables if v.causality == "parameter"}
+    ranges = {v.name: (float(v.min or 0), float(v.max or 1)) for v in description.modelVariables}
     rest = Slave(fmus[name], initialised=False).initialise(**inputs).get(*outputs)
     for changed, value in {**inputs, **values}.items():
-        moved = np.clip(value * 0.999 + 1e-6, *ranges[changed])
+        moved = 1.0 if changed == "speed_only" else np.clip(value * 0.999 + 1e-6, *ranges[changed])
         there = Slave(fmus[name], initialised=False).initialise(**{**inputs, changed: moved}).get(*outputs)
         for output, before, after in zip(outputs, rest, there, strict=True):
             assert before == after or changed in listed[output]
+    if name == "controller":  # it has not sampled yet
+        assert listed == {"omega_ref": set(), "beta_ref": set()}
+        assert rest == [0.0, 0.0]
 
 
 def test_outputs_can_be_read_during_the_initialisation(fmus):
@@ -286,18 +296,18 @@ def test_a_kept_state_goes_on_to_the_bit(fmus, name):
 
     go_on(slave, script(20))
     for _ in range(8):
-        kept = slave.fmi.getFMUstate()
+        kept = slave.kept()
         before, ahead = all_values(slave), script(40)
         exact = go_on(slave, ahead)
-        slave.fmi.setFMUstate(kept)
+        slave.restore(kept)
         assert all_values(slave) == before
         assert go_on(slave, ahead) == exact
-        data = slave.fmi.serializeFMUstate(kept)
+        data = slave.fmi.serializeFMUstate(kept[0])
         fresh = Slave(fmu, initialised=False).initialise(**{tuned: 1.0})
         go_on(fresh, ahead[:1])  # it has been somewhere else, with another parameter and the same step
-        fresh.fmi.setFMUstate(fresh.fmi.deSerializeFMUstate(data))
+        fresh.restore((fresh.fmi.deSerializeFMUstate(data), kept[1]))
         assert go_on(fresh, ahead) == exact
-        slave.fmi.freeFMUstate(kept)
+        slave.fmi.freeFMUstate(kept[0])
         fresh.free()
 
 
@@ -332,11 +342,51 @@ def test_reset_gives_a_fresh_instance(fmus, name):
         assert all_values(slave) == all_values(fresh)
 
 
+CHOSEN = {"plain": "state.omega_inner", "all_on": "state.omega_inner", "controller": "state.beta_integral"}
+
+
+@each_fmu
+def test_a_state_begins_where_it_is_set(fmus, name):
+    """As the functions do that are told so; what is not set still settles on the inputs."""
+    model, state = MODELS[name], CHOSEN[name].removeprefix("state.")
+    simulation = Simulation(model, PROBES if name == "all_on" else {})
+    inputs = {u.name: 0.4 * u.nominal for u in model.inputs}
+    outputs = [s.name for s in model.outputs]
+    slave = Slave(fmus[name], initialised=False)
+    slave.set(**{CHOSEN[name]: 0.123})  # before the initialization mode, as the standard has it
+    slave.fmi.setupExperiment(startTime=0.0)
+    slave.fmi.enterInitializationMode()
+    slave.set(**inputs)
+    exact = simulation.start(inputs, {state: 0.123})
+    assert slave.get(*outputs, CHOSEN[name]) == [*exact.values(), 0.123]
+    assert exact != simulation.start(inputs) or name == "controller"
+    simulation.start(inputs, {state: 0.123})
+    slave.fmi.exitInitializationMode()
+    for _ in range(20):
+        assert slave.step(inputs, 0.004, *outputs) == list(simulation.advance(inputs, 0.004).values())
+    slave.fmi.reset()
+    slave.initialise(**inputs)
+    assert slave.get(*outputs) == list(simulation.start(inputs).values())
+
+
+def test_gains_are_tuned_while_the_controller_runs(fmus):
+    """From the next sample on, as for a controller that goes on from there with the new gains."""
+    slave, kernel = Slave(fmus["controller"]), Simulation(CONTROLLER)
+    inputs, names = {"thrust_set": 8.0, "thrust": 7.9}, ["omega_ref", "beta_ref"]
+    kernel.start(inputs)
+    for changes in ({}, {"kp_omega": 2.0, "ki_beta": 10.0}, {"speed_only": 1.0, "beta_fixed": 3.0}, {"omega_max": 2500.0}):
+        slave.set(**changes)
+        kernel.parameters.update(changes)
+        for _ in range(7):
+            assert slave.step(inputs, 0.004, *names) == list(kernel.advance(inputs, 0.004).values())
+    assert slave.get("speed_only", "kp_omega") == [1.0, 2.0]
+
+
 REFUSED = {
     "NaN input": (lambda s: s.set(omega_ref=float("nan")), ["omega_ref", "nan", "finite"]),
     "infinite input": (lambda s: s.set(beta_ref=float("-inf")), ["beta_ref", "-inf", "finite"]),
     "output": (lambda s: s.set(thrust=1.0), ["thrust", "can't be set"]),
-    "state": (lambda s: s.set(**{"state.omega_inner": 1.0}), ["state.omega_inner", "can't be set"]),
+    "state": (lambda s: s.set(**{"state.omega_inner": 1.0}), ["state.omega_inner", "can't be set after initialisation"]),
     "parameter after initialisation": (lambda s: s.set(tau_omega_1=0.2), ["tau_omega_1", "fixed", "initialisation"]),
     "no step": (lambda s: s.fmi.doStep(0.0, 0.0), ["step", "0.0 s", "positive"]),
     "negative step": (lambda s: s.fmi.doStep(0.0, -0.004), ["step", "-0.004 s", "positive"]),

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from builders import FAST_PITCH
 
-from vpp_fmu.kernel.controller import SPEED_ONLY
+from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.export import native_fmu
+from vpp_fmu.fmu import FmuInstance
+from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.loop import run
 from vpp_fmu.plants import FmuController, FmuPlant, KernelController, KernelPlant, Sample
 from vpp_fmu.record import Record
@@ -155,3 +159,67 @@ def test_commands_act_until_the_next_point_and_the_controller_sees_what_stands()
     assert record["beta"].tolist() == [2.0, 7.0, 3.0, 3.0]
     assert shares
     assert all(0.0 <= share <= 1.0 for share in shares)
+
+
+@pytest.fixture(scope="module")
+def native_files(tmp_path_factory):
+    """Native FMUs of the pair."""
+    folder = tmp_path_factory.mktemp("native")
+    try:
+        files = {"plant": native_fmu(BASE, FAST_PITCH), "controller": native_fmu(CONTROLLER)}
+    except CompilerMissing as missing:
+        pytest.skip(f"native FMUs: {missing}")
+    for name, content in files.items():
+        (folder / f"{name}.fmu").write_bytes(content)
+    return [folder / f"{name}.fmu" for name in files]
+
+
+def run_both_ways(native_files, monkeypatch, references, dt=0.004):
+    """The loop of native FMUs through the compiled master, and call by call from Python: (one, other)."""
+    found = []
+    for compiled in (True, False):
+        if not compiled:
+            monkeypatch.setattr(FmuInstance, "entry", lambda self: None)
+        plant, controller = (kind(path, dt=dt) for kind, path in zip((FmuPlant, FmuController), native_files, strict=True))
+        told = []
+        try:
+            found.append((run(plant, controller, references, progress=told.append), told))
+        except SimulationFailed as failure:
+            found.append((str(failure), told))
+        plant.close()
+        controller.close()
+    return found
+
+
+def test_the_compiled_master_gives_the_same_bits(native_files, monkeypatch):
+    (compiled, told), (interpreted, told_too) = run_both_ways(native_files, monkeypatch, UP_AND_DOWN)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(compiled[name], interpreted[name], err_msg=name)
+    assert len(told) == len(told_too) == 4
+    plant, controller = kernel_pair({})
+    np.testing.assert_array_equal(compiled["thrust"], run(plant, controller, UP_AND_DOWN)["thrust"])
+
+
+def test_a_failure_is_told_alike(native_files, monkeypatch):
+    """An impossible wish in the midst of a run: which FMU, when, and why."""
+    references = profile((0.0, 1.5), (5.0, np.nan), (9.0, 1.5))
+    (compiled, _), (interpreted, _) = run_both_ways(native_files, monkeypatch, references)
+    assert compiled == interpreted
+    assert "controller.fmu: the step at 5 s with inputs [nan, " in compiled
+    assert "thrust_set can't be set to nan" in compiled
+
+
+def test_without_a_compiler_the_loop_goes_call_by_call(native_files, monkeypatch):
+    def missing(*_):
+        raise CompilerMissing("none here")
+
+    monkeypatch.setattr("vpp_fmu.loop.run_together", missing)
+    (record, _), (other, _) = run_both_ways(native_files, monkeypatch, profile((0.0, 4.0), (1.0, 4.0)))
+    np.testing.assert_array_equal(record["thrust"], other["thrust"])
+
+
+def test_python_fmus_are_not_stepped_by_the_compiled_master(fmu_files):
+    plant = FmuPlant(fmu_files["plain"])
+    plant.start(0.0, 0.0)
+    assert plant.instance.entry() is None
+    plant.close()

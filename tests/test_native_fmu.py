@@ -3,6 +3,7 @@
 import ctypes
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -82,6 +83,8 @@ test_10_000_steps = test_fmu.test_60_000_steps_with_every_effect_are_the_kernels
 test_a_kept_state = test_fmu.test_a_kept_state_goes_on_to_the_bit
 test_a_state_kept_during_the_initialisation = test_fmu.test_a_state_kept_during_the_initialisation_starts_again_from_there
 test_reset_gives_a_fresh_instance = test_fmu.test_reset_gives_a_fresh_instance
+test_a_state_begins_where_it_is_set = test_fmu.test_a_state_begins_where_it_is_set
+test_gains_are_tuned_while_the_controller_runs = test_fmu.test_gains_are_tuned_while_the_controller_runs
 test_what_is_refused_is_said = test_fmu.test_what_is_refused_is_said
 test_a_parameter_out_of_range = test_fmu.test_a_parameter_out_of_range_is_refused_by_name
 
@@ -300,15 +303,17 @@ def test_other_types_than_real_and_derivatives_in_time_are_refused(fmus):
         raw = Raw(fmus["plain"])
         raw("fmi2EnterInitializationMode")
         assert raw(f"fmi2{name}", (ctypes.c_uint * 1)(2), ctypes.c_size_t(1), (ctypes.c_double * 1)()) == 3
-        assert "value reference 2 is not of this type" in raw.said[-1][2]
+        assert raw.said[-1][2] == f"VppPlant: fmi2{name}: thrust is of type Real"
     raw = Raw(fmus["plain"])
     assert raw("fmi2SetRealInputDerivatives", None, ctypes.c_size_t(1), None, None) == 3
     raw = Raw(fmus["plain"])
     for way in STATES["stepping"]:
         CALLS[way](raw)
-    assert raw("fmi2GetRealStatus", 2, (ctypes.c_double * 1)()) == 2
+    assert raw("fmi2GetRealStatus", 0, (ctypes.c_double * 1)()) == 2
     assert raw.said[-1][:2] == (2, "logStatusDiscard")
     assert raw.step() == 0
+    assert raw("fmi2GetRealStatus", 2, reached := (ctypes.c_double * 1)()) == 0
+    assert reached[0] == 0.004
 
 
 def test_logging_is_switched_by_category(fmus):
@@ -319,8 +324,15 @@ def test_logging_is_switched_by_category(fmus):
         assert raw("fmi2SetDebugLogging", on, ctypes.c_size_t(1), error) == 0
         raw.step()
         assert len(raw.said) == on
-    assert raw("fmi2SetDebugLogging", 1, ctypes.c_size_t(1), (ctypes.c_char_p * 1)(b"logAll")) == 3
-    assert raw.said[-1][2] == "VppPlant: log category logAll is unknown"
+        raw("fmi2Reset")
+    assert raw("fmi2SetDebugLogging", 1, ctypes.c_size_t(1), (ctypes.c_char_p * 1)(b"logAll")) == 0
+    for way in (*STATES["stepping"], "fmi2DoStep", "fmi2Terminate"):
+        assert CALLS[way](raw) == 0
+    events = [(0, "logEvents", f"VppPlant: {what} s") for what in ("initialised at 0.0", "terminated at 0.004")]
+    assert raw.said[-2:] == events
+    assert raw("fmi2SetDebugLogging", 1, ctypes.c_size_t(1), (ctypes.c_char_p * 1)(b"logNothing")) == 0
+    assert raw.said[-1] == (1, "logStatusWarning", "VppPlant: log category logNothing is unknown")
+    assert CALLS["fmi2GetReal"](raw) == 0
 
 
 def test_messages_write_numbers_as_python_does(fmus):
@@ -568,9 +580,25 @@ def test_64_bit_arm_gives_the_same_bits():
     np.testing.assert_array_equal(shown, reference(ALL_ON, PROBES, inputs, steps)[1:])
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the GNU C library is Linux's")
+def test_the_command_says_what_the_fmus_were_linked_to(tmp_path, capsys):
+    """What `objdump` finds is the yardstick, where it is installed."""
+    assert main(["export", "--flavour", "native", "-o", str(tmp_path)]) == 0
+    said = next(line for line in capsys.readouterr().out.splitlines() if "GNU C library" in line)
+    with zipfile.ZipFile(tmp_path / "VppPlant.native.fmu") as packed:
+        library = next(name for name in packed.namelist() if name.endswith(".so"))
+        packed.extract(library, tmp_path)
+    if tool := shutil.which("objdump"):
+        shown = subprocess.run([tool, "-T", tmp_path / library], check=True, capture_output=True, text=True).stdout
+        newest = max(re.findall(r"GLIBC_(\d+)\.(\d+)", shown), key=lambda v: (int(v[0]), int(v[1])))
+        assert f"GNU C library {'.'.join(newest)} and newer" in said
+    if find_spec("ziglang"):
+        assert "GNU C library 2.14 and newer" in said or "GNU C library 2.2.5 and newer" in said
+
+
 def test_an_fmu_made_on_64_bit_arm_is_found_under_both_names(monkeypatch):
     monkeypatch.setattr(toolchain.platform, "machine", lambda: "aarch64")
-    monkeypatch.setattr(toolchain, "_with_own_compiler", lambda text: b"library")
+    monkeypatch.setattr(toolchain, "_for_this_machine", lambda name, text: b"library")
     assert set(toolchain.binaries("M", "", "host")) == {"binaries/aarch64-linux/M.so", "binaries/linux64/M.so"}
 
 
@@ -626,10 +654,12 @@ def test_a_model_of_ones_own_becomes_an_fmu(tmp_path, monkeypatch, capsys):
         shown = [slave.step({"input": 5.0}, 0.004, "output")[0] for _ in time[1:]]
         np.testing.assert_allclose(shown, 5.0 * (1.0 - np.exp(-time[1:] / 0.1)), rtol=1e-12)
     capsys.readouterr()
-    (tmp_path / "odd_unit.py").write_text(OWN_MODEL.replace('"V"', '"furlong"'))
+    (tmp_path / "odd_unit.py").write_text(OWN_MODEL.replace('"V"', '"bit"'))
     for wrong in ("odd_unit:MODEL", "rc_filter:TAU", "rc_filter:NONE", "no_such_module:MODEL", "rc_filter", ":"):
         assert main(["export", "--model", wrong, "-o", "out"]) == 2
-        assert "--model: found" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert wrong in said
+        assert len(said.splitlines()) == 1
 
 
 def test_simulation_failures_name_the_fmu(fmus):

@@ -11,8 +11,9 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
 from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.kernel.types import BOOLEAN, REAL
 from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
-from vpp_fmu.units import base_unit
+from vpp_fmu.units import UnknownUnit, base_unit
 
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
@@ -174,7 +175,8 @@ def random_set(model):
     rng = np.random.default_rng(3)
     scales = replace(PAPER, omega_scale=2513.0, beta_offset=-6.2, thrust_scale=171.3)
     model = model.sized(scales)
-    values = {p.name: rng.uniform(p.minimum, p.maximum) for p in model.parameters[::2]}
+    values = {p.name: rng.uniform(p.minimum, p.maximum) for p in model.parameters[::2] if p.kind == REAL}
+    values |= {p.name: 1.0 for p in model.parameters if p.kind == BOOLEAN}
     values |= {name: value for name, value in asdict(scales).items() if name != "time_scale"}
     return ParameterSet(model, source={"by": "µ", "files": ["a"]}).replaced(
         values, {n: rng.random() for n in list(values)[::2]}
@@ -226,11 +228,11 @@ def test_ssv_holds_every_parameter(model):
     found = {}
     for element in root.find(f"{SSV}Parameters"):
         assert element.tag == f"{SSV}Parameter"
-        (real,) = element
-        assert real.tag == f"{SSV}Real"
-        found[element.get("name")] = (float(real.get("value")), real.get("unit"))
-        assert real.get("unit") in units
-    assert found == {p.name: (parameters.values[p.name], p.unit) for p in parameters.model.parameters}
+        (typed,) = element
+        found[element.get("name")] = (typed.tag.removeprefix(SSV), float(json.loads(typed.get("value"))), typed.get("unit"))
+        assert typed.get("unit") in {None, *units}
+    expected = {p.name: (p.kind, parameters.values[p.name], p.unit if p.kind == REAL else None) for p in model.parameters}
+    assert found == expected
     assert all(unit.tag == f"{SSC}Unit" and unit[0].tag == f"{SSC}BaseUnit" for unit in units.values())
 
 
@@ -257,6 +259,9 @@ def test_ssv_obeys_the_standard_s_schema(model):
         ("deg/s/s", {"rad": "1", "s": "-2", "factor": np.pi / 180.0}),
         ("rpm", {"rad": "1", "s": "-1", "factor": np.pi / 30.0}),
         ("rpm.s/deg", {"factor": 6.0}),
+        ("m/s2", {"m": "1", "s": "-2"}),
+        ("furlong", {"m": "1", "factor": 201.16840233680466}),
+        ("degC", {"K": "1", "offset": "273.15"}),
     ],
 )
 def test_base_units(unit, expected):
@@ -265,6 +270,21 @@ def test_base_units(unit, expected):
     assert found == expected
 
 
+@pytest.mark.parametrize("value", [0.37, -1, 2])
+def test_a_switch_is_on_or_off(tmp_path, value):
+    path = tmp_path / "gains.json"
+    content = {"format": "vpp-parameters/1", "parameters": {"speed_only": {"value": value, "unit": "1"}}}
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInput, match=f"speed_only, value: found {value}, allowed is 0 or 1"):
+        read_parameters(path, controller)
+
+
 def test_an_unknown_unit_is_no_unit():
-    with pytest.raises(KeyError, match="furlong"):
-        base_unit("furlong/s")
+    for unit, why in (
+        ("bit/s", "FMI's base units are kg, m, s"),
+        ("foo", "no unit"),
+        ("N m", "written as"),
+        ("dB", "proportional"),
+    ):
+        with pytest.raises(UnknownUnit, match=why):
+            base_unit(unit)

@@ -1,23 +1,36 @@
 """The closed loop as SSP: valid, within what importers share, with the values it was given; and run by those at hand."""
 
 import io
+import json
+import subprocess
+import sys
 import zipfile
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from builders import Slave
 from fmpy.ssp.ssd import read_ssd
 from fmpy.validation import validate_fmu
+from initial_graph import initial_graph
 
 from vpp_fmu.cli import main
 from vpp_fmu.cli.export import exported
 from vpp_fmu.export import python_fmu
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.ssp import SSC, SSD, SSV, loop_ssp
 
+INNER = {
+    ("VppPlant", "thrust", "VppController", "thrust"),
+    ("VppController", "omega_ref", "VppPlant", "omega_ref"),
+    ("VppController", "beta_ref", "VppPlant", "beta_ref"),
+}
 CHANGED = {"tau_beta_2": 0.05, "c21": 0.7}
 
 
@@ -36,7 +49,7 @@ def loop(parts):
 
 
 def test_it_holds_structure_fmus_and_values(loop, parts, tmp_path):
-    resources = {f"resources/{name}.{kind}" for name in parts for kind in ("fmu", "ssv")}
+    resources = {f"resources/{name}.{kind}" for name in parts for kind in ("fmu", "ssv")} | {"resources/VppLoop.ssv"}
     assert set(loop) == {"SystemStructure.ssd", *resources}
     for name, (_, fmu) in parts.items():
         assert loop[f"resources/{name}.fmu"] == fmu
@@ -50,13 +63,82 @@ def test_fmpy_finds_it_valid_and_whole(parts, tmp_path):
     path.write_bytes(loop_ssp(parts, {}, 10.0))
     system = read_ssd(str(path)).system  # against the standard's schema
     assert [c.name for c in system.elements] == list(parts)
-    assert not system.connectors
-    ends = {(c.startElement, c.startConnector, c.endElement, c.endConnector) for c in system.connections}
-    assert ends == {
-        ("VppPlant", "thrust", "VppController", "thrust"),
-        ("VppController", "omega_ref", "VppPlant", "omega_ref"),
-        ("VppController", "beta_ref", "VppPlant", "beta_ref"),
+    outside = {("thrust_set", "input"), ("thrust", "output"), ("omega", "output"), ("beta", "output")}
+    assert {(c.name, c.kind) for c in system.connectors} == outside
+    assert connected(system) == INNER | {
+        (None, "thrust_set", "VppController", "thrust_set"),
+        *(("VppPlant", name, None, name) for name in ("thrust", "omega", "beta")),
     }
+
+
+def connected(system):
+    return {(c.startElement, c.startConnector, c.endElement, c.endConnector) for c in system.connections}
+
+
+def test_the_flat_one_is_the_same_without_connectors_of_its_own(parts, tmp_path):
+    path = tmp_path / "loop.flat.ssp"
+    path.write_bytes(loop_ssp(parts, {}, 10.0, connectors=False))
+    system = read_ssd(str(path)).system
+    assert not system.connectors
+    assert connected(system) == INNER
+
+
+def test_all_that_is_drawn_has_its_place(loop):
+    """Within the system, connectors on the edges of their components, lines from one to the other."""
+    root = ElementTree.fromstring(loop["SystemStructure.ssd"])
+    x1, y1, x2, y2 = (float(root.find(f".//{{{SSD}}}SystemGeometry").get(k)) for k in ("x1", "y1", "x2", "y2"))
+    boxes = {}
+    for component in root.iter(f"{{{SSD}}}Component"):
+        corners = component.find(f"{{{SSD}}}ElementGeometry")
+        boxes[component.get("name")] = left, low, right, high = [float(corners.get(k)) for k in ("x1", "y1", "x2", "y2")]
+        assert x1 < left < right < x2
+        assert y1 < low < high < y2
+    assert boxes["VppController"][2] < boxes["VppPlant"][0]
+    for connector in root.iter(f"{{{SSD}}}Connector"):
+        place = connector.find(f"{{{SSD}}}ConnectorGeometry")
+        assert float(place.get("x")) == (connector.get("kind") == "output")
+        assert 0.0 < float(place.get("y")) < 1.0
+    lines = [c.find(f"{{{SSD}}}ConnectionGeometry") for c in root.iter(f"{{{SSD}}}Connection") if c.get("startElement")]
+    for line in filter(lambda found: found is not None, lines):
+        assert all(x1 < float(x) < x2 for x in line.get("pointsX").split())
+        assert all(y1 < float(y) < y2 for y in line.get("pointsY").split())
+
+
+def test_the_systems_input_has_its_start_value(loop):
+    root = ElementTree.fromstring(loop["resources/VppLoop.ssv"])
+    assert {p.get("name"): p[0].get("value") for p in root.iter(f"{{{SSV}}}Parameter")} == {"thrust_set": "8.0"}
+
+
+def test_no_algebraic_loop_at_the_start(loop):
+    order = list(TopologicalSorter(initial_graph(loop)).static_order())  # CycleError where there is one
+    assert order.index(("VppController", "omega_ref")) < order.index(("VppPlant", "thrust"))
+    assert order.index(("VppPlant", "thrust")) < order.index((None, "thrust"))
+    with pytest.raises(CycleError):  # as it would be, did the controller's outputs start from its inputs
+        TopologicalSorter(initial_graph(loop) | {("VppController", "omega_ref"): {("VppController", "thrust")}}).prepare()
+
+
+def test_a_host_that_goes_by_that_order_starts_where_the_loop_does(parts, loop, tmp_path):
+    """Values are handed on in the graph's order, once, as a host without an algebraic loop to solve does."""
+    slaves = {}
+    for name, (_, fmu) in parts.items():
+        (tmp_path / f"{name}.fmu").write_bytes(fmu)
+        slaves[name] = Slave(Fmu(tmp_path / f"{name}.fmu"), initialised=False)
+        slaves[name].fmi.setupExperiment(startTime=0.0)
+        slaves[name].fmi.enterInitializationMode()
+    known = {(None, "thrust_set"): 8.0}
+    graph = initial_graph(loop)
+    for node in TopologicalSorter(graph).static_order():
+        component, variable = node
+        sources = [known[n] for n in graph.get(node, ()) if n[0] != component]
+        if component is None and sources:
+            known[node] = sources[0]
+        elif component is not None and sources:
+            known[node] = sources[0]
+            slaves[component].set(**{variable: sources[0]})
+        elif component is not None:
+            [known[node]] = slaves[component].get(variable)
+    rest = Simulation(BASE, CHANGED).start({"omega_ref": 0.0, "beta_ref": 0.0})
+    assert {name: known[None, name] for name in rest} == rest
 
 
 def test_connectors_have_kinds_and_units(loop):
@@ -76,7 +158,7 @@ def test_values_are_bound_to_their_components_in_sets_of_one_name(loop, parts):
     for name, (parameters, _) in parts.items():
         root = ElementTree.fromstring(loop[f"resources/{name}.ssv"])
         names.add(root.get("name"))
-        shown = {p.get("name"): float(p[0].get("value")) for p in root.iter(f"{{{SSV}}}Parameter")}
+        shown = {p.get("name"): json.loads(p[0].get("value")) for p in root.iter(f"{{{SSV}}}Parameter")}
         assert shown == parameters.values | ({"thrust_set": 8.0} if name == "VppController" else {})
     assert names == {"VppLoop"}
 
@@ -93,18 +175,34 @@ def test_the_command_writes_it_beside_the_fmus(tmp_path, capsys):
     each = {
         f"{name}{end}" for name in ("VppPlant", "VppController") for end in (".fmu", ".ssv", "_in.csv", "_ref.csv", "_ref.opt")
     }
-    assert written == each | {"VppLoop.ssp"}
+    assert written == each | {"VppLoop.ssp", "VppLoop.flat.ssp"}
     assert "written to" in capsys.readouterr().out
 
 
+def test_the_cross_check_has_its_folders_and_its_numbers(tmp_path):
+    """As the FMI project's rules name them; fmpy, run as the page there says, meets the references."""
+    assert main(["export", "--cross-check", "-o", str(tmp_path / "out")]) == 0
+    with zipfile.ZipFile(tmp_path / "out" / "cross_check.zip") as packed:
+        packed.extractall(tmp_path)
+    [folder] = (tmp_path / "fmus" / "2.0" / "cs").glob("*/vpp-fmu-python/*/VppPlant")
+    ends = {f"VppPlant{end}" for end in (".fmu", "_in.csv", "_ref.csv", "_ref.opt")}
+    assert {path.name for path in folder.iterdir()} == ends | {"README.md"}
+    page = (folder / "README.md").read_text()
+    assert "fmuCheck" in page
+    [command] = [line.split() for line in page.splitlines() if line.startswith("    fmpy")]
+    subprocess.run([Path(sys.executable).parent / command[0], *command[1:]], cwd=folder, check=True, capture_output=True)
+    shown, exact = (np.genfromtxt(folder / f"VppPlant_{which}.csv", delimiter=",", names=True) for which in ("out", "ref"))
+    np.testing.assert_allclose(shown["thrust"], exact["thrust"], rtol=1e-9, atol=1e-9)
+
+
 def test_libcosim_runs_it_with_its_values(parts, tmp_path):
-    """Its own loop: values are exchanged once while it starts, then both parts step side by side."""
+    """Its own loop: both parts step side by side."""
     pytest.importorskip("libcosimpy", reason="libcosimpy is not installed")
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
 
     path = tmp_path / "loop.ssp"
-    path.write_bytes(loop_ssp(parts, {"thrust_set": 8.0}, 10.0))
+    path.write_bytes(loop_ssp(parts, {"thrust_set": 8.0}, 10.0, connectors=False))
     execution = CosimExecution.from_ssp_file(str(path), 4_000_000)
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
@@ -112,8 +210,6 @@ def test_libcosim_runs_it_with_its_values(parts, tmp_path):
     shown = observer.last_real_values(execution.slave_index_from_instance_name("VppPlant"), [2, 3, 4])
     plant, controller = Simulation(BASE, CHANGED), Simulation(CONTROLLER)
     thrust = plant.start({"omega_ref": 0.0, "beta_ref": 0.0})["thrust"]
-    commands = controller.start({"thrust_set": 8.0, "thrust": thrust})
-    thrust = plant.start(commands)["thrust"]
     commands = controller.start({"thrust_set": 8.0, "thrust": thrust})
     for _ in range(500):
         following = controller.advance({"thrust_set": 8.0, "thrust": thrust}, 0.004)
@@ -127,7 +223,7 @@ def test_export_names_both_flavours_and_makes_all_before_it_writes(monkeypatch, 
     monkeypatch.setattr("vpp_fmu.cli.export.native_fmu", lambda *_, **__: b"compiled")
     files = exported(parts, ["python", "native"])
     assert {name for name in files if name.endswith((".fmu", ".ssp"))} == {
-        *("VppPlant.fmu", "VppController.fmu", "VppLoop.ssp"),
-        *("VppPlant.native.fmu", "VppController.native.fmu", "VppLoop.native.ssp"),
+        *("VppPlant.fmu", "VppController.fmu", "VppLoop.ssp", "VppLoop.flat.ssp"),
+        *("VppPlant.native.fmu", "VppController.native.fmu", "VppLoop.native.ssp", "VppLoop.native.flat.ssp"),
     }
     assert files["VppPlant.native.fmu"] == b"compiled"

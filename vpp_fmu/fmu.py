@@ -11,18 +11,22 @@ import platform
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFreeMemoryTYPE, fmi2CallbackFunctions
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
+from fmpy.validation import validate_fmu
 
 from vpp_fmu.archive import DESCRIPTION, unpacked
 from vpp_fmu.errors import BadInput, SimulationFailed, VppError
+from vpp_fmu.native.master import Entry
 from vpp_fmu.record import Record
 
 WARNING = 1
+TYPES = {"Real": (ctypes.c_double, float), "Integer": (ctypes.c_int, round), "Boolean": (ctypes.c_int, bool)}
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
@@ -55,6 +59,11 @@ class Fmu:
             return own
         return self.folder / "binaries" / fmpy.platform / f"{name}{fmpy.sharedLibraryExtension}"
 
+    @property
+    def is_native(self) -> bool:
+        """Whether it needs no other program to run, such as Python."""
+        return not self.description.coSimulation.needsExecutionTool
+
     def slave(self) -> FMU2Slave:
         """fmpy's handle of a new instance, its library loaded. BadInput where it can't be."""
         allowed = f"{self.library.name} of this machine ({fmpy.platform})"
@@ -80,14 +89,37 @@ class Fmu:
         return [self.variables[name].valueReference for name in names]
 
 
+class _Block:
+    """Variables of one type: they travel in one call. `positions` are theirs among all that were named."""
+
+    def __init__(self, kind: str, references: Mapping[int, int]):
+        c_type, self._convert = TYPES[kind]
+        self.kind, self.positions, n = kind, tuple(references), len(references)
+        self.values = (c_type * n)()
+        self.arguments = (ctypes.c_uint * n)(*references.values()), ctypes.c_size_t(n), self.values
+
+    def put(self, values: Sequence[float]) -> None:
+        """Take this block's among all values."""
+        self.values[:] = [self._convert(values[i]) for i in self.positions]
+
+
+def _blocks(fmu: Fmu, names: Sequence[str], causality: str) -> list[_Block]:
+    references, found = fmu.references(names, causality), []
+    for kind in TYPES:
+        own = {i: references[i] for i, name in enumerate(names) if fmu.variables[name].type == kind}
+        if own:
+            found.append(_Block(kind, own))
+    return found
+
+
 class FmuInstance:
     """One instance of an FMU with chosen inputs and outputs, in the order given."""
 
     def __init__(self, fmu: Fmu, inputs: Sequence[str], outputs: Sequence[str], parameters: Mapping[str, float] | None = None):
         self.fmu, self._messages = fmu, []
         parameters = dict(parameters or {})
-        read, written = fmu.references(outputs, "output"), fmu.references(inputs, "input")
-        tuned = fmu.references(parameters, "parameter")
+        self._reads, self._writes = _blocks(fmu, outputs, "output"), _blocks(fmu, inputs, "input")
+        tuned = _blocks(fmu, list(parameters), "parameter")
         self._slave = fmu.slave()
         self._callbacks = self._make_callbacks()
         try:
@@ -97,31 +129,30 @@ class FmuInstance:
         # An instance that outlives the interpreter's end takes the process down with it.
         self.close = weakref.finalize(self, _end, self._slave)
         """Terminate and free the instance."""
-        self._bind(read, written)
+        self._component = ctypes.c_void_p(self._slave.component)
         self._call("fmi2SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(0.0), 0, ctypes.c_double(0.0))
-        if parameters:
-            n = len(parameters)
-            self._call(
-                "fmi2SetReal", (ctypes.c_uint * n)(*tuned), ctypes.c_size_t(n), (ctypes.c_double * n)(*parameters.values())
-            )
+        for block in tuned:
+            block.put(list(parameters.values()))
+            self._call(f"fmi2Set{block.kind}", *block.arguments)
         self._call("fmi2EnterInitializationMode")
 
     def start(self, values: Sequence[float]) -> list[float]:
         """Settle on the inputs and leave the initialisation; returns the outputs. Time is 0."""
-        self._inputs[:] = values
-        self._call("fmi2SetReal", *self._written)
+        self._set(values)
         self._call("fmi2ExitInitializationMode")
-        self._call("fmi2GetReal", *self._read)
-        return self._outputs[:]
+        return self._get()
 
     def stepper(self, dt: float) -> Callable[[Sequence[float]], list[float]]:
         """A function that holds inputs for the next `dt` seconds and returns the outputs there; time is counted from 0.
 
         All that a step needs is bound once: three foreign calls remain.
         """
+        if [block.kind for block in (*self._writes, *self._reads)] != ["Real", "Real"]:
+            return self._stepper_of_any_type(dt)
         dll, component = self._slave.dll, self._component
         set_real, do_step, get_real = dll["fmi2SetReal"], dll["fmi2DoStep"], dll["fmi2GetReal"]
-        inputs, outputs, written, read = self._inputs, self._outputs, self._written, self._read
+        (writing,), (reading,) = self._writes, self._reads
+        inputs, outputs, written, read = writing.values, reading.values, writing.arguments, reading.arguments
         at, step, go_on, count = ctypes.c_double(0.0), ctypes.c_double(dt), ctypes.c_int(1), itertools.count()
 
         def take(values):
@@ -134,15 +165,48 @@ class FmuInstance:
 
         return take
 
-    def _bind(self, read, written):
-        def arguments(references):
-            n = len(references)
-            values = (ctypes.c_double * n)()
-            return ((ctypes.c_uint * n)(*references), ctypes.c_size_t(n), values), values
+    def entry(self) -> Entry | None:
+        """The instance as a compiled master steps it; None where its variables are not all Real, or where its calls come back
+        to Python, which wants to be asked by Python."""
+        if [block.kind for block in (*self._writes, *self._reads)] != ["Real", "Real"] or not self.fmu.is_native:
+            return None
+        functions = (self._slave.dll[f"fmi2{name}"] for name in ("SetReal", "DoStep", "GetReal"))
+        (writing,), (reading,) = self._writes, self._reads
+        return Entry(
+            self._component.value,
+            *(ctypes.cast(function, ctypes.c_void_p).value for function in functions),
+            *(ctypes.addressof(block.arguments[0]) for block in (writing, reading)),
+            *(len(block.positions) for block in (writing, reading)),
+            *(ctypes.addressof(block.values) for block in (writing, reading)),
+        )
 
-        self._component = ctypes.c_void_p(self._slave.component)
-        self._read, self._outputs = arguments(read)
-        self._written, self._inputs = arguments(written)
+    def failed(self, status: int, at: float) -> NoReturn:
+        """SimulationFailed for a step that began at `at` s and came back with this status."""
+        self._check(status, f"the step at {at:.6g} s with inputs {[*self._writes[0].values]}")
+        raise SimulationFailed(f"{self.fmu.path}: the step at {at:.6g} s: status {status}")
+
+    def _stepper_of_any_type(self, dt):
+        count = itertools.count()
+
+        def take(values):
+            self._set(values)
+            self._call("fmi2DoStep", ctypes.c_double(next(count) * dt), ctypes.c_double(dt), 1)
+            return self._get()
+
+        return take
+
+    def _set(self, values):
+        for block in self._writes:
+            block.put(values)
+            self._call(f"fmi2Set{block.kind}", *block.arguments)
+
+    def _get(self):
+        found = [0.0] * sum(len(block.positions) for block in self._reads)
+        for block in self._reads:
+            self._call(f"fmi2Get{block.kind}", *block.arguments)
+            for i, value in zip(block.positions, block.values, strict=True):
+                found[i] = float(value)
+        return found
 
     def _call(self, name, *args):
         self._check(self._slave.dll[name](self._component, *args), name)
@@ -183,6 +247,23 @@ def _end(slave: FMU2Slave) -> None:
     with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
         slave.terminate()
     slave.fmi2FreeInstance(slave.component)
+
+
+def problems(path: str | Path) -> list[str]:
+    """What `fmpy validate` has against an FMU, in its words."""
+    return validate_fmu(str(path))
+
+
+def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
+    """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation, under `held` inputs by name, each for one
+    communication step of `step` seconds; the last one stands for the last point alone. SimulationFailed."""
+    names = list(held[0])
+    rows = [(k * step, *(inputs[name] for name in names)) for k, inputs in enumerate(held)]
+    table = np.array(rows, dtype=[(name, float) for name in ("time", *names)]) if names else None
+    stop = (len(held) - 1) * step
+    with _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
+        result = fmpy.simulate_fmu(str(path), input=table, stop_time=stop, output_interval=step, output=list(outputs))
+    return np.column_stack([np.asarray(result[name], float) for name in outputs])
 
 
 def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:

@@ -1,10 +1,13 @@
 """The control loop; there is no other."""
 
+import contextlib
 from collections.abc import Callable
 
 import numpy as np
 
-from vpp_fmu.plants import COMMANDS, Controller, Plant
+from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.native.master import CHUNK, Failed, run_together
+from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, Plant, Sample
 from vpp_fmu.record import Record
 
 STANDSTILL = (0.0, 0.0)
@@ -28,16 +31,35 @@ def run(
     count = round((references.time[-1] - references.time[0]) / dt) + 1
     time = np.arange(count) * dt
     held = np.searchsorted(references.time - references.time[0], time + 1e-9, side="right") - 1
-    wanted = references["thrust_set"][held].tolist()
-    rows = []
+    wanted = references["thrust_set"][held]
     sample = plant.start(*start)
-    controller.start(wanted[0], sample.thrust)
-    for k, thrust_set in enumerate(wanted):
+    controller.start(float(wanted[0]), sample.thrust)
+    columns = dict(zip((*COMMANDS, *sample._fields), _rows(plant, controller, sample, wanted, progress).T, strict=True))
+    return Record({"time": time, "thrust_set": wanted, **columns}, source="closed loop")
+
+
+def _rows(
+    plant: Plant, controller: Controller, sample: Sample, wanted: np.ndarray, progress: Callable[[float], None]
+) -> np.ndarray:
+    """Commands and samples at each communication point. Two native FMUs are stepped by one compiled function."""
+    if isinstance(plant, FmuPlant) and isinstance(controller, FmuController) and plant.dt == controller.dt:
+        entries = controller.instance.entry(), plant.instance.entry()
+        if all(entries):
+            with contextlib.suppress(CompilerMissing):
+                return _rows_of_fmus(plant, controller, entries, wanted, progress)
+    rows, count = [], len(wanted)
+    for k, thrust_set in enumerate(wanted.tolist()):
         commands = controller.step(thrust_set, sample.thrust)
         rows.append((*commands, *sample))
         if k + 1 < count:
             sample = plant.step(*commands)
-        if k % 1000 == 0:
+        if k % CHUNK == 0:
             progress(k / count)
-    columns = dict(zip((*COMMANDS, *sample._fields), np.array(rows).T, strict=True))
-    return Record({"time": time, "thrust_set": np.array(wanted), **columns}, source="closed loop")
+    return np.array(rows)
+
+
+def _rows_of_fmus(plant: FmuPlant, controller: FmuController, entries, wanted, progress) -> np.ndarray:
+    found = run_together(*entries, wanted, plant.dt, progress)
+    if isinstance(found, Failed):
+        (controller, plant)[found.side].instance.failed(found.status, found.point * plant.dt)
+    return found

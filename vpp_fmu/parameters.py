@@ -13,7 +13,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import PAPER, Scales
-from vpp_fmu.kernel.types import Model, Parameter
+from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Parameter
 from vpp_fmu.rig import Rig, rig_of
 from vpp_fmu.units import base_unit
 
@@ -175,7 +175,10 @@ def _estimate(path: str | os.PathLike, parameter: Parameter, entry: object) -> E
         raise BadInput(path, f"{name}, unit", _shown(entry["unit"]), f'"{parameter.unit}"')
     value, std = entry["value"], entry.get("std")
     allowed = f"a number from {parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}".removesuffix(" 1")
-    if not _is_number(value) or not parameter.minimum <= value <= parameter.maximum:
+    if parameter.kind != REAL:
+        allowed = "0 or 1" if parameter.kind == BOOLEAN else allowed.replace("a number", "a whole number")
+    in_range = _is_number(value) and parameter.minimum <= value <= parameter.maximum
+    if not in_range or (parameter.kind != REAL and value != round(value)):
         raise BadInput(path, f"{name}, value", _shown(value), allowed)
     if std is not None and (not _is_number(std) or std < 0.0):
         raise BadInput(path, f"{name}, std", _shown(std), "a number from 0, or null")
@@ -226,15 +229,21 @@ def to_json(parameters: ParameterSet) -> str:
 
 
 def to_ssv(parameters: ParameterSet, name: str) -> str:
-    """The same values as SSP 1.0 parameter values, under the FMU's variable names; KeyError names a unit not known."""
+    """The same values as SSP 1.0 parameter values, under the FMU's variable names and types. UnknownUnit."""
     root = ElementTree.Element("ssv:ParameterSet", {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": name})
     values = ElementTree.SubElement(root, "ssv:Parameters")
     units = ElementTree.SubElement(root, "ssv:Units")
     for p in parameters.model.parameters:
         element = ElementTree.SubElement(values, "ssv:Parameter", {"name": p.name})
-        ElementTree.SubElement(element, "ssv:Real", {"value": repr(parameters.values[p.name]), "unit": p.unit})
-    for unit in dict.fromkeys(p.unit for p in parameters.model.parameters):
+        ElementTree.SubElement(element, f"ssv:{p.kind}", _typed(parameters.values[p.name], p))
+    for unit in dict.fromkeys(p.unit for p in parameters.model.parameters if p.kind == REAL):
         element = ElementTree.SubElement(units, "ssc:Unit", {"name": unit})
         ElementTree.SubElement(element, "ssc:BaseUnit", base_unit(unit))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _typed(value: float, parameter: Parameter) -> dict[str, str]:
+    if parameter.kind == BOOLEAN:
+        return {"value": str(value != 0.0).lower()}
+    return {"value": str(round(value))} if parameter.kind == INTEGER else {"value": repr(value), "unit": parameter.unit}

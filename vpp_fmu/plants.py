@@ -109,6 +109,11 @@ class _FmuRole:
         self._step = self._instance.stepper(self.dt)
         return shown
 
+    @property
+    def instance(self) -> FmuInstance | None:
+        """The instance that `start` made."""
+        return self._instance
+
     def close(self):
         if self._instance:
             self._instance.close()

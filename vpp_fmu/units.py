@@ -1,36 +1,92 @@
-"""Unit strings as FMI 2.0 and SSP 1.0 write them: factors and exponents of the SI base units."""
+"""Units as FMI and SSP write them: exponents of the SI base units, factor and offset; and others that tools may show.
 
-import math
+A unit is text such as "rpm.s/deg": a point multiplies, a slash divides by the product behind it, a digit behind a symbol is
+its power. What the symbols mean is pint's to say.
+"""
 
-_SYMBOLS: dict[str, tuple[float, dict[str, int]]] = {
-    "1": (1.0, {}),
-    "s": (1.0, {"s": 1}),
-    "Hz": (1.0, {"s": -1}),
-    "rad": (1.0, {"rad": 1}),
-    "deg": (math.pi / 180.0, {"rad": 1}),
-    "rpm": (2.0 * math.pi / 60.0, {"rad": 1, "s": -1}),
-    "m": (1.0, {"m": 1}),
-    "kg": (1.0, {"kg": 1}),
-    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
-    "A": (1.0, {"A": 1}),
-    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
-    "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
-    "H": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -2}),
+import importlib
+import re
+from functools import cache
+from tokenize import TokenError
+
+BASE = {
+    "kilogram": "kg",
+    "meter": "m",
+    "second": "s",
+    "ampere": "A",
+    "kelvin": "K",
+    "mole": "mol",
+    "candela": "cd",
+    "radian": "rad",
 }
+"""The base units that FMI 2.0, FMI 3.0 and SSP 1.0 know, by pint's names."""
+
+SHOWN = {"s": ("ms",), "rpm": ("rad/s",), "rad/s": ("rpm",), "deg": ("rad",), "rad": ("deg",), "N": ("gf", "kgf")}
+"""What else a value in a unit may be shown in, for tools that offer a choice."""
+
+TRIED = (
+    "1, s, ms, Hz, rad, deg, rpm, m, mm, kg, g, N, A, V, W, Ohm, K, degC, Pa, bar, J, %, and products such as N.m/rad or m/s2"
+)
+"""Units that are sure to be understood, for messages."""
+
+
+class UnknownUnit(ValueError):
+    """No unit, or none that FMI's base units can say; the text tells why."""
 
 
 def base_unit(unit: str) -> dict[str, str]:
-    """A unit such as "rpm.s/deg" as the attributes of a BaseUnit in SSP and FMI: SI exponents and factor.
+    """The attributes of a BaseUnit: `base = factor * value + offset`. UnknownUnit says what is wrong."""
+    factor, offset, exponents = _in_base_units(unit)
+    attributes = {base: str(power) for base, power in exponents.items()}
+    attributes |= {} if factor == 1.0 else {"factor": repr(factor)}
+    return attributes | ({} if offset == 0.0 else {"offset": repr(offset)})
 
-    A point multiplies, a slash divides by the product behind it. KeyError names a symbol that is not known.
-    """
-    factor, exponents = 1.0, dict.fromkeys(("kg", "m", "s", "A", "rad"), 0)
+
+def display_units(unit: str) -> dict[str, dict[str, str]]:
+    """The attributes of each DisplayUnit by name: `shown = factor * value`."""
+    factor = _in_base_units(unit)[0]
+    return {shown: {"factor": repr(factor / _in_base_units(shown)[0])} for shown in SHOWN.get(unit, ())}
+
+
+@cache
+def _in_base_units(unit: str) -> tuple[float, float, dict[str, int]]:
+    text, registry = _pints(unit), _registry()
+    try:
+        quantities = [registry.Quantity(x, text).to_base_units() for x in (0.0, 1.0, 2.0)]
+    except (AttributeError, ValueError, TypeError, SyntaxError, ArithmeticError, TokenError) as error:  # pint's are among them
+        raise UnknownUnit(f"{unit!r} is no unit that pint knows") from error
+    zero, one, two = (float(quantity.magnitude) for quantity in quantities)
+    if abs((two - one) - (one - zero)) > 1e-9 * abs(one - zero):
+        raise UnknownUnit(f"{unit!r} is not proportional to a base unit")
+    found = {}
+    for name, power in quantities[1]._units.items():
+        if name not in BASE:
+            raise UnknownUnit(f"{unit!r} is in {name}, FMI's base units are {', '.join(BASE.values())}")
+        if power != round(power):
+            raise UnknownUnit(f"{unit!r} has the power {power:g} of {BASE[name]}, FMI has whole ones")
+        found[BASE[name]] = round(power)
+    ordered = {base: found[base] for base in BASE.values() if base in found}
+    return one - zero, zero, ordered
+
+
+@cache
+def _registry():
+    pint = importlib.import_module("pint")  # half a second, which only what writes units should take
+    registry = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+    registry.define("@alias ohm = Ohm")
+    return registry
+
+
+def _pints(unit: str) -> str:
+    """The unit as pint writes it."""
+    if not re.fullmatch(r"[^\s./*^()]+([./][^\s./*^()]+)*", unit):
+        raise UnknownUnit(f"{unit!r} is not written as in N.m/rad")
     above, *below = unit.split("/")
-    for sign, product in ((1, above), *((-1, product) for product in below)):
-        for symbol in product.split("."):
-            scale, powers = _SYMBOLS[symbol]
-            factor = factor * scale if sign > 0 else factor / scale
-            for base, power in powers.items():
-                exponents[base] += sign * power
-    attributes = {base: str(power) for base, power in exponents.items() if power}
-    return attributes if factor == 1.0 else {**attributes, "factor": repr(factor)}
+    products = ["*".join(map(_power, product.split("."))) for product in (above, *below)]
+    return " / ".join([products[0], *(f"({product})" for product in products[1:])])
+
+
+def _power(symbol: str) -> str:
+    """`m2` as a power, but `1` as it is."""
+    found = re.fullmatch(r"(\D+?)(-?\d+)", symbol)
+    return f"{found[1]}**({found[2]})" if found else "percent" if symbol == "%" else symbol

@@ -7,15 +7,17 @@ Transitions, 1996, chapter 2), and what a drive does late or not at all is a fun
 as they are and lagged, and a warming rig's trends, span what such forms leave.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from identification.diagnose.search.fits import Fit
+from identification.fit.bands import ORDINATES, banded, starts
 from identification.identify import slowest
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.native import Simulator
@@ -33,15 +35,24 @@ DEPENDENT = 0.05
 
 @dataclass(frozen=True)
 class Following:
-    """Log-likelihood that `count` columns gain beside a fit, less the half each that noise alone would give them."""
+    """Log-likelihood that `count` columns gain beside a fit, less the half each that noise alone would give them.
+
+    `degrees`: of freedom with which the noise's power is known where the columns are; infinite where repeats tell it.
+    """
 
     gain: float
     count: int
+    degrees: float = np.inf
 
     @property
     def p(self) -> float:
-        """p-value: how often noise alone would give as much (a score test, chi^2 of `count` degrees of freedom)."""
-        return float(chi2.sf(2.0 * self.gain + self.count, self.count)) if self.count else 1.0
+        """p-value: how often noise alone would give as much (a score test: chi^2, or F where the noise is estimated)."""
+        if not self.count:
+            return 1.0
+        statistic = 2.0 * self.gain + self.count
+        if np.isinf(self.degrees):
+            return float(chi2.sf(statistic, self.count))
+        return float(f_distribution.sf(statistic / self.count, self.count, self.degrees))
 
 
 def following(fit: Fit) -> Following:
@@ -60,8 +71,40 @@ def following(fit: Fit) -> Following:
         columns[k] = left / max(float(np.linalg.norm(left)), np.finfo(float).tiny)
     power, directions = np.linalg.eigh(columns @ columns.T)
     kept = power > DEPENDENT**2 * power[-1]
-    score = (directions.T @ (columns @ about.residual))[kept] / np.sqrt(power[kept])
-    return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
+    directions = (directions[:, kept] / np.sqrt(power[kept])).T @ columns
+    score = directions @ about.residual
+    if all(e.noise.verified for e in evidence.experiments):
+        return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
+    left = about.residual - directions.T @ score
+    sizes = [e.sizes["thrust"] for e in evidence.experiments]
+    parts = [slice(end - n, end) for n, end in zip(sizes, np.cumsum(sizes), strict=True)]
+    covariance, degrees = scores_covariance([(directions[:, at], left[at]) for at in parts])
+    return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), int(kept.sum()), degrees)
+
+
+def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
+    """(covariance (k, k) of the products of directions with noise, degrees of freedom with which it is known).
+
+    `parts`: directions (k, n), rows orthonormal over all parts, and what they leave of the noise (n,). Where the noise has
+    been whitened by a colour that was estimated from it, its power is not 1 where the colour fits badly, and slow noise most
+    of all: it is taken from what is left, in bands of a third of an octave, for the share of a band that can be left.
+    """
+    count = len(parts[0][0])
+    covariance, shares, degrees = np.zeros((count, count)), [], []
+    for directions, left in parts:
+        n = len(left)
+        spectrum, shapes = np.abs(np.fft.rfft(left)) ** 2 / n, np.fft.rfft(directions, axis=1)
+        twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal but for the ends
+        twice[0], twice[-1] = 1.0, 2.0 if n % 2 else 1.0
+        taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
+        free = np.maximum(1.0 - banded(taken), 1.0 / ORDINATES)
+        level = banded(spectrum) / free
+        covariance += ((shapes * (twice * level)) @ shapes.conj().T).real / n
+        first = starts(len(spectrum))
+        shares.append(np.add.reduceat(twice * taken, first))
+        degrees.append(np.add.reduceat(twice * free, first))
+    share, known = np.concatenate(shares), np.concatenate(degrees)
+    return covariance, float(share.sum() ** 2 / np.sum(share**2 / known))  # Satterthwaite (1946)
 
 
 def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:

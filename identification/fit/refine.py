@@ -107,7 +107,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
         rounds = problem.solve_and_weigh(values)
     best, found = rounds[-1], [rounds[-1].slim()]
     for at in _random_starts(problem, values, starts - 1, seed):
-        one = problem.solve(at, SAME * best.cost)
+        one = problem.solve(at, 0.01 * SAME * best.cost)
         if one.cost < best.cost * (1 - SAME):
             one = problem.solve(problem.coordinates.values(one.value))
         best = min(best, one, key=lambda solution: solution.cost)

@@ -15,15 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.fit.bands import ORDINATES, banded
 from identification.fit.coordinates import Coordinates
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Problem, summed
-
-BAND = 2.0 ** (1.0 / 3.0)
-"""Ratio of a band's edges, in which a spectrum is taken as flat: a third of an octave."""
-
-ORDINATES = 12
-"""Least number of a periodogram's ordinates in a band: its level is then known to 29 %, an amplitude to 14 %."""
 
 NORMAL_95 = 1.959963984540054
 
@@ -133,7 +128,7 @@ def _coloured(jacobian, residual, inverse):
     """Covariance of the scores of one block: rows (m, n) and (m,), evenly spaced as far as this goes."""
     m = len(residual)
     j, e = np.fft.rfft(jacobian, axis=0), np.fft.rfft(residual)
-    spectrum = np.maximum(_banded(np.abs(e) ** 2 / m), 1e-300) / _left(j, inverse, m)  # never 0: noise-free data
+    spectrum = np.maximum(banded(np.abs(e) ** 2 / m), 1e-300) / _left(j, inverse, m)  # never 0: noise-free data
     gain = np.sqrt(spectrum)
     scores = np.fft.irfft(j * gain[:, None], m, axis=0) * np.fft.irfft(e / gain, m)[:, None]
     return scores.T @ scores
@@ -142,16 +137,7 @@ def _coloured(jacobian, residual, inverse):
 def _left(j, inverse, m):
     """Share (k,) of the residual's power that the fit has left in it, by frequency; from the Jacobian's transform (k, n)."""
     absorbed = np.sum((j @ inverse) * j.conj(), axis=1).real / m
-    return np.maximum(1.0 - _banded(absorbed), 1.0 / ORDINATES)
-
-
-def _banded(values: np.ndarray) -> np.ndarray:
-    """Each of (k,) replaced by the mean in its band of frequencies."""
-    edges, count = [0], len(values)
-    while (ahead := max(edges[-1] + ORDINATES, int(edges[-1] * BAND))) <= count - ORDINATES:
-        edges.append(ahead)
-    width = np.diff([*edges, count])
-    return np.repeat(np.add.reduceat(values, edges) / width, width)
+    return np.maximum(1.0 - banded(absorbed), 1.0 / ORDINATES)
 
 
 def restored(problem: Problem, found: Solution) -> np.ndarray:

@@ -4,8 +4,10 @@ Machines differ and are noisy, so the ratios are what to look at; every time is 
 """
 
 import ctypes
+import itertools
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import fmpy
@@ -15,6 +17,7 @@ from pythonfmu import FmuBuilder
 
 from identification.demo import example_folder
 from identification.fit.refine import refine
+from tests.benchmarks.native import best_step, one_step
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -58,9 +61,8 @@ def started(path):
 def do_step(path):
     """(seconds of a doStep through fmpy's wrapper, through a call bound once)."""
     slave, _ = started(path)
-    bound = slave.dll["fmi2DoStep"]
-    arguments = ctypes.c_void_p(slave.component), ctypes.c_double(0.0), ctypes.c_double(STEP), ctypes.c_int(1)
-    return best(lambda: slave.doStep(0.0, STEP), 5000), best(lambda: bound(*arguments), 5000)
+    call = partial(one_step, slave.dll["fmi2DoStep"], ctypes.c_void_p(slave.component))
+    return best_step(slave, lambda at: slave.doStep(at.value, STEP)), best_step(slave, call)
 
 
 def loop_in_fmpy(plant_path, controller_path, count=10000):
@@ -70,9 +72,11 @@ def loop_in_fmpy(plant_path, controller_path, count=10000):
     p_in, p_out = [p["omega_ref"], p["beta_ref"]], [p["thrust"], p["omega"], p["beta"]]
     c_in, c_out = [c["thrust_set"], c["thrust"]], [c["omega_ref"], c["beta_ref"]]
 
+    points = itertools.count()
+
     def work():
         thrust = 0.0
-        for k in range(count):
+        for k in itertools.islice(points, count):
             controller.setReal(c_in, [5.0, thrust])
             controller.doStep(k * STEP, STEP)
             plant.setReal(p_in, controller.getReal(c_out))

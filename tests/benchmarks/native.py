@@ -7,6 +7,7 @@ import ctypes
 import tempfile
 import time
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import fmpy
@@ -17,13 +18,17 @@ from vpp_fmu.export import native_fmu
 from vpp_fmu.export.archive import archive
 from vpp_fmu.export.c_text import c_text
 from vpp_fmu.export.toolchain import binaries
+from vpp_fmu.fmu import FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.loop import run
+from vpp_fmu.native.master import run_together
 from vpp_fmu.plants import FmuController, FmuPlant
 from vpp_fmu.record import Record
 
 STEP = 0.004
+SIZE = ctypes.c_double(STEP), ctypes.c_int(1)
 
 
 def best(work, count, repeats=15):
@@ -37,16 +42,15 @@ def best(work, count, repeats=15):
     return min(times)
 
 
-def empty_fmu(plant: Path) -> bytes:
-    """The plant's FMU with a doStep that returns at once."""
-    description = fmpy.read_model_description(str(plant))
-    text = c_text(BASE, BASE.values(), description.guid)
-    begin = text.index("FMI(fmi2Status, DoStep)")
+def empty_fmu(fmu: Path, model: Model) -> bytes:
+    """The model's FMU with a doStep that returns at once."""
+    description = fmpy.read_model_description(str(fmu))
+    text = c_text(model, model.values(), description.guid)
+    begin, end = text.index("FMI(fmi2Status, DoStep)"), text.index("SETTER(set_booleans")
     body = "FMI(fmi2Status, DoStep)(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean no) { return fmi2OK; }\n"
-    text = text[:begin] + body + text[text.index("#define READABLE") :]
-    with zipfile.ZipFile(plant) as packed:
+    with zipfile.ZipFile(fmu) as packed:
         kept = {"modelDescription.xml": packed.read("modelDescription.xml")}
-    return archive(kept | binaries(BASE.name, text, "host"))
+    return archive(kept | binaries(model.name, text[:begin] + body + text[end:], "host"))
 
 
 def started(path):
@@ -63,20 +67,36 @@ def started(path):
     return slave
 
 
+def best_step(slave, step, count=5000, repeats=15):
+    """Seconds of `step(time)`, each at the next communication point, since an FMU refuses any other; the best run."""
+    kept, times = slave.getFMUstate(), []
+    points = [ctypes.c_double(k * STEP) for k in range(count)]
+    for _ in range(repeats):
+        began = time.perf_counter()
+        for point in points:
+            step(point)
+        times.append((time.perf_counter() - began) / count)
+        slave.setFMUstate(kept)
+    return min(times)
+
+
+def one_step(bound, component, at):
+    bound(component, at, *SIZE)
+
+
 def do_steps(*paths):
     """For each FMU (seconds of a doStep through fmpy's wrapper, through a call bound once); taken in turn, for fairness."""
     slaves = [started(path) for path in paths]
     found = [[float("inf"), float("inf")] for _ in slaves]
     for _ in range(5):
         for slave, times in zip(slaves, found, strict=True):
-            bound = slave.dll["fmi2DoStep"]
-            arguments = ctypes.c_void_p(slave.component), ctypes.c_double(0.0), ctypes.c_double(STEP), ctypes.c_int(1)
-            times[0] = min(times[0], best(lambda s=slave: s.doStep(0.0, STEP), 5000, 3))
-            times[1] = min(times[1], best(lambda b=bound, a=arguments: b(*a), 5000, 3))
+            bound, component = slave.dll["fmi2DoStep"], ctypes.c_void_p(slave.component)
+            times[0] = min(times[0], best_step(slave, lambda at, s=slave: s.doStep(at.value, STEP), 5000, 3))
+            times[1] = min(times[1], best_step(slave, partial(one_step, bound, component), 5000, 3))
     return found
 
 
-def loop(plant_path, controller_path, short=200, long=600):
+def loop(plant_path, controller_path, short, long):
     """Seconds of a communication step of `vpp_fmu.loop.run`; what a run costs once falls out of the difference."""
     plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
 
@@ -87,42 +107,75 @@ def loop(plant_path, controller_path, short=200, long=600):
     return (whole(long) - whole(short)) / (long - short)
 
 
+def master(plant_path, controller_path, count=1000):
+    """Seconds of a communication step of the compiled master."""
+    plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
+    wanted, times = np.full(count, 5.0), []
+    for _ in range(400):
+        controller.start(5.0, plant.start(0.0, 0.0).thrust)
+        entries = controller.instance.entry(), plant.instance.entry()
+        began = time.perf_counter()
+        run_together(*entries, wanted, STEP, lambda share: None)
+        times.append((time.perf_counter() - began) / count)
+    return min(times)
+
+
+def whole(plant_path, controller_path, count=10_000):
+    """Seconds of `vpp_fmu.loop.run` for each of its steps, with all that it does once."""
+    plant, controller = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
+    profile = Record({"time": np.array([0.0, count * STEP]), "thrust_set": np.array([5.0, 5.0])}, "constant")
+    return best(lambda: run(plant, controller, profile), 1, 60) / count
+
+
 def foreign_calls(plant_path, controller_path, count=1000):
     """Seconds of the same communication step's six foreign calls alone, the controller's outputs being the plant's inputs."""
     pair = FmuPlant(plant_path, dt=STEP), FmuController(controller_path, dt=STEP)
     for part, values in zip(pair, ((0.0, 0.0), (5.0, 0.0)), strict=True):
         part.start(*values)
     (plant, p), (controller, c) = ((part._instance, part._instance._slave.dll) for part in pair)
-    timing = ctypes.c_double(0.0), ctypes.c_double(STEP), ctypes.c_int(1)
-    written, read, feedback = plant._written, (*controller._read[:2], plant._inputs), controller._written
+    at, timing = ctypes.c_double(0.0), (ctypes.c_double(STEP), ctypes.c_int(1))
+    (to_plant, shown), (to_controller, given) = ((*part._writes, *part._reads) for part in (plant, controller))
+    written, read, feedback = to_plant.arguments, (*given.arguments[:2], to_plant.values), to_controller.arguments
     set_c, step_c, get_c = c["fmi2SetReal"], c["fmi2DoStep"], c["fmi2GetReal"]
     set_p, step_p, get_p = p["fmi2SetReal"], p["fmi2DoStep"], p["fmi2GetReal"]
     at_c, at_p = controller._component, plant._component
 
     def work():
         for _ in range(count):
-            controller._inputs[1] = plant._outputs[0]
+            to_controller.values[1] = shown.values[0]
             set_c(at_c, *feedback)
-            step_c(at_c, *timing)
+            step_c(at_c, at, *timing)
             get_c(at_c, *read)
             set_p(at_p, *written)
-            step_p(at_p, *timing)
-            get_p(at_p, *plant._read)
+            step_p(at_p, at, *timing)
+            get_p(at_p, *shown.arguments)
+            at.value += STEP
 
     return best(work, 1, 60) / count
 
 
 def main():
     with tempfile.TemporaryDirectory() as folder:
-        paths = {name: Path(folder, f"{name}.fmu") for name in ("plant", "controller", "empty")}
-        paths["plant"].write_bytes(native_fmu(BASE))
-        paths["controller"].write_bytes(native_fmu(CONTROLLER))
-        paths["empty"].write_bytes(empty_fmu(paths["plant"]))
-        ours, theirs = do_steps(paths["plant"], paths["empty"])
+        paths = {name: Path(folder, f"{name}.fmu") for name in ("plant", "controller", "empty plant", "empty controller")}
+        for name, model in (("plant", BASE), ("controller", CONTROLLER)):
+            paths[name].write_bytes(native_fmu(model))
+            paths[f"empty {name}"].write_bytes(empty_fmu(paths[name], model))
+        ours, theirs = do_steps(paths["plant"], paths["empty plant"])
         for way, mine, empty in zip(("fmpy's wrapper", "bound call"), ours, theirs, strict=True):
             say(f"doStep of the native plant FMU, {way}", mine * 1e6, "us", "an empty C slave", empty * 1e6)
-        here, floor = loop(paths["plant"], paths["controller"]), foreign_calls(paths["plant"], paths["controller"])
-        say("closed loop of native FMUs, one communication step", here * 1e6, "us", "its foreign calls", floor * 1e6)
+        pair, empty = (paths["plant"], paths["controller"]), (paths["empty plant"], paths["empty controller"])
+        ours, floor = master(*pair), master(*empty)
+        say("compiled master of native FMUs, one communication step", ours * 1e6, "us", "two empty C slaves", floor * 1e6)
+        say(
+            "closed loop of native FMUs, 10 000 steps, each",
+            whole(*pair) * 1e6,
+            "us",
+            "two empty C slaves",
+            whole(*empty) * 1e6,
+        )
+        FmuInstance.entry = lambda self: None  # as it is where there is no compiler
+        here, floor = loop(*pair, 200, 600), foreign_calls(*pair)
+        say("the same, call by call from Python", here * 1e6, "us", "its foreign calls", floor * 1e6)
 
 
 def say(what, ours, unit, yardstick, theirs):

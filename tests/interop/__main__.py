@@ -1,6 +1,7 @@
 """python -m tests.interop: both flavours in every importer that is installed; prints a table of what works, and why not.
 
-An importer that is missing is skipped: pip install libcosimpy ecospy tbb fmu-manipulation-toolbox.
+An importer that is missing is skipped: `make interop` installs what can be had. One that needs other versions of what this
+project needs has an environment of its own, in a folder of its name beside this one's `bin`.
 """
 
 import json
@@ -8,18 +9,23 @@ import os
 import subprocess
 import sys
 import tempfile
+import zipfile
+from graphlib import CycleError, TopologicalSorter
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, STEP, STEPS
+from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS
 from vpp_fmu.cli.export import exported
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet
+
+sys.path.append(str(Path(__file__).parents[1]))
+from initial_graph import initial_graph
 
 REST = dict.fromkeys(COMMANDS, 0.0)
 
@@ -34,26 +40,41 @@ def alone() -> list[np.ndarray]:
 
 
 def loops(wanted: float) -> list[np.ndarray]:
-    """What the loop may show: importers differ in how often they exchange values at the start, and in when they look."""
+    """What the loop may show: importers differ in whether the wanted thrust is there at the first step, in whether the plant is
+    stepped beside the controller or after it, and in when they look."""
     found = []
-    for exchanges in (0, 1, 2):
+    for late, sequential in ((0, False), (1, False), (0, True)):
         plant, controller = Simulation(BASE), Simulation(CONTROLLER)
         shown = plant.start(REST)
         commands = controller.start({"thrust_set": wanted, "thrust": shown["thrust"]})
-        for _ in range(exchanges):
-            shown = plant.start(commands)
-            commands = controller.start({"thrust_set": wanted, "thrust": shown["thrust"]})
         for k in range(LOOP_STEPS + 2):
-            following = controller.advance({"thrust_set": wanted, "thrust": shown["thrust"]}, STEP)
-            shown, commands = plant.advance(commands, STEP), following
+            asked = {"thrust_set": 0.0 if k < late else wanted, "thrust": shown["thrust"]}
+            following = controller.advance(asked, STEP)
+            shown, commands = plant.advance(following if sequential else commands, STEP), following
             if k > LOOP_STEPS - 4:
                 found.append(np.array(list(shown.values())))
     return found
 
 
+def interpreter(importer: str) -> str:
+    """Of the importer's own environment, where it has one."""
+    own = Path(sys.prefix, IMPORTERS[importer].package, "bin", "python")
+    return str(own) if own.exists() else sys.executable
+
+
+def start(path: Path) -> str:
+    """Whether the loop can be started in the order of what depends on what, without an algebraic loop to solve."""
+    with zipfile.ZipFile(path) as packed:
+        graph = initial_graph({name: packed.read(name) for name in packed.namelist()})
+    try:
+        return f"no cycle in {len([*TopologicalSorter(graph).static_order()])} variables"
+    except CycleError as error:
+        return f"CYCLE: {error.args[1]}"
+
+
 def trial(importer: str, case: str, flavour: str, folder: Path):
     """(what came out, None) or (None, why not)."""
-    command = [sys.executable, "-m", "tests.interop.trials", importer, case, flavour, str(folder)]
+    command = [interpreter(importer), str(Path(__file__).with_name("trials.py")), importer, case, flavour, str(folder)]
     libraries = os.pathsep.join([str(Path(sys.prefix, "lib")), os.environ.get("LD_LIBRARY_PATH", "")])
     paths = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"LD_LIBRARY_PATH": libraries, "PYTHONPATH": paths}
@@ -107,7 +128,7 @@ def main():
             (folder / path).write_bytes(content if isinstance(content, bytes) else content.encode())
         print("| importer | flavour | plant alone | loop | loop twice in a process | flavours |\n|---|---|---|---|---|---|")
         for importer, kind in IMPORTERS.items():
-            if find_spec(kind.package) is None:
+            if interpreter(importer) == sys.executable and find_spec(kind.package) is None:
                 print(f"| {importer} | | skipped: {kind.package} is not installed | | | |")
                 continue
             ends, expected = [], {"alone": right, "loop": loops(kind.wanted)}
@@ -116,9 +137,16 @@ def main():
                 ends.append(shown)
                 same = "" if len(ends) < 2 or None in ends else "same bits" if ends[0] == ends[1] else "DIFFER"
                 print(f"| {importer} | {flavour} | {' | '.join(cells)} | {same} |", flush=True)
+        print()
+        for flavour in flavours:
+            suffix = "" if flavour == "python" else ".native"
+            print(f"start as OMSimulator orders it, {flavour}: {start(folder / f'VppLoop{suffix}.ssp')}")
     print()
     for importer, kind in IMPORTERS.items():
         print(f"{importer}: {kind.__doc__}")
+    print()
+    for importer, why in NOT_RUN.items():
+        print(f"not run: {importer}: {why}")
 
 
 main()

@@ -1,6 +1,6 @@
 """One importer, one case, one FMU flavour: run in a process of its own, since an importer may crash.
 
-python -m tests.interop.trials IMPORTER CASE FLAVOUR FOLDER prints the outcome as JSON: [thrust, omega, beta] at the end, for
+python tests/interop/trials.py IMPORTER CASE FLAVOUR FOLDER prints the outcome as JSON: [thrust, omega, beta] at the end, for
 `twice` of both runs.
 """
 
@@ -20,9 +20,9 @@ LOOP_STEPS, WANTED = 500, 8.0
 
 
 class Fmpy:
-    """In the loop it runs its own SSP simulation, which sets connectors to zero and no values: no thrust is wanted."""
+    """In the loop it runs its own SSP simulation, which knows no parameter sets; thrust is wanted by the system's input."""
 
-    package, wanted = "fmpy", 0.0
+    package, wanted = "fmpy", WANTED
 
     def alone(self, folder, suffix):
         import fmpy
@@ -39,8 +39,8 @@ class Fmpy:
         from fmpy.ssp.simulation import simulate_ssp
 
         path, stop = str(folder / f"VppLoop{suffix}.ssp"), LOOP_STEPS * STEP
-        result = simulate_ssp(path, stop_time=stop, step_size=STEP, input=lambda t: None)
-        return [float(result[f"VppPlant.{name}"][-1]) for name in OUTPUTS]
+        result = simulate_ssp(path, stop_time=stop, step_size=STEP, input={"thrust_set": lambda t: WANTED})
+        return [float(result[name][-1]) for name in OUTPUTS]
 
 
 class Libcosim:
@@ -63,7 +63,7 @@ class Libcosim:
     def loop(self, folder, suffix):
         from libcosimpy.CosimExecution import CosimExecution
 
-        execution = CosimExecution.from_ssp_file(str(folder / f"VppLoop{suffix}.ssp"), int(STEP * 1e9))
+        execution = CosimExecution.from_ssp_file(str(folder / f"VppLoop{suffix}.flat.ssp"), int(STEP * 1e9))
         observer, _ = self._watch(execution)
         execution.step(LOOP_STEPS)
         return observer.last_real_values(execution.slave_index_from_instance_name("VppPlant"), [2, 3, 4])
@@ -103,7 +103,7 @@ class Ecos:
     def loop(self, folder, suffix):
         from ecospy import EcosSimulation
 
-        with EcosSimulation(ssp_path=str(folder / f"VppLoop{suffix}.ssp"), step_size=STEP) as simulation:
+        with EcosSimulation(ssp_path=str(folder / f"VppLoop{suffix}.flat.ssp"), step_size=STEP) as simulation:
             simulation.init(parameter_set="VppLoop")
             simulation.step(LOOP_STEPS)
             found = [simulation.get_real(f"VppPlant::{name}") for name in OUTPUTS]
@@ -120,7 +120,7 @@ class EcosCommand:
         return self._run(folder / f"VppPlant{suffix}.fmu", "instance")
 
     def loop(self, folder, suffix):
-        return self._run(folder / f"VppLoop{suffix}.ssp", "VppPlant", "--parameterSet", "VppLoop")
+        return self._run(folder / f"VppLoop{suffix}.flat.ssp", "VppPlant", "--parameterSet", "VppLoop")
 
     def _run(self, path, instance, *more):
         shipped = Path(find_spec("ecospy").origin).parent / "binaries" / ("ecos.exe" if os.name == "nt" else "ecos")
@@ -161,7 +161,95 @@ class Container:
         return [float(result[name][-1]) for name in OUTPUTS]
 
 
-IMPORTERS = {"fmpy": Fmpy, "libcosim": Libcosim, "Ecos": Ecos, "ecos command": EcosCommand, "fmucontainer": Container}
+class Pathsim:
+    """Blocks that are stepped by scheduled events: each sees what the other showed before."""
+
+    package, wanted = "pathsim_fmi", WANTED
+
+    def alone(self, folder, suffix):
+        from pathsim.blocks import Source
+
+        rest, change = dict.fromkeys(COMMANDS, 0.0), (BEFORE - 0.5) * STEP
+        sources = [Source(lambda t, name=name: rest[name] if t < change else COMMANDS[name]) for name in COMMANDS]
+        plant = self._fmu(folder / f"VppPlant{suffix}.fmu")
+        return self._run([(source, 0, plant, i) for i, source in enumerate(sources)], plant, BEFORE + STEPS)
+
+    def loop(self, folder, suffix):
+        from pathsim.blocks import Constant
+
+        plant, controller = (self._fmu(folder / f"{name}{suffix}.fmu") for name in ("VppPlant", "VppController"))
+        wires = [(Constant(WANTED), 0, controller, 0), (plant, 0, controller, 1), *((controller, i, plant, i) for i in (0, 1))]
+        return self._run(wires, plant, LOOP_STEPS)
+
+    def _fmu(self, path):
+        from pathsim_fmi import CoSimulationFMU
+
+        return CoSimulationFMU(str(path), instance_name=path.stem, dt=STEP)
+
+    def _run(self, wires, plant, steps):
+        from pathsim import Connection, Simulation
+
+        blocks = list({id(block): block for source, _, sink, _ in wires for block in (source, sink)}.values())
+        connections = [Connection(source[i], sink[j]) for source, i, sink, j in wires]
+        simulation = Simulation(blocks, connections, dt=STEP, log=False)
+        simulation.run((steps - 1.5) * STEP)  # it takes one more, to pass the end
+        return [float(x) for x in plant.outputs.to_array()]
+
+
+class CoFmuPy:
+    """Its master alone, Jacobi's way."""
+
+    package, wanted = "cofmupy", WANTED
+
+    def alone(self, folder, suffix):
+        master = self._master({"plant": folder / f"VppPlant{suffix}.fmu"}, {})
+        for k in range(BEFORE + STEPS):
+            values = dict.fromkeys(COMMANDS, 0.0) if k < BEFORE else COMMANDS
+            self._step(master, k, {"plant": {name: [value] for name, value in values.items()}})
+        return self._shown(master)
+
+    def loop(self, folder, suffix):
+        paths = {"plant": folder / f"VppPlant{suffix}.fmu", "controller": folder / f"VppController{suffix}.fmu"}
+        wires = {("controller", name): [("plant", name)] for name in COMMANDS} | {
+            ("plant", "thrust"): [("controller", "thrust")]
+        }
+        master = self._master(paths, wires)
+        for k in range(LOOP_STEPS):
+            self._step(master, k, {"controller": {"thrust_set": [WANTED]}})
+        return self._shown(master)
+
+    def _master(self, paths, wires):
+        from cofmupy.master.default_master import DefaultMaster
+
+        listed = [{"id": name, "path": str(path), "initialization": {}} for name, path in paths.items()]
+        return DefaultMaster(listed, wires, [list(paths)], cosim_method="jacobi")
+
+    def _step(self, master, k, values):
+        if k == 0:
+            master.init_simulation(values)
+        master.do_step(STEP, values)
+
+    def _shown(self, master):
+        return [float(master.get_results()["plant", name][-1]) for name in OUTPUTS]
+
+
+IMPORTERS = {
+    "fmpy": Fmpy,
+    "libcosim": Libcosim,
+    "Ecos": Ecos,
+    "ecos command": EcosCommand,
+    "fmucontainer": Container,
+    "pathsim-fmi": Pathsim,
+    "CoFmuPy": CoFmuPy,
+}
+
+
+NOT_RUN = {
+    "OMSimulator": "its package fetches the program from elsewhere; how it orders the start is tried above",
+    "OMEdit, Dymola, Simulink, Simcenter Amesim": "not in the package registries",
+    "PyFMI": "its package is source that needs FMI Library and Assimulo built before",
+    "FMU Compliance Checker, VDMCheck": "not in the package registries",
+}
 
 
 def main(importer, case, suffix, folder):

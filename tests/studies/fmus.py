@@ -1,10 +1,13 @@
-"""python -m tests.studies fmus [--steps N]: the exported FMUs over long runs, to the bit and in memory.
+"""python -m tests.studies fmus [--steps N] [--calls N]: the exported FMUs over long runs, and in clumsy hands.
 
 Every effect of the library is on. The functions as they stand are the reference; the Python FMU, the native FMU and, where
-qemu-aarch64 and ziglang are installed, the native FMU built for 64-bit ARM are held against them.
+qemu-aarch64 and ziglang are installed, the native FMU built for 64-bit ARM are held against them. Then the table of calls out
+of order and with bad arguments (`tests/misuse.py`) on both flavours, and random calls under the sanitizers of addresses and of
+undefined behaviour.
 """
 
 import argparse
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,14 +17,19 @@ import numpy as np
 from fmpy.validation import validate_fmu
 
 from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.export.c_text import c_text
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.native.compiler import compiler
 
 sys.path.append(str(Path(__file__).parents[1]))
+import misuse
 from arm import missing, outputs_on_arm
 from builders import ALL_ON, PROBES, random_steps, reference
 
+FUZZ = Path(__file__).parents[1] / "interop" / "fuzz.c"
+SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 STEP, MEMORY_STEPS, LIVES = 0.004, 1_000_000, 1000
 OUTPUTS = tuple(s.name for s in ALL_ON.outputs)
 
@@ -30,6 +38,7 @@ def main(arguments: list[str]) -> None:
     """`python -m tests.studies fmus`."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies fmus", description=__doc__)
     parser.add_argument("--steps", type=int, default=60_000, metavar="N", help="communication steps (default: %(default)s)")
+    parser.add_argument("--calls", type=int, default=1_000_000, metavar="N", help="random calls (default: %(default)s)")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         paths = written(Path(folder))
@@ -38,6 +47,8 @@ def main(arguments: list[str]) -> None:
             print(f"{path.name}: fmpy validate: {len(problems)} problems", flush=True)
         bits(paths, options.steps)
         memory(paths["native"])
+        misused(Path(folder))
+        fuzzed(Path(folder), options.calls)
 
 
 def written(folder: Path) -> dict[str, Path]:
@@ -107,6 +118,39 @@ def memory(path: Path) -> None:
             one.close()
     print(f"{LIVES} instances made, stepped and freed: memory grew by {resident() - before} kB")
     fmu.close()
+
+
+MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
+
+
+def misused(folder: Path) -> None:
+    """The table of misuse, a line a case."""
+    outcomes = {}
+    for flavour, make in (("native", native_fmu), ("python", python_fmu)):
+        paths = {name: folder / f"{name}.{flavour}.fmu" for name in MODELS}
+        for name, path in paths.items():
+            path.write_bytes(make(*MODELS[name]))
+        outcomes[flavour] = misuse.outcomes(paths)
+    print("\n| call | both flavours | what is said |\n|---|---|---|")
+    wrong = 0
+    for case, native, python in zip(misuse.CASES, outcomes["native"], outcomes["python"], strict=False):
+        problem = misuse.verdict(case, native, python)
+        wrong += bool(problem)
+        print(f"| {case.name} | {'DIFFER: ' + problem if problem else case.outcome} | {native['said']} |")
+    died = [flavour for flavour, cases in outcomes.items() if len(cases) < len(misuse.CASES)]
+    print(f"{len(misuse.CASES)} calls: {wrong} differ from what they must be; processes that died: {', '.join(died) or 'none'}")
+
+
+def fuzzed(folder: Path, calls: int) -> None:
+    """Random calls on each model's source, shared out among the models."""
+    for name, (model, values) in MODELS.items():
+        source = folder / f"{name}.c"
+        source.write_text(c_text(model, model.values(values), "{}") + FUZZ.read_text())
+        command = [compiler(), "-std=c99", "-w", "-ffp-contract=off", *SANITIZED, source.name, "-o", name, "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+        done = subprocess.run([f"./{name}", "1", str(calls)], cwd=folder, check=False, capture_output=True, text=True)
+        said = done.stdout.strip() or done.stderr.strip().splitlines()[-1]
+        print(f"{name}: {calls} random calls under ASan and UBSan: exit code {done.returncode}; {said}", flush=True)
 
 
 def resident() -> int:

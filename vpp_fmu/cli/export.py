@@ -1,17 +1,26 @@
-"""Export plant and controller as FMI 2.0 co-simulation FMUs, and their closed loop as SSP.
+"""Export plant and controller as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
 
 The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Beside each FMU stand its
 parameters (.ssv), and inputs with the outputs they must give (_in.csv, _ref.csv, _ref.opt)."""
 
 import importlib
+import io
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
+from vpp_fmu import __version__
 from vpp_fmu.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
-from vpp_fmu.export.cross_check import reference_files
+from vpp_fmu.export.archive import archive
+from vpp_fmu.export.checks import at_line, check_model
+from vpp_fmu.export.cross_check import cross_check_folder, reference_files
+from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.export.toolchain import host, needs_glibc
+from vpp_fmu.export.trial import expected, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Model
@@ -19,10 +28,12 @@ from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
-from vpp_fmu.units import base_unit
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
 SUFFIX = {"python": "", "native": ".native"}
+FMI_3 = ".fmi3"
+FLAT = ".flat"
+"""Of the loop without connectors of its own, for importers that know none."""
 WANTED_THRUST = 8.0  # N; what the loop's archive starts on, where nobody says more
 
 
@@ -33,17 +44,72 @@ def configure(parser):
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
+    text = "of the standard (default: %(default)s); 3.0 for native FMUs, written as .fmi3.fmu"
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help=text)
+    parser.add_argument(
+        "--author", metavar="NAME", default=AUTHOR, help="who made the model, for the FMUs (default: %(default)s)"
+    )
     parser.add_argument("--model", metavar="PACKAGE.MODULE:NAME", help="export this model instead of plant and controller")
+    text = "also write cross_check.zip: FMUs, references and how to check, in the folders of the FMI project's cross-check"
+    parser.add_argument("--cross-check", action="store_true", help=text)
     add_output(parser)
 
 
 def run(options):
+    _check(options)
     parts = _own(options) if options.model else _plant_and_controller(options)
     folder = OutputSet(options.output, "export")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
-    for name, content in exported(parts, flavours, options.platforms).items():
+    files = exported(parts, flavours, options.platforms, options.author, options.fmi)
+    if options.model:
+        for flavour in flavours:
+            fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
+            try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
+    if options.cross_check:
+        files["cross_check.zip"] = _cross_check(parts, files)
+    for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
+    if wanted := oldest_glibc(files):
+        better = (
+            ""
+            if find_spec("ziglang")
+            else "; with the extra 'cross' installed (ziglang) they are linked to the oldest that serves"
+        )
+        print(f"the native FMUs run with the GNU C library {wanted} and newer{better}")
+
+
+def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> bytes:
+    folders = {}
+    for flavour, suffix in SUFFIX.items():
+        for part in parts:
+            fmu = files.get(f"{part.model.name}{suffix}.fmu")
+            if fmu is not None:
+                tool = f"vpp-fmu-{flavour}/{__version__}"
+                folders |= cross_check_folder(part.model, part.values, _experiment(parts), fmu, tool, host())
+    return archive(folders)
+
+
+def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
+    """The oldest GNU C library that all Linux libraries among the FMUs run with; None where there are none."""
+    found = []
+    for name, content in files.items():
+        if name.endswith((f"{SUFFIX['native']}.fmu", f"{FMI_3}.fmu")):
+            with zipfile.ZipFile(io.BytesIO(content)) as packed:
+                libraries = [n for n in packed.namelist() if n.startswith("binaries/") and n.endswith(".so")]
+                found += [needs_glibc(packed.read(n)) for n in libraries]
+    return max(filter(None, found), key=lambda v: [int(x) for x in v.split(".")], default=None)
+
+
+def _check(options) -> None:
+    """BadInput for options that say nothing together."""
+    native = options.flavour != "python"
+    if options.platforms != "host" and not native:
+        raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+    if options.fmi == "3.0" and options.cross_check:
+        raise BadInput("vpp export", "--cross-check", "given with --fmi 3.0", "--fmi 2.0, which the cross-check is about")
+    if options.fmi == "3.0" and options.flavour != "native":
+        raise BadInput("vpp export", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:
@@ -65,37 +131,51 @@ def _own(options) -> list[ParameterSet]:
 
 
 def find_model(where: str) -> Model:
-    """The model that `package.module:NAME` names; modules are also found in the current folder."""
+    """The model that `package.module:NAME` names; modules are also found in the current folder. BadInput: what is wrong with
+    the module, or which of the model's declarations can't become an FMU."""
     module, _, name = where.partition(":")
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
     try:
         found = getattr(importlib.import_module(module), name)
-    except (ImportError, ValueError, AttributeError) as error:
-        raise BadInput("vpp export", "--model", f"{where} ({error})", "package.module:NAME of a kernel Model") from error
+    except Exception as error:  # somebody's own module may raise anything
+        field, said = at_line("--model", error), " ".join(str(error).split())
+        raise BadInput("vpp export", field, f"{where} ({said})", "package.module:NAME of a kernel Model") from error
     if not isinstance(found, Model):
         raise BadInput("vpp export", "--model", f"{where}, a {type(found).__name__}", "the name of a kernel Model")
-    for quantity in (*found.inputs, *found.outputs, *found.parameters, *found.states):
-        try:
-            base_unit(quantity.unit)
-        except KeyError as error:
-            what = f"{quantity.name} in {quantity.unit}"
-            raise BadInput("vpp export", "--model", what, "units that vpp_fmu.units knows") from error
+    check_model(where, found)
+    expected(where, found, found.values(), Experiment())
     return found
 
 
-def exported(parts: Sequence[ParameterSet], flavours: Iterable[str], platforms: str = "host") -> dict[str, bytes | str]:
+def _suffix(flavour: str, fmi: str) -> str:
+    return FMI_3 if fmi == "3.0" else SUFFIX[flavour]
+
+
+def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
+    return Experiment(stop=float(parts[0].source.get("record_seconds", 10.0)))
+
+
+def exported(
+    parts: Sequence[ParameterSet],
+    flavours: Iterable[str],
+    platforms: str = "host",
+    author: str = AUTHOR,
+    fmi: str = "2.0",
+) -> dict[str, bytes | str]:
     """All files by name; nothing is written before all of them are made. Two parts or more also give their closed loop."""
-    experiment = Experiment(stop=float(parts[0].source.get("record_seconds", 10.0)))
+    experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
     for flavour in flavours:
-        more = {"platforms": platforms} if flavour == "native" else {}
+        more = {"author": author} | ({"platforms": platforms, "version": fmi} if flavour == "native" else {})
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
-        found |= {f"{name}{SUFFIX[flavour]}.fmu": fmu for name, fmu in fmus.items()}
-        if len(parts) > 1:
+        found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
+        if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
             loop = {p.model.name: (p, fmus[p.model.name]) for p in parts}
-            found[f"{NAME}{SUFFIX[flavour]}.ssp"] = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop)
+            for flat in (False, True):
+                ssp = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop, connectors=not flat)
+                found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp
     for part in parts:
         name = part.model.name
         found |= {f"{name}.ssv": to_ssv(part, name), **reference_files(part.model, part.values, experiment)}

@@ -5,7 +5,8 @@ from hashlib import sha256
 from importlib.resources import files
 from math import isinf
 
-from vpp_fmu.export.description import variable_names
+from vpp_fmu.export.description import allowed, in_unit, start_values, variable_names, variable_types
+from vpp_fmu.kernel import calls
 from vpp_fmu.kernel.types import Model, start, step
 from vpp_fmu.tracer import Layout, c_source, trace
 from vpp_fmu.tracer.emit import c_function
@@ -30,17 +31,25 @@ COMPILERS = """\
 """
 
 
-def c_text(model: Model, values: Mapping[str, float], guid: str) -> str:
-    """`values`: every parameter's start value."""
+SHELLS = {"2.0": ("fmi2.h", "shell2.c"), "3.0": ("fmi3.h", "shell3.c")}
+"""What each version of the standard fixes, and its calls; all that lies between is the same."""
+
+TYPES = {"Real": "REAL", "Integer": "INTEGER", "Boolean": "BOOLEAN"}
+
+
+def c_text(model: Model, values: Mapping[str, float], guid: str, version: str = "2.0") -> str:
+    """`values`: every parameter's start value. `version`: of FMI, one of SHELLS."""
     title = f"/* {model.name}: {model.description}.\n *\n * Generated; compiles alone with any C99 compiler. */\n"
+    header, shell = SHELLS[version]
     return "\n".join(
         (
             title + COMPILERS,
-            _text("fmu_src", "fmi2.h"),
+            _text("fmu_src", header),
             c_source(trace(model)) + tangent_source(model),
             _tables(model, values, guid),
+            _calls(),
             _text("vpp_fmu.kernel", "schedule.c"),
-            *(_text("fmu_src", name) for name in ("slave.h", "sensitivity.c", "saved_state.c", "shell.c")),
+            *(_text("fmu_src", name) for name in ("slave.h", "sensitivity.c", "saved_state.c", "protocol.c", shell)),
         )
     )
 
@@ -78,12 +87,9 @@ def tangent_source(model: Model) -> str:
 
 
 def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
-    """Names, start values and ranges, for the shell's checks and messages."""
-    layout = Layout.of(model)
-    begin = [*(u.start for u in model.inputs), *[0.0] * len(layout.outputs), *(values[n] for n in layout.parameters)]
-    begin += [0.0] * len(layout.states)
+    """Names, types, start values and ranges, for the shell's checks and messages."""
     ranges = [
-        f"{{{_number(p.minimum)}, {_number(p.maximum)}, {_string(p.unit)}, {_string(f'{p.minimum} to {p.maximum} {p.unit}')}}}"
+        f"{{{_number(p.minimum)}, {_number(p.maximum)}, {_string(in_unit(p))}, {_string(allowed(p))}}}"
         for p in model.parameters
     ]
     defined = {
@@ -92,15 +98,39 @@ def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
         "MODEL_TAG": f"{int(sha256(guid.encode()).hexdigest()[:12], 16)}.0",  # 48 bits: a double holds it exactly
         "EXACT": int(is_exact(model)),
         "N_PARAMETERS_OR_1": max(1, len(model.parameters)),
+        "N_STATES_OR_1": max(1, len(model.states)),
+        "SLACK": calls.SLACK,
     }
+    types = ", ".join(TYPES[kind] for kind in variable_types(model))
+    tunable = ", ".join(str(int(p.tunable)) for p in model.parameters)
     return "".join(
         (
             *(f"#define {name} {value}\n" for name, value in defined.items()),
+            f"enum {{ {', '.join(TYPES.values())} }};\n",
+            f"static const char *const TYPE_NAMES[] = {{{', '.join(map(_string, TYPES))}}};\n",
             f"static const char *const NAMES[] = {{{', '.join(map(_string, variable_names(model)))}}};\n",
-            f"static const double START[] = {{{', '.join(map(_number, begin))}}};\n",
+            f"static const unsigned char TYPES[] = {{{types}}};\n",
+            f"static const unsigned char TUNABLE[] = {{{tunable or 0}}};\n",
+            f"static const double START[] = {{{', '.join(map(_number, start_values(model, values)))}}};\n",
             "static const struct {\n  double minimum, maximum;\n  const char *unit, *text;\n} RANGES[] = {\n",
             *(f"  {line},\n" for line in ranges or ['{0.0, 0.0, "", ""}']),
             "};\n#define OBSERVED\n",
+        )
+    )
+
+
+def _calls() -> str:
+    """The table of calls, with its states in words."""
+    numbers = {name: value for name, value in vars(calls).items() if isinstance(value, int) and name.isupper()}
+    words = ", ".join(f"[{state}] = {_string(text)}" for state, text in calls.IN_WORDS.items())
+    categories = [name for name in calls.LOG_CATEGORIES if name != "logAll"]
+    kinds = [name.removeprefix("log").removeprefix("Status").upper() for name in categories]
+    return "".join(
+        (
+            f"enum {{ {', '.join(f'{name} = {value}' for name, value in numbers.items())} }};\n",
+            f"static const char *const IN_WORDS[] = {{{words}}};\n",
+            f"enum {{ {', '.join(kinds)}, N_CATEGORIES }};\n",
+            f"static const char *const CATEGORIES[] = {{{', '.join(map(_string, categories))}}};\n",
         )
     )
 

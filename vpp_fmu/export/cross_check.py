@@ -1,10 +1,10 @@
 """Inputs and the outputs they must give, beside an FMU, as the FMI cross-check rules ask: for users to test importers with."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from vpp_fmu.export.description import Experiment
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import Model, Signal
+from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Signal
 
 LEVELS = (0.6, 0.35, 0.8, 0.5)  # of an input's nominal value
 TOLERANCE = 1e-6
@@ -17,8 +17,7 @@ def reference_files(model: Model, values: Mapping[str, float], experiment: Exper
     Each input starts at its start value and takes a few levels in turn, at other times than the other inputs.
     """
     count = round(min(experiment.stop, LONGEST) / experiment.step)
-    simulation = Simulation(model, values)
-    held = [{u.name: _level(u, k, i / count) for k, u in enumerate(model.inputs)} for i in range(count + 1)]
+    simulation, held = Simulation(model, values), course(model, count)
     shown = [simulation.start(held[0]), *(simulation.advance(inputs, experiment.step) for inputs in held[:-1])]
     time = [i * experiment.step for i in range(count + 1)]
     options = {"StartTime": 0.0, "StopTime": time[-1], "StepSize": experiment.step, "RelTol": TOLERANCE}
@@ -29,16 +28,59 @@ def reference_files(model: Model, values: Mapping[str, float], experiment: Exper
     }
 
 
+COMMAND = (
+    "fmpy simulate {name}.fmu --input-file {name}_in.csv --stop-time {stop:g} --output-interval {step:g}"
+    " --output-file {name}_out.csv"
+)
+READ_ME = """# {name}: how to check an importer against it
+
+`{name}_ref.csv` holds the outputs at each communication point under the inputs of `{name}_in.csv`, from the model's own
+functions; `{name}_ref.opt` holds start, stop and step. fmpy meets them:
+
+    {command}
+
+The inputs are discrete: each row's values hold from its time to the next row's, and act in the step that begins there.
+
+- FMU Compliance Checker (fmuCheck 2.0.4) fills discrete inputs from the first column of the table, which is time: its outputs
+  differ from `{name}_ref.csv` through no fault of the FMU. Run it without `-i`, which checks the calls and the description, and
+  take fmpy or any other importer for the numbers.
+- An importer that interpolates inputs, continuous ones being its only kind, meets the values within a step of each change only.
+"""
+
+
+def cross_check_folder(
+    model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, tool: str, platform: str
+) -> dict[str, bytes]:
+    """What the FMI project's cross-check wants of an exporting tool, by place in its repository: the FMU, its reference files,
+    and how to check against them. `tool`: name and version as folders; `platform`: as FMI 2.0 calls it."""
+    stop = round(min(experiment.stop, LONGEST) / experiment.step) * experiment.step
+    told = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
+    files = {f"{model.name}.fmu": fmu, "README.md": told.encode()}
+    files |= {name: text.encode() for name, text in reference_files(model, values, experiment).items()}
+    return {f"fmus/2.0/cs/{platform}/{tool}/{model.name}/{name}": content for name, content in files.items()}
+
+
+def course(model: Model, count: int) -> list[dict[str, float]]:
+    """The inputs by name at each of `count` + 1 communication points."""
+    return [{u.name: _level(u, k, i / count) for k, u in enumerate(model.inputs)} for i in range(count + 1)]
+
+
 def _level(u: Signal, k: int, share: float) -> float:
-    """Input number `k` at a share of the time."""
+    """Input number `k` at a share of the time. A Boolean takes turns, an Integer whole numbers."""
     at = int(len(LEVELS) * share - 0.1 - 0.3 * k)
     if len(LEVELS) * share < 0.1 + 0.3 * k:
         return u.start
-    return min(max(u.nominal * LEVELS[(at + k) % len(LEVELS)], u.minimum), u.maximum)
+    level = LEVELS[(at + k) % len(LEVELS)]
+    wanted = {REAL: u.nominal * level, INTEGER: round(u.nominal * level), BOOLEAN: at % 2}[u.kind]
+    return float(min(max(wanted, u.minimum), u.maximum))
 
 
-def _csv(signals: Iterable[Signal], time: Iterable[float], rows: Iterable[Mapping[str, float]]) -> str:
+def _csv(signals: Sequence[Signal], time: Iterable[float], rows: Iterable[Mapping[str, float]]) -> str:
     names = [s.name for s in signals]
     lines = [",".join(f'"{name}"' for name in ("time", *names))]
-    lines += [",".join([repr(t), *(repr(row[n]) for n in names)]) for t, row in zip(time, rows, strict=True)]
+    whole = {s.name for s in signals if s.kind != REAL}
+    lines += [
+        ",".join([repr(t), *(str(round(row[n])) if n in whole else repr(row[n]) for n in names)])
+        for t, row in zip(time, rows, strict=True)
+    ]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""modelDescription.xml of a model, for both flavours, from its declarations."""
+"""modelDescription.xml of a model, for both flavours, from its declarations: what all versions of FMI share, and FMI 2.0's."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,15 +7,14 @@ from importlib.metadata import version
 from math import isfinite
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from vpp_fmu.kernel.types import Model
+from vpp_fmu.kernel.calls import LOG_CATEGORIES
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.types import BOOLEAN, REAL, Model, Parameter
 from vpp_fmu.tracer import Layout
-from vpp_fmu.units import base_unit
+from vpp_fmu.units import base_unit, display_units
 
-LOG_CATEGORIES = {
-    "logStatusDiscard": "questions without an answer",
-    "logStatusError": "calls that failed, and why",
-    "logStatusFatal": "calls after which the instance is lost",
-}
+AUTHOR = "vpp-fmu"
+"""Who made the model, where nobody says."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +50,155 @@ def variable_names(model: Model) -> list[str]:
     return [*layout.inputs, *layout.outputs, *layout.parameters, *(f"state.{x}" for x in layout.states)]
 
 
-def model_description(
-    model: Model, values: Mapping[str, float], content_guid: str, flavour: Flavour, experiment: Experiment
-) -> bytes:
-    """The XML text. `values`: every parameter's start value."""
-    root = Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=model.name,
-        guid=content_guid,
-        description=model.description,
-        version=version("vpp-fmu"),
-        license="MIT",
-        generationTool=f"vpp-fmu {version('vpp-fmu')}, {flavour.tool}",
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
+def variable_types(model: Model) -> list[str]:
+    """FMI's type of each value, in the order of value references."""
+    return [*(q.kind for q in (*model.inputs, *model.outputs, *model.parameters)), *[REAL] * len(model.states)]
+
+
+def start_values(model: Model, values: Mapping[str, float]) -> list[float]:
+    """What each value is before anything was set, in the order of value references: states as they settle on the inputs'
+    start values. `values`: every parameter's."""
+    simulation = Simulation(model, values)
+    settled = [simulation.states[x.name] for x in model.states]
+    first = [*(u.start for u in model.inputs), *[0.0] * len(model.outputs)]
+    return [*first, *(values[p.name] for p in model.parameters), *settled]
+
+
+def in_unit(parameter: Parameter) -> str:
+    """What follows a number of this parameter in a message."""
+    return "" if parameter.unit == "1" else f" {parameter.unit}"
+
+
+def allowed(parameter: Parameter) -> str:
+    """The parameter's range in words."""
+    return f"{parameter.minimum} to {parameter.maximum}{in_unit(parameter)}"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One FMU variable: what both versions of the standard write, each in its own form."""
+
+    name: str
+    reference: int
+    kind: str
+    causality: str
+    variability: str
+    initial: str | None
+    description: str
+    unit: str
+    minimum: float
+    maximum: float
+    nominal: float
+    start: float | None
+
+    def typed(self) -> dict[str, str]:
+        """The attributes that go with the type."""
+        if self.kind == BOOLEAN:
+            return {} if self.start is None else {"start": str(self.start != 0.0).lower()}
+        real = {"min": self.minimum, "max": self.maximum} | ({"nominal": self.nominal} if self.kind == REAL else {})
+        numbers = {k: x for k, x in (*real.items(), ("start", self.start)) if x is not None and isfinite(x)}
+        text = {k: repr(float(x)) if self.kind == REAL else str(round(x)) for k, x in numbers.items()}
+        shown = DISPLAYED.get(self.unit) if self.causality == "parameter" and self.nominal < 1.0 else None
+        more = {"unit": self.unit} | ({"displayUnit": shown} if shown else {})
+        return (more if self.kind == REAL else {}) | text
+
+
+DISPLAYED = {"s": "ms"}
+"""What parameters that are small in their unit are shown in."""
+
+
+def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
+    """All variables in the order of value references. `values`: every parameter's start value.
+
+    Inputs are held between communication points, and said so (`discrete`): an importer must not interpolate a command. A
+    state starts settled on the inputs, or where the importer sets it (`approx`).
+    """
+    moves = "discrete" if model.sample_time else "continuous"
+    starts = start_values(model, values)
+    kinds = (
+        [("input", "discrete", None, q) for q in model.inputs]
+        + [("output", moves if q.kind == REAL else "discrete", "calculated", q) for q in model.outputs]
+        + [("parameter", "tunable" if q.tunable else "fixed", "exact", q) for q in model.parameters]
+        + [("local", moves, "approx", q) for q in model.states]
     )
+    found = []
+    for r, ((causality, variability, initial, q), name, kind) in enumerate(
+        zip(kinds, variable_names(model), variable_types(model), strict=True)
+    ):
+        low, high, nominal = _span(model, q.unit) if causality == "local" else (q.minimum, q.maximum, q.nominal)
+        start = None if causality == "output" else starts[r]
+        told = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
+        found.append(Variable(name, r, kind, *told))
+    return found
+
+
+def dependencies(model: Model) -> list[int]:
+    """Value references of what each output starts from.
+
+    At a communication point no output depends on an input directly. At the start those of a model in continuous time are
+    settled on all inputs and parameters; those of a sampled law are start values until its first sample, and depend on nothing.
+    """
+    if model.sample_time is not None:
+        return []
+    first = len(model.inputs) + len(model.outputs)
+    return [*range(len(model.inputs)), *range(first, first + len(model.parameters))]
+
+
+def unit_definitions(model: Model) -> Element:
+    """UnitDefinitions, which both versions of the standard write alike."""
+    root = Element("UnitDefinitions")
+    real = [q for q in (*model.inputs, *model.outputs, *model.parameters) if q.kind == REAL]
+    for unit in sorted({q.unit for q in (*real, *model.states)}):
+        element = SubElement(root, "Unit", name=unit)
+        SubElement(element, "BaseUnit", base_unit(unit))
+        for name, attributes in display_units(unit).items():
+            SubElement(element, "DisplayUnit", {"name": name} | attributes)
+    return root
+
+
+def log_categories() -> Element:
+    """LogCategories, which both versions of the standard write alike."""
+    root = Element("LogCategories")
+    for name, text in LOG_CATEGORIES.items():
+        SubElement(root, "Category", name=name, description=text)
+    return root
+
+
+def about(model: Model, flavour: Flavour, author: str) -> dict[str, str]:
+    """Who made what with which tool: attributes of the root in both versions of the standard."""
+    return {
+        "modelName": model.name,
+        "description": model.description,
+        "author": author,
+        "version": version("vpp-fmu"),
+        "license": "MIT",
+        "generationTool": f"vpp-fmu {version('vpp-fmu')}, {flavour.tool}",
+        "variableNamingConvention": "structured",
+    }
+
+
+def default_experiment(experiment: Experiment) -> Element:
+    """DefaultExperiment, which both versions of the standard write alike."""
+    return Element("DefaultExperiment", startTime="0.0", stopTime=repr(experiment.stop), stepSize=repr(experiment.step))
+
+
+def as_text(root: Element) -> bytes:
+    """The XML text."""
+    indent(root)
+    return tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def model_description(
+    model: Model,
+    values: Mapping[str, float],
+    content_guid: str,
+    flavour: Flavour,
+    experiment: Experiment,
+    author: str = AUTHOR,
+) -> bytes:
+    """FMI 2.0's XML text. `values`: every parameter's start value."""
+    fixed = {"fmiVersion": "2.0", "guid": content_guid, "numberOfEventIndicators": "0"}
+    root = Element("fmiModelDescription", fixed | about(model, flavour, author))
     can = {"canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"}
     capabilities = {**dict.fromkeys(sorted(can), True), "canNotUseMemoryManagementFunctions": True, **flavour.capabilities}
     kind = SubElement(root, "CoSimulation", modelIdentifier=model.name)
@@ -75,39 +207,14 @@ def model_description(
         listed = SubElement(kind, "SourceFiles")
         for name in flavour.sources:
             SubElement(listed, "File", name=name)
-    units = SubElement(root, "UnitDefinitions")
-    for unit in sorted({q.unit for q in (*model.inputs, *model.outputs, *model.parameters, *model.states)}):
-        SubElement(SubElement(units, "Unit", name=unit), "BaseUnit", base_unit(unit))
-    categories = SubElement(root, "LogCategories")
-    for name, text in LOG_CATEGORIES.items():
-        SubElement(categories, "Category", name=name, description=text)
-    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime=repr(experiment.stop), stepSize=repr(experiment.step))
-    root.append(_variables(model, values))
+    root.extend((unit_definitions(model), log_categories(), default_experiment(experiment)))
+    listed = SubElement(root, "ModelVariables")
+    for v in variables(model, values):
+        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
+        attributes |= {"causality": v.causality, "variability": v.variability} | ({"initial": v.initial} if v.initial else {})
+        SubElement(SubElement(listed, "ScalarVariable", attributes), v.kind, v.typed())
     root.append(_structure(model))
-    indent(root)
-    return tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-
-
-def _variables(model: Model, values: Mapping[str, float]) -> Element:
-    """Inputs are held between communication points, and said so (`discrete`): an importer must not interpolate a command."""
-    moves = "discrete" if model.sample_time else "continuous"
-    kinds = (
-        [("input", "discrete", None, q, q.start) for q in model.inputs]
-        + [("output", moves, "calculated", q, None) for q in model.outputs]
-        + [("parameter", "fixed", "exact", q, values[q.name]) for q in model.parameters]
-        + [("local", moves, "calculated", q, None) for q in model.states]
-    )
-    root = Element("ModelVariables")
-    for vr, ((causality, variability, initial, q, start), name) in enumerate(zip(kinds, variable_names(model), strict=True)):
-        attributes = {"name": name, "valueReference": str(vr), "description": q.description}
-        attributes |= {"causality": causality, "variability": variability} | ({"initial": initial} if initial else {})
-        low, high, nominal = _span(model, q.unit) if causality == "local" else (q.minimum, q.maximum, q.nominal)
-        real = {"unit": q.unit, "min": low, "max": high, "nominal": nominal, "start": start}
-        given = {
-            k: x if k == "unit" else repr(float(x)) for k, x in real.items() if k == "unit" or (x is not None and isfinite(x))
-        }
-        SubElement(SubElement(root, "ScalarVariable", attributes), "Real", given)
-    return root
+    return as_text(root)
 
 
 def _span(model: Model, unit: str) -> tuple[float, float, float]:
@@ -120,12 +227,11 @@ def _span(model: Model, unit: str) -> tuple[float, float, float]:
 
 
 def _structure(model: Model) -> Element:
-    """At a communication point no output depends on an input directly; at the start each is settled on all of them."""
+    """FMI 2.0 counts variables from 1."""
     root = Element("ModelStructure")
-    first = len(model.inputs) + 1
     outputs, unknowns = SubElement(root, "Outputs"), SubElement(root, "InitialUnknowns")
-    settled_on = [*range(1, first), *range(first + len(model.outputs), first + len(model.outputs) + len(model.parameters))]
-    for i in range(first, first + len(model.outputs)):
-        SubElement(outputs, "Unknown", index=str(i), dependencies="")
-        SubElement(unknowns, "Unknown", index=str(i), dependencies=" ".join(map(str, settled_on)))
+    settled_on = " ".join(str(r + 1) for r in dependencies(model))
+    for r in range(len(model.inputs), len(model.inputs) + len(model.outputs)):
+        SubElement(outputs, "Unknown", index=str(r + 1), dependencies="")
+        SubElement(unknowns, "Unknown", index=str(r + 1), dependencies=settled_on)
     return root

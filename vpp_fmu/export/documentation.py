@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from textwrap import dedent
 
 from vpp_fmu.export.icon import icon
-from vpp_fmu.kernel.types import Effect, Model, no_step
+from vpp_fmu.kernel.types import REAL, Effect, Model, Parameter, Signal, no_step
 
 EFFECTS = "vpp_fmu.kernel.effects"
 
@@ -21,10 +21,17 @@ STYLE = (
 USE = """\
 Initialise on the commands that stand: the model starts at rest on the inputs at the end of the initialisation, so that a
 record that begins in the middle of things has no artificial transient. Without any input set, it starts on the start values.
+A state that is set before that (`state.NAME`) begins there instead. A sampled law has not run yet then: its first outputs are
+start values.
 
-Inputs are held over a communication step and act in it; at a communication point no output depends on an input directly.
+Inputs are held over a communication step and act in it; at a communication point no output depends on an input directly. A
+step begins where the last one ended, and holds 100 000 of the model's own steps at most.
 
-Parameters can be set until the initialisation ends, within the ranges below. States can be read, saved and restored.
+Parameters can be set until the initialisation ends, tunable ones at any time, within the ranges below. States can be read,
+saved and restored.
+
+A call that can't be carried out is refused after one message that says why. Values can still be read then, and a reset or a
+saved state brings the instance back. Natively that is fmi2Error; pythonfmu's binary makes it fmi2Fatal.
 
 In the native flavour, directional derivatives of outputs and states are given with respect to inputs and parameters in
 initialisation mode. At a communication point those with respect to inputs are zero. Those with respect to parameters are how
@@ -51,14 +58,14 @@ def documents(
 
 def _page(model: Model, values: Mapping[str, float], origins: Mapping[str, str]) -> str:
     def signals(kind, quantities):
-        return [(q.name, kind, q.unit, f"{q.minimum:g} to {q.maximum:g}", q.description) for q in quantities]
+        return [(q.name, kind, _unit(q), f"{q.minimum:g} to {q.maximum:g}", q.description) for q in quantities]
 
     parameters = [
         (
             p.name,
             repr(values[p.name]),
-            p.unit,
-            f"{p.minimum:g} to {p.maximum:g}",
+            _unit(p),
+            f"{p.minimum:g} to {p.maximum:g}{', tunable' * p.tunable}",
             _origin(model, p, values, origins),
             p.description,
         )
@@ -80,6 +87,10 @@ def _page(model: Model, values: Mapping[str, float], origins: Mapping[str, str])
     ]
     head = f'<meta charset="utf-8"><title>{escape(model.name)}</title><style>{STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(parts) + "\n</body></html>\n"
+
+
+def _unit(q: Signal | Parameter) -> str:
+    return q.unit if q.kind == REAL else q.kind
 
 
 def _origin(model: Model, parameter, values: Mapping[str, float], origins: Mapping[str, str]) -> str:

@@ -5,7 +5,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from vpp_fmu.export.archive import archive
 from vpp_fmu.export.c_text import c_text
-from vpp_fmu.export.description import TEN_SECONDS, Experiment, Flavour, guid, model_description
+from vpp_fmu.export.description import AUTHOR, TEN_SECONDS, Experiment, Flavour, guid, model_description
+from vpp_fmu.export.description3 import model_description_3
 from vpp_fmu.export.documentation import documents
 from vpp_fmu.export.toolchain import binaries
 from vpp_fmu.kernel.types import Model
@@ -17,24 +18,30 @@ def native_fmu(
     experiment: Experiment = TEN_SECONDS,
     platforms: str | Iterable[str] = "host",
     origins: Mapping[str, str] | None = None,
+    author: str = AUTHOR,
+    version: str = "2.0",
 ) -> bytes:
     """An FMU of `model` in compiled C, with its source; its bytes depend on the arguments and the compiler alone.
 
-    `parameters`, `origins`: as `python_fmu` has them. `platforms`: "host" for this machine with its own compiler, "all" or
-    names of `toolchain.TARGETS` with Zig's. CompilerMissing where there is none.
+    `parameters`, `origins`, `author`: as `python_fmu` has them. `platforms`: "host" for this machine, "all" or names
+    of `toolchain.TARGETS` with Zig's compiler. `version`: of FMI, 2.0 or 3.0. CompilerMissing where there is no compiler.
     """
     values = model.values(parameters)
     source = f"{model.name}.c"
     flavour = Flavour("C", {"needsExecutionTool": False, "providesDirectionalDerivative": True}, (source,))
-    identity = guid(c_text(model, values, ""), model_description(model, values, "", flavour, experiment))
-    text = c_text(model, values, identity)
+    describe = {"2.0": model_description, "3.0": model_description_3}[version]
+    identity = guid(c_text(model, values, "", version), describe(model, values, "", flavour, experiment, author))
+    text = c_text(model, values, identity, version)
+    about = documents(model, values, origins)
+    if version == "3.0":
+        about["terminalsAndIcons/icon.png"] = about.pop("model.png")
     return archive(
         {
-            "modelDescription.xml": model_description(model, values, identity, flavour, experiment),
+            "modelDescription.xml": describe(model, values, identity, flavour, experiment, author),
             f"sources/{source}": text.encode(),
             "sources/buildDescription.xml": _build_description(model.name, source),
-            **binaries(model.name, text, platforms),
-            **documents(model, values, origins),
+            **binaries(model.name, text, platforms, version),
+            **about,
         }
     )
 

@@ -9,7 +9,19 @@ from pathlib import Path
 
 from vpp_fmu.export.archive import archive
 from vpp_fmu.export.c_text import is_exact
-from vpp_fmu.export.description import TEN_SECONDS, Experiment, Flavour, guid, model_description, variable_names
+from vpp_fmu.export.description import (
+    AUTHOR,
+    TEN_SECONDS,
+    Experiment,
+    Flavour,
+    allowed,
+    guid,
+    in_unit,
+    model_description,
+    start_values,
+    variable_names,
+    variable_types,
+)
 from vpp_fmu.export.documentation import documents
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.tracer import Layout, python_source, trace
@@ -20,21 +32,22 @@ def python_fmu(
     parameters: Mapping[str, float] | None = None,
     experiment: Experiment = TEN_SECONDS,
     origins: Mapping[str, str] | None = None,
+    author: str = AUTHOR,
 ) -> bytes:
     """An FMU of `model` that runs under Python; its bytes depend on the arguments and versions alone.
 
     `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values. `origins`: where
-    values come from, by name, for the FMU's documentation.
+    values come from, by name, for the FMU's documentation. `author`: of the model, for its description.
     """
     values = model.values(parameters)
     source = module_source(model, values)
     # Python modules share one namespace in a process: the name must tell apart whatever differs in content.
     module = f"{model.name.lower()}_{sha256(source.encode()).hexdigest()[:16]}"
     flavour = Flavour(f"pythonfmu {version('pythonfmu')}", {"needsExecutionTool": True})
-    identity = guid(source, model_description(model, values, "", flavour, experiment))
+    identity = guid(source, model_description(model, values, "", flavour, experiment, author))
     return archive(
         {
-            "modelDescription.xml": model_description(model, values, identity, flavour, experiment),
+            "modelDescription.xml": model_description(model, values, identity, flavour, experiment, author),
             "resources/slavemodule.txt": module.encode(),
             f"resources/{module}.py": source.encode(),
             **_pythonfmu(model.name),
@@ -56,32 +69,36 @@ def _pythonfmu(name: str) -> dict[str, bytes]:
 
 
 def module_source(model: Model, values: Mapping[str, float]) -> str:
-    """The one file that travels: schedule, slave, generated functions and the class that ties them."""
+    """The one file that travels: schedule, table of calls, slave, generated functions and the class that ties them."""
     program, layout = trace(model), Layout.of(model)
     at = layout.index
     way = "Sampled" if model.sample_time else "Exact" if is_exact(model) else "Scheduled"
-    start = [*(u.start for u in model.inputs), *[0.0] * len(layout.outputs), *(values[n] for n in layout.parameters)]
     declared = {
         "NAME": model.name,
         "VARIABLES": tuple(variable_names(model)),
-        "START": (*start, *[0.0] * len(layout.states)),
-        "RANGES": tuple((p.minimum, p.maximum, p.unit) for p in model.parameters),
+        "TYPES": tuple(variable_types(model)),
+        "START": tuple(start_values(model, values)),
+        "RANGES": tuple((p.minimum, p.maximum, in_unit(p), allowed(p)) for p in model.parameters),
+        "TUNABLE": tuple(p.tunable for p in model.parameters),
         "N_INPUTS": len(layout.inputs),
         "N_OUTPUTS": len(layout.outputs),
         "N_PARAMETERS": len(layout.parameters),
         "DELAYS": tuple((at["input", u], at["parameter", p]) for u, p in model.delays),
         "SAMPLE_TIME": at["parameter", model.sample_time] if model.sample_time else None,
     }
-    functions = ("start", "prepare", "step", "largest_step")
-    lines = [f"class {model.name}({way}, TracedSlave):", f"    {model.description!r}", ""]
+    generated = f"{python_source(program)}\n\ndef total(v):\n    return {' + '.join(f'v[{i}]' for i in layout.moving)}\n"
+    declared["TAG"] = sha256(repr((declared, generated)).encode()).hexdigest()[:16]
+    functions = ("start", "prepare", "step", "largest_step", "total")
+    lines = [f"class GeneratedSlave({way}, TracedSlave):", f"    {model.description!r}", ""]
     lines += [f"    {name} = {value!r}" for name, value in declared.items()]
     lines += [f"    {name} = staticmethod({name})" for name in functions]
     return "\n\n".join(
         (
             _text("vpp_fmu.kernel", "schedule.py"),
+            _text("vpp_fmu.kernel", "calls.py"),
             _text("fmu_src", "slave.py"),
             "from math import cos, exp, expm1, sin, sqrt, tanh\n",
-            python_source(program),
+            generated,
             "\n".join(lines) + "\n",
         )
     )

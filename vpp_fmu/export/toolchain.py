@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 import struct
 import subprocess
 import sys
@@ -24,6 +25,15 @@ TARGETS = {
     "aarch64-darwin": ("aarch64-macos.11.0", "dylib"),
 }
 """FMI 2.0.4's platform folders: Zig's name for each, and its libraries' ending. The oldest C libraries Zig knows."""
+
+TUPLES = {
+    "linux64": "x86_64-linux",
+    "aarch64-linux": "aarch64-linux",
+    "win64": "x86_64-windows",
+    "darwin64": "x86_64-darwin",
+    "aarch64-darwin": "aarch64-darwin",
+}
+"""FMI 3.0's names of the same."""
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0", "-w")
 """Not what `vpp_fmu.native` uses: compiled once and shipped. No debug information, for that names folders."""
@@ -50,14 +60,17 @@ def host() -> str:
     return name
 
 
-def binaries(name: str, text: str, platforms: str | Iterable[str]) -> dict[str, bytes]:
-    """Shared libraries of the C text by their place in an FMU. `platforms`: "host", "all", or names of TARGETS.
+def binaries(name: str, text: str, platforms: str | Iterable[str], version: str = "2.0") -> dict[str, bytes]:
+    """Shared libraries of the C text by their place in an FMU. `platforms`: "host", "all", or names of TARGETS. `version`: of
+    FMI, since 3.0 names the places in its own way.
 
     Importers differ about where 64-bit ARM is found. An FMU for the machine it was made on has its library under the names
     of both; one for all platforms keeps FMI's names, and a library for both kinds of Mac under the older one.
     """
     if platforms == "host":
-        here, library = host(), _with_own_compiler(text)
+        here, library = host(), _for_this_machine(name, text)
+        if version == "3.0":
+            return {f"binaries/{TUPLES[here]}/{name}.{TARGETS[here][1]}": library}
         places = {here, {"aarch64-linux": "linux64", "aarch64-darwin": "darwin64"}.get(here, here)}
         return {f"binaries/{place}/{name}.{TARGETS[here][1]}": library for place in places}
     wanted = list(TARGETS) if platforms == "all" else list(platforms)
@@ -66,9 +79,25 @@ def binaries(name: str, text: str, platforms: str | Iterable[str]) -> dict[str, 
     _check_zig()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         built = dict(zip(wanted, pool.map(lambda p: _with_zig(name, text, p), wanted), strict=True))
+    if version == "3.0":
+        return {f"binaries/{TUPLES[p]}/{name}.{TARGETS[p][1]}": library for p, library in built.items()}
     if {"darwin64", "aarch64-darwin"} <= set(built):
         built["darwin64"] = _universal(built["darwin64"], built["aarch64-darwin"])
     return {f"binaries/{p}/{name}.{TARGETS[p][1]}": library for p, library in built.items()}
+
+
+def _for_this_machine(name: str, text: str) -> bytes:
+    """With Zig's compiler where it is installed, on Linux: it links to the oldest C library that serves, so that the FMU also
+    runs on older systems than this one. This machine's own compiler links to this machine's."""
+    if platform.system() == "Linux" and find_spec("ziglang"):
+        return _with_zig(name, text, host())
+    return _with_own_compiler(text)
+
+
+def needs_glibc(library: bytes) -> str | None:
+    """The oldest GNU C library that a Linux library runs with, such as "2.29"; None where it asks for none."""
+    found = {tuple(map(int, version.split(b"."))) for version in re.findall(rb"GLIBC_(\d+\.\d+(?:\.\d+)?)\0", library)}
+    return ".".join(map(str, max(found))) if found else None
 
 
 def _with_own_compiler(text: str) -> bytes:

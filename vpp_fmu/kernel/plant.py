@@ -22,6 +22,7 @@ from vpp_fmu.kernel.effects import (
     pitch_stop_band,
     pitch_stop_restart,
     pitch_travel_limit,
+    reading_delay,
     recirculation,
     rotor_vibration,
     sensor_drift,
@@ -30,8 +31,10 @@ from vpp_fmu.kernel.effects import (
     speed_asymmetry,
     speed_delay,
     speed_dependent_lag,
+    speed_reading_delay,
     speed_saturation,
     stand_resonance,
+    start_from_rest,
     supply_sag,
     supply_voltage,
     thrust_gain_drift,
@@ -66,6 +69,7 @@ _DECLARED: tuple[Effect, ...] = (
     supply_sag.EFFECT,
     speed_saturation.EFFECT,
     _SPEED_DRIVE,
+    start_from_rest.EFFECT,
     _SPEED_FIRST,
     _SPEED_SECOND,
     speed_asymmetry.EFFECT,
@@ -81,8 +85,10 @@ _DECLARED: tuple[Effect, ...] = (
     sensor_gain.EFFECT,
     sensor_lag.EFFECT,
     stand_resonance.EFFECT,
+    reading_delay.EFFECT,
     rotor_vibration.EFFECT,
     sensor_drift.EFFECT,
+    speed_reading_delay.EFFECT,
 )
 """Every effect there is, each where it acts between command and reading. A new effect is one file and one line here."""
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.schedule import DelayLine, run_held, run_sampled
-from vpp_fmu.kernel.types import Model, largest_step, start, step
+from vpp_fmu.kernel.types import INSTANT, Model, largest_step, start, step
 
 
 class Simulation:
@@ -23,14 +23,21 @@ class Simulation:
         self._largest = largest_step(model, NUMBERS, self.parameters)
         self.start({s.name: s.start for s in model.inputs})
 
-    def start(self, inputs: Mapping[str, float]) -> dict[str, float]:
-        """Settle on `inputs`, by name; measured ones may be missing. Returns the outputs."""
+    def start(self, inputs: Mapping[str, float], states: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Settle on `inputs`, by name; measured ones may be missing. Returns the outputs.
+
+        `states`: those that begin elsewhere, by full name; the outputs are then what an instant of a step from there gives.
+        """
         self._inputs = self._complete(inputs)
         self._lines = [
             None if delay is None else DelayLine(u) for delay, u in zip(self._delays, self._inputs.values(), strict=True)
         ]
         self._wait = 0.0
         self.signals, self.states = start(self.model, NUMBERS, self._inputs, self.parameters)
+        if states:
+            self.states |= states
+            if self.model.sample_time is None:
+                self.signals, _ = step(self.model, NUMBERS, self._inputs, self.states, self.parameters, INSTANT)
         return self.outputs
 
     def advance(self, inputs: Mapping[str, float], dt: float) -> dict[str, float]:

@@ -16,6 +16,9 @@ from vpp_fmu.kernel.scales import Scales
 SETTLING = 6
 """How often a chain that feeds back is gone through to settle it: what is fed back with a share k is then k^6 off."""
 
+REAL, INTEGER, BOOLEAN = "Real", "Integer", "Boolean"
+"""What a quantity is to an importer, in FMI's words; within the model all are floats, a Boolean 0 or 1."""
+
 INSTANT = 1e-9
 """The shortest time the kernel tells apart, s. Two events closer than this are one; settling takes one such step."""
 
@@ -24,7 +27,7 @@ INSTANT = 1e-9
 class Signal:
     """A quantity that runs along the chain; as a model's input or output also an FMU variable.
 
-    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute.
+    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute. `kind`: REAL, INTEGER or BOOLEAN.
     """
 
     name: str
@@ -35,6 +38,7 @@ class Signal:
     nominal: float = 1.0
     start: float = 0.0
     scale: str = ""
+    kind: str = REAL
 
     def sized(self, scales: Scales) -> "Signal":
         """The signal on a rig of these scales."""
@@ -48,7 +52,8 @@ class Parameter:
     `choices`: the only values that mean something, where the parameter picks a form of the effect; a search tries each.
     `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
     `scale`: the rig's scale (`Scales.absolute`) that default, bounds and nominal are shares of, as the effect declares them;
-    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all.
+    "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all. `kind`: as a
+    signal's. `tunable`: an importer may change it while the model runs, between two steps.
     """
 
     name: str
@@ -62,6 +67,8 @@ class Parameter:
     limit_form: str = ""
     scale: str = ""
     unlimited: float | None = None
+    kind: str = REAL
+    tunable: bool = False
 
     def absolute(self, share: float, scales: Scales) -> float:
         """A declared share as a value on a rig of these scales."""
@@ -108,11 +115,11 @@ class Effect:
     holds it back [s]; the schedule does it, between steps, exactly. `largest_step` is the longest step [s] that the discrete
     form is good for; None: exact for held inputs at any step. `contains` maps the name of an effect that is a special case of
     this one to the parameters that they share, own name to its: a search for this one starts at what was found for that one,
-    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: it is how thrust
-    is read, not the thrust. `common`: every rig has a little of it, and it is worth a name from this share of the noise's
-    power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in shares of the rig's
-    scales. `ahead`: signals from behind the effect that its states start from as `settled_<name>`, each with the input that it
-    is about; "": it is about 0."""
+    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: "thrust" or
+    "speed", it is how that is read, not what it is. `common`: every rig has a little of it, and it is worth a name from this
+    share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in
+    shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as `settled_<name>`, each
+    with the input that it is about; "": it is about 0."""
 
     name: str
     description: str
@@ -126,7 +133,7 @@ class Effect:
     largest_step: float | None = None
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     channels: tuple[str, ...] = ()
-    reading: bool = False
+    reading: str = ""
     common: float = 0.0
     declared: "Effect | None" = None
     ahead: Mapping[str, str] = field(default_factory=dict)
@@ -263,6 +270,8 @@ def _started(model: Model, ops, inputs: Mapping, ahead: Mapping, parameters: Map
         signals, _ = e.step(ops, s, SimpleNamespace(**own), p, INSTANT)
         s.__dict__.update(signals)
         states.update((e.full(name), value) for name, value in own.items())
+    if model.sample_time is not None:
+        s.__dict__.update((output.name, output.start) for output in model.outputs)
     return vars(s), states
 
 

@@ -125,6 +125,9 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
     }
 
 
+HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger"}
+
+
 def artefact(found: Diagnosis, name: str) -> str:
     """In words, why an effect is no physics of the rotor but of how it is measured; empty where it is not.
 
@@ -133,7 +136,7 @@ def artefact(found: Diagnosis, name: str) -> str:
     """
     effect = next(e for e in found.selection.final.evidence.model.effects if e.name == name)
     if effect.reading:
-        return "in the reading of thrust (load cell, stand, amplifier, logger), not in the thrust itself"
+        return f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
     if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -STRONG:
         return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
     return ""

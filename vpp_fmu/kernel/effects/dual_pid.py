@@ -11,7 +11,9 @@ Departs from the paper: delta is held to 1 where t_filter < dt, since the form i
 """
 
 from vpp_fmu.kernel.effects.normalisation import scales
-from vpp_fmu.kernel.types import Effect, Parameter, State
+from vpp_fmu.kernel.types import BOOLEAN, Effect, Parameter, State
+
+SWITCH = {"kind": BOOLEAN, "tunable": True}
 
 
 def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
@@ -43,7 +45,7 @@ def _step(ops, s, x, p, dt):
 
 
 def _gain(name: str, default: float, unit: str, text: str) -> Parameter:
-    return Parameter(name, unit, default, 0.0, 1e4, f"{text} gain, normalised", nominal=10.0)
+    return Parameter(name, unit, default, 0.0, 1e4, f"{text} gain, normalised", nominal=10.0, tunable=True)
 
 
 def _nothing(ops, s, p):
@@ -61,14 +63,14 @@ DUAL_PID = Effect(
         _gain("kp_beta", 9.0, "1", "proportional pitch"),
         _gain("ki_beta", 70.44, "1/s", "integral pitch"),
         _gain("kd_beta", 0.25, "s", "derivative pitch"),
-        Parameter("t_filter", "s", 0.02, 0.0, 10.0, "time constant of the derivative's filter", 0.02),
+        Parameter("t_filter", "s", 0.02, 0.0, 10.0, "time constant of the derivative's filter", 0.02, tunable=True),
         Parameter("sample_time", "s", 0.004, 1e-5, 10.0, "period at which the controller samples", 0.004),
-        Parameter("omega_min", "rpm", 1.0 / 3.0, 0.0, 5.0, "lowest speed that is commanded", 1.0, scale="speed"),
-        Parameter("omega_max", "rpm", 1.0, 0.0, 5.0, "highest speed that is commanded", 1.0, scale="speed"),
-        Parameter("beta_min", "deg", 0.0, -5.0, 5.0, "lowest pitch that is commanded", 1.0, scale="position"),
-        Parameter("beta_max", "deg", 1.0, -5.0, 5.0, "highest pitch that is commanded", 1.0, scale="position"),
-        Parameter("speed_only", "1", 0.0, 0.0, 1.0, "1: only speed is controlled, pitch stays at beta_fixed"),
-        Parameter("beta_fixed", "deg", 1.0, -5.0, 5.0, "pitch in speed-only mode", 1.0, scale="position"),
+        Parameter("omega_min", "rpm", 1.0 / 3.0, 0.0, 5.0, "lowest speed that is commanded", 1.0, scale="speed", tunable=True),
+        Parameter("omega_max", "rpm", 1.0, 0.0, 5.0, "highest speed that is commanded", 1.0, scale="speed", tunable=True),
+        Parameter("beta_min", "deg", 0.0, -5.0, 5.0, "lowest pitch that is commanded", 1.0, scale="position", tunable=True),
+        Parameter("beta_max", "deg", 1.0, -5.0, 5.0, "highest pitch that is commanded", 1.0, scale="position", tunable=True),
+        Parameter("speed_only", "1", 0.0, 0.0, 1.0, "only speed is controlled, pitch stays at beta_fixed", **SWITCH),
+        Parameter("beta_fixed", "deg", 1.0, -5.0, 5.0, "pitch in speed-only mode", 1.0, scale="position", tunable=True),
         *scales(),
     ),
     states=(

@@ -25,5 +25,5 @@ EFFECT = Effect(
     states=(State("drift", "N", "drift of the thrust reading so far", lambda ops, s, p: 0.0),),
     off={"offset": 0.0, "rate": 0.0},
     probe={"offset": 0.1 / 15.0, "rate": 0.0002},
-    reading=True,
+    reading="thrust",
 )

@@ -14,5 +14,5 @@ EFFECT = Effect(
     parameters=(Parameter("gain", "1", 1.0, 0.7, 1.3, "thrust reading over thrust"),),
     off={"gain": 1.0},
     probe={"gain": 1.05},
-    reading=True,
+    reading="thrust",
 )

@@ -33,5 +33,5 @@ EFFECT = Effect(
     off={"time_constant": 0.0},
     probe={"time_constant": 0.1},
     largest_step=0.002,
-    reading=True,
+    reading="thrust",
 )

@@ -46,5 +46,5 @@ EFFECT = Effect(
     off={"frequency": 0.0},
     probe={"frequency": 3.0},
     largest_step=0.002,
-    reading=True,
+    reading="thrust",
 )

@@ -34,7 +34,7 @@ class Port:
     channel: str = ""
     staged: bool = False
     whole: bool = False
-    reading: bool = False
+    reading: str = ""
 
     @property
     def position(self) -> int:
@@ -105,7 +105,7 @@ PORTS = {
         ),
         Port("thrust", "N", "the thrust", _added("thrust"), "thrust", 0.5, **_MAP),
         Port("thrust_share", "1", "the thrust, as a factor", _multiplied("thrust"), "", 0.8, **_MAP),
-        Port("reading", "N", "the reading of thrust", _added("thrust"), "thrust", 0.5, reading=True),
+        Port("reading", "N", "the reading of thrust", _added("thrust"), "thrust", 0.5, reading="thrust"),
     )
 }
 """Every port by its name."""

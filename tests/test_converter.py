@@ -1,0 +1,75 @@
+"""What rounding to coarse counts makes of a mean reading, and dead times of readings."""
+
+import numpy as np
+import pytest
+
+from identification.diagnose.evidence.converter import LEAST, Converter, grid
+from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.native import Simulator
+
+STEP = 0.002
+
+
+@pytest.mark.parametrize("blur", [0.25, 0.33, 0.5, 1.0])
+def test_the_mean_reading_is_that_of_many_rounded_ones(blur):
+    """Against a million readings: their mean is known to count / 1000 times the root of blur^2 + 1/12."""
+    rng, count, zero = np.random.default_rng(0), 0.3, 0.04
+    converter = Converter(count, zero, blur)
+    for true in (1.0, 1.07, 1.15, 1.234):
+        noisy = (true - zero) / count + blur * rng.standard_normal(1_000_000)
+        mean = zero + count * np.mean(np.round(noisy))
+        known = count * np.hypot(blur, 12**-0.5) / 1000.0
+        assert converter.reads(np.array([true]))[0] == pytest.approx(mean, abs=4.0 * known)
+
+
+def test_its_slope_is_its_derivative():
+    converter, at = Converter(0.3, 0.04, 0.3), np.linspace(0.0, 2.0, 50)
+    rise = (converter.reads(at + 1e-6) - converter.reads(at - 1e-6)) / 2e-6
+    np.testing.assert_allclose(converter.slope(at), rise, atol=1e-6)
+
+
+def test_counts_are_found_from_readings():
+    """Rounded to counts after noise of a third of one; the noise ahead of it is what is left of the whole."""
+    rng, count = np.random.default_rng(1), 0.2
+    readings = count * np.round((rng.uniform(0.0, 9.0, 20000) + 0.33 * count * rng.standard_normal(20000)) / count)
+    found = Converter.of(readings, count * np.hypot(0.33, 12**-0.5))
+    assert found.count == pytest.approx(count)
+    assert found.blur == pytest.approx(0.33)
+    in_grams = Converter.of(readings * 101.97162129779, 0.01)
+    assert in_grams.count == pytest.approx(count * 101.97162129779)
+    assert in_grams.blur == LEAST
+
+
+def test_a_fine_converter_changes_nothing():
+    thrust = np.random.default_rng(2).normal(5.0, 1.0, 1000)
+    assert grid(thrust) == (0.0, 0.0)
+    fine = Converter.of(np.round(thrust, 3), 0.1)
+    np.testing.assert_array_equal(fine.reads(thrust), thrust)
+
+
+@pytest.mark.parametrize(("effect", "column"), [("reading_delay", 0), ("speed_reading_delay", 1)])
+@pytest.mark.parametrize("delay", [0.01, 0.04])
+def test_a_reading_that_is_late_is_the_signal_of_before(effect, column, delay):
+    """Behind its two lags speed moves slowly: late by whole rows it is the same to a few thousandths of the step."""
+    rows = 3000
+    inputs = {"omega_ref": np.where(np.arange(rows) < 500, 3000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
+    steps = np.full(rows - 1, STEP)
+    plain = Simulator(BASE).simulate({}, inputs, steps)
+    late = Simulator(plant([effect])).simulate({f"{effect}.delay": delay}, inputs, steps)
+    back = round(delay / STEP)
+    moved = np.ptp(plain[:, column])
+    np.testing.assert_allclose(late[back:, column], plain[:-back, column], atol=0.004 * moved)
+    others = [k for k in range(3) if k != column]
+    np.testing.assert_allclose(late[:, others], plain[:, others], rtol=1e-9)
+
+
+def test_a_rotor_waits_only_where_it_stood():
+    """From rest it is the same response `wait` later; from a speed it is not late."""
+    rows, wait = 3000, 0.05
+    steps, clock = np.full(rows - 1, STEP), np.arange(rows)
+    model = plant(["start_from_rest"])
+    for low, back in ((0.0, round(wait / STEP)), (2000.0, 0)):
+        inputs = {"omega_ref": np.where(clock < 500, low, 5000.0), "beta_ref": np.full(rows, 5.0)}
+        plain = Simulator(BASE).simulate({}, inputs, steps)
+        late = Simulator(model).simulate({"start_from_rest.wait": wait}, inputs, steps)
+        np.testing.assert_allclose(late[back:, 1], plain[: rows - back, 1], atol=0.5)

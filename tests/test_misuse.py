@@ -1,0 +1,43 @@
+"""Calls out of order and with bad arguments: both flavours refuse the same, in the same words, and no process dies of it."""
+
+import misuse
+import pytest
+from builders import ALL_ON, PROBES
+
+from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.native.compiler import compiler
+
+MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """Outcomes of all cases by flavour."""
+    try:
+        compiler()
+    except CompilerMissing as missing:
+        pytest.skip(f"native FMUs: {missing}")
+    folder, outcomes = tmp_path_factory.mktemp("misuse"), {}
+    for flavour, make in (("native", native_fmu), ("python", python_fmu)):
+        paths = {name: folder / f"{name}.{flavour}.fmu" for name in MODELS}
+        for name, path in paths.items():
+            path.write_bytes(make(*MODELS[name]))
+        outcomes[flavour] = misuse.outcomes(paths)
+    return outcomes
+
+
+def test_no_process_dies(found):
+    assert {flavour: len(cases) for flavour, cases in found.items()} == dict.fromkeys(found, len(misuse.CASES))
+
+
+@pytest.mark.parametrize("number", range(len(misuse.CASES)), ids=[case.name for case in misuse.CASES])
+def test_both_flavours_answer_alike(found, number):
+    assert not misuse.verdict(misuse.CASES[number], found["native"][number], found["python"][number])
+
+
+def test_there_are_enough_cases():
+    assert len(misuse.CASES) >= 40
+    assert {case.outcome for case in misuse.CASES} == {misuse.TAKEN, misuse.REFUSED}

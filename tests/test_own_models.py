@@ -1,0 +1,191 @@
+"""vpp export --model: the worked example in both flavours, and what is said of models that can't become an FMU."""
+
+import shutil
+import sys
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from builders import Slave
+
+import fmu_src
+from fmu_src.two_masses import MODEL
+from vpp_fmu.cli import main
+from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.fmu import Fmu
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.native.compiler import compiler
+
+EXAMPLE = (Path(fmu_src.__file__).parent / "two_masses.py").read_text()
+OUTPUTS = [s.name for s in MODEL.outputs]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty current folder from which modules are found, as the command has it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def flavours():
+    try:
+        compiler()
+    except CompilerMissing:
+        return {"python": ""}
+    return {"python": "", "native": ".native"}
+
+
+@pytest.fixture(scope="module")
+def example(flavours, tmp_path_factory):
+    """The worked example's FMUs by flavour."""
+    out = tmp_path_factory.mktemp("example")
+    flavour = "both" if len(flavours) > 1 else "python"
+    command = ["export", "--model", "fmu_src.two_masses:MODEL", "--flavour", flavour, "--author", "A. Body", "-o", str(out)]
+    assert main(command) == 0
+    return {name: Fmu(out / f"TwoMasses{suffix}.fmu") for name, suffix in flavours.items()}
+
+
+def test_the_example_is_the_functions_to_the_bit_in_all_flavours(example):
+    rng = np.random.default_rng(4)
+    kernel, slaves = Simulation(MODEL), [Slave(fmu) for fmu in example.values()]
+    kernel.start({"force": 0.0, "brake": 0.0})
+    for dt in rng.choice([0.001, 0.004, 0.0037], 400).tolist():
+        inputs = {"force": float(rng.uniform(-20.0, 30.0)), "brake": float(rng.random() < 0.02)}
+        exact = list(kernel.advance(inputs, dt).values())
+        for slave in slaves:
+            assert slave.step(inputs, dt, *OUTPUTS) == exact
+    assert exact[OUTPUTS.index("passes")] > 0
+
+
+def test_the_example_keeps_momentum_and_swings_as_the_textbook_says(example):
+    """Momentum is force times time; the spring between the masses swings at sqrt(k / mu), mu = m1 m2 / (m1 + m2)."""
+    for fmu in example.values():
+        slave = Slave(fmu, initialised=False).initialise(d=0.0)
+        stretch, steps = [], 2000
+        for _ in range(steps):
+            x1, x2, v1, v2 = slave.step({"force": 3.0}, 0.001, "x1", "x2", "state.v1", "state.v2")
+            stretch.append(x2 - x1)
+        assert 1.0 * v1 + 2.0 * v2 == pytest.approx(3.0 * 2.0, rel=1e-9)
+        omega = np.sqrt(50.0 / (2.0 / 3.0))
+        t = 0.001 * (1.0 + np.arange(steps))
+        rest = -3.0 * 2.0 / 3.0 / 50.0  # both masses share the force: F m2 / (m1 + m2) / k
+        np.testing.assert_allclose(stretch, rest * (1.0 - np.cos(omega * t)), atol=2e-3 * abs(rest) * omega)
+
+
+def test_the_brake_is_a_switch_and_the_gate_can_be_moved_while_it_runs(example):
+    for fmu in example.values():
+        slave = Slave(fmu)
+        for _ in range(100):
+            slave.step({"force": 5.0, "brake": 1.0}, 0.004)
+        assert slave.get(*OUTPUTS) == [0.0, 0.0, 0.0, 0.0]
+        for _ in range(150):
+            slave.step({"brake": 0.0}, 0.004)
+        assert slave.get("beyond", "passes") == [1.0, 1.0]
+        slave.step({"gate": 5.0}, 0.004)
+        assert slave.get("beyond", "passes") == [0.0, 2.0]
+
+
+def test_the_example_says_what_its_variables_are(example):
+    for fmu in example.values():
+        with zipfile.ZipFile(fmu.path) as packed:
+            root = ElementTree.fromstring(packed.read("modelDescription.xml"))
+        assert root.get("author") == "A. Body"
+        types = {v.get("name"): (v[0].tag, v.get("variability")) for v in root.iter("ScalarVariable")}
+        assert types["brake"] == ("Boolean", "discrete")
+        assert types["passes"] == ("Integer", "discrete")
+        assert types["gate"] == ("Real", "tunable")
+        assert types["k"] == ("Real", "fixed")
+    shown = fmpy.simulate_fmu(str(fmu.path), stop_time=1.0, start_values={"force": 5.0}, output_interval=0.01)
+    assert set(OUTPUTS) < set(shown.dtype.names)
+
+
+BROKEN = {
+    "unknown signal": ("s.force + f", "s.forse + f", ["effect masses, step", "line 23", "no signal forse", "force, brake"]),
+    "unknown state": ("x.x2 - x.x1)", "x.y2 - x.x1)", ["effect masses, step", "no state y2", "x1, x2, v1, v2"]),
+    "unknown parameter": ("p.k *", "p.c *", ["effect masses, step", "no parameter c", "m1, m2, k, d, sample_time"]),
+    "state never returned": ('"v1": v1, "v2": v2}', '"v1": v1}', ["state v2", "never returned by its step"]),
+    "state not declared": (
+        '"v1": v1,',
+        '"v1": v1, "w": v1,',
+        ["effect masses, step", "a state w returned", "its declared states: x1, x2, v1, v2"],
+    ),
+    "unit unknown": ('"N.s/m"', '"N.sec/m."', ["parameter d, unit", "N.sec/m.", "N.m/rad"]),
+    "unit FMI can't say": ('"kg", 1.0', '"bit", 1.0', ["parameter m1, unit", "is in bit", "kg, m, s, A, K, mol, cd, rad"]),
+    "unit with half a power": ('"m/s", "speed of mass 1"', '"m/s0.5", "speed of mass 1"', ["state v1, unit"]),
+    "default out of bounds": (
+        '"m", 0.1, -10.0',
+        '"m", 11.0, -10.0',
+        ["parameter gate, default", "found 11.0", "-10.0 to 10.0"],
+    ),
+    "range upside down": ("50.0, 0.0, 1e4", "50.0, 1e4, 0.0", ["parameter k, range", "10000.0 to 0.0", "below"]),
+    "if": ("    v2 = x.v2", "    if f > 0.0:\n        f = 0.0\n    v2 = x.v2", ["effect masses, step", "line 24", "ops.where"]),
+    "numpy": ("f = p.k", "import numpy\n    f = numpy.exp(x.v1) * p.k", ["effect masses, step", "can't be traced", "numpy"]),
+    "math": ("f = p.k", "import math\n    f = math.exp(x.v1) * p.k", ["effect masses, step", "can't be traced", "ops.exp"]),
+    "name with a space": ('"TwoMasses"', '"Two Masses"', ["name: found 'Two Masses'", "letters, digits and _"]),
+    "variable no identifier": ('"m1", "kg"', '"m-1", "kg"', ["parameter of effect masses 'm-1'", "letters, digits and _"]),
+    "declared twice": ('"m2", "kg"', '"m1", "kg"', ["variable m1", "declared twice"]),
+    "output that nothing sets": (
+        '("beyond", "1", "whether the second',
+        '("above", "1", "whether the second',
+        ["output above", "set by no effect"],
+    ),
+    "sample time not there": (
+        'sample_time="sample_time"',
+        'sample_time="period"',
+        ["sample_time", "a parameter period", "sample_time"],
+    ),
+    "sample time tunable": ("nominal=0.001)", "nominal=0.001, tunable=True)", ["parameter sample_time", "tunable", "fixed"]),
+    "Boolean with a range": (
+        "0.0, 1.0, kind=BOOLEAN)\nFIRST",
+        "0.0, 2.0, kind=BOOLEAN)\nFIRST",
+        ["signal brake, range", "0.0 to 2.0", "0 to 1"],
+    ),
+    "step of other arguments": (
+        "def _watch(ops, s, x, p, dt)",
+        "def _watch(ops, s, x, p)",
+        ["effect gate, step", "(ops, s, x, p, dt)"],
+    ),
+    "step that returns no pair": ("return seen, seen", "return seen", ["effect gate, step", "a dict returned", "a pair"]),
+    "division by zero": ("dt * f / p.m2", "dt * f / (x.x1 - x.x2)", ["effect masses, step", "ZeroDivisionError", "line 24"]),
+    "no numbers later on": ("x.passes + ops", "2e200 + x.passes * 1e200 + ops", ["the first 100 steps", "passes = inf"]),
+    "start of other arguments": ("def _rest(ops, s, p)", "def _rest(ops, s)", ["state x1, start", "(ops, s, p)"]),
+    "no Python": ("def _rest(ops, s, p):", "def _rest(ops, s, p)", ["--model", "package.module:NAME"]),
+    "not there": ("MODEL = Model(", "MODELL = Model(", ["--model", "MODEL", "package.module:NAME"]),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_model_is_told_by_its_declaration_and_nothing_is_written(folder, capsys, what):
+    good, bad, words = BROKEN[what]
+    assert EXAMPLE.count(good) == 1, what
+    module = f"broken_{list(BROKEN).index(what)}"
+    (folder / f"{module}.py").write_text(EXAMPLE.replace(good, bad))
+    assert main(["export", "--model", f"{module}:MODEL", "-o", "out"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert f"{module}:MODEL" in said
+    for word in words:
+        assert word in said, said
+    assert not (folder / "out").exists()
+
+
+def test_the_example_that_the_readme_shows_runs(folder, capsys):
+    """The text between its fences is a module as it stands."""
+    page = (Path(fmu_src.__file__).parent / "README.md").read_text()
+    text = page.split("```python\n# cooling.py\n")[1].split("```")[0]
+    (folder / "cooling.py").write_text(text)
+    assert main(["export", "--model", "cooling:MODEL", "-o", "out"]) == 0
+    slave = Slave(Fmu(folder / "out" / "Cooling.fmu"))
+    time, shown = 0.0, []
+    for _ in range(50):
+        time += 1.0
+        shown.append(slave.step({"ambient": 20.0}, 1.0, "temperature")[0])
+    np.testing.assert_allclose(shown, 20.0 + 60.0 * np.exp(-np.arange(1.0, 51.0) / 30.0), rtol=1e-12)
+    capsys.readouterr()
+    shutil.rmtree(folder / "out")

@@ -1,0 +1,235 @@
+"""Whether a model that somebody wrote on the kernel can become an FMU; if not, which declaration is at fault, in one line."""
+
+import inspect
+import itertools
+import keyword
+import math
+import re
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+
+import vpp_fmu
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.types import BOOLEAN, INSTANT, INTEGER, REAL, Effect, Model, Parameter, Signal, State, no_step
+from vpp_fmu.tracer.graph import Graph
+from vpp_fmu.units import TRIED, UnknownUnit, base_unit
+
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+HERE = Path(vpp_fmu.__file__).parent
+STANDARD = sysconfig.get_paths()["stdlib"]
+TRY_STEP = 0.01  # s; any step shows what a function reads, sets and returns
+
+
+def check_model(where: str, model: Model) -> None:
+    """BadInput(where, declaration, found, allowed) for the first fault; `where` is what the user calls the model.
+
+    The functions are run on numbers and on symbols, as they will be traced; nothing is compiled.
+    """
+    _Check(where, model).all()
+
+
+def at_line(field: str, error: Exception) -> str:
+    """The field, with the line of the user's own code that the error came from."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if not Path(f.filename).is_relative_to(HERE) and Path(f.filename).suffix == ".py"]
+    own = [f for f in own if "site-packages" not in f.filename and not f.filename.startswith(STANDARD)]
+    return f"{field}, {Path(own[-1].filename).name} line {own[-1].lineno}" if own else field
+
+
+class _Missing(AttributeError):
+    """A name that a function asked for and that is not there."""
+
+
+class _Given(SimpleNamespace):
+    """What a function of an effect is handed: knows what it is, for the message when it lacks something."""
+
+    __slots__ = ("_what",)
+
+    def __init__(self, what: str, **values):
+        super().__init__(**values)
+        self._what = what
+
+    def __getattr__(self, name):
+        known = list(vars(self))
+        raise _Missing(f"{self._what} {name}", f"{self._what}s that are known there: {', '.join(known) or 'none'}")
+
+
+class _Check:
+    def __init__(self, where: str, model: Model):
+        self.where, self.model = where, model
+        self.unused = itertools.count(len(model.inputs) + len(model.parameters)).__next__
+
+    def refuse(self, field: str, found: str, allowed: str):
+        raise BadInput(self.where, field, found, allowed)
+
+    def all(self) -> None:
+        model = self.model
+        self.names()
+        for signal in (*model.inputs, *model.outputs):
+            self.number(f"signal {signal.name}", signal, "start", signal.start)
+        for effect in model.effects:
+            self.effect(effect)
+        self.schedule()
+        for graph in (False, True):
+            self.chain(graph)
+
+    def names(self) -> None:
+        model = self.model
+        if not NAME.fullmatch(model.name) or keyword.iskeyword(model.name):
+            self.refuse("name", repr(model.name), "letters, digits and _, not beginning with a digit, no word of Python")
+        if not model.outputs:
+            self.refuse("outputs", "none", "a Signal at least")
+        kinds = [("input", model.inputs), ("output", model.outputs), ("effect", model.effects)]
+        kinds += [(f"parameter of effect {e.name}", e.parameters) for e in model.effects]
+        kinds += [(f"state of effect {e.name}", e.states) for e in model.effects]
+        for kind, declared in kinds:
+            for one in declared:
+                if not isinstance(one, Signal | Effect | Parameter | State):
+                    self.refuse(kind, f"a {type(one).__name__}", f"a {kind.split()[0].capitalize()}")
+                if not NAME.fullmatch(one.name) or keyword.iskeyword(one.name):
+                    self.refuse(f"{kind} {one.name!r}", "no identifier", "letters, digits and _, not beginning with a digit")
+        self.once("variable", [q.name for q in (*model.inputs, *model.outputs, *model.parameters)])
+        self.once("state", [x.name for x in model.states])
+        self.once("effect", [e.name for e in model.effects])
+
+    def once(self, what: str, names: Iterable[str]) -> None:
+        seen = set()
+        for name in names:
+            if name in seen:
+                self.refuse(f"{what} {name}", "declared twice", "each name once")
+            seen.add(name)
+
+    def number(self, field: str, q: Signal | Parameter, what: str, value: float) -> None:
+        """A quantity's unit, range and start value."""
+        self.unit(field, q.unit)
+        if q.kind not in (REAL, INTEGER, BOOLEAN):
+            self.refuse(f"{field}, kind", repr(q.kind), f"{REAL}, {INTEGER} or {BOOLEAN}")
+        if not q.description:
+            self.refuse(f"{field}, description", "nothing", "what it is, in words")
+        if not (math.isfinite(q.nominal) and q.nominal > 0.0):
+            self.refuse(f"{field}, nominal", str(q.nominal), "a number above 0")
+        if not q.minimum < q.maximum:
+            self.refuse(f"{field}, range", f"{q.minimum} to {q.maximum}", "a minimum below its maximum")
+        if q.kind == BOOLEAN and (q.minimum, q.maximum) != (0.0, 1.0):
+            self.refuse(f"{field}, range", f"{q.minimum} to {q.maximum}", "0 to 1, since it is a Boolean")
+        if not (math.isfinite(value) and q.minimum <= value <= q.maximum):
+            self.refuse(f"{field}, {what}", str(value), f"{q.minimum} to {q.maximum}")
+        if q.kind != REAL and value != round(value):
+            self.refuse(f"{field}, {what}", str(value), "0 or 1" if q.kind == BOOLEAN else "a whole number")
+
+    def unit(self, field: str, unit: str) -> None:
+        try:
+            base_unit(unit)
+        except UnknownUnit as error:
+            raise BadInput(self.where, f"{field}, unit", str(error), TRIED) from error
+
+    def effect(self, effect: Effect) -> None:
+        for p in effect.parameters:
+            self.number(f"parameter {effect.full(p.name)}", p, "default", p.default)
+        for x in effect.states:
+            self.unit(f"state {effect.full(x.name)}", x.unit)
+            if not callable(x.start):
+                self.refuse(f"state {effect.full(x.name)}, start", repr(x.start), "a function of (ops, s, p)")
+        known = [p.name for p in effect.parameters]
+        for what, names in (("off", effect.off or {}), ("probe", effect.probe), ("delays", effect.delays.values())):
+            for name in names:
+                if name not in known:
+                    self.refuse(f"effect {effect.name}, {what}", f"a parameter {name}", f"one of {', '.join(known) or 'none'}")
+        if effect.largest_step is not None and not effect.largest_step > 0.0:
+            self.refuse(f"effect {effect.name}, largest_step", str(effect.largest_step), "seconds above 0, or None")
+
+    def schedule(self) -> None:
+        model = self.model
+        by_name, inputs = {p.name: p for p in model.parameters}, [u.name for u in model.inputs]
+        if model.sample_time is not None:
+            if model.sample_time not in by_name:
+                self.refuse("sample_time", f"a parameter {model.sample_time}", f"one of {', '.join(by_name) or 'none'}")
+            if not by_name[model.sample_time].minimum > 0.0:
+                self.refuse(f"parameter {model.sample_time}, minimum", "0 or less", "above 0, since it is a period")
+        for name, delay in model.delays:
+            if name not in inputs:
+                self.refuse(f"delay {delay}", f"an input {name}", f"one of {', '.join(inputs) or 'none'}")
+            if model.sample_time is not None:
+                self.refuse(f"delay {delay}", "a delay in a sampled model", "delays in models without a sample time")
+            if by_name[delay].minimum < 0.0:
+                self.refuse(f"parameter {delay}, minimum", "below 0", "0 or more, since it is a delay")
+        for name in (model.sample_time, *(delay for _, delay in model.delays)):
+            if name is not None and by_name[name].tunable:
+                self.refuse(f"parameter {name}", "tunable", "fixed: the schedule is made from it once")
+
+    def chain(self, graph: bool) -> None:
+        """Start and step of each effect in turn, on numbers or on symbols."""
+        model = self.model
+        ops = Graph() if graph else NUMBERS
+
+        def value(i: int, number: float):
+            return ops.node("v", i) if graph else number
+
+        signals = {u.name: value(i, u.start) for i, u in enumerate(model.inputs)}
+        dt = ops.node("dt") if graph else TRY_STEP
+        for starting in (True, False):
+            s, count = _Given("signal", **signals), len(model.inputs)
+            for e in model.effects:
+                p = _Given("parameter", **{q.name: value(count + k, q.default) for k, q in enumerate(e.parameters)})
+                count += len(e.parameters)
+                states = {q.name: self.call(f"state {e.full(q.name)}, start", q.start, ops, s, p) for q in e.states}
+                if graph and not starting:
+                    states = {name: ops.node("v", self.unused()) for name in states}
+                x = _Given("state", **states)
+                arguments = (ops, s, x, p, INSTANT if starting else dt)
+                returned = self.call(f"effect {e.name}, step", e.step, *arguments)
+                self.returned(e, returned, s)
+                vars(s).update(returned[0])
+            self.end(s)
+
+    def call(self, field: str, function: Callable, *arguments):
+        """What a function of the model gives; whatever it raises, in words that name it."""
+        try:
+            inspect.signature(function).bind(*arguments)
+        except TypeError as error:
+            wanted = "(ops, s, p)" if len(arguments) == len("osp") else "(ops, s, x, p, dt)"
+            raise BadInput(self.where, field, f"{error}", f"a function of {wanted}") from error
+        try:
+            return function(*arguments)
+        except _Missing as missing:
+            raise BadInput(self.where, at_line(field, missing), f"no {missing.args[0]}", missing.args[1]) from missing
+        except TypeError as error:
+            found = f"what can't be traced ({' '.join(str(error).split())[:120]})"
+            allowed = "+ - * / < > and ops.where, ops.exp ... in place of if, and, ==, max, math or numpy"
+            raise BadInput(self.where, at_line(field, error), found, allowed) from error
+        except Exception as error:  # somebody's own code may raise anything
+            found = f"{type(error).__name__}: {error}"
+            raise BadInput(self.where, at_line(field, error), found, "a function that works on start values") from error
+
+    def returned(self, effect: Effect, returned: object, s: _Given) -> None:
+        field = f"effect {effect.name}, step"
+        good = isinstance(returned, tuple) and len(returned) == 2 and all(isinstance(part, Mapping) for part in returned)
+        if not good:
+            self.refuse(field, f"a {type(returned).__name__} returned", "a pair: signals by name, next states by name")
+        for name, number in (*returned[0].items(), *returned[1].items()):
+            if not isinstance(number, float | int) and type(number).__name__ != "Node":
+                self.refuse(field, f"{name} is a {type(number).__name__}", "numbers")
+        own = [x.name for x in effect.states]
+        for name in returned[1]:
+            if name not in own:
+                self.refuse(field, f"a state {name} returned", f"its declared states: {', '.join(own) or 'none'}")
+        for x in effect.states:
+            if x.name not in returned[1] and x.closed_by is None:
+                self.refuse(f"state {effect.full(x.name)}", "never returned by its step", "a next value, or closed_by a signal")
+        if effect.step is no_step and own:
+            self.refuse(f"effect {effect.name}", "states without a step", "a step that returns them")
+
+    def end(self, s: _Given) -> None:
+        known = list(vars(s))
+        for output in self.model.outputs:
+            if output.name not in known:
+                self.refuse(f"output {output.name}", "set by no effect", f"one of the signals {', '.join(known)}")
+        for e in self.model.effects:
+            for x in e.states:
+                if x.closed_by is not None and x.closed_by not in known:
+                    self.refuse(f"state {e.full(x.name)}, closed_by", x.closed_by, f"one of the signals {', '.join(known)}")

@@ -1,0 +1,79 @@
+"""An FMU tried before it is handed out: read by an importer, and run beside the functions that it was made from."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput, SimulationFailed
+from vpp_fmu.export.cross_check import course
+from vpp_fmu.export.description import Experiment
+from vpp_fmu.fmu import Fmu, FmuInstance, problems, steps_in_fmpy
+from vpp_fmu.kernel.schedule import DelayFull
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.types import Model
+from vpp_fmu.scratch import Scratch
+
+STEPS = 100
+
+
+def expected(where: str, model: Model, values: Mapping[str, float], experiment: Experiment) -> list[list[float]]:
+    """The outputs of the model's own functions at STEPS + 1 communication points. BadInput where they give no numbers."""
+    held, shown = course(model, STEPS), []
+    try:
+        simulation = Simulation(model, values)
+        shown.append(list(simulation.start(held[0]).values()))
+        for inputs in held[:-1]:
+            shown.append(list(simulation.advance(inputs, experiment.step).values()))
+    except (ArithmeticError, ValueError, DelayFull) as error:
+        inputs = held[max(len(shown) - 1, 0)]
+        found = f"{type(error).__name__} ({error}) in step {len(shown)} with {_words(inputs)}"
+        raise BadInput(where, "the first 100 steps", found, "numbers") from error
+    for k, row in enumerate(shown):
+        for name, value in zip((s.name for s in model.outputs), row, strict=True):
+            if value - value != 0.0:
+                found = f"{name} = {value} after step {k} with {_words(held[max(k - 1, 0)])}"
+                raise BadInput(where, "the first 100 steps", found, "finite numbers")
+    return shown
+
+
+def try_fmu(where: str, model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, fmi: str) -> None:
+    """BadInput where fmpy finds the FMU at fault, or where it doesn't give the functions' numbers: to the bit, of FMI 3.0 to
+    what fmpy's own counting of time leaves of them."""
+    exact, held = expected(where, model, values, experiment), course(model, STEPS)
+    scratch = Scratch()
+    path = Path(scratch.path, f"{model.name}.fmu")
+    try:
+        path.write_bytes(fmu)
+        for problem in problems(path):
+            raise BadInput(where, "fmpy validate", " ".join(problem.split()), "an FMU without a problem")
+        shown = _stepped(path, model, held, experiment.step) if fmi == "2.0" else _simulated(path, model, held, experiment.step)
+    except SimulationFailed as failure:
+        raise BadInput(
+            where, "the first 100 steps", str(failure).removeprefix(f"{path}: "), "steps that are taken"
+        ) from failure
+    finally:
+        scratch.close()
+    for k, (found, right) in enumerate(zip(shown, exact, strict=True)):
+        if found != right and (fmi == "2.0" or not np.allclose(found, right, rtol=1e-6, atol=1e-9)):
+            raise BadInput(where, "the first 100 steps", f"{found} after step {k}", f"{right}, as the functions have it")
+
+
+def _stepped(path: Path, model: Model, held: Sequence[Mapping[str, float]], step: float) -> list[list[float]]:
+    names = [u.name for u in model.inputs]
+    with contextlib.closing(Fmu(path)) as unpacked:
+        instance = FmuInstance(unpacked, names, [s.name for s in model.outputs])
+        shown = [instance.start([held[0][n] for n in names])]
+        take = instance.stepper(step)
+        shown += [take([inputs[n] for n in names]) for inputs in held[:-1]]
+        instance.close()
+    return shown
+
+
+def _simulated(path: Path, model: Model, held: Sequence[Mapping[str, float]], step: float) -> list[list[float]]:
+    return steps_in_fmpy(path, held, step, [s.name for s in model.outputs]).tolist()
+
+
+def _words(inputs: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value}" for name, value in inputs.items()) or "no inputs"

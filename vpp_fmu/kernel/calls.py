@@ -1,0 +1,41 @@
+"""In what states an FMU's instance takes which calls: the one table that all flavours' state machines are made from.
+
+After FMI 2.0.4, section 4.2.4, and FMI 3.0, section 4.2; where the standard leaves it open, the narrower reading. An error is
+a state of its own: values can still be read, and a reset or a saved state brings the instance back. This file travels inside
+the Python FMU; `vpp_fmu.export` writes the same as C. A state is a bit, so that a set of states is a number.
+"""
+
+INSTANTIATED, INITIALISING, STEPPING, TERMINATED, FAILED = STATES = 1, 2, 4, 8, 16
+ANY = sum(STATES)
+
+SETUP_STATES = ENTER_STATES = INSTANTIATED
+EXIT_STATES = INITIALISING
+TERMINATE_STATES = STEP_STATES = STEPPING
+CANCEL_STATES = 0  # a step is done when its call returns: none is ever in progress
+GET_STATES = DERIVATIVE_STATES = INITIALISING | STEPPING | TERMINATED | FAILED
+SET_STATES = INPUT_DERIVATIVES_STATES = INSTANTIATED | INITIALISING | STEPPING
+STATUS_STATES = OUTPUT_DERIVATIVES_STATES = STEPPING | TERMINATED | FAILED
+RESET_STATES = STATE_STATES = LOG_STATES = ANY
+
+IN_WORDS = {
+    INSTANTIATED: "before the initialization mode",
+    INITIALISING: "in initialization mode",
+    STEPPING: "after the initialization mode",
+    TERMINATED: "after it was terminated",
+    FAILED: "after an error; a reset or a saved state mends it",
+}
+
+SLACK = 1e-3
+"""How far, in communication steps, a step may begin from where the last one ended: importers count time in their own ways. A
+nanosecond a second is allowed besides, for those whose steps are very short."""
+
+LOG_CATEGORIES = {
+    "logEvents": "what the instance was brought to: initialised, tuned, terminated; told only where logging is on",
+    "logStatusWarning": "what was ignored, and why",
+    "logStatusDiscard": "questions without an answer",
+    "logStatusError": "calls that failed, and why",
+    "logStatusFatal": "calls after which the instance is lost",
+    "logAll": "all of them",
+}
+"""Names as FMI 2.0 standardises them. What fails is told unless it is switched off: whoever asks for no debugging still wants
+to know why nothing works."""

@@ -1,0 +1,40 @@
+"""A signal's dead time as two states, for where the schedule can't hold it back: what is read late, not what is commanded.
+
+    late(s) / signal(s) = (1 - x/2 + x^2/12) / (1 + x/2 + x^2/12),   x = s delay
+
+the Pade approximant of order 2 (Baker and Graves-Morris, Pade Approximants, 1996): all frequencies pass whole, and up to
+2 / delay rad/s they are late by `delay` to 1 %; behind the lags of a rotor little is left above. It is the signal less `delay`
+times the rate of a second-order lag of it, solved exactly for a signal that runs straight over the step.
+"""
+
+from math import sqrt
+
+from vpp_fmu.kernel.types import State
+
+
+def dead_time(ops, signal, x, delay, dt):
+    """(the late signal, next states) of a `signal` at the end of the step; `x`: the states of `states`."""
+    there = delay > 0.0
+    d = ops.where(there, delay, 1.0)
+    a, wd = 3.0 / d, sqrt(3.0) / d
+    left, c, r = ops.exp(-a * dt), ops.cos(wd * dt), ops.sin(wd * dt) / wd
+    slope = (signal - x.before) / dt
+    lagging = 0.5 * d * slope
+    z, v = x.behind - (x.before - lagging), x.rate - slope
+    behind = signal - lagging + left * (c * z + r * (v + a * z))
+    rate = slope + left * (c * v - r * (12.0 / (d * d) * z + a * v))
+    late = ops.where(there, signal - d * rate, signal)
+    return late, {"before": signal, "behind": ops.where(there, behind, signal), "rate": ops.where(there, rate, 0.0)}
+
+
+def states(signal: str, unit: str) -> tuple[State, ...]:
+    """The states behind a `signal` in its `unit`."""
+
+    def settled(ops, s, p):
+        return getattr(s, signal)
+
+    return (
+        State("before", unit, f"{signal} at the start of the step", settled),
+        State("behind", unit, f"{signal} behind two lags", settled),
+        State("rate", f"{unit}/s", "rate of that", lambda ops, s, p: 0.0),
+    )
