@@ -191,7 +191,7 @@ def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str,
         if name not in effects:
             raise
         library = [effect.name for effect in LIBRARY if effect.off is not None]
-        raise BadInput(path, "effects", _shown(name), _near(name, library)) from error
+        raise BadInput(path, "effects", _shown(name), f"{_near(name, library)}, or what --effects-from FILE.py adds") from error
     for name in effects:
         if name not in model.optional:
             raise BadInput(path, "effects", _shown(name), f"none, {model.name} has no effects to choose")

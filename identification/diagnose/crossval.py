@@ -5,7 +5,7 @@ is linear, and a fold in five moves it little. A threshold has no tangent: its v
 folds make them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,14 +54,20 @@ def folds(time: np.ndarray, seconds: float) -> np.ndarray:
     return (time / block).astype(int) % FOLDS
 
 
-def cross_validated(fit: Fit) -> Held:
-    """The fit's residuals in each fold, predicted from the other folds."""
+def thirds(time: np.ndarray, seconds: float) -> np.ndarray:
+    """(n,) the fold of each time [s] where each third of a record is left out as a whole: what was learned must carry over to
+    commands of another kind, not only to the moments between."""
+    return np.minimum((3.0 * time / seconds).astype(int), 2)
+
+
+def cross_validated(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray] = folds) -> Held:
+    """The fit's residuals in each fold, predicted from the other folds. `split(time, seconds)`: the fold of each time."""
     evidence, (residual, jacobian) = fit.evidence, fit.tangent()
     residuals = [residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
     size, held = evidence.size, np.empty(evidence.size)
-    fold_of = np.concatenate([folds(time, seconds) for time, seconds in evidence.times])
+    fold_of = np.concatenate([split(time, seconds) for time, seconds in evidence.times])
     moves = []
-    for fold in range(FOLDS):
+    for fold in range(int(fold_of.max()) + 1):
         out = np.flatnonzero(fold_of == fold)
         kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))  # the prior's rows always
         j = jacobian[kept]
@@ -73,7 +79,7 @@ def cross_validated(fit: Fit) -> Held:
         held[out] = sum(p * (r[out] + jacobian[out] @ s) for p, r, s in zip(likely, residuals, steps, strict=True))
         moves.append(sum(p * s for p, s in zip(likely, steps, strict=True)))
     score = evidence.score_of(held)
-    thrust, omega = _errors(fit, moves)
+    thrust, omega = _errors(fit, moves, split)
     return Held(score.squares, score.counts, thrust, omega)
 
 
@@ -88,14 +94,16 @@ def _alternatives(fit: Fit) -> list[dict[str, float]]:
     return found
 
 
-def _errors(fit: Fit, moves: list[np.ndarray]) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+def _errors(
+    fit: Fit, moves: list[np.ndarray], split: Callable[[np.ndarray, float], np.ndarray]
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """(thrust [N], speed [rpm]): the errors by experiment where each fold's parameters moved by `moves` (coordinates)."""
     evidence = fit.evidence
     simulator, inner = Simulator(evidence.model, evidence.coordinates.names), evidence.coordinates.jacobian(fit.solution.value)
     thrust, omega = [], []
     for e in evidence.experiments:
         outputs, tangents = simulator.sensitivities(fit.values, e.record.columns, e.record.steps)
-        fold, predicted = folds(e.record.time, e.record.time[-1]), outputs[:, :2].copy()
+        fold, predicted = split(e.record.time, e.record.time[-1]), outputs[:, :2].copy()
         for k, move in enumerate(moves):
             predicted[fold == k] += tangents[fold == k, :2] @ (inner @ move)
         thrust.append(predicted[:, 0] - e.thrust_rows)

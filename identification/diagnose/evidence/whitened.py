@@ -116,6 +116,14 @@ class Experiment:
             return np.zeros((len(self.omega_time), *tangents.shape[1:]))
         return self._heard([(t.shows(tangents).T / t.std).T for t in self.tachometers])
 
+    def white_thrust(self, means: np.ndarray) -> np.ndarray:
+        """Whitened change of the residual (n, ...) for a change of the thrust's block means (blocks, ...) N."""
+        return self._white(means)
+
+    def white_speed(self, shown: Sequence[np.ndarray]) -> np.ndarray:
+        """Whitened change of the residual (n, ...) for one of what each tachometer shows (readings, ...) rpm."""
+        return self._heard([(part.T / t.std).T for t, part in zip(self.tachometers, shown, strict=True)])
+
     def slow_thrust(self, rows: np.ndarray) -> np.ndarray:
         """Means of a thrust (rows,) [N] over 50 ms, what is below 10 Hz of it; blocks without a reading left out."""
         means = blocks(self.record, 0.05).mean(self._where_measured(rows))
