@@ -2,12 +2,15 @@
 
 The file is run. It holds EFFECT, a kernel Effect, and says where in the chain that stands: PORT, the name of a port
 (`vpp_fmu.kernel.learned.PORTS`), or BEFORE, the name of an effect of the library; neither: at the chain's end. `vpp diagnose`
-writes such a file for a term that it has learned.
+writes such a file for a term that it has learned. An installed package brings effects by entry points of the group
+`vpp.effects`: each names an Effect, or a module that holds what such a file holds.
 """
 
 import importlib.util
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
@@ -16,16 +19,31 @@ from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.units import base_unit
 
+GROUP = "vpp.effects"
+
 
 def library_with(paths: Iterable[str | os.PathLike], library: Iterable[Effect] = LIBRARY) -> tuple[Effect, ...]:
     """The library with the effects of these files, each in its place; the library itself where there are none. BadInput."""
+    for entry in entry_points(group=GROUP):
+        library = _with(f"entry point {entry.name} of {GROUP}", _loaded(entry), tuple(library))
     for path in paths:
-        library = _with(path, tuple(library))
-    return library
+        library = _with(path, _run(path), tuple(library))
+    return library if isinstance(library, tuple) else tuple(library)
 
 
-def _with(path: str | os.PathLike, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    told = _run(path)
+def _loaded(entry: EntryPoint) -> Mapping:
+    """What an installed package declares."""
+    try:
+        found = entry.load()
+    except Exception as error:  # somebody else's package may raise anything
+        said = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise BadInput(
+            f"entry point {entry.name} of {GROUP}", entry.value, said, "an Effect, or a module with EFFECT"
+        ) from error
+    return vars(found) if isinstance(found, ModuleType) else {"EFFECT": found}
+
+
+def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
     effect, names = told.get("EFFECT"), [e.name for e in library]
     if not isinstance(effect, Effect) or not effect.off or not effect.probe:
         found = "nothing" if effect is None else f"a {type(effect).__name__}"

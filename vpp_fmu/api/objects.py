@@ -1,7 +1,7 @@
 """What the verbs take: a path, or the object that would be read from it. Nothing here loads what only a fit needs."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,7 +13,7 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.types import Model
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import COMMANDS, Record
 
@@ -57,15 +57,16 @@ def read_record(path: PathLike, need: Sequence[str] = COMMANDS) -> Record:
     return records.read_record(path, need)
 
 
-def read_parameters(path: PathLike) -> ParameterSet:
+def read_parameters(path: PathLike, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
     """Read a parameters.json of a plant, with the effects it names, or a gains.json of the controller: values with their
-    standard deviations. BadInput names the field that is not known, out of range, or in another unit.
+    standard deviations. `effects_from`: files of effects that the library does not have. BadInput names the field that is not
+    known, out of range, or in another unit.
 
     >>> saved = vpp.identify(vpp.example_campaign(), starts=1).save("out")
     >>> vpp.read_parameters("out/parameters.json").estimates["tau_beta_1"].unit
     's'
     """
-    return as_parameters(path)
+    return as_parameters(path, effects_from)
 
 
 def as_campaign(given: PathLike | Campaign) -> Campaign:
@@ -87,12 +88,13 @@ def as_record(given: Any, need: Sequence[str] = COMMANDS) -> Record:
     return Record.from_frame(given, need=need)
 
 
-def as_parameters(given: Any) -> ParameterSet:
+def as_parameters(given: Any, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
     """Parameters: a set, a file, or what a verb has found."""
     if isinstance(given, ParameterSet):
         return given
     if isinstance(given, str | os.PathLike):
-        return parameter_files.read_parameters(given, _model)
+        library = library_with(effects_from)
+        return parameter_files.read_parameters(given, lambda names: plant(names, library))
     if isinstance(found := getattr(given, "parameters", None), ParameterSet):
         return found
     allowed = "a ParameterSet, the path of a parameters.json, or what identify and diagnose give"
@@ -118,7 +120,3 @@ def changed(parameters: ParameterSet, values: Mapping[str, float]) -> ParameterS
             ends = f"{known[name].minimum:g} to {known[name].maximum:g} {known[name].unit}"
             raise BadInput("values", name, f"{value:g}", ends)
     return parameters.replaced(values)
-
-
-def _model(effects: tuple[str, ...]) -> Model:
-    return plant(effects)

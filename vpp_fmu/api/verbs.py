@@ -1,5 +1,6 @@
 """The command's verbs as functions. They take paths or objects and write nothing that they are not asked to write."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -37,10 +38,10 @@ from vpp_fmu.export.description import AUTHOR
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
-from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.loop import run
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
 from vpp_fmu.rig import Rig, declared_rig
@@ -99,12 +100,14 @@ def diagnose(
     seed: int = 0,
     workers: int = 2,
     accept: Iterable[str] = (),
+    effects_from: Iterable[PathLike] = (),
 ) -> DiagnoseResult:
     """What the model lacks, and the model with it.
 
     `parameters`: a model to start from and to judge against (a file, a set, a result); else the campaign is identified first.
     `effects`: names of the candidates, else the whole library. `smallest` N: the least rms change of thrust that is of
-    interest. BadInput: no record to fit, data that the gate refuses, an effect that the library does not have.
+    interest. `effects_from`: Python files with effects of one's own. BadInput: no record to fit, data that the gate refuses, an
+    effect that the library does not have.
 
     >>> found = vpp.diagnose(vpp.example_campaign(), effects=["pitch_command_deadband", "pitch_backlash"])
     >>> found.verdict, found.effects
@@ -112,11 +115,12 @@ def diagnose(
     >>> 1.6 < found.parameters.values["pitch_command_deadband.half_width"] < 1.8
     True
     """
-    given = None if parameters is None else as_parameters(parameters)
+    library = library_with(effects_from)
+    given = None if parameters is None else as_parameters(parameters, effects_from)
     needed = ("time", "omega_ref", "beta_ref", "thrust")
     found = diagnosing.diagnose(
         as_campaign(campaign),
-        _chosen(effects, given.model.optional if given else ()),
+        _chosen(library, effects, given.model.optional if given else ()),
         workers,
         seed,
         given=given,
@@ -127,14 +131,14 @@ def diagnose(
     return DiagnoseResult(found)
 
 
-def _chosen(names: Iterable[str] | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
+def _chosen(library: tuple[Effect, ...], names: Iterable[str] | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
     """The effects to choose from: all, or those named, and what the model has already."""
     if names is None:
-        return LIBRARY
-    chosen, known = list(names), [e.name for e in LIBRARY if e.off is not None]
+        return library
+    chosen, known = list(names), [e.name for e in library if e.off is not None]
     if unknown := [name for name in chosen if name not in known]:
         raise BadInput("diagnose", "effects", ", ".join(unknown), f"any of {', '.join(known)}")
-    return tuple(e for e in LIBRARY if e.off is None or e.name in chosen or e.name in kept)
+    return tuple(e for e in library if e.off is None or e.name in chosen or e.name in kept)
 
 
 def plan(
@@ -145,6 +149,7 @@ def plan(
     step: float | None = None,
     knowledge: PathLike | IdentifyResult | None = None,
     seed: int = 0,
+    effects_from: Iterable[PathLike] = (),
 ) -> PlanResult:
     """The next experiment for a model: commands that would tell most about it, within the range and slew of the `rig`.
 
@@ -156,7 +161,7 @@ def plan(
     >>> found.commands
     Record(7501 rows, 30 s every 4 ms: time, omega_ref, beta_ref)
     """
-    held = as_parameters(parameters)
+    held = as_parameters(parameters, effects_from)
     if not isinstance(rig, Rig):
         rig = held.rig if rig is None else declared_rig(rig, held.rig)
     if rig.unknown:
@@ -183,6 +188,7 @@ def tune(
     robust: str | None = None,
     seed: int = 0,
     workers: int = 1,
+    effects_from: Iterable[PathLike] = (),
 ) -> TuneResult:
     """Gains for a model: both actuators, and speed alone.
 
@@ -195,7 +201,12 @@ def tune(
     >>> sorted(found.gains), found.save("gains").joinpath("gains.json").exists()
     (['dual', 'speed_only'], True)
     """
-    held = changed(as_parameters(parameters), assume or {})
+    files = tuple(os.fspath(path) for path in effects_from)
+    held = changed(as_parameters(parameters, files), assume or {})
+    if unknown := set(held.model.optional) - {e.name for e in library_with(files)}:
+        raise BadInput(
+            "tune", "effects_from", "nothing", f"the file of {', '.join(sorted(unknown))}: every process reads it anew"
+        )
     if robust not in (None, "worst", "mean"):
         raise BadInput("tune", "robust", robust, "None, worst or mean")
     own = controllers(held, None if gains is None else as_gains(gains), source="gains")
@@ -215,11 +226,12 @@ def tune(
         seed=seed,
         left_out=own.left_out,
         lowered=own.scaled,
+        effects_from=files,
     )
     return TuneResult(tuned(task, own.settings, workers))
 
 
-def simulate(record: Any, parameters: Any) -> SimulateResult:
+def simulate(record: Any, parameters: Any, effects_from: Iterable[PathLike] = ()) -> SimulateResult:
     """The model's open-loop response to the commands of a record: thrust [N], speed [rpm], pitch [deg], each (n,).
 
     `record`: a path, a Record, or a frame with `time`, `omega_ref`, `beta_ref`; where it holds `thrust`, the error is told.
@@ -230,7 +242,7 @@ def simulate(record: Any, parameters: Any) -> SimulateResult:
     >>> found.record["thrust"].shape, found.rmse_thrust
     ((3,), None)
     """
-    held = as_parameters(parameters)
+    held = as_parameters(parameters, effects_from)
     return SimulateResult(predict(held.model, held.values, as_record(record)), held)
 
 
@@ -242,6 +254,7 @@ def export_fmu(
     platforms: str = "host",
     fmi: str = "2.0",
     author: str = AUTHOR,
+    effects_from: Iterable[PathLike] = (),
 ) -> dict[str, Path]:
     """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
 
@@ -254,7 +267,7 @@ def export_fmu(
     >>> [name for name in files if name.endswith(".fmu")]
     ['VppPlant.fmu', 'VppController.fmu']
     """
-    held = as_parameters(parameters)
+    held = as_parameters(parameters, effects_from)
     for name, found, allowed in (
         ("flavour", flavour, tuple(FLAVOURS)),
         ("platforms", platforms, ("host", "all") if flavour != "python" else ("host",)),

@@ -15,11 +15,12 @@ from identification.worth.information import read_knowledge
 from identification.worth.quality import noise_floor
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.options import SEED, Number
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters
 from vpp_fmu.record import write_record
 from vpp_fmu.report import Page, thinning
@@ -55,6 +56,7 @@ def configure(parser):
         parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
 
     parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
+    add_effects_from(parser)
     parser.add_argument(
         "--knowledge", metavar="F", help="identification.json of the data there are (default: nothing is known)"
     )
@@ -92,7 +94,8 @@ class Basis:
 
 
 def run(options):
-    parameters = read_parameters(options.parameters, plant)
+    library = library_with(options.effects_from)
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
     knowledge, inflation = read_knowledge(options.knowledge) if options.knowledge else (None, 1.0)
     if options.knowledge:
         check_same_model(options.knowledge, parameters, options.parameters)

@@ -18,7 +18,7 @@ from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
 from identification.worth.information import read_knowledge
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
-from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -27,6 +27,7 @@ from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.rig import ASSUMED
@@ -63,6 +64,7 @@ def configure(parser):
         parser.add_argument(f"--{name}", type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
+    add_effects_from(parser)
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
     text = "limits, filter, sample time and first gains of the controller (default: the rig's limits, the paper's gains)"
@@ -89,7 +91,9 @@ def configure(parser):
 
 
 def run(options):
-    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    library = library_with(options.effects_from)
+    read = options.parameters and read_parameters(options.parameters, lambda names: plant(names, library))
+    parameters = read or ParameterSet(plant())
     task, starts = _task(options, parameters)
     came = {"parameters": (options.parameters or PAPERS, parameters)}
     folder = OutputSet(options.output, "tune")
@@ -152,6 +156,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         resolution = options.resolution
     task = Task(
         parameters=parameters,
+        effects_from=tuple(options.effects_from),
         profile=profile,
         assumed=tuple(assumed),
         chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
