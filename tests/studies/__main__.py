@@ -5,7 +5,21 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import commands, degenerate, diagnosis, fmus, gate, identification, imports, long, measured, refusals, rigs, tuning
+from . import (
+    commands,
+    degenerate,
+    diagnosis,
+    fmus,
+    gate,
+    identification,
+    imports,
+    learned,
+    long,
+    measured,
+    refusals,
+    rigs,
+    tuning,
+)
 
 STUDIES = {
     "commands": commands.main,
@@ -14,6 +28,7 @@ STUDIES = {
     "fmus": fmus.main,
     "gate": gate.main,
     "identification": identification.main,
+    "learned": learned.main,
     "imports": imports.main,
     "long": long.main,
     "measured": measured.main,
