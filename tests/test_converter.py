@@ -89,9 +89,9 @@ def test_an_empty_reading_is_no_pulse_of_the_tachometer():
         speed[k] = shown
     speed[0] = 1000.0
     columns = {"time": time, "omega_ref": speed, "beta_ref": speed, "thrust": speed, "omega": speed}
-    whole = Tachometer(Record(columns))
+    whole = Tachometer(Record(columns, "a"))
     holes = np.where(rng.random(rows) < 0.3, np.nan, speed)
-    part = Tachometer(Record({**columns, "omega": holes}))
+    part = Tachometer(Record({**columns, "omega": holes}, "b"))
     assert 0.5 * len(whole) < len(part) <= len(whole)
     values = np.unique(whole.measured)
     assert np.isin(part.measured, values).all()
