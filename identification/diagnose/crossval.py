@@ -60,9 +60,19 @@ def thirds(time: np.ndarray, seconds: float) -> np.ndarray:
     return np.minimum((3.0 * time / seconds).astype(int), 2)
 
 
-def cross_validated(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray] = folds) -> Held:
-    """The fit's residuals in each fold, predicted from the other folds. `split(time, seconds)`: the fold of each time."""
+def cross_validated(
+    fit: Fit,
+    split: Callable[[np.ndarray, float], np.ndarray] = folds,
+    moving: Callable[[str], bool] = lambda name: True,
+    least: float = 0.0,
+) -> Held:
+    """The fit's residuals in each fold, predicted from the other folds.
+
+    `split(time, seconds)`: the fold of each time; `moving(name)`: whether a parameter comes from the other folds; else it
+    stays. `least`: a direction of which the other folds hold no more than this share of all that is known stays, too.
+    """
     evidence, (residual, jacobian) = fit.evidence, fit.tangent()
+    jacobian = jacobian * [float(moving(name)) for name in evidence.coordinates.names]
     residuals = [residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
     size, held = evidence.size, np.empty(evidence.size)
     fold_of = np.concatenate([split(time, seconds) for time, seconds in evidence.times])
@@ -71,7 +81,7 @@ def cross_validated(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray] =
         out = np.flatnonzero(fold_of == fold)
         kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))  # the prior's rows always
         j = jacobian[kept]
-        inverse = np.linalg.pinv(j.T @ j, rcond=1e-12, hermitian=True)
+        inverse = informed_inverse(j.T @ j, jacobian.T @ jacobian, least)
         steps = [-inverse @ (j.T @ r[kept]) for r in residuals]
         costs = np.array([0.5 * float(np.sum((r[kept] + j @ s) ** 2)) for r, s in zip(residuals, steps, strict=True)])
         likely = np.exp(costs.min() - costs)
@@ -81,6 +91,21 @@ def cross_validated(fit: Fit, split: Callable[[np.ndarray, float], np.ndarray] =
     score = evidence.score_of(held)
     thrust, omega = _errors(fit, moves, split)
     return Held(score.squares, score.counts, thrust, omega)
+
+
+def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:
+    """Pseudo-inverse of the information (k, k) that a part of the data holds, in the directions of which it holds more than the
+    share `least` of the `whole`."""
+    if least <= 0.0:
+        return np.linalg.pinv(part, rcond=1e-12, hermitian=True)
+    size = np.sqrt(np.diag(whole))
+    size = np.where(size > 0.0, size, 1.0)
+    power, axes = np.linalg.eigh(whole / np.outer(size, size))
+    known = power > 1e-12 * power[-1]
+    unit = (axes[:, known] / np.sqrt(power[known])) / size[:, None]
+    share, turned = np.linalg.eigh(unit.T @ part @ unit)
+    told = unit @ turned[:, share > least]
+    return (told / share[share > least]) @ told.T
 
 
 def _alternatives(fit: Fit) -> list[dict[str, float]]:

@@ -5,7 +5,22 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import api, commands, degenerate, diagnosis, fmus, gate, identification, imports, long, measured, refusals, rigs, tuning
+from . import (
+    api,
+    commands,
+    degenerate,
+    diagnosis,
+    fmus,
+    gate,
+    identification,
+    imports,
+    learned,
+    long,
+    measured,
+    refusals,
+    rigs,
+    tuning,
+)
 
 STUDIES = {
     "api": api.main,
@@ -16,6 +31,7 @@ STUDIES = {
     "gate": gate.main,
     "identification": identification.main,
     "imports": imports.main,
+    "learned": learned.main,
     "long": long.main,
     "measured": measured.main,
     "refusals": refusals.main,

@@ -13,10 +13,12 @@ import numpy as np
 from scipy.stats import ttest_1samp
 
 from identification.diagnose.crossval import Held, cross_validated, thirds
-from identification.diagnose.judgement import FOLD_BLOCK, LEVEL, RIVALS, STRONG, TERMS, Judgement
+from identification.diagnose.judgement import CARRIED, FOLD_BLOCK, LEVEL, RIVALS, STRONG, TERMS, Judgement
+from identification.diagnose.lack import lack_of_fit
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.look import Lead, forms_of, look
 from identification.diagnose.learned.refit import Term, refitted
+from identification.diagnose.learned.score import TOLD
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Judge
@@ -29,7 +31,13 @@ NAME = "learned"
 """Of the effect."""
 
 AGAIN = 3
-"""Leads refitted after the second look."""
+"""Leads refitted after each further look."""
+
+ROUNDS = 3
+"""Further looks, each from where the best term leaves the base, while something is lacking and a better one turns up."""
+
+UNLAGGED = 2
+"""Terms behind the best one of which the same without the lag is refitted, too."""
 
 FAMILY = 2
 """Of the leads of one family of ports, so many at most are refitted in a round."""
@@ -95,12 +103,18 @@ def learn(
     terms = _refitted(searcher, beside, chosen, scales, pool)
     if not terms:
         return Attempt((), looks)
-    best = max(terms, key=lambda t: judge.gain(t.fit, beside))
-    base = {n: best.fit.values[n] for n in beside.evidence.coordinates.names}
-    again = short_list(look(beside, base), [t.lead for t in terms], AGAIN)
-    terms += _refitted(searcher, beside, again, scales, pool, best.fit)
-    best = max(terms, key=lambda t: judge.gain(t.fit, beside))
-    terms += _refitted(searcher, beside, variants(best), scales, pool, best.fit)
+    for _ in range(ROUNDS):
+        best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
+        if not lack_of_fit(best.fit, judge.least()).found:
+            break
+        base = {n: best.fit.values[n] for n in beside.evidence.coordinates.names}
+        again = short_list(look(beside, base), [t.lead for t in terms], AGAIN)
+        simpler = [lead for t in (best, *others[:UNLAGGED]) for lead in unlagged(t, [*(u.lead for u in terms), *again])]
+        stage(f"refit {len(again)} more of {looks} terms")
+        more = _refitted(searcher, beside, [*again, *variants(best, terms), *simpler], scales, pool, best.fit)
+        terms += more
+        if not more or best is max(terms, key=lambda t: judge.gain(t.fit, beside)):
+            break
     judged = {t: judged_term(judge, t.fit, beside, looks) for t in terms}
     tried = tuple(sorted(judged.items(), key=lambda pair: -judge.gain(pair[0].fit, beside)))
     standing = [(t, j) for t, j in tried if not j.refused]
@@ -118,6 +132,10 @@ def learn(
     return Attempt(tried, looks, Learned(term, curve, judgement, beside, tuple(rivals), laws))
 
 
+def _own(name: str) -> bool:
+    return name.startswith(f"{NAME}.")
+
+
 class Carried(Judge):
     """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
 
@@ -127,9 +145,13 @@ class Carried(Judge):
         self._carried: dict[int, tuple[Fit, Held]] = {}
 
     def carried(self, fit: Fit) -> Held:
-        """Cross-validation of a fit by thirds, once for each."""
+        """Cross-validation of a fit by thirds, once for each: a term's own parameters come from the other two.
+
+        The base stays as all data have it, for two thirds alone might not tell it; so a fit without a term is not held out,
+        which is in its favour.
+        """
         if id(fit) not in self._carried:
-            self._carried[id(fit)] = fit, cross_validated(fit, thirds)
+            self._carried[id(fit)] = fit, cross_validated(fit, thirds, _own, TOLD)
         return self._carried[id(fit)][1]
 
     def gain(self, fit: Fit, beside: Fit) -> float:
@@ -170,7 +192,7 @@ def judged_term(judge: Carried, fit: Fit, beside: Fit, looks: int) -> Judgement:
     needed, gain, p, refused = by_chance(looks), judge.gain(fit, beside), judge.falls(fit, beside), list(judged.refused)
     if gain <= needed:
         refused.append(f"cross-validation gains {gain:.1f} nats; the best of {looks} by chance {needed:.1f}")
-    if p >= LEVEL:
+    if p >= CARRIED:
         refused.append(f"the thrust error on what was not fitted does not fall for certain (p = {p:.2g})")
     if sum(judge.errors(fit)) > sum(judge.errors(beside)):
         refused.append("the step runs are predicted worse")
@@ -179,28 +201,33 @@ def judged_term(judge: Carried, fit: Fit, beside: Fit, looks: int) -> Judgement:
 
 def short_list(leads: Sequence[Lead], had: Sequence[Lead], count: int) -> list[Lead]:
     """The leads of best held-out score that promise anything: one of a place and shape, FAMILY of a family of ports."""
-    places, families, found = {(lead.place, lead.shape) for lead in had}, {}, []
+    places, families, found = {lead.kind for lead in had}, {}, []
     for lead in leads:
         if len(found) == count:
             break
         family = PORTS[lead.port].channel or "thrust"
-        if not lead.promising or (lead.place, lead.shape) in places or families.get((family, lead.port), 0) >= FAMILY:
+        if not lead.promising or lead.kind in places or families.get((family, lead.port), 0) >= FAMILY:
             continue
-        places.add((lead.place, lead.shape))
+        places.add(lead.kind)
         families[family, lead.port] = families.get((family, lead.port), 0) + 1
         found.append(lead)
     return found
 
 
-def variants(term: Term) -> list[Lead]:
-    """The same term in the other lag of its channel, and with the lags in the other order."""
+def variants(term: Term, had: Sequence[Term]) -> list[Lead]:
+    """The same term in the other lag of its channel, and with the lags in the other order, where it was not tried."""
     lead, values = term.lead, {n: v for n, v in term.values.items() if n not in ("form", "lag")}
     own = replace(lead, values=values, lag=term.values.get("lag"))
-    return [
-        replace(own, form=form, swapped=swapped)
-        for form, swapped in forms_of(lead.port)
-        if (form, swapped) != (lead.form, lead.swapped)
-    ]
+    tried = {(t.lead.kind, t.lead.form, t.lead.swapped) for t in had}
+    others = [replace(own, form=form, swapped=swapped) for form, swapped in forms_of(lead.port)]
+    return [lead for lead in others if (lead.kind, lead.form, lead.swapped) not in tried]
+
+
+def unlagged(term: Term, had: Sequence[Lead]) -> list[Lead]:
+    """The same term without its lag, if it has one: a bent base asks for lags that are not there."""
+    values = {n: v for n, v in term.values.items() if n not in ("form", "lag")}
+    lead = replace(term.lead, values=values, lag=None)
+    return [] if "lag" not in term.values or lead.kind in {other.kind for other in had} else [lead]
 
 
 def _refitted(searcher, beside, leads, scales, pool, start=None) -> list[Term]:

@@ -68,9 +68,9 @@ class Lead:
     needed: float = np.inf
 
     @property
-    def place(self) -> tuple[str, str, str]:
-        """What tells one place and cause from another."""
-        return self.port, self.driver, self.times
+    def kind(self) -> tuple:
+        """What tells one place, cause and shape from another; those with a lag are one kind, whatever it is."""
+        return self.port, self.driver, self.times, self.shape, self.lag is None
 
     @property
     def promising(self) -> bool:

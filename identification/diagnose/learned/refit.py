@@ -12,8 +12,8 @@ from vpp_fmu.kernel.learned import PORTS, learned, placed
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.types import Effect
 
-WILD = 3.0
-"""Standard deviation of a term's sizes beforehand, over the largest in the look: one nat at four times."""
+WILD = 2.0
+"""Standard deviation of a term's sizes beforehand, over the largest in the look: half a nat at twice that."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.diagnose.crossval import thirds
+from identification.diagnose.crossval import informed_inverse, thirds
 from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.learned.columns import Course
 
 DEPENDENT = 1e-3
 """Size of a direction over that of the strongest below which columns count as the same one."""
+
+
+TOLD = 0.1
+"""Share of what all data tell of a direction that two thirds must tell for it to be learned from them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +88,11 @@ class Scores:
             return Scored(0.0, 0.0, 0, np.zeros(len(size)))
         size = np.where(size > 1e-9 * size.max(), size, np.inf)
         gram, product = gram / np.outer(size, size), product / size
-        shares, rank = _solved(gram.sum(axis=0), -product.sum(axis=0))
+        whole = gram.sum(axis=0)
+        shares, rank = _solved(whole, -product.sum(axis=0))
         left, total = 0.0, sum(self._squares)
         for k in self._folds:
-            other, _ = _solved(gram.sum(axis=0) - gram[k], product[k] - product.sum(axis=0))
+            other = informed_inverse(whole - gram[k], whole, TOLD) @ (product[k] - product.sum(axis=0))
             left += self._squares[k] + 2.0 * float(other @ product[k]) + float(other @ gram[k] @ other)
         held = 0.5 * len(self._fold) * float(np.log(total / max(left, 1e-300)))
         return Scored(-0.5 * float(shares @ product.sum(axis=0)), held, rank, shares / size)
