@@ -131,7 +131,7 @@ def _listed(folder: Path) -> set[str]:
 
 
 def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
-    paths = {}
+    paths: dict[str, Path] = {}
     for name in (*NAMES, RAW):
         found = [file for file in (f"{name}.csv", f"{name}.csv.gz") if file in there]
         if len(found) > 1:
@@ -199,10 +199,10 @@ def read_steps(path: str | os.PathLike) -> tuple[Record, ...]:
     for first, end in zip(starts, [*starts[1:], len(run)], strict=True):
         number = int(run[first])
         if number in seen:
-            raise table.wrong("run", first, f"{number} once more", "the rows of a run one after another")
+            raise table.wrong("run", int(first), f"{number} once more", "the rows of a run one after another")
         seen.add(number)
         part = {name: column[first:end] for name, column in columns.items()}
-        check_time(table, part["time"], first, "run")
+        check_time(table, part["time"], int(first), "run")
         records.append(Record(part, f"{path}, run {number}"))
     return tuple(records)
 

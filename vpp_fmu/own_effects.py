@@ -16,7 +16,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
 from vpp_fmu.kernel.learned import PORTS, placed
 from vpp_fmu.kernel.plant import LIBRARY
-from vpp_fmu.kernel.types import Effect
+from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
 from vpp_fmu.units import base_unit
 
 GROUP = "vpp.effects"
@@ -50,7 +50,8 @@ def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -
         raise BadInput(path, "EFFECT", found, "a vpp_fmu.kernel.types.Effect with off and probe")
     if effect.name in names or not effect.name.isidentifier():
         raise BadInput(path, "EFFECT, name", repr(effect.name), "a name that no other effect has, of letters, digits and _")
-    for quantity in (*effect.parameters, *effect.states, *effect.inputs):
+    quantities: tuple[Parameter | State | Signal, ...] = (*effect.parameters, *effect.states, *effect.inputs)
+    for quantity in quantities:
         try:
             base_unit(quantity.unit)
         except KeyError as error:

@@ -53,7 +53,7 @@ class Record:
     columns: Mapping[str, np.ndarray]
     source: str
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "columns", {name: np.asarray(column) for name, column in self.columns.items()})
         if len({len(column) for column in self.columns.values()}) != 1:
             raise ValueError(f"columns of unequal length: { ({n: len(c) for n, c in self.columns.items()}) }")

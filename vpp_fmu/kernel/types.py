@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import SimpleNamespace
+from typing import Any
 
 from vpp_fmu.kernel.scales import Scales
 
@@ -97,7 +98,7 @@ class State:
     closed_by: str | None = None
 
 
-def no_step(ops, s, x, p, dt):
+def no_step(ops: Any, s: Any, x: Any, p: Any, dt: Any) -> tuple[dict, dict]:
     """The step of an effect that only delays an input."""
     return {}, {}
 
@@ -227,13 +228,13 @@ def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Mo
     return replace(model, inputs=model.inputs + tuple(u for e in effects for u in e.inputs), effects=effects)
 
 
-def step(model: Model, ops, inputs: Mapping, states: Mapping, parameters: Mapping, dt) -> tuple[dict, dict]:
+def step(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: Mapping, dt: Any) -> tuple[dict, dict]:
     """One step of the chain under held inputs: (signals at its end, next states), on whatever arithmetic `ops` is.
 
     `states` and `parameters` go by full name. Units are the declarations'; dt in s.
     """
     s = SimpleNamespace(**inputs)
-    ahead = {}
+    ahead: dict = {}
     for e in model.effects:
         own_states = SimpleNamespace(**{x.name: states[e.full(x.name)] for x in e.states})
         own_parameters = SimpleNamespace(**{p.name: parameters[e.full(p.name)] for p in e.parameters})
@@ -247,7 +248,7 @@ def step(model: Model, ops, inputs: Mapping, states: Mapping, parameters: Mappin
     return vars(s), ahead
 
 
-def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:
+def start(model: Model, ops: Any, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:
     """The chain settled on `inputs`: (signals, states).
 
     Each state starts from the signals that reach its effect; one INSTANT of the effect's own step then gives the signals
@@ -261,9 +262,9 @@ def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict
     return _started(model, ops, inputs, guesses, parameters)
 
 
-def _started(model: Model, ops, inputs: Mapping, ahead: Mapping, parameters: Mapping) -> tuple[dict, dict]:
+def _started(model: Model, ops: Any, inputs: Mapping, ahead: Mapping, parameters: Mapping) -> tuple[dict, dict]:
     s = SimpleNamespace(**inputs, **{f"settled_{name}": value for name, value in ahead.items()})
-    states = {}
+    states: dict = {}
     for e in model.effects:
         p = SimpleNamespace(**{q.name: parameters[e.full(q.name)] for q in e.parameters})
         own = {x.name: x.start(ops, s, p) for x in e.states}
@@ -275,7 +276,7 @@ def _started(model: Model, ops, inputs: Mapping, ahead: Mapping, parameters: Map
     return vars(s), states
 
 
-def largest_step(model: Model, ops, parameters: Mapping):
+def largest_step(model: Model, ops: Any, parameters: Mapping) -> Any:
     """The longest step [s] that every effect's form allows; infinite where all are exact. What is off allows any."""
     longest = float("inf")
     for e in model.effects:
