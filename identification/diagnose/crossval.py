@@ -63,16 +63,18 @@ def thirds(time: np.ndarray, seconds: float) -> np.ndarray:
 def cross_validated(
     fit: Fit,
     split: Callable[[np.ndarray, float], np.ndarray] = folds,
-    moving: Callable[[str], bool] = lambda name: True,
+    moving: Callable[[str], bool] | None = None,
     least: float = 0.0,
 ) -> Held:
     """The fit's residuals in each fold, predicted from the other folds.
 
-    `split(time, seconds)`: the fold of each time; `moving(name)`: whether a parameter comes from the other folds; else it
-    stays. `least`: a direction of which the other folds hold no more than this share of all that is known stays, too.
+    `split(time, seconds)`: the fold of each time; `moving(name)`: whether a parameter comes from the other folds, else it
+    stays; None: all do. `least`: a direction of which the other folds hold no more than this share of all that is known stays,
+    too.
     """
     evidence, (residual, jacobian) = fit.evidence, fit.tangent()
-    jacobian = jacobian * [float(moving(name)) for name in evidence.coordinates.names]
+    if moving is not None:
+        jacobian = jacobian * [float(moving(name)) for name in evidence.coordinates.names]
     residuals = [residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
     size, held = evidence.size, np.empty(evidence.size)
     fold_of = np.concatenate([split(time, seconds) for time, seconds in evidence.times])

@@ -53,7 +53,8 @@ def laws_of(searcher: Searcher, beside: Fit, curve: Term, scales: Scales, pool) 
     if curve.lead.shape != "curve":
         return curve, ()
     leads = nearest(curve)
-    terms = list(pool.map(lambda lead: refitted(searcher, beside, lead, curve.effect.name, scales, curve.fit), leads))
+    found = pool.map(lambda lead: refitted(searcher, beside, lead, curve.effect.name, scales, curve.fit), leads)
+    terms = [t for t in found if t is not None]
     told = tuple((t.lead.shape, evidence_over(t.fit, curve.fit)) for t in terms)
     best = min(terms, key=lambda t: t.fit.bic(), default=curve)
     return (best if evidence_over(best.fit, curve.fit) >= 0.0 else curve), told

@@ -231,7 +231,6 @@ def unlagged(term: Term, had: Sequence[Lead]) -> list[Lead]:
 
 
 def _refitted(searcher, beside, leads, scales, pool, start=None) -> list[Term]:
-    """What a wild start has driven out of all bounds is dropped."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        terms = list(pool.map(lambda lead: refitted(searcher, beside, lead, NAME, scales, start), leads))
-    return [t for t in terms if np.isfinite(t.fit.deviance) and evidence_over(t.fit, beside) > STRONG]
+    """Those of which there is strong evidence."""
+    terms = pool.map(lambda lead: refitted(searcher, beside, lead, NAME, scales, start), leads)
+    return [t for t in terms if t is not None and evidence_over(t.fit, beside) > STRONG]

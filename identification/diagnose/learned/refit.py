@@ -44,8 +44,11 @@ def effect_of(lead: Lead, name: str, scales: Scales) -> Effect:
     return replace(effect, probe={n: min(max(v, bounds[n][0]), bounds[n][1]) for n, v in effect.probe.items()})
 
 
-def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Scales, start: Fit | None = None) -> Term:
-    """The term beside what is there already. `start`: the fit whose base it starts from; None: that beside which it is."""
+def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Scales, start: Fit | None = None) -> Term | None:
+    """The term beside what is there already; None where a wild start has driven the model out of all bounds.
+
+    `start`: the fit whose base it starts from; None: that beside which it is.
+    """
     effect = effect_of(lead, name, scales)
     library = placed(searcher.library, effect, PORTS[lead.port])
     fixed = {"form", "side", *lead.pinned}
@@ -60,10 +63,13 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
         one, two = f"tau_{u}_1", f"tau_{u}_2"
         if order[u] != (values[one] >= values[two]):
             values |= {one: values[two], two: values[one]}
-    fit = own.fit(
-        [*beside.effects, name], {**beside.forms, **forms}, [*beside.free, *free], values, order, not beside.thresholds
-    )
-    return Term(lead, effect, library, fit)
+    effects, forms, free = [*beside.effects, name], {**beside.forms, **forms}, [*beside.free, *free]
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a loop that swings up grows without end
+            fit = own.fit(effects, forms, free, values, order, not beside.thresholds)
+    except np.linalg.LinAlgError:
+        return None
+    return Term(lead, effect, library, fit) if np.isfinite(fit.deviance) else None
 
 
 def _calmed(prior: Prior | None, sizes: Mapping[str, float]) -> Prior:
