@@ -1,6 +1,7 @@
 """The devices of one rig, emulated or real: whoever drives them can't tell."""
 
 import contextlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -9,15 +10,20 @@ from hil.clock import Clock, MonotonicClock
 from hil.devices.ads1115 import Ads1115
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.devices.tachometer import Tachometer
+from hil.safety.lock import locked
 from vpp_fmu.errors import BadInput
 
 ESC, LAC = 0, 1
 """Outputs of the PWM chip (GPIO 12 and 13, hil/README.md)."""
 
+ESC_BOOT = 4.0
+"""s that an ESC takes from its supply to its ready tone, with the idle pulse standing."""
+
 
 @dataclass
 class Bench:
-    """Devices that are ready to use. `emulated` in whatever way; `ends`: what has to end with them, in reverse order."""
+    """Devices that are ready to use. `emulated` in whatever way; `lock`: the descriptor of the rig's lock; `ends`: what has to
+    end with them, in reverse order; `esc_boot` [s]: from the ESC's supply to its readiness."""
 
     clock: Clock
     calibration: Calibration
@@ -27,11 +33,16 @@ class Bench:
     lac: PwmChannel
     emulated: str = ""
     ends: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    lock: int = -1
+    esc_boot: float = 0.0
 
     def open(self) -> "Bench":
-        """Set the devices up: outputs first, so that the idle pulse stands. DeviceFault NOT_READY says what isn't."""
+        """Set the devices up: the lock before anything, then the outputs, so that the idle pulse stands. DeviceFault NOT_READY
+        says what isn't."""
         calibration = self.calibration
         try:
+            self.lock = locked(self.esc.folder.parent)
+            self.ends.callback(os.close, self.lock)
             self.esc.open(calibration.esc_period, calibration.esc_idle)
             self.ends.callback(self.esc.close)
             self.lac.open(calibration.lac_period, calibration.lac_idle)
@@ -69,19 +80,22 @@ class Wiring:
     address: int = 0x48
     port: str = "/dev/ttyACM0"
     pwm: str = "fe20c000.pwm"
+    channels: tuple[int, int] = (ESC, LAC)
 
 
 def real_bench(calibration: Calibration, wiring: Wiring) -> Bench:
     """The rig on this machine. DeviceFault NOT_READY where a device is missing."""
     clock, chip = MonotonicClock(), find_chip(wiring.pwm)
-    return Bench(
+    bench = Bench(
         clock,
         calibration,
         adc(calibration, wiring.bus, clock, wiring.address),
         Tachometer(wiring.port, clock),
-        PwmChannel(chip, ESC, "esc", clock),
-        PwmChannel(chip, LAC, "lac", clock),
-    ).open()
+        PwmChannel(chip, wiring.channels[0], "esc", clock),
+        PwmChannel(chip, wiring.channels[1], "lac", clock),
+        esc_boot=ESC_BOOT,
+    )
+    return bench.open()
 
 
 def adc(calibration: Calibration, bus: int | str, clock: Clock, address: int = 0x48) -> Ads1115:

@@ -42,6 +42,11 @@ SHOWN = (
     ("pitch command", "5.1f", "deg"),
     ("throttle", "4.2f", ""),
     ("off its twin", "+6.2f", "N"),
+    ("twin", "s", ""),
     ("missed", "3.0f", ""),
+    ("done", "3.0f", "%"),
 )
 """What the live view shows of it: name, format, unit."""
+
+WORDS = {"state": STATES, "twin": ("", "ALARM: not as its model")}
+"""For the numbers of SHOWN that stand for words."""

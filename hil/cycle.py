@@ -43,6 +43,7 @@ class Cycle:
         self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
         self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
         self.transitions: list[tuple[float, str, str]] = [(0.0, STATES[0], "start")]
+        self.done = math.nan  # % of a record or a campaign's part, for the view
         self.wanted, self.zero = math.nan, bench.calibration.zero
         self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
         self._known: set[tuple[str, FaultKind]] = set()
@@ -103,11 +104,17 @@ class Cycle:
     def note(self, why: str) -> None:
         """Keep when the state became what it is."""
         self.transitions.append((self.ticks.time, self.states.state.value, why))
+        self._log.note({"time": round(self.ticks.time, 9), "state": self.states.state.value, "why": why})
+
+    def keep(self, **event) -> None:
+        """Keep something beside the log, for whoever goes on after a crash."""
+        self._log.note({"time": round(self.ticks.time, 9), **event})
 
     def _drive(self) -> None:
+        changed = self._changed()
         fault = self.supervisor.beat() if self.supervisor else None
-        if fault:
-            self.fault(fault)
+        if fault or changed:  # what the supervisor has taken to idle is changed, too
+            self.fault(fault or changed)
         if not self.states.driving:
             self.idle()
             return
@@ -118,6 +125,17 @@ class Cycle:
         except DeviceFault as failed:
             self.fault(failed.fault)
             self.idle()
+
+    def _changed(self) -> Fault | None:
+        """Whether somebody else has written to an output since the last tick. It is taken back to idle, once."""
+        for channel in (self.bench.esc, self.bench.lac):
+            try:
+                channel.verify()
+            except DeviceFault as failed:
+                if (failed.device, failed.kind) not in self._known:
+                    channel.restore()
+                return failed.fault
+        return None
 
     def _record(self, wanted: tuple[float, float], cut: Cut) -> None:
         senses, tick, state = self.senses, self._tick, STATES.index(self.states.state.value)
@@ -130,7 +148,7 @@ class Cycle:
         )
         self._view.show(
             *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.ticks.missed),
+            *(self.throttle, self.residual, self.alarm, self.ticks.missed, self.done),
         )
 
     def _sense(self) -> None:
@@ -140,6 +158,9 @@ class Cycle:
     def _judge(self) -> None:
         """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
         senses = self.senses
+        if senses.revolution is not None and self.states.state is SafetyState.RUN and not senses.revolution.closed:
+            why = "100 ms without a request" if senses.revolution.silent else "told to, or the board has started anew"
+            self.fault(Fault("relay", FaultKind.RELAY_OPEN, f"the board has opened it: {why}"))
         if senses.revolution is not None:
             reading = Reading(
                 *(self.ticks.time, senses.counts, senses.saturated, senses.thrust, senses.thrust_age, senses.omega),
@@ -148,6 +169,8 @@ class Cycle:
             fault = self.plausibility.check(reading)
             if fault:
                 self.fault(fault)
+        if self._log.broken:
+            self.fault(Fault("log", FaultKind.LOG_LOST, self._log.broken))
         overdue = self._overdue()
         if overdue:
             self.fault(overdue)

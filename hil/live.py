@@ -82,10 +82,19 @@ def line(labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]]
     cells = []
     for (name, form, unit), value in zip(labels, values, strict=True):
         if name in words:
-            cells.append(f"{words[name][int(value)]:9}")
+            word = words[name][int(value)]
+            cells += [f"{word:9}"] * bool(word)
         elif not math.isnan(value):
             cells.append(f"{name} {value:{form}} {unit}".rstrip())
     return " | ".join(cells)[: width - 1]
+
+
+def width_of(terminal: int) -> int:
+    """Columns of the terminal behind a descriptor; standard output, which others look at, is none here."""
+    try:
+        return os.get_terminal_size(terminal).columns or 80
+    except OSError:
+        return shutil.get_terminal_size().columns
 
 
 def _draw(shared: int, labels, words) -> None:
@@ -98,7 +107,7 @@ def _draw(shared: int, labels, words) -> None:
                 break
         except BlockingIOError:
             pass
-        sys.stderr.write(_ERASE + line(labels, words, row.unpack_from(page), shutil.get_terminal_size().columns))
+        sys.stderr.write(_ERASE + line(labels, words, row.unpack_from(page), width_of(2)))
         sys.stderr.flush()
         time.sleep(_EVERY)
     sys.stderr.write(_ERASE)

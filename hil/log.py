@@ -2,7 +2,10 @@
 
 The loop never touches a file: a row costs it two microseconds, a write to disk now and then 24 ms. The memory is shared with a
 process of its own, so that no interpreter lock ties the two, and one byte down a pipe tells of each row. The writer ends when
-the pipe does: if the loop is killed, its log is complete all the same.
+the pipe does: if the loop is killed, its log is complete all the same. Where the loop went without a goodbye the writer then
+becomes the command that it was given for that: it is whoever is left.
+
+Beside the rows stand the events (`events_of`): a JSON object a line, for what happens once and must survive the loop.
 """
 
 import contextlib
@@ -18,7 +21,7 @@ import sys
 import time
 import zlib
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Protocol
@@ -27,6 +30,7 @@ _BATCH = 4096  # rows the writer takes at once
 _PAUSE = 0.05  # s between two batches
 _GET_PIPE_SIZE = 1032  # F_GETPIPE_SZ; Python names it from 3.10 on only where the system's headers do
 _SYNC_EVERY = 1.0  # s; what a power cut may cost
+_GOODBYE = b'"goodbye"\n'
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,32 @@ class Logged:
 class Log(Protocol):
     """Takes rows of numbers, one float a column; the file stands when `close` returns."""
 
+    broken: str
+    """Why rows no longer reach the file; empty while they do."""
+
     def put(self, *row: float) -> None:
         """Keep a row."""
 
+    def note(self, event: Mapping) -> None:
+        """Keep an event beside the rows: anything that JSON takes."""
+
     def close(self) -> Logged:
         """Finish the file."""
+
+
+def events_of(path: Path) -> Path:
+    """Where the events beside a log stand: log.csv, log.csv.gz and their unfinished forms have log.events.jsonl."""
+    return path.with_name(f"{path.name.removeprefix('.').partition('.')[0]}.events.jsonl")
+
+
+def read_events(path: Path) -> list[dict]:
+    """The events of a log's file; a line that a crash has cut off is left out."""
+    found = []
+    with contextlib.suppress(FileNotFoundError):
+        for line in path.read_bytes().splitlines():
+            with contextlib.suppress(ValueError):
+                found.append(json.loads(line))
+    return found
 
 
 class MemoryLog:
@@ -63,11 +88,16 @@ class MemoryLog:
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):
         self._path, self._columns, self._numbers = Path(path), tuple(columns), array("d")
+        self._events, self.broken = _Events(events_of(self._path)), ""
 
     def put(self, *row):
         self._numbers.extend(row)
 
+    def note(self, event):
+        self._events.add(_line(event))
+
     def close(self):
+        self._events.close()
         width, file = len(self._columns), _File(self._path, self._columns)
         for first in range(0, len(self._numbers), _BATCH * width):
             numbers = self._numbers[first : first + _BATCH * width]
@@ -76,39 +106,59 @@ class MemoryLog:
 
 
 class ProcessLog:
-    """A log for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz."""
+    """A log for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz.
 
-    def __init__(self, path: str | os.PathLike, columns: Sequence[Column]):
+    `after`: the command that the writer becomes where the loop ends without `close`.
+    """
+
+    def __init__(self, path: str | os.PathLike, columns: Sequence[Column], after: Sequence[str] = ()):
         self._row, self._head, self._lost = struct.Struct(f"{len(columns)}d"), 0, 0
+        self.broken = ""
         read, self._pipe = os.pipe()
+        hear, self._notes = os.pipe()
         # What was taken from the pipe is not yet taken from the memory: one batch more must have room.
         self._slots = fcntl.fcntl(self._pipe, _GET_PIPE_SIZE) + _BATCH
         shared = os.memfd_create("hil-log")
         os.ftruncate(shared, self._slots * self._row.size)
         self._memory = mmap.mmap(shared, self._slots * self._row.size)
         os.set_blocking(self._pipe, False)
-        task = json.dumps([str(path), [astuple(c) for c in columns], self._slots, shared, read])
+        os.set_blocking(self._notes, False)
+        task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self._slots, shared, read, hear])
         self._writer = subprocess.Popen(
             [sys.executable, "-m", "hil.log", task],
-            pass_fds=(shared, read),
+            pass_fds=(shared, read, hear),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is not for it
         )
-        os.close(shared)
-        os.close(read)
+        for descriptor in (shared, read, hear):
+            os.close(descriptor)
+
+    @property
+    def writer(self) -> int:
+        """Its process."""
+        return self._writer.pid
 
     def put(self, *row):
         self._row.pack_into(self._memory, self._head % self._slots * self._row.size, *row)
         try:
             os.write(self._pipe, b"x")
-        except (BlockingIOError, BrokenPipeError):
+        except (BlockingIOError, BrokenPipeError) as error:
             self._lost += 1
+            gone = isinstance(error, BrokenPipeError)
+            self.broken = self.broken or (f"its writer, process {self.writer}, " + ("has died" if gone else "takes no rows"))
         else:
             self._head += 1
 
+    def note(self, event):
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # `put` says so
+            os.write(self._notes, _line(event))
+
     def close(self):
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
+            os.write(self._notes, _GOODBYE)
         os.close(self._pipe)
+        os.close(self._notes)
         told, _ = self._writer.communicate()
         self._memory.close()
         try:
@@ -118,21 +168,45 @@ class ProcessLog:
         return Logged(rows, self._lost + self._head - rows, failure)
 
 
+class _Events:
+    """The file of events, made with the first of them. What a full disk refuses waits for the next."""
+
+    def __init__(self, path: Path):
+        self._path, self._file, self._waiting = path, None, bytearray()
+
+    def add(self, lines: bytes) -> None:
+        """Whole lines."""
+        self._waiting += lines
+        with contextlib.suppress(OSError):
+            if self._file is None:
+                self._file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+            while self._waiting:
+                del self._waiting[: os.write(self._file, self._waiting)]
+            os.fsync(self._file)
+
+    def close(self) -> None:
+        if self._waiting:
+            self.add(b"")
+        if self._file is not None:
+            os.close(self._file)
+
+
 class _File:
     """The CSV as it grows, under another name until it is whole. A full disk keeps rows waiting in memory, not the caller."""
 
     def __init__(self, path: Path, columns: Sequence[Column]):
         self._path, self._part = path, path.with_name(f".{path.name}.part")
-        self._cells: list[Callable[[float], str]] = [_cell(column) for column in columns]
+        self._cells: list[Callable[[float], str]] = [cell(column) for column in columns]
         self._pack = zlib.compressobj(1, wbits=31) if path.suffix == ".gz" else None
         self._waiting, self._ends, self._rows, self._written, self.failure = bytearray(), [], 0, 0, ""
         self._synced = time.monotonic()
         self._file = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody may take it for one that was left behind
         self._queue(",".join(column.name for column in columns) + "\n")
 
     def add(self, rows: Iterable[Sequence[float]]) -> None:
         """Write rows, or keep them if the disk is full."""
-        lines = [",".join([cell(value) for cell, value in zip(self._cells, row, strict=True)]) for row in rows]
+        lines = [",".join([write(value) for write, value in zip(self._cells, row, strict=True)]) for row in rows]
         self._rows += len(lines)
         self._queue("\n".join(lines) + "\n" if lines else "")
         self._flush()
@@ -163,6 +237,8 @@ class _File:
                 self._written += count
             if time.monotonic() - self._synced > _SYNC_EVERY:
                 os.fsync(self._file)
+                if self._pack:  # what was packed so far can be unpacked, whatever happens to the rest
+                    self._waiting += self._pack.flush(zlib.Z_SYNC_FLUSH)
                 self._synced = time.monotonic()
         except OSError as error:
             self.failure = f"{self._path}: {(error.strerror or str(error)).lower()}"
@@ -175,7 +251,8 @@ class _File:
             return file.read().rfind(b"\n") + 1
 
 
-def _cell(column: Column) -> Callable[[float], str]:
+def cell(column: Column) -> Callable[[float], str]:
+    """How a column's numbers are written."""
     if column.words:
         return lambda value: column.words[int(value)]
     if column.name == "time":
@@ -185,21 +262,46 @@ def _cell(column: Column) -> Callable[[float], str]:
     return lambda value: f"{value:.9g}" if math.isfinite(value) else ""
 
 
-def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, pipe: int) -> Logged:
-    """What the writer's process does: rows from the memory `shared` into the file, as bytes on `pipe` tell of them."""
+def _line(event: Mapping) -> bytes:
+    return json.dumps(event).encode() + b"\n"
+
+
+def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, pipe: int, notes: int) -> tuple[Logged, bool]:
+    """What the writer's process does: rows from the memory `shared` into the file, as bytes on `pipe` tell of them, and events
+    from `notes` beside them. Returns whether the loop has said goodbye, too."""
     row = struct.Struct(f"{len(columns)}d")
     memory = mmap.mmap(shared, slots * row.size)
-    file, taken = _File(path, columns), 0
+    file, events, taken, goodbye = _File(path, columns), _Events(events_of(path)), 0, False
+    os.set_blocking(notes, False)
     while told := os.read(pipe, _BATCH):
         file.add([row.unpack_from(memory, k % slots * row.size) for k in range(taken, taken + len(told))])
         taken += len(told)
+        goodbye |= _heard(notes, events)
         time.sleep(_PAUSE)
-    return file.close()
+    goodbye |= _heard(notes, events)
+    events.close()
+    return file.close(), goodbye
+
+
+def _heard(notes: int, events: _Events) -> bool:
+    """Keep the events that wait; whether a goodbye is among them. A line fits into a pipe's atomic write, or nearly."""
+    lines = bytearray()
+    with contextlib.suppress(BlockingIOError):
+        while told := os.read(notes, 1 << 16):
+            lines += told
+    goodbye = _GOODBYE in lines
+    kept = bytes(lines).replace(_GOODBYE, b"")
+    if kept:
+        events.add(kept)
+    return goodbye
 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends when its loop does
-    name, described, *rest = json.loads(sys.argv[1])
-    done = write_rows(Path(name), [Column(n, exact, tuple(words)) for n, exact, words in described], *rest)
+    name, described, after, *rest = json.loads(sys.argv[1])
+    done, ended = write_rows(Path(name), [Column(n, exact, tuple(words)) for n, exact, words in described], *rest)
     with contextlib.suppress(BrokenPipeError):  # its loop may be gone
         os.write(1, json.dumps([done.rows, done.failure]).encode())
+    if after and not ended:
+        os.dup2(2, 1)  # nobody reads what the loop would have read
+        os.execv(after[0], after)

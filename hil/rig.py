@@ -1,7 +1,10 @@
 """The rig as a plant: tare, arm, run; one tick a step; and the way down, whatever happens."""
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from statistics import stdev
 from typing import NamedTuple
 
 from hil.bench import Bench
@@ -9,9 +12,10 @@ from hil.cycle import NOBODY, PERIOD, Cycle
 from hil.live import NoView, View
 from hil.log import Log
 from hil.physics.speed_pi import SpeedPi
-from hil.safety.faults import DeviceFault
+from hil.safety.faults import DeviceFault, Fault, FaultKind
 from hil.safety.limits import Cut, Limiter, Limits
 from hil.safety.plausibility import Plausibility
+from hil.safety.polarity import Level, Polarity
 from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
@@ -30,6 +34,8 @@ RUN_OUT = 20.0
 """s that a rotor may take to stand."""
 SETTLE = 3.0
 """s on the first commands before a run begins (paper: what transients need)."""
+RELAY, REPEAT = 0.5, 10
+"""s that the relay may take to close, and ticks after which the board is told so once more."""
 RAMP = 1.5
 """s that a ramp-down takes from full throttle to none."""
 
@@ -57,7 +63,8 @@ class Rig:
 
     Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
     `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
-    a run's readings, `gate` says what is a zero. `tares`: the zeros that were found.
+    a run's readings, `gate` says what is a zero, `polarity` looks at the signs at low speed. `tares`: the zeros found.
+    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)).
     """
 
     def __init__(
@@ -71,13 +78,16 @@ class Rig:
         view: View | None = None,
         plausibility: Callable[[], Plausibility] | None = None,
         gate: TareGate | None = None,
+        polarity: Polarity | None = None,
+        on_alarm: FaultKind | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
         self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility)
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
-        self._supervise, self._twin = supervise, twin
+        self._supervise, self._twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
+        self._on_alarm, self.alarms = on_alarm, []
         self.tares: list[Tare] = []
         self.counters = bench.counters
 
@@ -88,15 +98,14 @@ class Rig:
         self._cycle.note("tared")
         self.states.arm()
         self._cycle.note("armed")
-        self._idle_tick()
+        self._close_relay()
         self.states.run()
         self._cycle.note("run")
         low, high = self.limits.omega_min, self.limits.omega_max
         target = min(max(omega_ref, low), high), min(max(beta_ref, self.limits.beta_min), self.limits.beta_max)
-        at = (0.0, 0.0)
-        while at != target:
-            at = self._limiter.ramp(*target, self.dt)[:2]
-            self._driven_tick(*at)
+        if self._polarity and self._polarity.possible:
+            self._check_polarity(self._polarity)
+        at = self._go(target)
         for _ in range(round(SETTLE / self.dt)):
             self._driven_tick(*at)
         if self._twin:
@@ -110,9 +119,21 @@ class Rig:
             self._cycle.fault(limited.fault)
         if self._twin:
             said = self._twin.update(self.ticks.time, limited.omega_ref, limited.beta_ref, self.last.thrust)
-            self._cycle.residual, self._cycle.alarm = said.residual, said.alarmed
+            self._cycle.residual = said.residual
+            if said.alarmed and not self._cycle.alarm:
+                self._alarm(said.residual)
+            self._cycle.alarm = said.alarmed
         self._driven_tick(limited.omega_ref, limited.beta_ref, (omega_ref, beta_ref), limited.cut)
         return self.last
+
+    def _alarm(self, residual: float) -> None:
+        """The twin's alarm: kept with its time, and the end of the run where that was wanted."""
+        found = f"the rig is not its model since {self._twin.since:.2f} s, {residual:+.2f} N now"
+        self.alarms.append((self.ticks.time, found))
+        if self._on_alarm is None:
+            self._cycle.note(f"twin: alarm: {found}")
+        else:
+            self._cycle.fault(Fault("twin", self._on_alarm, found))
 
     def idle(self, count: int) -> None:
         """`count` ticks with everything at work but the rotor: the idle pulse stands, and stays whatever fails.
@@ -137,6 +158,7 @@ class Rig:
     def close(self) -> None:
         """The idle pulse, whatever happened; then let go of everything."""
         self._cycle.idle()
+        self._open_relay()
         self._dismiss()
         self.counters = self.bench.counters
         self.bench.close()
@@ -151,6 +173,20 @@ class Rig:
     def acting(self) -> tuple[float, float]:
         """The commands [rpm, deg] that the limits let pass last."""
         return self._cycle.commands
+
+    def fail(self, fault: Fault) -> None:
+        """Whoever gives the commands can't go on: come down as the fault allows, and end the run (RunEnded)."""
+        self._cycle.fault(fault)
+        self._come_down()
+        self._end()
+
+    def show_done(self, share: float) -> None:
+        """How much of what is under way is done, for the live view."""
+        self._cycle.done = 100.0 * share
+
+    def keep(self, **event) -> None:
+        """Keep an event beside the log."""
+        self._cycle.keep(**event)
 
     def follow(self, thrust_set: float) -> None:
         """What the controller is after [N], for the log."""
@@ -190,13 +226,62 @@ class Rig:
         found = tare(counts, calibration.newton_per_count, calibration.zero, self._gate)
         self._cycle.zero = senses.zero = found.zero
         self.tares.append(found)
+        self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": found.noise * abs(calibration.newton_per_count)})
         return found
+
+    def _close_relay(self) -> None:
+        """The ESC's supply, with the idle pulse standing, and the time that it takes to come up."""
+        cycle, tachometer = self._cycle, self.bench.tachometer
+        for k in range(round(RELAY / self.dt)):
+            if k % REPEAT == 0:
+                with contextlib.suppress(DeviceFault):  # the tick's own request finds the same
+                    tachometer.arm()
+            self._idle_tick()
+            if cycle.senses.revolution and cycle.senses.revolution.closed:
+                break
+        else:
+            cycle.fault(Fault("relay", FaultKind.NOT_READY, f"not closed {RELAY:g} s after the board was told to"))
+            self._end()
+        cycle.keep(relay="closed")
+        for _ in range(1 + round(self.bench.esc_boot / self.dt)):
+            self._idle_tick()
+
+    def _open_relay(self) -> None:
+        """Nothing turns any more: the board is told so, and needs the word again."""
+        with contextlib.suppress(DeviceFault):
+            self.bench.tachometer.stop()
 
     def _idle_tick(self) -> None:
         """A tick with the idle pulse, before the run."""
         self._cycle.tick(0.0, self.bench.calibration.rest_pitch, 0.0)
         if self.states.state not in (SafetyState.SAFE, SafetyState.ARMED) or self._cycle.asked:
             self._end()
+
+    def _go(self, target: tuple[float, float]) -> tuple[float, float]:
+        """Along the slow slopes to the commands."""
+        at = (math.nan, math.nan)
+        while at != target:
+            at = self._limiter.ramp(*target, self.dt)[:2]
+            self._driven_tick(*at)
+        return at
+
+    def _check_polarity(self, check: Polarity) -> None:
+        """Two pitches at low speed; a sign that is wrong ends the run there."""
+        found = []
+        for beta in check.betas:
+            at = self._go((check.omega, beta))
+            for _ in range(round(check.settle / self.dt)):
+                self._driven_tick(*at)
+            thrust, omega = [], 0.0
+            for _ in range(round(check.average / self.dt)):
+                self._driven_tick(*at)
+                thrust.append(self.last.thrust)
+                omega += self.last.omega
+            found.append(_level(thrust, omega / len(thrust), beta))
+        fault = check.judge(*found)
+        self.keep(polarity=[asdict(one) for one in found])
+        if fault:
+            self.fail(fault)
 
     def _driven_tick(self, omega_ref, beta_ref, wanted=NOBODY, cut=Cut.NONE) -> None:
         """A tick of the run."""
@@ -216,6 +301,7 @@ class Rig:
             commands = self._limiter.ramp(0.0, self.bench.calibration.rest_pitch, cycle.passed)[:2]
             cycle.tick(*commands, max(0.0, cycle.throttle - cycle.passed / RAMP))
         cycle.idle()
+        self._open_relay()
         self.states.stopped()
         cycle.note("idle pulse")
 
@@ -227,3 +313,10 @@ class Rig:
             self._cycle.idle()
             self._cycle.supervisor.close()
             self._cycle.supervisor = None
+
+
+def _level(thrust: Sequence[float], omega: float, beta: float) -> Level:
+    """The mean with its standard error, from the means of five blocks: an amplifier's noise is coloured."""
+    rows = len(thrust) // 5
+    blocks = [sum(thrust[k * rows : (k + 1) * rows]) / rows for k in range(5)]
+    return Level(sum(thrust) / len(thrust), stdev(blocks) / 5**0.5, omega, beta)

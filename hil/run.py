@@ -1,23 +1,33 @@
 """A closed loop on the rig: the same loop, controllers and profiles as with FMUs."""
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hil.columns import RUN
-from hil.log import Column, MemoryLog
+from hil.cycle import PERIOD
+from hil.log import Column, cell
 from hil.rig import ENDINGS, Rig
+from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, read_log, session
 from hil.twin.twin import Twin
 from vpp_fmu.commands import idle
+from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.files import write_whole
 from vpp_fmu.loop import run as run_loop
-from vpp_fmu.plants import Controller, Plant
+from vpp_fmu.plants import Controller, FmuController, Plant
 from vpp_fmu.record import Record
 
 LOG = "log.csv"
+ON_ALARM = {"note": None, "ramp": FaultKind.TWIN, "idle": FaultKind.TWIN_NOW}
+"""What the twin's alarm does to a run."""
+REHEARSED = 25
+"""Steps of a controller FMU that are tried before anything turns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +51,10 @@ class Told:
 
     def step(self, thrust_set, thrust):
         self._rig.follow(thrust_set)
-        return self._controller.step(thrust_set, thrust)
+        try:
+            return self._controller.step(thrust_set, thrust)
+        except VppError as error:
+            self._rig.fail(Fault("controller", FaultKind.FAILED, str(error)))
 
     def close(self):
         self._controller.close()
@@ -73,18 +86,44 @@ def run_on_rig(
     start: tuple[float, float] | None = None,
     twin: Twin | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    after: Sequence[str] = (),
+    on_alarm: FaultKind | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder` and keeps what was measured, however it ended."""
+    log to `folder` and keeps what was measured, however it ended; `after` and `on_alarm` as in `session`."""
     ended, start = "", start or idle(setup.allowed)
-    with session(setup, folder, LOG, twin) as one:
+    if isinstance(controller, FmuController):
+        rehearse(controller, float(profile["thrust_set"][0]))
+    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm) as one:
         try:
-            run_loop(one.rig, Told(controller, one.rig), profile, start, progress)
+
+            def shown(share: float) -> None:
+                one.rig.show_done(share)
+                progress(share)
+
+            run_loop(one.rig, Told(controller, one.rig), profile, start, shown)
             one.rig.stop()
         except ENDINGS as reason:
             ended = str(reason)
     log = read_log(folder / LOG)
     return Run(loop_part(log), log, one, ended)
+
+
+def rehearse(controller: FmuController, thrust_set: float) -> None:
+    """Load an FMU, try some steps of it, and leave a fresh instance ready: before anything turns. BadInput where it gives no
+    numbers, or takes longer for a step than there is."""
+    took = []
+    controller.start(thrust_set, 0.0)
+    for _ in range(REHEARSED):
+        began = time.perf_counter()
+        commands = controller.step(thrust_set, 0.0)
+        took.append(time.perf_counter() - began)
+        if not all(map(math.isfinite, commands)):
+            raise BadInput(controller.path, "commands", f"{commands[0]} rpm, {commands[1]} deg", "finite numbers")
+    usual = sorted(took)[REHEARSED // 2]
+    if usual > PERIOD:
+        raise BadInput(controller.path, "a step", f"{1e3 * usual:.1f} ms", f"less than the {1e3 * PERIOD:g} ms of a tick")
+    controller.prepare()
 
 
 def loop_part(log: Record) -> Record:
@@ -97,8 +136,9 @@ def loop_part(log: Record) -> Record:
 
 
 def write_run(path: Path, record: Record) -> None:
-    """Write a run, its values exact to the bit: a replay needs them so."""
-    log = MemoryLog(path, [Column(name, exact=name != "time") for name in record.columns])
+    """Write a run, its values exact to the bit: a replay needs them so. BadInput where the disk refuses."""
+    cells = [cell(Column(name, exact=name != "time")) for name in record.columns]
+    lines = [",".join(record.columns)]
     for row in zip(*(column.tolist() for column in record.columns.values()), strict=True):
-        log.put(*row)
-    log.close()
+        lines.append(",".join([write(value) for write, value in zip(cells, row, strict=True)]))
+    write_whole(path, ("\n".join(lines) + "\n").encode(), path)

@@ -4,8 +4,8 @@ import contextlib
 import math
 import platform
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
-from hil.columns import COLUMNS, SHOWN, STATES
+from hil.columns import COLUMNS, SHOWN, WORDS
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
@@ -24,8 +24,10 @@ from hil.live import NoView, view
 from hil.log import Logged, MemoryLog, ProcessLog
 from hil.realtime import real_time
 from hil.rig import Rig
+from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import Plausibility, thresholds_of
+from hil.safety.polarity import Polarity
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import gate_of
@@ -62,6 +64,10 @@ class Setup:
         if not self.map_is_known:
             thresholds = replace(thresholds, effect=-math.inf)
         return Plausibility(self.limits, PERIOD, self.plant, thresholds, self.allowed.scales.time_scale)
+
+    def polarity(self) -> Polarity:
+        """The check of signs before a loop is closed."""
+        return Polarity(self.limits, self.allowed, self.plant, self.map_is_known)
 
     def bench(self) -> Bench:
         """Its devices, ready to use. DeviceFault NOT_READY."""
@@ -104,34 +110,50 @@ class Session:
             "transitions": [{"time": t, "state": state, "why": why} for t, state, why in rig.transitions],
             "counters": rig.counters,
             "supervisor": report.read_text().splitlines() if report.exists() else [],
-            "log": {
-                "ticks": rig.ticks.ticks,
-                "rows": self.logged.rows,
-                "lost": self.logged.lost,
-                "failure": self.logged.failure,
-            },
+            "log": {"ticks": rig.ticks.ticks, **asdict(self.logged)},
             "timing": self.timing.summary() if self.timing else None,
         }
 
 
 @contextlib.contextmanager
-def session(setup: Setup, folder: Path, log_name: str, twin: Twin | None = None, watch: bool = True) -> Iterator[Session]:
+def session(
+    setup: Setup,
+    folder: Path,
+    log_name: str,
+    twin: Twin | None = None,
+    watch: bool = True,
+    after: Sequence[str] = (),
+    on_alarm: FaultKind | None = None,
+) -> Iterator[Session]:
     """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
 
-    `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal.
+    `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
+    makes a report of the log if this process can't. `on_alarm` as `Rig` has it.
     """
     with contextlib.ExitStack() as ends:
         bench = setup.bench()
         ends.callback(bench.close)
         in_virtual_time = isinstance(bench.clock, VirtualClock)
-        log = (MemoryLog if in_virtual_time else ProcessLog)(folder / log_name, COLUMNS)
-        shown = NoView() if in_virtual_time or not watch else view(SHOWN, {"state": STATES})
+        log = MemoryLog(folder / log_name, COLUMNS) if in_virtual_time else ProcessLog(folder / log_name, COLUMNS, after)
+        shown = NoView() if in_virtual_time or not watch else view(SHOWN, WORDS)
         ends.callback(shown.close)
         report = folder / REPORT
         report.unlink(missing_ok=True)
-        supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report)
+        supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report, keep=(bench.lock,))
         with StopSignals() as signals, contextlib.nullcontext("virtual time") if in_virtual_time else real_time() as granted:
-            rig = Rig(bench, setup.limits, log, supervise, signals, twin, shown, setup.plausibility, gate_of(setup.allowed))
+            rig = Rig(
+                bench,
+                setup.limits,
+                log,
+                supervise,
+                signals,
+                twin,
+                shown,
+                setup.plausibility,
+                gate_of(setup.allowed),
+                setup.polarity(),
+                on_alarm,
+            )
             one = Session(rig, setup, str(granted), folder)
             try:
                 yield one

@@ -2,7 +2,9 @@
 
 
 class VppError(Exception):
-    """Base of all errors this project raises on purpose."""
+    """Base of all errors this project raises on purpose. `code`: what the command line then exits with."""
+
+    code = 2
 
 
 class BadInput(VppError):

@@ -94,6 +94,7 @@ class _FmuRole:
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self.dt, self._parameters = dt, dict(parameters or {})
         self._fmu, self._instance, self._step = Fmu(path), None, None
+        self._ready: FmuInstance | None = None
         try:
             for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
                 self._fmu.references(names, causality)
@@ -102,12 +103,25 @@ class _FmuRole:
             raise
 
     def _restart(self, values):
+        ready = self._ready or self._made()
         if self._instance:
             self._instance.close()
-        self._instance = FmuInstance(self._fmu, self.inputs, self.outputs, self._parameters)
+        self._instance, self._ready = ready, None
         shown = self._instance.start(values)
         self._step = self._instance.stepper(self.dt)
         return shown
+
+    def _made(self):
+        return FmuInstance(self._fmu, self.inputs, self.outputs, self._parameters)
+
+    def prepare(self) -> None:
+        """Make the instance that the next `start` takes: that has little left to do then."""
+        self._ready = self._ready or self._made()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._fmu.path
 
     @property
     def instance(self) -> FmuInstance | None:
@@ -115,8 +129,9 @@ class _FmuRole:
         return self._instance
 
     def close(self):
-        if self._instance:
-            self._instance.close()
+        for instance in (self._instance, self._ready):
+            if instance:
+                instance.close()
         self._fmu.close()
 
 

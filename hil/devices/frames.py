@@ -15,18 +15,23 @@ SYNC = 0x7E
 OVERHEAD = 6
 """Bytes of a frame that are not payload."""
 
-ASK_HELLO, ASK_ANSWER, HELLO, ANSWER = 0x96, 0x69, 0x3C, 0xC3
+ASK_HELLO, ASK_ANSWER, HELLO, ANSWER, ARM, STOP = 0x96, 0x69, 0x3C, 0xC3, 0xA5, 0x5A
 """Types: four bits and more apart, so that no damage of less makes one into another."""
 
-VERSION = 1
+WORD = b"SPIN"
+"""ARM's payload: what closes the relay in the ESC's supply. STOP opens it, and so do `SILENCE` s without a request."""
+SILENCE = 0.1
+
+VERSION = 2
 TICK = 4e-6
 """Resolution of the board's timer [s]: 16 MHz / 64."""
 
-STALLED, MEASURED = 0x01, 0x02
-"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution."""
+STALLED, MEASURED, CLOSED, SILENT = 0x01, 0x02, 0x04, 0x08
+"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened by itself, since no
+request came, and was not armed since."""
 
 _HELLO, _ANSWER = struct.Struct("<BBHH"), struct.Struct("<LLHHBB")
-FROM_HOST: Mapping[int, int] = {ASK_HELLO: 0, ASK_ANSWER: 0}
+FROM_HOST: Mapping[int, int] = {ASK_HELLO: 0, ASK_ANSWER: 0, ARM: len(WORD), STOP: 0}
 FROM_BOARD: Mapping[int, int] = {HELLO: _HELLO.size, ANSWER: _ANSWER.size}
 """Payload lengths of the types that each side sends: a length that is not its type's is damage."""
 

@@ -4,6 +4,7 @@ A pulse outlives the process that set it, and a disabled output has no defined l
 idles. What the kernel asks for: a period before a pulse, no pulse above the period, the polarity only while disabled.
 """
 
+import contextlib
 import errno
 import os
 from os import pwrite
@@ -41,6 +42,8 @@ class PwmChannel:
         self.folder, self.name = Path(chip) / f"pwm{index}", name
         self._chip, self._index, self._clock = Path(chip), index, clock
         self._duty: int | None = None
+        self._shown: list[int] = []
+        self._pulse = 0
         self._period = self.idle_ns = 0
         self.counters = {"pulses": 0}
 
@@ -63,9 +66,11 @@ class PwmChannel:
                 self._write(file, value)
             if self._read("polarity") != "normal":
                 self._write("polarity", "normal")
-            self._duty = os.open(self.duty_file, os.O_WRONLY)
+            self._duty = os.open(self.duty_file, os.O_RDWR)
+            self._pulse = self.idle_ns
             if not running:
                 self._write("enable", 1)
+            self._shown = [os.open(self.folder / name, os.O_RDONLY) for name in ("enable", "period", "polarity")]
         except (OSError, ValueError) as error:
             self._let_go()
             detail = f"{self.folder}: {getattr(error, 'strerror', None) or error}"
@@ -74,21 +79,36 @@ class PwmChannel:
     def set(self, pulse: float) -> None:
         """Set the pulse [s]."""
         try:
-            pwrite(self._duty, b"%d\n" % _nanoseconds(pulse), 0)
+            wanted = _nanoseconds(pulse)
+            pwrite(self._duty, b"%d\n" % wanted, 0)
         except (OSError, ValueError, OverflowError, TypeError) as error:  # refused by the kernel; NaN; infinite; not open
             found = getattr(error, "strerror", None) or error
             raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, f"pulse of {pulse} s: {found}") from error
+        self._pulse = wanted
         self.counters["pulses"] += 1
 
     def verify(self) -> None:
-        """Whether the output is on, with the period that was set; DeviceFault OUTPUT_LOST if not."""
+        """Whether the kernel still shows what was set: on, period, polarity, last pulse; DeviceFault OUTPUT_LOST if not.
+
+        Some microseconds: four reads of files that are open.
+        """
         try:
-            enabled, period = self._read("enable"), self._read("period")
-        except OSError as error:
-            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, f"{self.folder}: {error.strerror}") from error
-        if (enabled, period) != ("1", str(self._period)):
-            detail = f"enable {enabled}, period {period} ns; set were 1 and {self._period} ns"
+            found = [os.pread(file, 64, 0).split(b"\n", 1)[0] for file in (*self._shown, self._duty)]
+        except (OSError, TypeError) as error:  # gone; not open
+            detail = f"{self.folder}: {getattr(error, 'strerror', None) or 'not open'}"
+            raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, detail) from error
+        enabled, period, polarity, pulse = (text.decode(errors="replace").strip() for text in found)
+        if (enabled, period, polarity, pulse) != ("1", str(self._period), "normal", str(self._pulse)):
+            shown = f"enable {enabled}, period {period} ns, polarity {polarity}, pulse {pulse} ns"
+            detail = f"{shown}; set were 1, {self._period} ns, normal, {self._pulse} ns: somebody else writes here"
             raise DeviceFault(self.name, FaultKind.OUTPUT_LOST, detail)
+
+    def restore(self) -> None:
+        """The idle pulse, and the output on with its period: once, after somebody else has changed them."""
+        for file, value in (("duty_cycle", self.idle_ns), ("period", self._period), ("enable", 1)):
+            with contextlib.suppress(OSError):
+                self._write(file, value)
+        self._pulse = self.idle_ns
 
     def close(self) -> None:
         """Leave the output enabled at its idle pulse, and let go of it. Harmless if it never opened or twice."""
@@ -100,8 +120,9 @@ class PwmChannel:
 
     def _let_go(self) -> None:
         if self._duty is not None:
-            os.close(self._duty)
-            self._duty = None
+            for file in (self._duty, *self._shown):
+                os.close(file)
+            self._duty, self._shown = None, []
 
     def _export(self) -> None:
         if not self.folder.exists():

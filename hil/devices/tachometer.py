@@ -30,7 +30,8 @@ _ANSWER_BYTES = frames.FROM_BOARD[frames.ANSWER] + frames.OVERHEAD
 class Revolution(NamedTuple):
     """The rotor's last pass of the mark: passes since the board's reset; `period` of the last whole revolution [s], inf where
     none was measured yet; time since the pass [s], at the call that returned this; no pass for 200 ms; the request's number;
-    edges that the board rejected since its reset (modulo 256); when the answer was read [s]."""
+    edges that the board rejected since its reset (modulo 256); when the answer was read [s]; whether the relay in the ESC's
+    supply was closed then, and whether it had opened by itself."""
 
     pulses: int
     period: float
@@ -39,6 +40,8 @@ class Revolution(NamedTuple):
     sequence: int
     rejected: int
     received: float
+    closed: bool = False
+    silent: bool = False
 
     @property
     def omega(self) -> float:
@@ -121,6 +124,21 @@ class Tachometer:
         except OSError as error:
             raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
 
+    def arm(self) -> None:
+        """Close the relay in the ESC's supply; the next answers show it. Requests hold it, 0.1 s without opens it."""
+        self._say(frames.ARM, frames.WORD)
+
+    def stop(self) -> None:
+        """Open the relay."""
+        self._say(frames.STOP)
+
+    def _say(self, kind: int, payload: bytes = b"") -> None:
+        try:
+            if self._port is not None:
+                self._port.write(encoded(Frame(kind, 0, payload)))
+        except OSError as error:
+            raise DeviceFault(self.name, FaultKind.UNPLUGGED, _reason(error)) from error
+
     def poll(self) -> Revolution | None:
         """The answer to the newest request that has one, if it has come and wasn't returned yet.
 
@@ -178,7 +196,8 @@ class Tachometer:
         # The board's age is of the moment it answered, at most a line's delay after the request.
         age = frames.TICK * answer.age + now - asked
         period = frames.TICK * answer.period if answer.flags & frames.MEASURED else math.inf
-        return Revolution(answer.pulses, period, age, bool(answer.flags & frames.STALLED), frame.sequence, answer.rejected, now)
+        stalled, closed, silent = (bool(answer.flags & flag) for flag in (frames.STALLED, frames.CLOSED, frames.SILENT))
+        return Revolution(answer.pulses, period, age, stalled, frame.sequence, answer.rejected, now, closed, silent)
 
     def _refuse(self, now: float) -> None:
         received = self._reader.received - self._received_then

@@ -78,14 +78,17 @@ def _start(rig: Rig, at: Path, ends: contextlib.ExitStack) -> None:
 def main(task: dict) -> None:
     """Serve until standard input ends."""
     clock, at = MonotonicClock(), Path(task["folder"])
-    rig = Rig(task["rig"]["parameters"], tuple(task["rig"]["hidden"]), task["rig"]["seed"])
+    rig = Rig(**{**task["rig"], "hidden": tuple(task["rig"]["hidden"])})
     emulation = Emulation(rig, read_calibration(at / CALIBRATION), at, clock.now())
     emulation.line = PtyLine(emulation.board, at / LINE, at / PORT, rig.seed)
     os.set_blocking(0, False)
     with contextlib.closing(emulation), real_time(PRIORITY):
         ticks = Ticks(clock, PERIOD)
         print("ready", flush=True)
-        while not _ended():
+        end = None
+        while end is None or clock.now() < end:
+            if end is None and _ended():
+                end = clock.now() + rig.lingers
             ticks.wait()
             emulation.serve(clock.now())
 

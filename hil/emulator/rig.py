@@ -16,6 +16,7 @@ from hil.emulator import i2c, pwm_tree
 from hil.emulator.i2c import Ads1115Chip
 from hil.emulator.pwm_tree import PwmTree
 from hil.emulator.serial_line import MemoryLine, SerialLine
+from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
 from hil.physics.rig_model import powertrain
@@ -23,43 +24,56 @@ from hil.physics.rig_model import powertrain
 ZERO_SHIFT = 120.0
 """Counts by which the load cell's zero has moved since the calibration: only a tare finds it."""
 
-BUS, LINE, PORT, PULSES = "i2c", "line", "tty", "pwm"
+BUS, LINE, PORT, PULSES, SHOWN = "i2c", "line", "tty", "pwm", "shown"
 """Names in the folder."""
+
+BYSTANDER = ("relay", "omega", "thrust")
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What is emulated: changes to the physics' defaults, hidden effects by name, and the seed of everything random."""
+    """What is emulated: changes to the physics' defaults, hidden effects by name, and the seed of everything random.
+
+    `lingers`: s that a rig in real time lives on behind whoever started it, as a real one does.
+    """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     hidden: tuple[str, ...] = ()
     seed: int = 0
+    lingers: float = 0.0
 
 
 class Emulation:
-    """The far side of every bus. `serve(t)` does what is due up to time t [s]; `line` carries the tachometer's bytes."""
+    """The far side of every bus. `serve(t)` does what is due up to time t [s]; `line` carries the tachometer's bytes.
+
+    `shown`: what a bystander sees, for any process: whether the relay is closed, speed [rpm], thrust [N]; no device reads it.
+    """
 
     def __init__(self, rig: Rig, calibration: Calibration, folder: Path, start: float):
         per_count = calibration.full_scale / 0x8000
         zero = per_count * (calibration.zero + ZERO_SHIFT)
         cell = LoadCell(zero, per_count / calibration.newton_per_count)
-        tree, self._calibration = PwmTree(folder / PULSES), calibration
+        tree, self._calibration, self._powered = PwmTree(folder / PULSES), calibration, False
         self._esc, self._lac = _Output(tree, ESC), _Output(tree, LAC)
         self.world = World(powertrain(rig.hidden), rig.parameters, self._driven, cell, rig.seed, start)
         self._bus = i2c.open_bus(folder / BUS, create=True)
         self._chip = Ads1115Chip(self._bus, self.world.volts, int(calibration.channel[3]))
         self.board = Uno(self.world.pulses)
         self.line: SerialLine | None = None
+        self.shown = SharedNumbers(folder / SHOWN, BYSTANDER, create=True)
 
     def serve(self, t: float) -> None:
         """Go on to time t [s]."""
+        self._powered = self.board.watch(t)
         self.world.advance(t)
+        self.shown["relay"], self.shown["omega"], self.shown["thrust"] = self._powered, self.world.omega, self.world.thrust
         self._chip.serve(t)
         self.line.serve(t)
 
     def close(self) -> None:
         """Let go of the files."""
         self.line.close()
+        self.shown.close()
         self._bus.close()
         self._esc.close()
         self._lac.close()
@@ -67,7 +81,7 @@ class Emulation:
     def _driven(self) -> tuple[float, float]:
         """What the pulses ask for: (throttle [1], pitch [deg]). Without a signal the ESC stops and the rod rests."""
         esc, lac, calibration = self._esc.pulse(), self._lac.pulse(), self._calibration
-        throttle = 0.0 if esc is None else calibration.throttle(esc)
+        throttle = calibration.throttle(esc) if esc is not None and self._powered else 0.0
         return throttle, calibration.rest_pitch if lac is None else calibration.pitch(lac)
 
 

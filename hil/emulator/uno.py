@@ -7,8 +7,8 @@ from hil.devices import frames
 from hil.devices.frames import TICK, Answer, Frame, FrameReader, Hello, encoded
 from hil.emulator.shared import SharedNumbers
 
-REJECT, STALL = 1250, 50_000
-"""Edges closer than 5 ms are no marks; 200 ms without one is a stall [ticks]."""
+REJECT, STALL, SILENCE = 1250, 50_000, 25_000
+"""Edges closer than 5 ms are no marks; 200 ms without one is a stall; 100 ms without a request open the relay [ticks]."""
 _LARGEST = 0xFFFF
 
 
@@ -37,6 +37,36 @@ class Rotor:
         return Answer(self.pulses, self.last, self.period, age, flags, self.rejected)
 
 
+class Relay:
+    """The relay in the ESC's supply as the board holds it. Times are ticks, as the rotor's."""
+
+    def __init__(self):
+        self.closed = self.silent = False
+        self._heard = 0
+
+    def arm(self, now: int) -> None:
+        """The word has come."""
+        self.closed, self.silent, self._heard = True, False, now
+
+    def heard(self, now: int) -> None:
+        """A request has come."""
+        self._heard = now
+
+    def stop(self) -> None:
+        """Open it."""
+        self.closed = False
+
+    def watch(self, now: int) -> None:
+        """Open it where nobody asks any more."""
+        if self.closed and (now - self._heard & 0xFFFFFFFF) > SILENCE:
+            self.closed, self.silent = False, True
+
+    @property
+    def flags(self) -> int:
+        """Of an answer."""
+        return (frames.CLOSED if self.closed else 0) | (frames.SILENT if self.silent else 0)
+
+
 class Uno:
     """The board. `pulses(t)`: passes of the mark up to t, time of the last [s], period of the last whole revolution [s].
 
@@ -48,12 +78,18 @@ class Uno:
         self._seen = 0
         self._up: float | None = None  # when it will be up, while it boots
         self._since: float | None = None  # when it came up: its time's zero; None before the first reset and while it boots
-        self._rotor, self._reader = Rotor(), FrameReader(frames.FROM_HOST)
+        self._rotor, self._reader, self.relay = Rotor(), FrameReader(frames.FROM_HOST), Relay()
+
+    def watch(self, t: float) -> bool:
+        """Whether the relay is closed at time t [s]."""
+        if self._since is not None:
+            self.relay.watch(self._ticks(t))
+        return self.relay.closed
 
     def reset(self, t: float) -> None:
         """As when the port is opened: forgets everything and greets once it is up."""
         self._up, self._since = t + self._boot, None
-        self._rotor, self._reader = Rotor(), FrameReader(frames.FROM_HOST)
+        self._rotor, self._reader, self.relay = Rotor(), FrameReader(frames.FROM_HOST), Relay()
 
     def greeting(self, t: float) -> bytes:
         """The greeting, when the board has just come up at time t; else nothing."""
@@ -84,8 +120,16 @@ class Uno:
         said = b""
         for frame in self._reader.feed(data):
             if frame.type == frames.ASK_ANSWER:
+                self.relay.watch(self._ticks(t))
+                self.relay.heard(self._ticks(t))
                 answer = self._rotor.answer(self._ticks(t))
-                said += encoded(Frame(frames.ANSWER, frame.sequence, answer.packed()))
+                told = answer._replace(flags=answer.flags | self.relay.flags)
+                said += encoded(Frame(frames.ANSWER, frame.sequence, told.packed()))
+            elif frame.type == frames.ARM:
+                if frame.payload == frames.WORD:
+                    self.relay.arm(self._ticks(t))
+            elif frame.type == frames.STOP:
+                self.relay.stop()
             else:
                 said += self._hello(frame.sequence)
         return said

@@ -26,6 +26,7 @@ class FaultKind(Enum):
     REFUSED = "refused", Reaction.RAMP_DOWN, "the bus or the kernel refused the transfer"
     TIMEOUT = "timeout", Reaction.RAMP_DOWN, "the bus did not finish the transfer in time"
     RECONFIGURED = "reconfigured", Reaction.RAMP_DOWN, "the device has lost its settings, as after a brown-out"
+    RELAY_OPEN = "relay open", Reaction.IDLE, "the ESC's supply is cut by the board that watches the loop"
     OUTPUT_LOST = "output lost", Reaction.IDLE, "a pulse could not be written or is not what was written"
     NOT_READY = "not ready", Reaction.IDLE, "the device could not be set up before arming"
 
@@ -37,9 +38,15 @@ class FaultKind(Enum):
     OVER_SPEED = "over-speed", Reaction.IDLE, "the rotor is faster than allowed"
     OVER_THRUST = "over-thrust", Reaction.IDLE, "the thrust is larger than allowed"
     STUCK_ACTUATOR = "stuck actuator", Reaction.RAMP_DOWN, "the thrust does not follow the commanded pitch"
+    POLARITY = "wrong polarity", Reaction.RAMP_DOWN, "thrust or pitch has the wrong sign"
+    SLOPE = "wrong slope", Reaction.RAMP_DOWN, "pitch changes the thrust by something else than the map says"
     STALE = "stale", Reaction.RAMP_DOWN, "the newest reading is too old"
 
     # What the loop finds on itself.
+    TWIN = "twin's alarm", Reaction.RAMP_DOWN, "the rig has left its model's band, and that is to end the run"
+    TWIN_NOW = "twin's alarm, at once", Reaction.IDLE, "the same, where it is to end it at once"
+    FAILED = "failed", Reaction.RAMP_DOWN, "the controller gave an error instead of commands"
+    LOG_LOST = "log lost", Reaction.RAMP_DOWN, "what is measured no longer reaches the disk"
     NOT_A_NUMBER = "not a number", Reaction.RAMP_DOWN, "a command or a reading is not a finite number"
     TIME_BACKWARDS = "time backwards", Reaction.RAMP_DOWN, "the clock did not move forward"
     OVERRUN = "overrun", Reaction.RAMP_DOWN, "too many deadlines missed"

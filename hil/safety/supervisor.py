@@ -17,6 +17,9 @@ from hil.safety.faults import DeviceFault, Fault, FaultKind
 SILENCE = 0.05
 """s without a heartbeat after which the rotor is stopped: twelve ticks."""
 
+GRACE = 3.0
+"""s that a loop which was stopped for its silence has to come back, before it is killed."""
+
 LOST = 0.1
 """s without a sign of the watchdog after which the loop gives up: five times its pace, so that a busy machine is no fault."""
 
@@ -29,11 +32,19 @@ class Supervisor:
 
     Outputs are (duty file, idle pulse [s]); the PWM must be set up already, since the idle pulse is written at the start to
     show that it can be. `report` is a file that the process adds a line to if it has to act. From the first `beat` on,
-    `silence` s without one trips it. `fifo`: whether it runs in real time. DeviceFault NOT_READY: it could not start, or an
+    `silence` s without one trips it, and `grace` s more end this process. `keep`: descriptors that it holds open with this
+    process, such as the rig's lock. `fifo`: whether it runs in real time. DeviceFault NOT_READY: it could not start, or an
     output refused the idle pulse.
     """
 
-    def __init__(self, outputs: Sequence[tuple[str | os.PathLike, float]], report: str | os.PathLike, silence: float = SILENCE):
+    def __init__(
+        self,
+        outputs: Sequence[tuple[str | os.PathLike, float]],
+        report: str | os.PathLike,
+        silence: float = SILENCE,
+        grace: float = GRACE,
+        keep: Sequence[int] = (),
+    ):
         size = 8 * len(watchdog.SLOTS)
         shared = os.memfd_create("hil-supervisor")
         os.ftruncate(shared, size)
@@ -41,8 +52,8 @@ class Supervisor:
         self._page = memoryview(self._memory).cast("d")
         files = [word for path, idle in outputs for word in (os.fspath(path), str(round(idle * 1e9)))]
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", watchdog.__file__, str(shared), os.fspath(report), str(silence), *files],
-            pass_fds=(shared,),
+            [sys.executable, "-I", "-S", watchdog.__file__, str(shared), os.fspath(report), str(silence), str(grace), *files],
+            pass_fds=(shared, *keep),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

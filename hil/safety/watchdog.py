@@ -1,9 +1,10 @@
 """The supervisor's own process: the idle pulse on every output as soon as the loop is gone or silent.
 
 Run as a script, with nothing but the standard library and no package around it, so that it starts at once and nothing of the
-loop's process is alive in it. Arguments: descriptor of the shared page, file of the report, silence allowed [s], and for each
-output its duty file and idle pulse [ns]. Standard input is the pipe from the loop: its end means the loop is gone, a
-byte that it says goodbye.
+loop's process is alive in it. Arguments: descriptor of the shared page, file of the report, silence allowed [s], grace [s], and
+for each output its duty file and idle pulse [ns]. Standard input is the pipe from the loop: its end means the loop is gone, a
+byte that it says goodbye. A loop that was stopped for its silence and does not come back within the grace is killed: it hangs
+in code that hears no signal, and whoever waits for it would wait for ever.
 """
 
 import contextlib
@@ -30,8 +31,10 @@ CALM = 0.01
 AFTER_END = 0.25
 
 
-def main(page: int, report: int, silence: float, outputs: list[tuple[int, bytes]]) -> int:
+def main(page: int, report: int, silence: float, grace: float, outputs: list[tuple[int, bytes]]) -> int:
     """Watch until goodbye (returns 0) or until the loop is gone (returns 1)."""
+    loop, ended = os.getppid(), False
+    _not_for_the_oom_killer()
     numbers = memoryview(mmap.mmap(page, 8 * len(SLOTS))).cast("d")
     numbers[FIFO] = _real_time()
     for failed in write_idle(outputs):
@@ -59,6 +62,10 @@ def main(page: int, report: int, silence: float, outputs: list[tuple[int, bytes]
             return 1
         if tripped:
             write_idle(outputs)
+            if not ended and now - max(tripped, last) > grace and os.getppid() == loop:
+                ended = True
+                _tell(report, f"the loop did not come back within {grace:g} s; process {loop} is killed")
+                os.kill(loop, signal.SIGKILL)
 
 
 def _trip(numbers: memoryview, outputs: list[tuple[int, bytes]], report: int, why: str) -> None:
@@ -69,9 +76,12 @@ def _trip(numbers: memoryview, outputs: list[tuple[int, bytes]], report: int, wh
     for descriptor, _ in outputs:
         with contextlib.suppress(OSError):  # sysfs has nothing to sync
             os.fsync(descriptor)
-    told = f"{stood:.6f} s: the loop is {why}; " + ("; ".join(failed) or "idle pulse written")
+    _tell(report, f"the loop is {why}; " + ("; ".join(failed) or "idle pulse written"), stood)
+
+
+def _tell(report: int, what: str, at: float | None = None) -> None:
     with contextlib.suppress(OSError):  # the disk may be full
-        os.write(report, f"{told}\n".encode())
+        os.write(report, f"{time.monotonic() if at is None else at:.6f} s: {what}\n".encode())
 
 
 def write_idle(outputs: list[tuple[int, bytes]]) -> list[str]:
@@ -93,6 +103,12 @@ def _keep_idle(outputs: list[tuple[int, bytes]]) -> None:
         write_idle(outputs)
 
 
+def _not_for_the_oom_killer() -> None:
+    """Memory that runs short must take any other process first; needs CAP_SYS_RESOURCE, as the unit in hil/systemd gives it."""
+    with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
+        file.write("-1000")
+
+
 def _real_time() -> bool:
     """Whether SCHED_FIFO was granted; memory is locked where that is allowed."""
     ctypes.CDLL(None).mlockall(1)
@@ -107,10 +123,10 @@ if __name__ == "__main__":
     # The terminal, the shell and whoever else ends programs mean the loop; the watchdog goes when that is idle.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
-    shared, file, allowed, *rest = sys.argv[1:]
+    shared, file, allowed, patience, *rest = sys.argv[1:]
     try:
         told = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         opened = [(os.open(duty, os.O_WRONLY), b"%d\n" % int(idle)) for duty, idle in zip(rest[::2], rest[1::2], strict=True)]
     except OSError as error:
         sys.exit(f"{error.filename}: {error.strerror}")
-    sys.exit(main(int(shared), told, float(allowed), opened))
+    sys.exit(main(int(shared), told, float(allowed), float(patience), opened))

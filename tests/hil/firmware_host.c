@@ -3,10 +3,12 @@
 
 static Rotor rotor;
 static Reader reader;
+static Relay relay;
 
 void restart(void) {
     memset(&rotor, 0, sizeof rotor);
     memset(&reader, 0, sizeof reader);
+    memset(&relay, 0, sizeof relay);
 }
 
 void edge(uint32_t now) { rotor_edge(&rotor, now); }
@@ -17,13 +19,25 @@ unsigned hello(unsigned sequence, uint8_t *frame) { return write_hello(frame, (u
 
 unsigned answer(unsigned sequence, uint32_t now, uint8_t *frame) {
     rotor_watch(&rotor, now);
-    return write_answer(frame, (uint8_t)sequence, &rotor, now);
+    return write_answer(frame, (uint8_t)sequence, &rotor, relay_flags(&relay), now);
 }
 
-/* Type and sequence of the request that the byte completes; 0: none. */
+void arm(uint32_t now) { relay_arm(&relay, now); }
+
+void asked(uint32_t now) { relay_heard(&relay, now); }
+
+void stop(void) { relay_stop(&relay); }
+
+/* The answer's flags of the relay, once it was looked at. */
+unsigned relay_at(uint32_t now) {
+    relay_watch(&relay, now);
+    return relay_flags(&relay);
+}
+
+/* Whether the word was in it (bit 16), type and sequence of the request that the byte completes; 0: none. */
 unsigned take(unsigned byte) {
     Request request = reader_take(&reader, (uint8_t)byte);
-    return (unsigned)request.type << 8 | request.sequence;
+    return (unsigned)request.word << 16 | (unsigned)request.type << 8 | request.sequence;
 }
 
 unsigned crc(const uint8_t *data, unsigned count) { return crc16(data, (uint8_t)count); }

@@ -46,8 +46,13 @@ class Injected:
 
     def supervisor(self) -> int:
         """Its process."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
-        return next(int(pid) for pid in children if b"watchdog" in Path(f"/proc/{pid}/cmdline").read_bytes())
+        return next(pid for pid, words in children_of(self.process.pid) if "watchdog" in words)
+
+
+def children_of(process: int) -> list[tuple[int, str]]:
+    """(number, command) of a process' children."""
+    children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return [(int(pid), Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()) for pid in children]
 
 
 def bus(name: str, value: float = math.inf):

@@ -21,13 +21,15 @@ from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.rig import Rig as Emulated
 from hil.run import run_on_rig
+from hil.safety import polarity
 from hil.safety.limits import Limits
 from hil.session import Setup
 from vpp_fmu.errors import VppError
 from vpp_fmu.plants import KernelController
 from vpp_fmu.record import Record
 
-# The waits before a run, shortened: forty faults are to be tried.
+# The waits before a run, shortened: fifty faults are to be tried.
+polarity.SETTLE, polarity.AVERAGE = 0.8, 0.5
 rig.REST, rig.TARE_SAMPLES, rig.SETTLE = 0.3, 250, 0.5
 
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
@@ -93,7 +95,7 @@ def main(task):
     if refuse := task.get("refuse"):
         pwm_tree.attached = partial(pwm_tree.attached, refuse=lambda file: file == refuse)
     physics = task.get("physics", {})
-    emulated = Emulated(physics.get("parameters", {}), tuple(physics.get("hidden", ())), seed=1)
+    emulated = Emulated(physics.get("parameters", {}), tuple(physics.get("hidden", ())), 1, physics.get("lingers", 0.0))
     setup = SpokenSetup(read_calibration(CALIBRATION), Limits(**task.get("limits", {})), emulated)
     controller = Saboteur(task.get("sabotage"))
     try:

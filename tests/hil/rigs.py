@@ -28,10 +28,13 @@ class Rows:
     """A log that keeps its rows by column."""
 
     def __init__(self, columns):
-        self._names, self.rows = [c.name for c in columns], []
+        self._names, self.rows, self.events, self.broken = [c.name for c in columns], [], [], ""
 
     def put(self, *row):
         self.rows.append(row)
+
+    def note(self, event):
+        self.events.append(event)
 
     def __getitem__(self, name):
         return np.array([row[self._names.index(name)] for row in self.rows], float)

@@ -1,7 +1,8 @@
 /* Runs the tachometer's firmware on a simulated ATmega328P (libsimavr), its sensor pin driven and its line connected.
  *
  *   simavr_host FIRMWARE.elf script < SCRIPT     lines "edge CYCLE", "byte CYCLE VALUE", "end CYCLE", cycles rising;
- *                                                prints "CYCLE VALUE" for each byte that the board says
+ *                                                prints "CYCLE VALUE" for each byte that the board says, and
+ *                                                "relay CYCLE VALUE" for each change of its pin
  *   simavr_host FIRMWARE.elf pty PERIOD_US       in real time: prints the name of a terminal, serves it until it is hung
  *                                                up, the mark passing every PERIOD_US
  */
@@ -29,6 +30,11 @@ static void said(struct avr_irq_t *irq, uint32_t value, void *param) {
     uint8_t byte = (uint8_t)value;
     if (terminal < 0) printf("%llu %u\n", (unsigned long long)avr->cycle, byte);
     else if (write(terminal, &byte, 1) < 0) return;
+}
+
+static void switched(struct avr_irq_t *irq, uint32_t value, void *param) {
+    (void)irq, (void)param;
+    if (terminal < 0) printf("relay %llu %u\n", (unsigned long long)avr->cycle, value);
 }
 
 static void quiet(avr_t *of, const int level, const char *format, va_list arguments) {
@@ -109,6 +115,7 @@ int main(int argc, char **argv) {
     pin = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 2);
     line_in = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), said, NULL);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 4), switched, NULL);
     avr_raise_irq(pin, 1);
     if (!strcmp(argv[2], "script")) script();
     else serve(strtoull(argv[3], NULL, 10) * 16);

@@ -12,13 +12,18 @@ import pytest
 from hil.clock import MonotonicClock
 from hil.devices.frames import (
     ANSWER,
+    ARM,
     ASK_ANSWER,
     ASK_HELLO,
+    CLOSED,
     FROM_BOARD,
     FROM_HOST,
     HELLO,
     MEASURED,
+    SILENT,
     STALLED,
+    STOP,
+    WORD,
     Frame,
     FrameReader,
     crc16,
@@ -27,7 +32,7 @@ from hil.devices.frames import (
     read_hello,
 )
 from hil.devices.tachometer import Tachometer
-from hil.emulator.uno import REJECT, STALL, Rotor
+from hil.emulator.uno import REJECT, SILENCE, STALL, Relay, Rotor
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.native.compiler import compiled
 
@@ -86,7 +91,7 @@ class TestHeader:
         frame = ctypes.create_string_buffer(32)
         length = board.hello(7, frame)
         (found,) = FrameReader(FROM_BOARD).feed(frame.raw[:length])
-        assert (found.type, found.sequence, read_hello(found)) == (HELLO, 7, (1, 4, 1250, 50000))
+        assert (found.type, found.sequence, read_hello(found)) == (HELLO, 7, (2, 4, 1250, 50000))
 
     def test_nothing_has_passed_yet(self, board):
         assert answer(board, 10) == (0, 0, 0, 0xFFFF, STALLED, 0)
@@ -156,14 +161,53 @@ class TestHeader:
     def test_requests_are_found_among_damage_as_the_host_would(self, board, seed):
         chance, reader, stream = random.Random(seed), FrameReader(FROM_HOST), bytearray()
         for k in range(500):
-            data = bytearray(encoded(Frame(chance.choice((ASK_ANSWER, ASK_HELLO)), k & 0xFF)))
+            kind = chance.choice((ASK_ANSWER, ASK_HELLO, ARM, STOP))
+            data = bytearray(encoded(Frame(kind, k & 0xFF, chance.choice((WORD, b"SPIM")) if kind == ARM else b"")))
             if chance.random() < 0.3:
                 data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
             stream += chance.choice((b"", b"", b"\x7e", b"\x7e\x00", chance.randbytes(9))) + data
-        wanted = [(frame.type, frame.sequence) for frame in reader.feed(bytes(stream))]
-        found = [divmod(taken, 256) for taken in map(board.take, stream) if taken]
+        wanted = [(frame.payload == WORD, frame.type, frame.sequence) for frame in reader.feed(bytes(stream))]
+        found = [(bool(taken >> 16), taken >> 8 & 0xFF, taken & 0xFF) for taken in map(board.take, stream) if taken]
         assert found == wanted
         assert len(found) > 300
+
+    def test_the_relay_is_closed_by_the_word_held_by_requests_and_opens_100_ms_after_the_last(self, board):
+        assert board.relay_at(0) == 0
+        board.asked(10)
+        assert board.relay_at(20) == 0  # requests alone close nothing
+        board.arm(1000)
+        for now in range(1000, 200_000, 1000):
+            board.asked(now)
+            assert board.relay_at(now + 999) == CLOSED
+        assert board.relay_at(199_000 + SILENCE) == CLOSED
+        assert board.relay_at(199_000 + SILENCE + 1) == SILENT
+        board.asked(225_000)
+        assert board.relay_at(225_001) == SILENT  # it waits for the word
+        board.arm(226_000)
+        assert board.relay_at(226_001) == CLOSED
+        board.stop()
+        assert board.relay_at(226_002) == 0
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_the_emulated_relay_does_the_same(self, board, seed):
+        chance, relay, now, seen = random.Random(seed), Relay(), 2**32 - 100_000, set()
+        for _ in range(3000):
+            now = now + chance.choice((3, 1000, 1000, 1000, 24_999, SILENCE, SILENCE + 1)) & 0xFFFFFFFF
+            what = chance.choice(("arm", "heard", "heard", "heard", "stop"))
+            relay.watch(now)
+            board.relay_at(ctypes.c_uint32(now))
+            if what == "arm":
+                relay.arm(now)
+                board.arm(ctypes.c_uint32(now))
+            elif what == "heard":
+                relay.heard(now)
+                board.asked(ctypes.c_uint32(now))
+            else:
+                relay.stop()
+                board.stop()
+            assert board.relay_at(ctypes.c_uint32(now)) == relay.flags
+            seen.add(relay.flags)
+        assert seen == {0, CLOSED, SILENT}
 
 
 @pytest.fixture(scope="module")
@@ -196,6 +240,24 @@ def simulator(tmp_path_factory):
 
 def simulated(simulator, firmware, events, end):
     """[(time [s], frame)] that the board says to events (time [s], "edge" or bytes), and the bytes that were in none."""
+    done = run_script(simulator, firmware, events, end)
+    reader, said = FrameReader(FROM_BOARD), []
+    for line in done.splitlines():
+        if line.startswith("relay"):
+            continue
+        cycle, byte = map(int, line.split())
+        said += [(cycle / HZ, frame) for frame in reader.feed(bytes([byte]))]
+    return said, reader.dropped
+
+
+def switched(simulator, firmware, events, end):
+    """[(time [s], level)] of the relay's pin."""
+    lines = [line.split() for line in run_script(simulator, firmware, events, end).splitlines() if line.startswith("relay")]
+    return [(int(cycle) / HZ, int(level)) for _, cycle, level in lines]
+
+
+def run_script(simulator, firmware, events, end):
+    """What the simulated board says to events."""
     lines = []
     for when, what in events:
         cycle = round(when * HZ)
@@ -206,12 +268,7 @@ def simulated(simulator, firmware, events, end):
             lines += [(at, f"byte {at} {byte}") for at, byte in spaced]
     lines.sort()
     script = "\n".join([*(line for _, line in lines), f"end {round(end * HZ)}\n"])
-    done = subprocess.run([simulator, firmware, "script"], input=script, capture_output=True, text=True, check=True)
-    reader, said = FrameReader(FROM_BOARD), []
-    for line in done.stdout.splitlines():
-        cycle, byte = map(int, line.split())
-        said += [(cycle / HZ, frame) for frame in reader.feed(bytes([byte]))]
-    return said, reader.dropped
+    return subprocess.run([simulator, firmware, "script"], input=script, capture_output=True, text=True, check=True).stdout
 
 
 def asked(times):
@@ -240,7 +297,7 @@ class TestSimulated:
         times = [0.003 + 0.004 * k for k in range(250)]
         said, dropped = simulated(simulator, firmware, asked(times), 1.1)
         assert dropped == 0
-        assert (said[0][1].type, read_hello(said[0][1])) == (HELLO, (1, 4, REJECT, STALL))
+        assert (said[0][1].type, read_hello(said[0][1])) == (HELLO, (2, 4, REJECT, STALL))
         assert [frame.sequence for _, frame in said[1:]] == [k & 0xFF for k in range(250)]
         # 6 bytes of request and 20 of answer are 0.52 ms at 500 kBd.
         assert max(when - t for (when, _), t in zip(said[1:], times, strict=True)) < 0.001
@@ -294,13 +351,35 @@ class TestSimulated:
         assert set(good) - set(answered) == set()
         assert len(answered) == len(good)
 
+    def test_the_relays_pin_follows_the_word_and_opens_100_ms_after_the_last_request(self, simulator, firmware):
+        arm = encoded(Frame(ARM, 0, WORD))
+        requests = asked([0.02 + 0.004 * k for k in range(50)])
+        pin = switched(simulator, firmware, [(0.01, arm), *requests, (0.5, arm), (0.55, encoded(Frame(STOP, 0)))], 0.8)
+        changes = [(t, level) for (t, level), (_, before) in zip(pin, [(0.0, 0), *pin], strict=False) if level != before]
+        assert [level for _, level in changes] == [1, 0, 1, 0]
+        closed, opened, again, stopped = (t for t, _ in changes)
+        assert closed == pytest.approx(0.01 + 10 * 20e-6, abs=100e-6)  # the word's ten bytes
+        last = requests[-1][0] + 6 * 20e-6
+        assert opened - last == pytest.approx(0.1, abs=100e-6)
+        assert again == pytest.approx(0.5 + 10 * 20e-6, abs=100e-6)
+        assert stopped == pytest.approx(0.55 + 6 * 20e-6, abs=100e-6)
+
+    def test_no_damage_closes_the_relay(self, simulator, firmware):
+        chance, events = random.Random(5), []
+        for k in range(200):
+            data = bytearray(encoded(Frame(ARM, k, WORD)))
+            data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+            events.append((0.003 + 0.004 * k, bytes(data)))
+        events.append((0.9, encoded(Frame(ARM, 1, b"SPIM"))))
+        assert all(level == 0 for _, level in switched(simulator, firmware, events, 1.0))
+
     def test_the_real_driver_over_a_pty(self, simulator, firmware):
         """pyserial, the frames and the firmware in real time; the mark passes every 15 ms."""
         command = [simulator, firmware, "pty", "15000"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             clock, answers = MonotonicClock(), []
             tachometer = Tachometer(process.stdout.readline().strip(), clock, timeout=5.0)
-            assert tachometer.hello() == (1, 4, REJECT, STALL)
+            assert tachometer.hello() == (2, 4, REJECT, STALL)
             for _ in range(150):
                 tachometer.request()
                 clock.wait_until(clock.now() + 0.004)

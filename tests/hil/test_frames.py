@@ -5,11 +5,13 @@ import pytest
 
 from hil.devices.frames import (
     ANSWER,
+    ARM,
     ASK_ANSWER,
     ASK_HELLO,
     FROM_BOARD,
     FROM_HOST,
     HELLO,
+    STOP,
     Answer,
     Frame,
     FrameReader,
@@ -59,7 +61,7 @@ def test_bytes_on_the_line():
 
 
 def test_what_is_sent_is_what_is_read():
-    hello = Hello(1, 4, 1250, 50000)
+    hello = Hello(2, 4, 1250, 50000)
     frames = FrameReader(FROM_BOARD).feed(encoded(Frame(HELLO, 9, hello.packed())) + encoded(ANSWERED))
     assert [read_hello(frames[0]), read_answer(frames[1])] == [hello, Answer(123456, 0x7E7E0001, 2500, 7, 2, 0)]
     assert [frame.sequence for frame in frames] == [9, 0x7E]
@@ -75,7 +77,7 @@ def test_frames_come_in_any_pieces(count):
 
 
 def test_types_are_four_bits_apart():
-    types = ASK_HELLO, ASK_ANSWER, HELLO, ANSWER
+    types = ASK_HELLO, ASK_ANSWER, HELLO, ANSWER, ARM, STOP
     assert min((a ^ b).bit_count() for a, b in itertools.combinations(types, 2)) == 4
 
 

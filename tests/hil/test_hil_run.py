@@ -10,7 +10,8 @@ from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
 from hil.report import judged_steps, smoothed
 from hil.rig import RunEnded
-from hil.run import LimitedPlant, loop_part, run_on_rig, write_run
+from hil.run import ON_ALARM, LimitedPlant, loop_part, run_on_rig, write_run
+from hil.runs import sha256_of
 from hil.session import Setup, read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin
@@ -120,6 +121,22 @@ def test_a_twin_is_at_peace_with_the_rig_it_was_made_for_and_sees_a_new_effect(t
     assert run.log["alarm"][-200:].any() or run.log["alarm"].any()
 
 
+@pytest.mark.parametrize(("what", "state"), [("note", "safe"), ("ramp", "fault"), ("idle", "fault")])
+def test_the_twins_alarm_is_told_and_may_end_the_run(tmp_path, what, state):
+    twin = Twin(KernelPlant(BASE, BASE.values()), Band(0.12, 0.047, 0.13, 0.3))
+    gain = setup(Emulated({"load_cell_gain.gain": 1.4}, ("load_cell_gain",), seed=1))
+    profile = step_profile(4.0, 8.0, hold=3.0)
+    run = run_on_rig(gain, KernelController(), profile, tmp_path, twin=twin, on_alarm=ON_ALARM[what])
+    rig = run.session.rig
+    ((when, words),) = rig.alarms
+    assert "the rig is not its model since" in words
+    assert rig.states.state.value == state
+    assert bool(run.ended) == (what != "note")
+    assert any("alarm" in why and abs(t - when) < 0.01 for t, _, why in rig.transitions)
+    if what != "note":
+        assert run.ended.startswith("twin: twin's alarm")
+
+
 @pytest.fixture
 def profile(tmp_path):
     return write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
@@ -129,9 +146,15 @@ def test_the_command_writes_run_facts_and_report(tmp_path, profile, capsys, fmu_
     out = tmp_path / "out"
     words = ["hil", "run", "--virtual", "--profile", str(profile), "--hide", "linkage_play=0.4", "-o", str(out)]
     assert main([*words, "--beside", str(fmu_files["plain"])]) == 0
-    assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv"]
+    assert sorted(os.listdir(out)) == ["hil.json", "log.csv", "report.html", "run.csv", "runs"]
+    (own,) = (out / "runs").iterdir()
+    assert (out / "run.csv").resolve() == (own / "run.csv").resolve()  # the newest run's files, its own folder below
     told = json.loads((out / "hil.json").read_text())
     assert told["rig"] == "emulated"
+    assert told["status"] == "ended"
+    assert told["profile"] == {"file": "step.csv", "file_sha256": sha256_of(profile)}
+    assert told["controller"]["kind"] == "kernel"
+    assert {"begun", "completed", "host", "operator", "command", "versions"} <= set(told)
     assert told["hidden"] == ["linkage_play"]
     assert told["physics"]["linkage_play.half_gap"] == 0.4
     assert told["calibration"]["sha256"] == CALIBRATION.sha256

@@ -1,10 +1,16 @@
+import fcntl
 import math
 import os
+import struct
 import subprocess
 import sys
+import termios
 import time
 
-from hil.columns import SHOWN, STATES
+import pytest
+
+from hil.columns import SHOWN
+from hil.columns import WORDS as SHOWN_WORDS
 from hil.live import NoView, line, view
 
 LABELS = (("state", "s", ""), ("thrust", "6.2f", "N"), ("speed", "5.0f", "rpm"))
@@ -21,8 +27,30 @@ def test_what_is_not_known_is_left_out_and_a_narrow_terminal_is_not_broken():
 
 
 def test_every_label_of_the_rig_can_be_shown():
-    told = line(SHOWN, {"state": STATES}, [0.0] * len(SHOWN), 500)
-    assert told.count("|") == len(SHOWN) - 1
+    told = line(SHOWN, SHOWN_WORDS, [0.0] * len(SHOWN), 500)
+    assert told.count("|") == len(SHOWN) - 2  # the twin has nothing to say
+    alarmed = line(SHOWN, SHOWN_WORDS, [1.0 if name == "twin" else 0.0 for name, *_ in SHOWN], 500)
+    assert "| ALARM: not as its model |" in alarmed
+
+
+@pytest.mark.parametrize("columns", [60, 200])
+def test_the_terminals_own_width_is_used(columns):
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    labels = [(f"quantity {k}", "5.1f", "N") for k in range(20)]
+    text = f"""
+import time
+from hil.live import view
+shown = view({labels!r}, {{}})
+shown.show(*[1.0] * 20)
+time.sleep(0.8)
+shown.close()
+"""
+    subprocess.run([sys.executable, "-c", text], stderr=theirs, stdout=subprocess.DEVNULL, check=True, timeout=30)
+    os.close(theirs)
+    seen = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert max(len(part) for part in seen.split("\r\x1b[K")) == columns - 1
 
 
 def test_without_a_terminal_nothing_is_shown(capsys):
@@ -64,8 +92,6 @@ took = time.monotonic() - began
 shown.close()
 print(took)
 """
-    import termios
-
     termios.tcflow(theirs, termios.TCOOFF)  # Ctrl-S
     began = time.monotonic()
     done = subprocess.run([sys.executable, "-c", text], stderr=theirs, stdout=subprocess.PIPE, check=True, timeout=30)

@@ -184,15 +184,17 @@ def test_a_write_that_the_kernel_refuses_is_a_fault(tmp_path):
         assert raised.value.kind is FaultKind.NOT_READY
 
 
-@pytest.mark.parametrize(("file", "text"), [("enable", "0\n"), ("period", "20000000\n")])
+@pytest.mark.parametrize(("file", "text"), [("enable", "0\n"), ("period", "20000000\n"), ("duty_cycle", "1200000\n")])
 def test_verify_finds_an_output_that_somebody_has_changed(tree, file, text):
     esc = channel(tree)
     esc.open(PERIOD, IDLE)
     esc.verify()
     (esc.folder / file).write_text(text)
-    with pytest.raises(DeviceFault, match="set were 1 and 2500000 ns") as raised:
+    with pytest.raises(DeviceFault, match="set were 1, 2500000 ns, normal, 1000000 ns") as raised:
         esc.verify()
     assert raised.value.kind is FaultKind.OUTPUT_LOST
+    esc.restore()
+    esc.verify()
     esc.close()
 
 

@@ -262,12 +262,12 @@ class Script:
         self.closed = True
 
 
-GREETING = encoded(Frame(HELLO, 0, Hello(1, 4, 1250, 50000).packed()))
+GREETING = encoded(Frame(HELLO, 0, Hello(2, 4, 1250, 50000).packed()))
 
 
 def test_a_board_that_greets_is_not_asked():
     port = Script(GREETING)
-    assert Tachometer(lambda: port, VirtualClock()).hello() == (1, 4, 1250, 50000)
+    assert Tachometer(lambda: port, VirtualClock()).hello() == (2, 4, 1250, 50000)
     assert port.written == []
 
 
@@ -290,8 +290,8 @@ def test_no_greeting_within_three_seconds(heard, says):
 
 
 def test_another_firmware_is_refused():
-    port = Script(encoded(Frame(HELLO, 0, Hello(2, 8, 1250, 50000).packed())))
-    with pytest.raises(DeviceFault, match="firmware version 2, timer of 8 us; needed are 1 and 4 us"):
+    port = Script(encoded(Frame(HELLO, 0, Hello(1, 4, 1250, 50000).packed())))
+    with pytest.raises(DeviceFault, match="firmware version 1, timer of 4 us; needed are 2 and 4 us"):
         Tachometer(lambda: port, VirtualClock()).hello()
     assert port.closed
 

@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     except BadCall as error:
         return _refused(str(error))
     except VppError as error:
-        return _refused(f"{verb}: {error}")
+        return _refused(f"{verb}: {error}", error.code)
     except BrokenPipeError:
         _give_up_output()
         return READER_GONE
@@ -126,9 +126,9 @@ def _give_up_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _refused(line: str) -> int:
+def _refused(line: str, code: int = VppError.code) -> int:
     print(" ".join(line.split()), file=sys.stderr)
-    return 2
+    return code
 
 
 def _one_line(message, *_):

@@ -12,6 +12,7 @@ VERBS = {
     "run": "a closed loop over a profile of wanted thrust",
     "campaign": "static map, steps, open loop, its repeat, validation: what `vpp identify` reads",
     "selftest": "jitter, buses, calibration, pulse outputs",
+    "report": "report and record of a run from its log, where the run could not make them itself",
     "replay": "a recorded run once more through a controller FMU",
 }
 

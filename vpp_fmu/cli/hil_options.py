@@ -1,5 +1,9 @@
 """What the sub-verbs of `vpp hil` share: which rig, how it is calibrated, what it may do, what is hidden in it."""
 
+import contextlib
+import getpass
+import os
+import platform
 import sys
 from dataclasses import dataclass
 from importlib.resources import files
@@ -11,9 +15,12 @@ from hil.campaign import steep, within
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import library
+from hil.runs import sha256_of
 from hil.safety.limits import Limits, limits_of, read_limits
-from hil.session import Setup
+from hil.session import Setup, versions
+from vpp_fmu.cli.hil_outcome import RUNNING
 from vpp_fmu.cli.options import SEED, whole
+from vpp_fmu.cli.output import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
@@ -41,6 +48,7 @@ def add_rig(parser, fmu: bool = False) -> None:
     parser.add_argument("--bus", type=whole(0, 255), default=wiring.bus, help=f"the real ADC's I2C bus (default: {wiring.bus})")
     parser.add_argument("--port", default=wiring.port, help=f"the real tachometer's port (default: {wiring.port})")
     parser.add_argument("--pwm", default=wiring.pwm, help=f"device of the real PWM chip (default: {wiring.pwm})")
+    parser.add_argument("--operator", metavar="NAME", help="who runs it, for hil.json (default: the user)")
 
 
 def add_controller(parser) -> None:
@@ -153,8 +161,47 @@ def controller_of(options) -> Controller:
         raise BadInput("command line", "--controller", "given with --gains", "one of the two")
     if options.controller:
         return FmuController(options.controller)
-    gains = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
-    return KernelController(gains.values)
+    return KernelController(_gains(options).values)
+
+
+def begun(options, setup: Setup) -> dict:
+    """What hil.json says before anything turns: when, where, who, with what; each file with its hash."""
+    calibration, limits = options.calibration or str(EMULATED), setup.limits
+    told = {
+        "format": "vpp-hil/1",
+        "status": RUNNING,
+        "begun": now(),
+        "host": platform.node(),
+        "operator": options.operator or _user(),
+        "command": ["vpp", *sys.argv[1:]],
+        **setup.told(),
+        "calibration": {**_file(calibration), "sha256": setup.calibration.sha256, "source": dict(setup.calibration.source)},
+        "limits": {name: getattr(limits, name) for name in limits.__dataclass_fields__},
+        "versions": versions(),
+    }
+    given = {"limits_file": options.limits, "rig_file": which(options).file, "parameters": getattr(options, "parameters", None)}
+    given |= {"profile": getattr(options, "profile", None)}
+    told |= {name: _file(path) for name, path in given.items() if path}
+    if hasattr(options, "controller"):
+        kind, path = ("FMU", options.controller) if options.controller else ("kernel", options.gains)
+        told["controller"] = {"kind": kind, **(_file(path) if path else {"gains": "the paper's"})}
+        if not options.controller:
+            told["controller"]["parameters"] = dict(_gains(options).values)
+    return told
+
+
+def _file(path: str | os.PathLike) -> dict:
+    return {"file": Path(path).name, "file_sha256": sha256_of(path)}
+
+
+def _user() -> str:
+    with contextlib.suppress(KeyError, OSError):  # a process may belong to a number that nobody has named
+        return getpass.getuser()
+    return str(os.getuid())
+
+
+def _gains(options) -> ParameterSet:
+    return read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
 
 
 def plant_of(options) -> ParameterSet:

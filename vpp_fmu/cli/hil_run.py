@@ -2,34 +2,45 @@
 
 Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; what was measured is kept."""
 
+import contextlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
-from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
+from hil.report import add_loops
 from hil.rig import RunEnded
-from hil.run import LimitedPlant, Run, run_on_rig, write_run
+from hil.run import LOG, ON_ALARM, LimitedPlant, Run, run_on_rig, write_run
+from hil.runs import run_folder, told_by_files
 from hil.safety.limits import Limits
+from hil.session import Setup
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
+from vpp_fmu.cli.hil_outcome import ENDED_EARLY, finish, say_steps
 from vpp_fmu.cli.options import Number
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_output, as_json, now, say_written
 from vpp_fmu.commands import idle
-from vpp_fmu.digits import number
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parameters import check_same_model
-from vpp_fmu.plants import FmuPlant, KernelPlant
+from vpp_fmu.plants import Controller, FmuPlant, KernelPlant
 from vpp_fmu.record import Record, read_profile
 from vpp_fmu.report import Page
 from vpp_fmu.rig import Rig
 
 EXAMPLE = "vpp hil run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out"
+
+
+class TwinAlarm(VppError):
+    """The rig left its twin's band: its record is whole, and not what the model says."""
+
+    code = 3
+
 
 EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
 """What either number of --start may be; which of the two is looked at when both are known."""
@@ -43,6 +54,8 @@ def configure(parser):
     parser.add_argument("--parameters", metavar="F", help=text)
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
+    text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
+    parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
@@ -61,24 +74,59 @@ def run(options):
         setup = replace(setup, plant=hil_options.plant_of(options).values)
     twin, band = _twin(options)
     beside = _beside(options.beside, options, profile) if options.beside else None
-    folder = OutputFolder(options.output)
+    parent = OutputFolder(options.output)
     hil_options.say_allowed(setup.allowed)
     hil_options.confirm(setup)
-    with tqdm(total=100, unit="%", disable=None if setup.virtual else True, leave=False) as bar:
-        done = run_on_rig(
-            setup,
-            controller,
-            profile,
-            folder.path,
-            start,
-            twin,
-            lambda share: bar.update(round(100 * share) - bar.n),
-        )
+    begun = hil_options.begun(options, setup) | _of_twin(twin, band)
+    folder = OutputFolder(run_folder(parent.path, begun["begun"]))
+    folder.write("hil.json", as_json(begun))
+    print(f"this run's files: {folder.path}", flush=True)
+    try:
+        done = _run(options, setup, controller, profile, folder.path, start, twin)
+    except BaseException as error:
+        _ended(folder, begun, error)
+        raise
     controller.close()
-    _write(folder, done, beside, options, twin, band)
+    told = done.session.told() | begun | {"ended": done.ended}
+    if twin is not None:
+        told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
+    finish(folder, told, done.log, beside and (Path(options.beside).name, beside))
     say_written(folder)
+    if done.session.rig.alarms:
+        raise TwinAlarm(f"twin: {done.session.rig.alarms[0][1]}{f'; the run ended: {done.ended}' if done.ended else ''}")
     if done.ended:
         raise RunEnded(done.ended)
+
+
+def _run(options, setup: Setup, controller: Controller, profile: Record, folder: Path, start, twin: Twin | None) -> Run:
+    report = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.absolute())]
+    with tqdm(total=100, unit="%", disable=None if setup.virtual else True, leave=False) as bar:
+
+        def progress(share):
+            bar.update(round(100 * share) - bar.n)
+
+        return run_on_rig(setup, controller, profile, folder, start, twin, progress, report, ON_ALARM[options.on_alarm])
+
+
+def _ended(folder: OutputFolder, begun: dict, error: BaseException) -> None:
+    """What can be told of a run that an error ended, which nobody foresaw: of its log, where there is one."""
+    why = " ".join(str(error).split()) or type(error).__name__
+    log, record, told = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
+    if log.exists():
+        record, told = told_by_files(log, begun)
+    with contextlib.suppress(BadInput):  # the first error is the one to be told
+        if record is None:
+            folder.write("hil.json", as_json(told | {"ended": why}))
+        else:
+            finish(folder, told | {"ended": why}, record)
+
+
+def _of_twin(twin: Twin | None, band: Band | None) -> dict:
+    """What hil.json says of the twin before the run."""
+    if twin is None:
+        return {}
+    told = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
+    return {"twin": told | {"noise": (band.white**2 + band.slow**2) ** 0.5}}
 
 
 def _on_fmu(options, profile: Record) -> None:
@@ -90,7 +138,7 @@ def _on_fmu(options, profile: Record) -> None:
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {options.profile}.")
     add_loops(page, {"plant FMU": record}, "")
     folder.write("report.html", page.html())
-    _say({"plant FMU": record})
+    say_steps({"plant FMU": record})
     say_written(folder)
 
 
@@ -140,89 +188,3 @@ def _twin(options) -> tuple[Twin | None, Band | None]:
     if options.parameters:
         check_same_model(told, parameters, options.parameters)
     return Twin(KernelPlant(parameters.model, parameters.values), band), band
-
-
-def _write(folder: OutputFolder, done: Run, beside: Record | None, options, twin: Twin | None, band: Band | None) -> None:
-    told = done.session.told() | {"ended": done.ended, "profile": Path(options.profile).name}
-    loops = {"rig": done.record} if len(done.record.time) > 1 else {}
-    page = Page("Hardware in the loop", _summary(told, options))
-    _tiles(page, told, done)
-    if done.ended:
-        page.note(f"The run ended early. {done.ended}.")
-    if loops and beside is not None:
-        loops["plant FMU"] = beside
-    if loops:
-        write_run(folder.path / "run.csv", done.record)
-        add_loops(page, loops, "Pitch is not measured on the rig.")
-    if len(loops) > 1:
-        told["beside"] = {"plant": Path(options.beside).name, "rms_thrust": add_difference(page, *reversed(loops.items()))}
-    if twin is not None:
-        told["twin"] = _told_of_twin(page, done, twin, band)
-    if done.session.timing:
-        add_timing(page, done.session.timing, f"The loop had: {told['real_time']}.")
-    states = [(t["time"], t["state"], t["why"]) for t in told["transitions"]]
-    add_counts(page, told["counters"], states)
-    folder.write("hil.json", as_json(told))
-    folder.write("report.html", page.html())
-    _say(loops)
-    _say_rest(told, done)
-
-
-def _told_of_twin(page: Page, done: Run, twin: Twin, band: Band) -> dict:
-    log = done.log.part(np.isfinite(done.log["residual"]))
-    text = (
-        f"At most {twin.false_alarms:g} false alarms an hour; a constant {number(twin.smallest, 3)} N is found after "
-        f"{twin.delay:.1f} s in the mean."
-    )
-    if len(log):
-        add_twin(page, log.time, log["residual"], log["alarm"], (band.white**2 + band.slow**2) ** 0.5, text)
-    rms = float(np.sqrt(np.mean(log["residual"] ** 2))) if len(log) else None
-    return {
-        "alarmed": twin.alarmed,
-        "since": twin.since,
-        "false_alarms_per_hour": twin.false_alarms,
-        "smallest_found": twin.smallest,
-        "delay": twin.delay,
-        "residual_rms": rms,
-    }
-
-
-def _summary(told: dict, options) -> str:
-    hidden = f" with {', '.join(told['hidden'])} hidden in it" if told["hidden"] else ""
-    return (
-        f"The {told['rig']} rig{hidden}, {told['time']} time, over {options.profile}. "
-        f"Calibration {told['calibration']['sha256'][:12]}."
-    )
-
-
-def _tiles(page: Page, told: dict, done: Run) -> None:
-    log, timing = told["log"], done.session.timing
-    page.tiles([("rows in the log", f"{log['rows']}", f"{log['lost']} of {log['ticks']} ticks lost")])
-    if timing:
-        page.tiles([("late, p99.9", f"{1e6 * timing.late[2]:.0f} us", f"{timing.missed} slots missed")])
-    if told["tares"]:
-        tare = told["tares"][-1]
-        page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {number(tare['noise_N'])} N")])
-    healed = sum(n for device in told["counters"].values() for name, n in device.items() if name != "pulses")
-    page.tiles([("healed", f"{healed}", "transfers and frames that failed once")])
-
-
-def _say(loops: dict[str, Record]) -> None:
-    for name, loop in loops.items():
-        for step in judged_steps(loop):
-            print(f"{said(step, name)}, overshoot {step.overshoot:.1f} %")
-
-
-def _say_rest(told: dict, done: Run) -> None:
-    if "beside" in told:
-        print(f"rig and {told['beside']['plant']} differ by {number(told['beside']['rms_thrust'])} N rms")
-    if "twin" in told:
-        twin = told["twin"]
-        said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
-        print(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
-    log = told["log"]
-    print(
-        f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{'; ' + log['failure'] if log['failure'] else ''}"
-    )
-    if done.session.timing:
-        print(f"loop: {told['real_time']}\n{done.session.timing.text()}")

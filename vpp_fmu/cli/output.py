@@ -41,11 +41,11 @@ def as_json(content: dict) -> str:
 def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
     """The set with version, date and identity in its source, and what it comes from: `parents`, (file, its content) by role."""
     came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
-    own = {"version": __version__, "date": _now(), "identity": parameters.identity}
+    own = {"version": __version__, "date": now(), "identity": parameters.identity}
     return replace(parameters, source={**parameters.source, **own, **came})
 
 
-def _now() -> str:
+def now() -> str:
     """ISO 8601, UTC, to the second."""
     wanted = os.environ.get(EPOCH)
     try:

@@ -13,20 +13,27 @@
 #define TICK_US 4u
 #define REJECT_TICKS 1250u /* edges closer than 5 ms are no marks: 12 000 rpm */
 #define STALL_TICKS 50000u /* 200 ms without a mark: below 300 rpm it stands */
+#define SILENCE_TICKS 25000u /* 100 ms without a request: the relay opens. 25 ticks of the loop */
 
-#define VERSION 1u
+#define VERSION 2u
 #define SYNC 0x7Eu
 #define OVERHEAD 6u /* sync, length, type, sequence, CRC */
 #define ASK_HELLO 0x96u
 #define ASK_ANSWER 0x69u
+#define ARM 0xA5u
+#define STOP 0x5Au
 #define HELLO 0x3Cu
 #define ANSWER 0xC3u
 #define HELLO_LENGTH 6u
 #define ANSWER_LENGTH 14u
 #define LONGEST (ANSWER_LENGTH + OVERHEAD)
+#define WORD "SPIN" /* ARM's payload: no other frame and no noise closes the relay */
+#define WORD_LENGTH 4u
 
 #define STALLED 0x01u
 #define MEASURED 0x02u
+#define CLOSED 0x04u
+#define SILENT 0x08u
 
 /* CRC-16/IBM-3740: polynomial 0x1021, start 0xFFFF, not reflected, not inverted. */
 static inline uint16_t crc16_next(uint16_t crc, uint8_t byte) {
@@ -78,6 +85,35 @@ static inline void rotor_watch(Rotor *rotor, uint32_t now) {
     }
 }
 
+/* The relay in the ESC's supply: closed by the word, held by requests. All zero: open. */
+typedef struct {
+    uint32_t heard; /* time of the last request */
+    uint8_t closed;
+    uint8_t silent; /* it opened because no request came; until it is armed anew */
+} Relay;
+
+static inline void relay_arm(Relay *relay, uint32_t now) {
+    relay->heard = now;
+    relay->closed = 1;
+    relay->silent = 0;
+}
+
+static inline void relay_heard(Relay *relay, uint32_t now) { relay->heard = now; }
+
+static inline void relay_stop(Relay *relay) { relay->closed = 0; }
+
+/* Opens it when nobody asks any more; to be called often. `now` must not be older than the last request. */
+static inline void relay_watch(Relay *relay, uint32_t now) {
+    if (relay->closed && now - relay->heard > SILENCE_TICKS) {
+        relay->closed = 0;
+        relay->silent = 1;
+    }
+}
+
+static inline uint8_t relay_flags(const Relay *relay) {
+    return (uint8_t)((relay->closed ? CLOSED : 0u) | (relay->silent ? SILENT : 0u));
+}
+
 static inline uint8_t *put16(uint8_t *at, uint16_t value) {
     *at++ = (uint8_t)value;
     *at++ = (uint8_t)(value >> 8);
@@ -108,45 +144,51 @@ static inline uint8_t write_hello(uint8_t *frame, uint8_t sequence) {
     return frame_close(frame, at, HELLO, sequence);
 }
 
-static inline uint8_t write_answer(uint8_t *frame, uint8_t sequence, const Rotor *rotor, uint32_t now) {
+static inline uint8_t write_answer(uint8_t *frame, uint8_t sequence, const Rotor *rotor, uint8_t relay, uint32_t now) {
     uint8_t *at = put32(put32(frame + 4, rotor->pulses), rotor->last);
     at = put16(at, rotor->period);
     at = put16(at, rotor->turning ? (uint16_t)(now - rotor->last) : 0xFFFFu); /* turning: no more than STALL_TICKS */
-    *at++ = (uint8_t)((rotor->turning ? 0u : STALLED) | (rotor->period ? MEASURED : 0u));
+    *at++ = (uint8_t)((rotor->turning ? 0u : STALLED) | (rotor->period ? MEASURED : 0u) | relay);
     *at++ = rotor->rejected;
     return frame_close(frame, at, ANSWER, sequence);
 }
 
-/* Looks for requests in what the host says: they have no payload, so all are OVERHEAD bytes long. */
+/* Looks for requests in what the host says: without a payload but for ARM's word. */
 typedef struct {
-    uint8_t buffer[OVERHEAD];
+    uint8_t buffer[OVERHEAD + WORD_LENGTH];
     uint8_t filled;
 } Reader;
 
 typedef struct {
     uint8_t type; /* 0: none */
     uint8_t sequence;
+    uint8_t word; /* whether ARM's payload is the word */
 } Request;
 
 static inline uint8_t reader_fits(const Reader *reader) {
     const uint8_t *b = reader->buffer;
     if (b[0] != SYNC) return 0;
-    if (reader->filled > 1 && b[1] != 0) return 0;
-    if (reader->filled > 2 && b[2] != ASK_HELLO && b[2] != ASK_ANSWER) return 0;
-    return reader->filled < OVERHEAD || (uint16_t)(b[4] | (uint16_t)b[5] << 8) == crc16(b + 1, 3);
+    if (reader->filled > 2) {
+        if (b[1] != (b[2] == ARM ? WORD_LENGTH : 0)) return 0;
+        if (b[2] != ASK_HELLO && b[2] != ASK_ANSWER && b[2] != ARM && b[2] != STOP) return 0;
+        if (reader->filled == OVERHEAD + b[1])
+            return (uint16_t)(b[4 + b[1]] | (uint16_t)b[5 + b[1]] << 8) == crc16(b + 1, (uint8_t)(3 + b[1]));
+    }
+    return 1;
 }
 
 /* One byte more; the request that it completes. Where nothing fits one byte is dropped, and what is behind it looked at. */
 static inline Request reader_take(Reader *reader, uint8_t byte) {
-    Request request = {0, 0};
+    Request request = {0, 0, 0};
     reader->buffer[reader->filled++] = byte;
     while (reader->filled && !reader_fits(reader)) {
         reader->filled--;
         memmove(reader->buffer, reader->buffer + 1, reader->filled);
     }
-    if (reader->filled == OVERHEAD) {
+    if (reader->filled > 2 && reader->filled == OVERHEAD + reader->buffer[1]) {
         request.type = reader->buffer[2];
         request.sequence = reader->buffer[3];
+        request.word = reader->buffer[1] && !memcmp(reader->buffer + 4, WORD, WORD_LENGTH);
         reader->filled = 0;
     }
     return request;

@@ -1,6 +1,8 @@
-/* Tachometer of the propeller rig, for an Arduino Uno (ATmega328P at 16 MHz).
+/* Tachometer of the propeller rig, for an Arduino Uno (ATmega328P at 16 MHz), and the relay that watches the Pi.
  *
- * Wiring: HW201 sensor, output to D2 (falls when the tape passes), 5 V, GND. USB to the Pi, 500 000 baud.
+ * Wiring: HW201 sensor, output to D2 (falls when the tape passes), 5 V, GND. D4 drives the relay in the ESC's supply: high
+ * closes it. A pull-down of 10 kOhm from D4 to ground keeps it open while the board has no supply, resets or boots. USB to the
+ * Pi, 500 000 baud.
  * Answers requests and says nothing else, but for one greeting after a reset. Built by the Arduino IDE as it stands, or by
  * avr-gcc alone:  avr-g++ -mmcu=atmega328p -DF_CPU=16000000UL -Os -x c++ tachometer.ino -o tachometer.elf
  *
@@ -12,9 +14,11 @@
 
 #include "tachometer.h"
 
+#define RELAY _BV(PORTD4)
 #define HEARD 64u /* a power of two; bytes that wait to be looked at */
 
 static Rotor rotor;
+static Relay relay;
 static volatile uint16_t overflows;
 static volatile uint8_t heard[HEARD], heard_in;
 static uint8_t heard_out;
@@ -40,14 +44,22 @@ ISR(USART_RX_vect) {
     }
 }
 
+/* The relay's deadline, by the timer alone: it opens also if loop() hangs. */
+ISR(TIMER1_COMPB_vect) {
+    relay_watch(&relay, now_locked() + 1u);
+    if (!relay.closed) PORTD &= ~RELAY;
+}
+
 void setup() {
     cli();
+    PORTD &= ~RELAY;
+    DDRD |= RELAY;
     TIMSK0 = 0; /* the Arduino core's millis(), not used here: its interrupt would delay the mark's */
 
     TCCR1A = 0;
     TCCR1B = _BV(CS11) | _BV(CS10); /* 16 MHz / 64: 4 us */
-    TIMSK1 = _BV(TOIE1);
-    TIFR1 = _BV(TOV1);
+    TIMSK1 = _BV(TOIE1) | _BV(OCIE1B);
+    TIFR1 = _BV(TOV1) | _BV(OCF1B);
 
     DDRD &= ~_BV(DDD2);
     PORTD |= _BV(PORTD2); /* pull-up: a loose wire is a mark that never comes */
@@ -69,14 +81,31 @@ static uint8_t answer(uint8_t sequence) {
     cli();
     uint32_t now = now_locked();
     Rotor seen = rotor;
+    uint8_t flags = relay_flags(&relay);
     sei();
     rotor_watch(&seen, now);
-    return write_answer(said, sequence, &seen, now);
+    return write_answer(said, sequence, &seen, flags, now);
+}
+
+/* A request that is whole and good: the Pi lives. */
+static void heard_from(Request request) {
+    cli();
+    uint32_t now = now_locked();
+    if (request.type == ARM && request.word) relay_arm(&relay, now);
+    if (request.type == ASK_ANSWER) relay_heard(&relay, now);
+    if (request.type == STOP) relay_stop(&relay);
+    OCR1B = (uint16_t)(relay.heard + SILENCE_TICKS);
+    if (relay.closed) PORTD |= RELAY;
+    else PORTD &= ~RELAY;
+    sei();
 }
 
 void loop() {
     cli();
-    rotor_watch(&rotor, now_locked());
+    uint32_t now = now_locked();
+    rotor_watch(&rotor, now);
+    relay_watch(&relay, now);
+    if (!relay.closed) PORTD &= ~RELAY;
     sei();
 
     if (said_at < said_end) {
@@ -85,6 +114,7 @@ void loop() {
         Request request = reader_take(&reader, heard[heard_out]);
         heard_out = (heard_out + 1u) % HEARD;
         said_at = said_end = 0;
+        if (request.type) heard_from(request);
         if (request.type == ASK_ANSWER) said_end = answer(request.sequence);
         if (request.type == ASK_HELLO) said_end = write_hello(said, request.sequence);
     }

@@ -1,0 +1,123 @@
+"""A run's own folder, and what can be told of a run from its files alone: for whoever is left when its loop is not."""
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hil.log import events_of, read_events
+from hil.session import REPORT, read_log
+from hil.timing import timing
+from vpp_fmu.errors import BadInput
+from vpp_fmu.record import Record
+
+RUNS = "runs"
+"""Below a verb's output folder: a folder a run, by the time of its start."""
+
+NAMES = ("hil.json", "log.csv", "run.csv", "report.html")
+"""What of the newest run the output folder shows itself, as links."""
+
+
+def run_folder(parent: Path, date: str) -> Path:
+    """A new folder for a run that begins at `date` (ISO 8601), and links to what it will hold beside `RUNS`.
+
+    Files that stand in the links' places are of an earlier run that knew no folders: they move to `runs/earlier`. BadInput
+    where the system refuses.
+    """
+    name = date.partition("+")[0].replace(":", "").replace("-", "")
+    try:
+        for k in range(1, 1000):
+            made = parent / RUNS / (name if k == 1 else f"{name}-{k}")
+            with contextlib.suppress(FileExistsError):
+                made.mkdir(parents=True)
+                break
+        for each in NAMES:
+            _link(parent / each, Path(RUNS, made.name, each))
+    except OSError as error:
+        found = f"not writable ({(error.strerror or str(error)).lower()})"
+        raise BadInput(parent, "output folder", found, "a folder that can be written") from error
+    return made
+
+
+def _link(at: Path, to: Path) -> None:
+    if at.exists() and not at.is_symlink():
+        earlier = at.parent / RUNS / "earlier"
+        earlier.mkdir(exist_ok=True)
+        free = (earlier / (at.name if k == 1 else f"{k}-{at.name}") for k in range(1, 10**6))
+        at.rename(next(path for path in free if not path.exists()))
+    temporary = at.with_name(f".{at.name}.{os.getpid()}.link")
+    temporary.unlink(missing_ok=True)
+    temporary.symlink_to(to)
+    os.replace(temporary, at)
+
+
+def sha256_of(path: str | os.PathLike) -> str:
+    """Of a file's bytes."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def found_log(path: Path) -> Path:
+    """The log that `path` means: a log, or a run's folder. One whose writer died too has no name yet: it is cut behind its last
+    whole row and given it. BadInput where there is none."""
+    log = path / "log.csv" if path.is_dir() else path
+    part = log if log.name.endswith(".part") else log.with_name(f".{log.name}.part")
+    log = part.with_name(part.name.removeprefix(".").removesuffix(".part"))
+    if log.exists():
+        return log
+    if not part.exists():
+        raise BadInput(path, "file", "no such file", "a log.csv of vpp hil, or the folder of its run")
+    with open(part, "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BadInput(path, "file", "a log that is being written", "the log of a run that has ended") from error
+        data = file.read()
+    if log.suffix == ".gz":
+        data = zlib.decompressobj(wbits=31).decompress(data)
+    whole = data[: data.rfind(b"\n") + 1]
+    if log.suffix == ".gz":
+        pack = zlib.compressobj(1, wbits=31)
+        whole = pack.compress(whole) + pack.flush()
+    part.write_bytes(whole)
+    os.replace(part, log)
+    return log
+
+
+def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
+    """(the log, None if it holds no row; what `hil.json` says of a run whose loop could not say it itself)."""
+    try:
+        record = read_log(log)
+    except BadInput:  # a header and nothing else: it ended before its first tick
+        record = None
+    events = read_events(events_of(log))
+    report = log.with_name(REPORT)
+    supervisor = report.read_text().splitlines() if report.exists() else []
+    rows = len(record) if record is not None else 0
+    real_time = record is not None and begun.get("time") == "real"
+    states = [{key: event[key] for key in ("time", "state", "why")} for event in events if "state" in event]
+    faults = [state["why"] for state in states if state["state"] in ("ramp down", "fault") and state["why"] != "end of the run"]
+    acted = [line.partition(": ")[2] for line in supervisor]
+    ended = "; ".join([*faults[:1], *acted]) or "the loop was gone without a word"
+    told = {
+        **begun,
+        "tares": [event["tare"] for event in events if "tare" in event],
+        "transitions": [{"time": 0.0, "state": "safe", "why": "start"}, *states],
+        "counters": {},
+        "supervisor": supervisor,
+        "log": {"ticks": rows, "rows": rows, "lost": 0, "failure": ""},
+        "timing": timing(record["late"], record["busy"], record["missed"]).summary() if real_time else None,
+        "made_from": "the log",
+        "ended": ended,
+    }
+    return record, told
+
+
+def alarm_of(log: Record) -> float | None:
+    """When the twin's alarm first stood in the log [s]."""
+    alarmed = np.flatnonzero(log["alarm"] > 0.5)
+    return float(log.time[alarmed[0]]) if len(alarmed) else None

@@ -1,0 +1,36 @@
+"""Controller FMUs that fail in flight: the paper's controller in C, whose step does something else from a count on."""
+
+import zipfile
+from pathlib import Path
+
+from vpp_fmu.export.native_flavour import native_fmu
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.native.compiler import compiled
+
+HOW = {
+    "hangs": "for (;;) { }",
+    "exits": "exit(3);",
+    "crashes": "*(volatile int *)0 = 1;",
+    "errs": "return fmi2Error;",
+    "slow": "{ struct timespec t = {0, 6000000}; nanosleep(&t, NULL); }",
+}
+"""What it does: C that takes the place of a step."""
+
+_STEP = 'return (fmi2Status)do_step(c, "fmi2DoStep", time, size);'
+
+
+def stubborn(folder: Path, how: str, after: int) -> Path:
+    """The FMU, in `folder`; its first `after` steps are good. Counted over all instances: a rehearsal is part of it."""
+    good = folder / "good.fmu"
+    good.write_bytes(native_fmu(CONTROLLER))
+    with zipfile.ZipFile(good) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    (source,) = (text.decode() for name, text in files.items() if name.endswith(".c"))
+    assert source.count(_STEP) == 1
+    sabotage = f"static long steps; if (steps++ >= {after}) {HOW[how]}\n  {_STEP}"
+    library = compiled("#include <stdlib.h>\n#include <time.h>\n" + source.replace(_STEP, sabotage))
+    made = folder / f"{how}.fmu"
+    with zipfile.ZipFile(made, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, library.read_bytes() if name.startswith("binaries/") else content)
+    return made

@@ -1,0 +1,149 @@
+"""A loop that ends as nobody planned: the rotor idles, the command comes back, and its files stand."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rigs import step_profile
+
+from hil.runs import found_log, run_folder
+from hil.session import read_log
+from tests.hil.stubborn import stubborn
+from vpp_fmu.cli import main
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder, read_table
+from vpp_fmu.plants import KernelController
+from vpp_fmu.record import write_record
+
+ROOT = Path(__file__).parents[2]
+
+
+def begun(folder, *words):
+    """`vpp hil run` in real time, in a process of its own."""
+    profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=4.0))
+    command = [sys.executable, "-m", "vpp_fmu", "hil", "run", "--profile", str(profile), "-o", str(folder / "out"), *words]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(done, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not done() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert done()
+
+
+def ended(out):
+    """hil.json, once it says how the run ended and all files stand."""
+    told = {}
+
+    def over():
+        told.update(json.loads((out / "hil.json").read_text()))
+        return told["status"] != "running" and (out / "report.html").exists()
+
+    wait_for(over)
+    assert read_log(out / "log.csv")["state"][0] == "safe"
+    assert len(read_table(out / "run.csv").columns["time"]) > 100
+    assert told["operator"]
+    return told
+
+
+@pytest.mark.parametrize(
+    ("how", "code", "cause"),
+    [
+        ("hangs", -signal.SIGKILL, "is killed"),
+        ("exits", 3, "the loop is "),
+        ("crashes", -signal.SIGSEGV, "the loop is "),
+        ("errs", 2, "controller: failed"),
+    ],
+)
+def test_an_fmu_that_fails_in_flight_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
+    fmu = stubborn(tmp_path, how, 500)
+    for _ in range(3):  # a starved emulation may fail first, which is not what is tried here
+        process = begun(tmp_path, "--controller", str(fmu))
+        _, said = process.communicate(timeout=90)
+        if "tachometer: " not in said and "overrun" not in said:
+            break
+    assert process.returncode == code, said
+    told = ended(tmp_path / "out")
+    assert told["status"] == "ended early"
+    assert cause in told["ended"]
+    assert [t["state"] for t in told["transitions"]].count("run") == 1
+    assert told["tares"]
+
+
+def test_a_killed_loop_leaves_all_files(tmp_path):
+    process = begun(tmp_path)
+    out = tmp_path / "out"
+    try:
+        wait_for(lambda: any('"run"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl")))
+        assert json.loads((out / "hil.json").read_text())["status"] == "running"  # it says what runs before anything turns
+        time.sleep(7.0)
+    finally:
+        process.kill()
+        process.communicate()
+    told = ended(out)
+    assert "the loop is " in told["ended"]
+    assert told["made_from"] == "the log"
+
+
+def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, capsys):
+    out = tmp_path / "out"
+    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
+    assert main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(out)]) == 0
+    folder = (out / "log.csv").resolve().parent
+    told = json.loads((folder / "hil.json").read_text())
+    whole = (folder / "run.csv").read_bytes()
+    (folder / "hil.json").write_text(json.dumps(told | {"status": "running"}))
+    text = (folder / "log.csv").read_bytes()
+    (folder / ".log.csv.part").write_bytes(text[: len(text) * 9 // 10])
+    for name in ("log.csv", "run.csv", "report.html"):
+        (folder / name).unlink()
+    assert main(["hil", "report", str(folder)]) == 0
+    assert whole.startswith((folder / "run.csv").read_bytes()[:-1])  # the same bits, as far as they go
+    assert json.loads((folder / "hil.json").read_text())["status"] == "ended early"
+
+
+def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="no such file"):
+        found_log(tmp_path)
+    text = "import fcntl,sys; f = open(sys.argv[1], 'w'); fcntl.flock(f, 2); print(flush=True); input()"
+    command = [sys.executable, "-c", text, tmp_path / ".log.csv.part"]
+    held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    held.stdout.readline()
+    try:
+        with pytest.raises(BadInput, match="being written"):
+            found_log(tmp_path)
+    finally:
+        held.communicate(b"\n")
+
+
+def test_every_run_has_its_own_folder(tmp_path):
+    (tmp_path / "run.csv").write_text("an older version's")
+    first, second = (run_folder(tmp_path, "2026-03-07T14:15:00+00:00") for _ in range(2))
+    assert (first.name, second.name) == ("20260307T141500", "20260307T141500-2")
+    assert (tmp_path / "runs" / "earlier" / "run.csv").read_text() == "an older version's"
+    (second / "run.csv").write_text("new")
+    assert (tmp_path / "run.csv").read_text() == "new"
+
+
+def test_an_error_that_nobody_foresaw_keeps_what_was_measured(tmp_path, monkeypatch):
+    counted = iter(range(10**6))
+
+    def step(self, thrust_set, thrust):
+        if next(counted) == 300:
+            raise ZeroDivisionError("by chance")
+        return 3000.0, 2.0
+
+    monkeypatch.setattr(KernelController, "step", step)
+    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
+    with pytest.raises(ZeroDivisionError):
+        main(["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")])
+    told = json.loads((tmp_path / "out" / "hil.json").read_text())
+    assert (told["status"], told["ended"]) == ("ended early", "by chance")
+    assert len(read_table(tmp_path / "out" / "run.csv").columns["time"]) == 300

@@ -1,0 +1,106 @@
+"""Signs at low speed: a wrong one ends the run there, with that word."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import CALIBRATION, LIMITS, duties, setup, step_profile, virtual_rig
+
+from hil.columns import COLUMNS
+from hil.commands import PAPERS
+from hil.emulator.rig import Rig as Emulated
+from hil.rig import RunEnded
+from hil.run import run_on_rig
+from hil.safety.faults import FaultKind
+from hil.safety.lock import locked
+from hil.safety.polarity import Level, Polarity
+from vpp_fmu.plants import KernelController
+
+CHECK = Polarity(LIMITS, PAPERS)
+WRONG = {
+    "load cell": replace(CALIBRATION, newton_per_count=-CALIBRATION.newton_per_count),
+    "pitch": replace(CALIBRATION, pitches=CALIBRATION.pitches[::-1]),
+}
+
+
+def drive(rig):
+    for _ in range(3):
+        rig.step(3000.0, 2.0)
+
+
+def levels(first, second, error=0.03):
+    return Level(first, error, 2000.0, -5.0), Level(second, error, 2000.0, 5.0)
+
+
+def test_what_is_commanded_is_low():
+    assert (CHECK.omega, CHECK.betas) == (2000.0, (-5.0, 5.0))
+    assert not Polarity(replace(LIMITS, beta_min=4.0, beta_max=4.0), PAPERS).possible
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "known", "kind", "word"),
+    [
+        (0.55, 1.29, True, None, ""),  # the paper's map at -5 and 5 deg
+        (0.55, 1.29, False, None, ""),
+        (-0.55, -1.29, True, FaultKind.POLARITY, "load cell's"),
+        (-0.55, -1.29, False, FaultKind.POLARITY, "load cell's"),
+        (1.29, 0.55, True, FaultKind.POLARITY, "pitch's"),
+        (1.29, 0.55, False, FaultKind.POLARITY, "pitch's"),
+        (-1.29, -0.55, True, FaultKind.POLARITY, "of the load cell and of the pitch"),
+        (0.9, 0.92, True, FaultKind.SLOPE, "allowed is 0.3 to 3"),
+        (0.9, 0.92, False, None, ""),
+    ],
+)
+def test_two_levels_tell_what_is_wrong(first, second, known, kind, word):
+    fault = Polarity(LIMITS, PAPERS, known=known).judge(*levels(first, second))
+    assert (fault and fault.kind) is kind
+    assert word in str(fault or "")
+
+
+def test_noise_alone_accuses_nobody():
+    assert CHECK.judge(*levels(0.6, 0.55, error=0.3)) is None
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("known", [True, False])
+def test_a_wrong_sign_ends_below_2500_rpm_with_that_word(wrong, known):
+    rig, log = virtual_rig(COLUMNS, polarity=Polarity(LIMITS, PAPERS, known=known))
+    rig.bench.calibration = WRONG[wrong]  # the loop's; the emulated rig keeps the right one
+    rig._cycle.zero = WRONG[wrong].zero
+    with pytest.raises(RunEnded, match=r"wrong polarity.*wrong sign"):
+        rig.start(4000.0, 2.0)
+    assert log["omega"].max() < 2500.0
+    assert duties(rig)[0] == round(1e9 * CALIBRATION.esc_idle)
+    rig.close()
+
+
+@pytest.mark.parametrize("hidden", [(), ("load_cell_gain",), ("lac_command_deadband",), ("linkage_play",)])
+def test_a_good_rig_passes_whatever_hides_in_it(hidden, tmp_path):
+    values = {"load_cell_gain.gain": 1.4} if hidden == ("load_cell_gain",) else {}
+    done = run_on_rig(setup(Emulated(values, hidden, seed=3)), KernelController(), step_profile(hold=1.0), tmp_path)
+    assert not done.ended
+    assert np.isfinite(done.record["thrust"]).all()
+
+
+def test_a_second_opener_is_told_and_writes_nothing():
+    rig, _ = virtual_rig(COLUMNS)
+    rig.start(3000.0, 2.0)
+    before = duties(rig)
+    with pytest.raises(Exception, match=r"rig: not ready: in use by process \d+ .*; nothing was written"):
+        locked(rig.bench.esc.folder.parent)
+    assert duties(rig) == before
+    rig.close()
+
+
+@pytest.mark.parametrize(("file", "text"), [("enable", "0\n"), ("period", "20000000\n"), ("duty_cycle", "1900000\n")])
+def test_an_output_that_somebody_else_writes_to_ends_the_run_at_idle(file, text):
+    rig, log = virtual_rig(COLUMNS)
+    rig.start(3000.0, 2.0)
+    (rig.bench.esc.folder / file).write_text(text)
+    began = len(log.rows)
+    with pytest.raises(RunEnded, match=r"esc: output lost.*somebody else writes here"):
+        drive(rig)
+    assert len(log.rows) - began <= 2
+    assert duties(rig)[0] == round(1e9 * CALIBRATION.esc_idle)
+    assert (rig.bench.esc.folder / "enable").read_text()[0] == "1"
+    rig.close()

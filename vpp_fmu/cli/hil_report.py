@@ -1,0 +1,47 @@
+"""Make run.csv, report.html and the end of hil.json from a run's log: for a run whose loop could not do so itself.
+
+A loop that is killed or crashes leaves its log whole, and the log's writer calls this by itself. Where that was killed too, the
+rows that reached the disk are given the log's name first."""
+
+import sys
+from pathlib import Path
+
+from hil.entries import read_json
+from hil.runs import found_log, told_by_files
+from hil.session import read_log
+from vpp_fmu.cli.hil_outcome import RUNNING, finish, kept_of
+from vpp_fmu.cli.output import say_written
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+
+EXAMPLE = "vpp hil report out/runs/20260307T141500"
+
+
+def configure(parser):
+    parser.add_argument("log", metavar="LOG", help="the run's log.csv, or its folder")
+
+
+def run(options):
+    log = found_log(Path(options.log))
+    folder = OutputFolder(log.parent)
+    begun = _begun(log.with_name("hil.json"))
+    if begun.get("status", RUNNING) == RUNNING:
+        record, told = told_by_files(log, begun)
+        print(f"vpp hil: the run ended: {told['ended']}", file=sys.stderr)
+    else:
+        record, told = read_log(log), begun  # its loop has said all that is to say
+    finish(folder, told, record)
+    print(f"made from the log: {kept_of(log.parent)}", file=sys.stderr)
+    say_written(folder)
+
+
+def _begun(path: Path) -> dict:
+    """What hil.json says; nothing where there is none."""
+    if not path.exists():
+        return {"format": "vpp-hil/1"}
+    told = read_json(path)
+    if not isinstance(told, dict) or told.get("format") != "vpp-hil/1":
+        raise BadInput(path, "format", "not vpp-hil/1", "what vpp hil run has written")
+    if "parts" in told:
+        raise BadInput(path, "parts", "a campaign", "a run; a campaign goes on with vpp hil campaign --resume")
+    return told
