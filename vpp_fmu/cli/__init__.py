@@ -25,6 +25,7 @@ VERBS = {
     "compare": "two records side by side",
     "plan": "the next experiment for a model: commands, and what they would tell",
     "import": "somebody's log to a file of a campaign",
+    "effects": "the effects that the model may have, and a page of their theory",
     "check-effect": "what holds for an effect of one's own",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "hil": "the loop with the rig, emulated or real, in the plant's place",

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 from importlib.metadata import version
+from textwrap import dedent
 
 from plotly import graph_objects as go
 from plotly.offline import get_plotlyjs
@@ -85,5 +86,8 @@ class Page:
 
 
 def _paragraphs(text: str) -> str:
-    """Text parted by empty lines as escaped paragraphs."""
-    return "\n".join(f"<p>{escape(part.strip())}</p>" for part in text.split("\n\n") if part.strip())
+    """Text parted by empty lines as escaped paragraphs; what is indented, an equation, line by line."""
+    parts = [part for part in text.split("\n\n") if part.strip()]
+    return "\n".join(
+        f"<pre>{escape(dedent(part))}</pre>" if part.startswith("    ") else f"<p>{escape(part.strip())}</p>" for part in parts
+    )
