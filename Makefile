@@ -1,4 +1,4 @@
-# make demo: the whole job on the example campaign. make test: lint, layers, tests. Both set themselves up.
+# make demo: the whole job on the example campaign. make test: lint, layers, types, tests. Both set themselves up.
 PYTHON ?= python3
 BIN := .venv/bin
 
@@ -11,6 +11,7 @@ test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
+	$(BIN)/mypy
 	$(BIN)/pytest
 
 bench: .venv/ready

@@ -178,6 +178,9 @@ def identify(
     rig = campaign.rig.timed(slowest(found.values, found.names))
     source = {**_made(campaign), "record_seconds": float(first.record.time[-1])}
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
+    drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
+    quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig))
+    found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
     return Identification(
         campaign=campaign,
         parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, found.std),
@@ -192,8 +195,8 @@ def identify(
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},
         tests=residual_tests(first.record, first.record["thrust"] - first.thrust),
         noise_floor=noise,
-        quality=(*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig)),
-        bootstrap=bootstrap(found, resamples, seed, workers, scheduler) if resamples else None,
+        quality=quality,
+        bootstrap=drawn,
     )
 
 

@@ -9,10 +9,12 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackAllocateMemoryTYPE, fmi2CallbackFre
 from fmpy.fmi2 import fmi2CallbackLoggerTYPE as Logger
 
 from vpp_fmu.fmu import Fmu
-from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
-from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.invariants import random_steps, reference, slopes
+from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 from vpp_fmu.native import Simulator
+
+__all__ = ["random_steps", "reference", "slopes"]
 
 OPTIONAL = tuple(e for e in LIBRARY if e.off is not None)
 ALL_ON = plant(e.name for e in OPTIONAL)
@@ -28,30 +30,6 @@ def named(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
 PROBES = {name: value for e in OPTIONAL for name, value in named(e, e.probe).items()}
 
 
-def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> dict[str, np.ndarray]:
-    """Speed and pitch commands over the rig's whole range, each held for 1 to `hold` rows; any other input of the model
-    wanders by a tenth around its nominal value."""
-    rng = np.random.default_rng(seed)
-
-    def steps(low, high):
-        lengths = rng.integers(1, hold + 1, rows)
-        return np.repeat(rng.uniform(low, high, rows), lengths)[:rows]
-
-    ranges = {"omega_ref": (2000.0, 6000.0), "beta_ref": (-5.0, 10.0)}
-    return {u.name: steps(*ranges.get(u.name, (0.9 * u.nominal, 1.1 * u.nominal))) for u in model.inputs}
-
-
-def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps) -> np.ndarray:
-    """What `Simulator.simulate` returns, from the model's functions as they stand."""
-    simulation = Simulation(model, parameters)
-    names = [s.name for s in model.inputs]
-    rows = list(zip(*(np.asarray(inputs[name]).tolist() for name in names), strict=True))
-    shown = [list(simulation.start(dict(zip(names, rows[0], strict=True))).values())]
-    for row, dt in zip(rows, np.asarray(steps).tolist(), strict=False):
-        shown.append(list(simulation.advance(dict(zip(names, row, strict=True)), dt).values()))
-    return np.array(shown)
-
-
 _simulators: dict[tuple, Simulator] = {}
 
 
@@ -61,26 +39,6 @@ def simulator(model: Model, wrt: tuple[str, ...] = ()) -> Simulator:
     if key not in _simulators:
         _simulators[key] = Simulator(model, wrt)
     return _simulators[key]
-
-
-def slopes(model: Model, values: Mapping[str, float], name: str, inputs, steps):
-    """Numeric derivatives of the outputs in a parameter: (central differences, where they are to be trusted, their size).
-
-    A row is trusted where the curve is smooth: both one-sided differences agree, and so do those at h and h / 4. What
-    switches at a threshold is flat in it between switches.
-    """
-    nominal = next(p.nominal for p in model.parameters if p.name == name)
-    h = 1e-5 * max(abs(values[name]), 1e-2 * nominal)
-    small = 2e-3 * np.array([s.nominal for s in model.outputs]) / nominal
-
-    def at(change):
-        return simulator(model).simulate({**values, name: values[name] + change}, inputs, steps)
-
-    below, here, above = at(-h), at(0.0), at(h)
-    wide, narrow = (above - below) / (2.0 * h), (at(h / 4.0) - at(-h / 4.0)) / (h / 2.0)
-    size = np.abs(narrow).max(axis=0) + small
-    smooth = (np.abs(above - 2.0 * here + below) / h < 1e-2 * size) & (np.abs(wide - narrow) < 1e-3 * size)
-    return wide, smooth, size
 
 
 def two_lags(t, tau_1: float, tau_2: float) -> np.ndarray:

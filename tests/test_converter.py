@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from identification.diagnose.evidence.converter import LEAST, Converter, grid
+from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 
 STEP = 0.002
 
@@ -73,3 +75,24 @@ def test_a_rotor_waits_only_where_it_stood():
         plain = Simulator(BASE).simulate({}, inputs, steps)
         late = Simulator(model).simulate({"start_from_rest.wait": wait}, inputs, steps)
         np.testing.assert_allclose(late[back:, 1], plain[: rows - back, 1], atol=0.5)
+
+
+def test_an_empty_reading_is_no_pulse_of_the_tachometer():
+    """Held values with three rows in ten empty: what is compared is a part of what was compared without them, no more."""
+    rng, rows = np.random.default_rng(3), 4000
+    time = 0.004 * np.arange(rows)
+    turns = np.cumsum(np.full(rows, 1234.5 / 60.0 * 0.004) * (1.0 + 0.2 * np.sin(time)))
+    speed = np.zeros(rows)
+    shown = 1000.0
+    for k in range(1, rows):
+        shown = round(1234.5 * (1.0 + 0.2 * np.sin(time[k])), 1) if int(turns[k]) > int(turns[k - 1]) else shown
+        speed[k] = shown
+    speed[0] = 1000.0
+    columns = {"time": time, "omega_ref": speed, "beta_ref": speed, "thrust": speed, "omega": speed}
+    whole = Tachometer(Record(columns, "a"))
+    holes = np.where(rng.random(rows) < 0.3, np.nan, speed)
+    part = Tachometer(Record({**columns, "omega": holes}, "b"))
+    assert 0.5 * len(whole) < len(part) <= len(whole)
+    values = np.unique(whole.measured)
+    assert np.isin(part.measured, values).all()
+    assert len(np.unique(part.rows)) == len(part)

@@ -80,7 +80,7 @@ def fit_of(residual, jacobian, time, thresholds=()):
 
 def test_cross_validation_is_that_of_refits_without_the_fold(monkeypatch):
     """For a linear model one step is exact: predicting each fold from a least-squares fit of the others."""
-    monkeypatch.setattr(crossval, "_errors", lambda fit, moves: ((), ()))
+    monkeypatch.setattr(crossval, "_errors", lambda fit, moves, split: ((), ()))
     time = np.arange(0.0, 60.0, 0.1)
     jacobian = RNG.standard_normal((len(time), 4))
     measured = jacobian @ np.array([1.0, -2.0, 0.5, 3.0]) + RNG.standard_normal(len(time))

@@ -10,6 +10,7 @@ import numpy as np
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, Table, read_table, reason
+from vpp_fmu.notebook import table_html
 from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record, write_record
 from vpp_fmu.rig import FILE, Rig, infer_rig, read_rig
 
@@ -43,6 +44,12 @@ class Campaign:
     """What a campaign's folder holds; None, or no steps, where a file is missing. Every record has `thrust`.
 
     `rig`: as its rig.json says; what that leaves open is inferred from the files.
+
+    >>> campaign = vpp.read_campaign(vpp.example_campaign())
+    >>> campaign
+    Campaign(example: static (100 points), steps (40 runs), open_loop (89.996 s), ...
+    >>> campaign.missing
+    ()
     """
 
     folder: Path
@@ -53,6 +60,19 @@ class Campaign:
     validation: Record | None
     static_raw: Record | None = None
     rig: Rig = field(default_factory=Rig)
+
+    def __repr__(self) -> str:
+        return f"Campaign({self.folder.name}: {', '.join(f'{name} ({size})' for name, size in self._sizes())})"
+
+    def _repr_html_(self) -> str:
+        return table_html(f"Campaign {self.folder.name}", ("file", "holds"), self._sizes())
+
+    def _sizes(self) -> list[tuple[str, str]]:
+        """(file's name, how much it holds) of each that is there."""
+        found = [] if self.static is None else [("static", f"{len(self.static.thrust)} points")]
+        found += [("steps", f"{len(self.steps)} runs")] if self.steps else []
+        records = ((name, getattr(self, name)) for name in ("open_loop", "repeat", "validation", RAW))
+        return found + [(name, f"{record.time[-1]:.6g} s") for name, record in records if record is not None]
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -111,7 +131,7 @@ def _listed(folder: Path) -> set[str]:
 
 
 def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
-    paths = {}
+    paths: dict[str, Path] = {}
     for name in (*NAMES, RAW):
         found = [file for file in (f"{name}.csv", f"{name}.csv.gz") if file in there]
         if len(found) > 1:
@@ -179,10 +199,10 @@ def read_steps(path: str | os.PathLike) -> tuple[Record, ...]:
     for first, end in zip(starts, [*starts[1:], len(run)], strict=True):
         number = int(run[first])
         if number in seen:
-            raise table.wrong("run", first, f"{number} once more", "the rows of a run one after another")
+            raise table.wrong("run", int(first), f"{number} once more", "the rows of a run one after another")
         seen.add(number)
         part = {name: column[first:end] for name, column in columns.items()}
-        check_time(table, part["time"], first, "run")
+        check_time(table, part["time"], int(first), "run")
         records.append(Record(part, f"{path}, run {number}"))
     return tuple(records)
 

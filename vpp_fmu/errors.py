@@ -17,7 +17,7 @@ class BadInput(VppError):
         self.where, self.field, self.found, self.allowed = str(where), field, str(found), allowed
         super().__init__(f"{where}: {field}: found {found}, allowed is {allowed}")
 
-    def __reduce__(self):  # from a worker process it must arrive as what it is
+    def __reduce__(self) -> tuple[type, tuple[str, str, str, str]]:  # from a worker process it must arrive as what it is
         return type(self), (self.where, self.field, self.found, self.allowed)
 
 
@@ -35,3 +35,7 @@ class CompilerMissing(VppError):
 
 class WorkerLost(VppError):
     """A process that shared the work has died before it was done."""
+
+
+class ExtraMissing(VppError):
+    """An optional library is needed that is not installed; the message says which, and how to get it."""

@@ -7,13 +7,16 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Parameter
+from vpp_fmu.notebook import table_html
 from vpp_fmu.rig import Rig, rig_of
 from vpp_fmu.units import base_unit
 
@@ -34,11 +37,44 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """A model and the parameters that someone set; `source` says who: files, method, dates of the data."""
+    """A model and the parameters that someone set; `source` says who: files, method, dates of the data.
+
+    >>> parameters = vpp.identify(vpp.example_campaign(), starts=1).parameters
+    >>> parameters
+    ParameterSet(VppPlant, 13 of 13 parameters set)
+    >>> faster = parameters.replaced({"tau_beta_2": 0.05})
+    >>> faster.values["tau_beta_2"]
+    0.05
+    >>> parameters.replaced({"tau_gamma": 0.05})
+    Traceback (most recent call last):
+        ...
+    KeyError: 'tau_gamma'
+    """
 
     model: Model
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     source: Mapping = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        effects = f" with {', '.join(self.model.optional)}" if self.model.optional else ""
+        return f"ParameterSet({self.model.name}{effects}, {len(self.estimates)} of {len(self.model.parameters)} parameters set)"
+
+    def _repr_html_(self) -> str:
+        unset, values = Estimate(0.0, None, ""), self.values
+        rows = [(p.name, values[p.name], self.estimates.get(p.name, unset).std, p.unit) for p in self.model.parameters]
+        return table_html(repr(self), ("parameter", "value", "std", "unit"), rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of a parameter file."""
+        content: dict[str, Any] = json.loads(to_json(self))
+        return content
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write parameters.json and parameters.ssv into a folder; returns that. BadInput."""
+        target = OutputFolder(folder)
+        target.write("parameters.json", to_json(self))
+        target.write("parameters.ssv", to_ssv(self, "parameters"))
+        return target.path
 
     @property
     def values(self) -> dict[str, float]:
@@ -155,7 +191,7 @@ def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str,
         if name not in effects:
             raise
         library = [effect.name for effect in LIBRARY if effect.off is not None]
-        raise BadInput(path, "effects", _shown(name), _near(name, library)) from error
+        raise BadInput(path, "effects", _shown(name), f"{_near(name, library)}, or what --effects-from FILE.py adds") from error
     for name in effects:
         if name not in model.optional:
             raise BadInput(path, "effects", _shown(name), f"none, {model.name} has no effects to choose")

@@ -9,14 +9,17 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from vpp_fmu import frames
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, Table, read_table
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.types import Signal
+from vpp_fmu.notebook import table_html
 
 VOLTAGE = Signal("voltage", "V", "supply voltage", 0.0, 100.0, 25.0)
 CURRENT = Signal("current", "A", "supply current", -500.0, 500.0, 10.0)
@@ -37,12 +40,21 @@ class Record:
 
     Commands are zero-order holds: a row's value acts from that row's time on. Measured values are sampled at the row's
     time; NaN where the rig gave none.
+
+    >>> record = vpp.read_campaign(vpp.example_campaign()).open_loop
+    >>> record
+    Record(22500 rows, 89.996 s every 4 ms: time, omega_ref, beta_ref, omega, thrust)
+    >>> record["thrust"].shape
+    (22500,)
+    >>> vpp.Record({"time": [0.0, 0.5], "omega_ref": [4000.0, 4200.0], "beta_ref": [5.0, 5.0]}, "by hand").steps
+    array([0.5])
     """
 
     columns: Mapping[str, np.ndarray]
     source: str
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", {name: np.asarray(column) for name, column in self.columns.items()})
         if len({len(column) for column in self.columns.values()}) != 1:
             raise ValueError(f"columns of unequal length: { ({n: len(c) for n, c in self.columns.items()}) }")
 
@@ -70,6 +82,61 @@ class Record:
         """s from row to row, the median; NaN for a single row."""
         return float(np.median(self.steps)) if len(self) > 1 else math.nan
 
+    def __repr__(self) -> str:
+        period = f" every {1e3 * self.period:.4g} ms" if len(self) > 1 else ""
+        return f"Record({len(self)} rows, {float(self.time[-1]):.6g} s{period}: {', '.join(self.columns)})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, column in self.columns.items():
+            seen = column[np.isfinite(column)] if column.dtype.kind == "f" else column[:0]
+            ends = (float(seen.min()), float(seen.max())) if len(seen) else (None, None)
+            rows.append((name, self.units.get(name, ""), *ends, len(column) - len(seen) if column.dtype.kind == "f" else 0))
+        return table_html(f"{self.source}: {len(self)} rows", ("column", "unit", "least", "greatest", "empty"), rows)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of the columns that are known, by name."""
+        known = {"time": "s"} | {name: signal.unit for name, signal in QUANTITIES.items()}
+        return {name: known[name] for name in self.columns if name in known}
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the record as a CSV file, gzipped where the name ends in .gz; returns its path. BadInput."""
+        path = Path(path)
+        return write_record(OutputFolder(path.parent), path.name, self)
+
+    def to_pandas(self) -> Any:
+        """The columns as a pandas.DataFrame, (n,) rows numbered from 0. ExtraMissing where pandas is not installed."""
+        return frames.to_pandas(self.columns)
+
+    def to_polars(self) -> Any:
+        """The columns as a polars.DataFrame. ExtraMissing where polars is not installed."""
+        return frames.to_polars(self.columns)
+
+    def to_xarray(self) -> Any:
+        """The columns as an xarray.Dataset over `time`, units in the attribute `units`. ExtraMissing without xarray."""
+        return frames.to_xarray(self.columns, self.units)
+
+    @classmethod
+    def from_frame(
+        cls, frame: Any, source: str = "frame", need: Sequence[str] = COMMANDS, holes: Sequence[str] = ("thrust",)
+    ) -> "Record":
+        """A record from a frame of pandas or polars, an xarray.Dataset, or arrays by name; checked as a file is.
+
+        Missing values of measured columns, and of those in `holes`, become NaN. BadInput names column and row.
+
+        >>> vpp.Record.from_frame({"time": [0.0, 0.004], "omega_ref": [4000, 4000], "beta_ref": [5, 5], "thrust": [6.1, None]})
+        Record(2 rows, 0.004 s every 4 ms: time, omega_ref, beta_ref, thrust)
+        >>> vpp.Record.from_frame({"time": [0.0, 0.0], "omega_ref": [4000, 4000], "beta_ref": [5, 5]})
+        Traceback (most recent call last):
+            ...
+        vpp_fmu.errors.BadInput: frame: time, row 1: found 0 after 0 (time stands still), allowed is a time after ...
+        """
+        table = frames.frame_table(frame, source)
+        columns = checked_columns(table, need, holes)
+        check_time(table, columns["time"])
+        return cls(columns, source)
+
     def part(self, rows: slice | np.ndarray) -> "Record":
         """The rows that a slice, mask or index array selects. Their times stay as they are."""
         return Record({name: column[rows] for name, column in self.columns.items()}, self.source)
@@ -79,7 +146,7 @@ class Record:
         return Record({**self.columns, **{name: np.asarray(array) for name, array in arrays.items()}}, self.source)
 
 
-def read_record(path: str | os.PathLike, need: Sequence[str] = COMMANDS, holes: Sequence[str] = ()) -> Record:
+def read_record(path: str | os.PathLike[str], need: Sequence[str] = COMMANDS, holes: Sequence[str] = ()) -> Record:
     """Read a record that holds at least the columns `need`, `time` among them.
 
     Measured columns beyond these, and those in `holes`, may have empty cells, which become NaN. Unknown columns are kept, as
@@ -92,7 +159,7 @@ def read_record(path: str | os.PathLike, need: Sequence[str] = COMMANDS, holes: 
     return Record(columns, table.source)
 
 
-def read_profile(path: str | os.PathLike) -> Record:
+def read_profile(path: str | os.PathLike[str]) -> Record:
     """Read a profile: `time` [s] and the wanted thrust `thrust_set` [N], held from row to row. Errors as `read_record`."""
     return read_record(path, ("time", "thrust_set"))
 

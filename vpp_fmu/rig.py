@@ -139,7 +139,10 @@ def rig_of(scales: Scales, source: Mapping) -> Rig:
         content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
         declared = _entries("parameters.json, source, rig", content)
         return replace(Rig(scales=scales, origin=dict(told.get("origin", {}))), **declared)
-    speed, pitch = (scales.omega_scale / 3.0, scales.omega_scale), tuple(scales.absolute(x, "position") for x in (0.0, 1.0))
+    speed, pitch = (
+        (scales.omega_scale / 3.0, scales.omega_scale),
+        (scales.absolute(0.0, "position"), scales.absolute(1.0, "position")),
+    )
     return Rig(speed=speed, pitch=pitch, thrust=(0.0, scales.thrust_scale), scales=scales)
 
 
@@ -181,7 +184,7 @@ def _entries(path: str | os.PathLike, content: Mapping) -> dict:
     return found | ({"scales": positive} if positive else {})
 
 
-def _object(path, name: str, found: object, known: tuple[str, ...]) -> dict:
+def _object(path: str | os.PathLike, name: str, found: object, known: tuple[str, ...]) -> dict:
     if not isinstance(found, dict):
         raise BadInput(path, name, json.dumps(found), "an object in braces { }")
     for key in found:
@@ -190,7 +193,7 @@ def _object(path, name: str, found: object, known: tuple[str, ...]) -> dict:
     return found
 
 
-def _number(path, name: str, found: object, low: float, high: float) -> float:
+def _number(path: str | os.PathLike, name: str, found: object, low: float, high: float) -> float:
     if isinstance(found, bool) or not isinstance(found, int | float) or not low <= found <= high:
         raise BadInput(path, name, json.dumps(found), f"a number from {low:g} to {high:g}")
     return float(found)

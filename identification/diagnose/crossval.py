@@ -5,7 +5,7 @@ is linear, and a fold in five moves it little. A threshold has no tangent: its v
 folds make them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,18 +54,36 @@ def folds(time: np.ndarray, seconds: float) -> np.ndarray:
     return (time / block).astype(int) % FOLDS
 
 
-def cross_validated(fit: Fit) -> Held:
-    """The fit's residuals in each fold, predicted from the other folds."""
+def thirds(time: np.ndarray, seconds: float) -> np.ndarray:
+    """(n,) the fold of each time [s] where each third of a record is left out as a whole: what was learned must carry over to
+    commands of another kind, not only to the moments between."""
+    return np.minimum((3.0 * time / seconds).astype(int), 2)
+
+
+def cross_validated(
+    fit: Fit,
+    split: Callable[[np.ndarray, float], np.ndarray] = folds,
+    moving: Callable[[str], bool] | None = None,
+    least: float = 0.0,
+) -> Held:
+    """The fit's residuals in each fold, predicted from the other folds.
+
+    `split(time, seconds)`: the fold of each time; `moving(name)`: whether a parameter comes from the other folds, else it
+    stays; None: all do. `least`: a direction of which the other folds hold no more than this share of all that is known stays,
+    too.
+    """
     evidence, (residual, jacobian) = fit.evidence, fit.tangent()
+    if moving is not None:
+        jacobian = jacobian * [float(moving(name)) for name in evidence.coordinates.names]
     residuals = [residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
     size, held = evidence.size, np.empty(evidence.size)
-    fold_of = np.concatenate([folds(time, seconds) for time, seconds in evidence.times])
+    fold_of = np.concatenate([split(time, seconds) for time, seconds in evidence.times])
     moves = []
-    for fold in range(FOLDS):
+    for fold in range(int(fold_of.max()) + 1):
         out = np.flatnonzero(fold_of == fold)
         kept = np.append(np.flatnonzero(fold_of != fold), np.arange(size, len(jacobian)))  # the prior's rows always
         j = jacobian[kept]
-        inverse = np.linalg.pinv(j.T @ j, rcond=1e-12, hermitian=True)
+        inverse = informed_inverse(j.T @ j, jacobian.T @ jacobian, least)
         steps = [-inverse @ (j.T @ r[kept]) for r in residuals]
         costs = np.array([0.5 * float(np.sum((r[kept] + j @ s) ** 2)) for r, s in zip(residuals, steps, strict=True)])
         likely = np.exp(costs.min() - costs)
@@ -73,8 +91,23 @@ def cross_validated(fit: Fit) -> Held:
         held[out] = sum(p * (r[out] + jacobian[out] @ s) for p, r, s in zip(likely, residuals, steps, strict=True))
         moves.append(sum(p * s for p, s in zip(likely, steps, strict=True)))
     score = evidence.score_of(held)
-    thrust, omega = _errors(fit, moves)
+    thrust, omega = _errors(fit, moves, split)
     return Held(score.squares, score.counts, thrust, omega)
+
+
+def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:
+    """Pseudo-inverse of the information (k, k) that a part of the data holds, in the directions of which it holds more than the
+    share `least` of the `whole`."""
+    if least <= 0.0:
+        return np.linalg.pinv(part, rcond=1e-12, hermitian=True)
+    size = np.sqrt(np.diag(whole))
+    size = np.where(size > 0.0, size, 1.0)
+    power, axes = np.linalg.eigh(whole / np.outer(size, size))
+    known = power > 1e-12 * power[-1]
+    unit = (axes[:, known] / np.sqrt(power[known])) / size[:, None]
+    share, turned = np.linalg.eigh(unit.T @ part @ unit)
+    told = unit @ turned[:, share > least]
+    return (told / share[share > least]) @ told.T
 
 
 def _alternatives(fit: Fit) -> list[dict[str, float]]:
@@ -88,14 +121,16 @@ def _alternatives(fit: Fit) -> list[dict[str, float]]:
     return found
 
 
-def _errors(fit: Fit, moves: list[np.ndarray]) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+def _errors(
+    fit: Fit, moves: list[np.ndarray], split: Callable[[np.ndarray, float], np.ndarray]
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """(thrust [N], speed [rpm]): the errors by experiment where each fold's parameters moved by `moves` (coordinates)."""
     evidence = fit.evidence
     simulator, inner = Simulator(evidence.model, evidence.coordinates.names), evidence.coordinates.jacobian(fit.solution.value)
     thrust, omega = [], []
     for e in evidence.experiments:
         outputs, tangents = simulator.sensitivities(fit.values, e.record.columns, e.record.steps)
-        fold, predicted = folds(e.record.time, e.record.time[-1]), outputs[:, :2].copy()
+        fold, predicted = split(e.record.time, e.record.time[-1]), outputs[:, :2].copy()
         for k, move in enumerate(moves):
             predicted[fold == k] += tangents[fold == k, :2] @ (inner @ move)
         thrust.append(predicted[:, 0] - e.thrust_rows)

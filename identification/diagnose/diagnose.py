@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,6 +15,7 @@ from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
 from identification.diagnose.judgement import SLOW, STRONG
 from identification.diagnose.lack import Lack, lack_of_fit
+from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
 from identification.diagnose.roles import Fitted, Unseen, roles
 from identification.diagnose.search.candidates import Candidate, candidates
@@ -39,7 +40,7 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
-CHANGED = ("attributed", "family", "partly")
+CHANGED = ("attributed", "family", "partly", "learned")
 """Verdicts that put effects into the model."""
 
 
@@ -55,7 +56,7 @@ class Diagnosis:
     effect, on the same likelihood as all others. `given`: the model that was brought, as it was brought; None where the
     campaign was identified first. `before`, `after`: what base and set lack. `held_before`, `held_after`: cross-validation of
     the model before and of the one that ships. `unseen`: the validation record, opened when the model stood. `refuted`: why
-    what was found does not ship, in words; "" where it does.
+    what was found does not ship, in words; "" where it does. `attempt`: at a term of no list, where no effect explains all.
     """
 
     campaign: Campaign
@@ -77,6 +78,12 @@ class Diagnosis:
     held_after: Held
     unseen: Unseen | None
     refuted: str
+    attempt: Attempt
+
+    @property
+    def learned(self) -> Learned | None:
+        """The term of no list that ships."""
+        return self.attempt.learned
 
     @property
     def final(self) -> Fit:
@@ -187,6 +194,14 @@ def diagnose(
         word = verdict(base, selection.final, before, after, selection.family)
         refuted = _refuted(judge, base, selection.final, unseen) if word in CHANGED else ""
         word = "unexplained" if refuted else word  # what was found is not it
+        attempt = Attempt()
+        if word in ("unexplained", "partly"):
+            beside = selection.final if word == "partly" else base
+            attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
+            attempt = attempt.confirmed(lambda fit: _refuted(judge, beside, fit, unseen))
+        if attempt.learned:
+            word, refuted, selection = "learned", "", _with(selection, attempt.learned)
+            after = lack_of_fit(selection.final, least)
         final = selection.final if word in CHANGED else base
         shown = predict(final.evidence.model, final.values, fitted[0].record)
         return Diagnosis(
@@ -209,7 +224,16 @@ def diagnose(
             held_after=judge.held(final),
             unseen=unseen,
             refuted=refuted,
+            attempt=attempt,
         )
+
+
+def _with(selection: Selection, learned: Learned) -> Selection:
+    """A selection whose final set is that beside which a term was learned, and the term."""
+    kept, name = learned.beside.effects, learned.term.effect.name
+    judgements = {n: j for n, j in selection.judgements.items() if n in kept} | {name: learned.judgement}
+    family = {n: others for n, others in selection.family.items() if n in kept}
+    return replace(selection, final=learned.term.fit, judgements=judgements, family=family)
 
 
 def _refuted(judge: Judge, base: Fit, final: Fit, unseen: Unseen | None) -> str:

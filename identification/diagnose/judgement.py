@@ -36,6 +36,17 @@ of them stands and a lack of fit says that something is missing, as many again a
 FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
 
+TERMS = 5
+"""Learned terms that are refitted after the first look: seconds against rank."""
+
+RIVALS = 10.0
+"""Nats within which a term at another port, or with another driver, counts as one that these records do not tell from it: twice
+STRONG, for the fits of both are as rough as their knots."""
+
+CARRIED = 0.05
+"""Level of the test that a term predicts thrust better where it was not fitted. What comes this far is beyond what
+chance finds among all looks; here it is asked whether it carries over, on a dozen blocks or two."""
+
 HALF = 0.5
 """Share of the lack of fit that a set must remove to be a part of the explanation."""
 

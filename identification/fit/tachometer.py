@@ -29,8 +29,13 @@ class Tachometer:
     def __init__(self, record: Record):
         time, shown = record.time, record["omega"]
         self._time = time
+        seen = np.isfinite(shown)
+        # The last row before that shows anything: a value that comes back after empty rows is no new one.
+        last = np.maximum.accumulate(np.where(seen, np.arange(len(shown)), 0))
+        before = np.append(0, last[:-1])
         step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
-        new = np.append(False, shown[1:] != shown[:-1]) & np.isfinite(shown) & (shown > 0)
+        step[1:] = (time - time[before])[1:]
+        new = (shown != shown[before]) & seen & seen[before] & (shown > 0)
         pulses = np.minimum(np.where(np.isfinite(shown), shown, 0.0) / 60.0 * step, 1.0).sum()
         if new.sum() > MORE * pulses:  # a sensor that renews faster than the rotor turns shows the speed of the moment
             self.rows = np.flatnonzero(new)

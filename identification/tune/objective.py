@@ -19,6 +19,7 @@ from identification.tune.margins import frequencies
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.record import Record
 from vpp_fmu.response import BAND, Step, steps, swing
 
@@ -41,9 +42,9 @@ UNSTABLE = 100.0
 
 
 @cache
-def closed_loop(effects: tuple[str, ...]) -> ClosedLoop:
-    """The loop around the plant with these effects; made once a process."""
-    return ClosedLoop(plant(effects))
+def closed_loop(effects: tuple[str, ...], effects_from: tuple[str, ...] = ()) -> ClosedLoop:
+    """The loop around the plant with these effects, some perhaps of these files; made once a process."""
+    return ClosedLoop(plant(effects, library_with(effects_from)))
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,11 @@ class Point:
 class Objective:
     """The cost of a controller's gains; plain data, so that another process can be sent it.
 
-    `effects`: of the plant; `plants` (count, parameters): its values, the nominal ones first. `settings`: all of the
-    controller's values; `chain`: all of the measurement chain's; `time_scale` s: the rig's. `over`: "worst" or "mean" of the
-    plants. `overshoot`: largest share of a step, and `sensitivity`, at `points`: the limits on the nominal loop. `reference`:
-    the course's steps under the first gains, none of which may settle later or ring more; () for no such limit.
+    `effects`: of the plant, some perhaps of the files `effects_from`; `plants` (count, parameters): its values, the nominal
+    ones first. `settings`: all of the controller's values; `chain`: all of the measurement chain's; `time_scale` s: the rig's.
+    `over`: "worst" or "mean" of the plants. `overshoot`: largest share of a step, and `sensitivity`, at `points`: the limits on
+    the nominal loop. `reference`: the course's steps under the first gains, none of which may settle later or ring more; () for
+    no such limit.
     """
 
     effects: tuple[str, ...]
@@ -77,6 +79,12 @@ class Objective:
     sensitivity: float = 2.0
     points: tuple[Point, ...] = ()
     reference: tuple[Step, ...] = ()
+    effects_from: tuple[str, ...] = ()
+
+    @property
+    def loop(self) -> ClosedLoop:
+        """The loop around the plant."""
+        return closed_loop(self.effects, self.effects_from)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -105,7 +113,7 @@ class Objective:
 
     def merits(self, gains: np.ndarray) -> np.ndarray:
         """(count, 2) integral of the squared error [s] and overshoot, for each plant."""
-        return closed_loop(self.effects).merits((self.plants, self._chain, self._controller(gains)), self.course)
+        return self.loop.merits((self.plants, self._chain, self._controller(gains)), self.course)
 
     def costs(self, gains: np.ndarray) -> np.ndarray:
         """(count,) the paper's cost for each plant."""
@@ -122,7 +130,7 @@ class Objective:
 
     def penalised(self, gains: np.ndarray) -> float:
         """What a search makes small: the cost, more where the nominal loop exceeds a limit."""
-        loop, controller = closed_loop(self.effects), self._controller(gains)
+        loop, controller = self.loop, self._controller(gains)
         (error, overshoot), rows = loop.rows((self.plants[:1], self._chain, controller), self.quiet)
         # The quiet run is the nominal plant's error too, unless there is noise.
         told = 1 if self.quiet is self.course else 0
@@ -161,7 +169,7 @@ class Objective:
 
     def run(self, gains: np.ndarray, row: int = 0) -> Record:
         """The loop's record for one of the plants."""
-        return closed_loop(self.effects).run((self.plants[row], self._chain, self._controller(gains)), self.course)
+        return self.loop.run((self.plants[row], self._chain, self._controller(gains)), self.course)
 
     def steps(self, gains: np.ndarray) -> tuple[Step, ...]:
         """Steps of the nominal loop without noise; changes of the wanted thrust that are too small to judge are left out."""
@@ -178,7 +186,7 @@ class Objective:
     @cached_property
     def _shares(self) -> np.ndarray:
         """What a gain of 1 alone adds to the open loop (n, points, m), by the order of the gains."""
-        model, dt = closed_loop(self.effects).models[0], self.course.dt
+        model, dt = self.loop.models[0], self.course.dt
         omega = frequencies(dt, self.time_scale)[::EVERY]
         values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
         chain = chain_response(self.chain, omega, dt)

@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.tune.linear import CHANNELS, chain_response, controller_response, plant_response, pulse_response
 from identification.tune.margins import Margins, frequencies, margins
-from identification.tune.objective import Objective, Point, closed_loop
+from identification.tune.objective import Objective, Point
 
 LEVELS, HOLD = 5, 6.0
 """Levels of thrust between the lowest and the highest that is asked for; the rig's time scales for which each is held."""
@@ -50,7 +50,7 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
 
 def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
     """(frequencies [rad/s], response of chain, controller and nominal plant in a row), each (n,), at an operating point."""
-    dt, model = objective.course.dt, closed_loop(objective.effects).models[0]
+    dt, model = objective.course.dt, objective.loop.models[0]
     omega, settings = frequencies(dt, objective.time_scale), objective.with_gains(gains)
     values = dict(zip((p.name for p in model.parameters), objective.plants[0].tolist(), strict=True))
     paths = (

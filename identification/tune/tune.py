@@ -47,7 +47,8 @@ class Task:
     limits on the nominal loop. `reference`: what the gains are called that tuned ones are held against. `robust`: None,
     "worst" or "mean" over `draws` plants; `spread`: standard deviation, as a share of the value, of parameters that have none.
     `left_out`: controllers that the rig can't have, with the reason. `lowered`: whether the first gains may be, all by one
-    factor, until they keep the limit on sensitivity; for gains that nobody has published or given.
+    factor, until they keep the limit on sensitivity; for gains that nobody has published or given. `effects_from`: files of
+    effects that the library does not have.
     """
 
     parameters: ParameterSet
@@ -66,6 +67,7 @@ class Task:
     seed: int = 0
     left_out: Mapping[str, str] = field(default_factory=dict)
     lowered: bool = False
+    effects_from: tuple[str, ...] = ()
 
     @property
     def controller(self) -> Model:
@@ -81,6 +83,7 @@ class Task:
         noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))
         return Objective(
             effects=self.parameters.model.optional,
+            effects_from=self.effects_from,
             plants=np.array([list(values.values())]),
             settings=settings,
             chain=MEASUREMENT.values({**(self.chain or {}), "sample_time": dt}),

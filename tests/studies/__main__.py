@@ -5,9 +5,25 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 
 import argparse
 
-from . import commands, degenerate, diagnosis, fmus, gate, identification, imports, long, measured, refusals, rigs, tuning
+from . import (
+    api,
+    commands,
+    degenerate,
+    diagnosis,
+    fmus,
+    gate,
+    identification,
+    imports,
+    learned,
+    long,
+    measured,
+    refusals,
+    rigs,
+    tuning,
+)
 
 STUDIES = {
+    "api": api.main,
     "commands": commands.main,
     "degenerate": degenerate.main,
     "diagnosis": diagnosis.main,
@@ -15,6 +31,7 @@ STUDIES = {
     "gate": gate.main,
     "identification": identification.main,
     "imports": imports.main,
+    "learned": learned.main,
     "long": long.main,
     "measured": measured.main,
     "refusals": refusals.main,

@@ -19,12 +19,14 @@ import numpy as np
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import diagnose
+from identification.diagnose.learned.told import FILE
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.record import Record
 
@@ -161,8 +163,9 @@ def told(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tup
     with tempfile.TemporaryDirectory() as folder:
         write_diagnosis(OutputFolder(folder), found)
         content = json.loads(Path(folder, "diagnosis.json").read_text())
+        own = library_with(Path(folder).glob(FILE), library)
         sets = [
-            read_parameters(Path(folder, name), lambda names: plant(names, library))
+            read_parameters(Path(folder, name), lambda names: plant(names, own))
             for name in ("parameters_base.json", "parameters.json")
         ]
     return content, *sets

@@ -273,7 +273,23 @@ OUTSIDE = (
     Hidden("slow_swell", _tone(0.003, 0.008, (0.3, 0.5, 0.8))),  # ventilation, as above
 )
 
-HIDDEN = {h.name: h for h in (*LISTED, *OUTSIDE)}
+UNLISTED = (
+    Hidden("torque_limit", lambda g: {"torque": g.size(2.2, 0.9), "torque_load": g.any(0.3, 0.6)}),
+    Hidden("coasting", _some("coast", 4.0, 1.5)),
+    Hidden("loaded_servo", _some("servo_load", 0.5, 3.0)),
+    Hidden("slow_untwist", lambda g: {"untwist": g.size(0.03, 0.12), "untwist_time": g.any(0.8, 3.0)}),
+    Hidden("speed_surge", _some("surge", 0.008, 0.05)),
+    Hidden("eccentric_wheel", lambda g: {"gear": g.size(0.006, 0.025), "gear_pitch": g.any(0.3, 0.6)}),
+    Hidden("blocked_speed", _some("notch", 0.03, 0.12)),
+    Hidden("sticking_mount", _some("friction_cell", 0.006, 0.03)),
+    Hidden("soft_stop", _some("bend", 0.05, 0.25)),
+    Hidden("draining_battery", lambda g: {"drain": g.size(0.03, 0.12), "drain_time": g.any(2.0, 8.0)}),
+    Hidden("coarse_controller", _some("esc_step", 0.012, 0.06)),
+    Hidden("parting_flow", _some("parting", 0.04, 0.15)),
+)
+"""Further forms in no list, thought of before there was anything that learns: what the study of learned terms hides."""
+
+HIDDEN = {h.name: h for h in (*LISTED, *OUTSIDE, *UNLISTED)}
 
 PAIRS = (
     ("pitch_command_deadband", "pitch_speed_coupling"),

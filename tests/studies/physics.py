@@ -24,7 +24,9 @@ _SUPPLY = "speed_max_w sag droop volt_gain volt_share discharge"
 _SPEED = "speed_delay speed_last speed_asym damping ramp hunt_hz hunt_zeta coupling coupling_stiff"
 _THRUST = "map_w map_w2b2 map_wb3 stall fade fade_time fade_load inflow inflow_time feedthrough wash wash_time"
 _CELL = "ring_hz ring_zeta cell_time creep bias drift vibration reading_delay speed_late"
-OPTIONS = tuple(" ".join([_COMMAND, _PITCH, _LINKAGE, _SUPPLY, _SPEED, _THRUST, _CELL]).split())
+_UNLISTED = "servo_load gear gear_pitch esc_step drain drain_time torque torque_load coast notch parting surge untwist"
+_UNLISTED += " untwist_time friction_cell bend"
+OPTIONS = tuple(" ".join([_COMMAND, _PITCH, _LINKAGE, _SUPPLY, _SPEED, _THRUST, _CELL, _UNLISTED]).split())
 """What can be switched on in rig.c; 0 is off."""
 
 PAPER = {"tau_w1": 0.172, "tau_w2": 0.053, "tau_b1": 0.2, "tau_b2": 0.07}
@@ -32,7 +34,8 @@ PAPER |= {"c20": 0.355, "c11": 0.064, "c21": 0.8, "c12": -0.16, "c30": -0.081}
 """The paper's fine-tuned set, with a faster pitch actuator."""
 
 _TIMES = "tau_w1 tau_w2 tau_b1 tau_b2 pitch_delay late_up stall_time speed_delay coupling inflow_time feedthrough wash_time"
-_RATES = "slew speed_min speed_max rate stall_speed ramp hunt_hz ring_hz"
+_TIMES += " surge untwist_time"
+_RATES = "torque torque_load coast slew speed_min speed_max rate stall_speed ramp hunt_hz ring_hz"
 POWER = dict.fromkeys(f"{_TIMES} cell_time reading_delay speed_late".split(), 1) | dict.fromkeys(_RATES.split(), -1)
 """Power of time in a setting that goes with how fast a rig is. What warms, discharges or creeps does so in its own time."""
 

@@ -25,6 +25,7 @@ static double late(const struct rig *r, const double *command, long step, long s
 struct state {
     double held, led, heat, x, b, play, active, timer, latched, before;
     double y, w, spin, trail, push, inflow, slow, creep[4], cell, cell_rate, load, stalled;
+    double worn, twisted, drained, esc, stuck, parted, w_before, started; /* of what is in no list */
 };
 
 /* Rate of the actuator's stage that carries the nonlinear effects: from error e and time constant tau. */
@@ -65,6 +66,7 @@ static double pitch(const struct rig *r, struct state *s, const double *command,
     if (r->travel_max > 0.0 && r->travel_stop < 0.5) u = fmin(u, r->travel_max);
     if (r->slew > 0.0) u = s->led += clip(u - s->led, -r->slew * r->step, r->slew * r->step);
     e = u - s->x;
+    if (r->servo_load > 0.0) tau_1 *= 1.0 + r->servo_load * fmax(s->load - 0.25, 0.0); /* loaded, the servo is slower */
     s->x += r->step * (r->last_stage > 0.5 ? e / tau_1 : actuator(r, s, e, tau_1));
     e = s->x - s->b;
     if (r->torsion != 0.0) e -= r->torsion * s->load;
@@ -77,6 +79,7 @@ static double pitch(const struct rig *r, struct state *s, const double *command,
         s->b += r->step * (r->last_stage > 0.5 ? actuator(r, s, e, tau_2) : e / tau_2);
     if (r->travel_max > 0.0) s->b = fmin(s->b, r->travel_max);
     s->play = fmin(fmax(s->play, s->b - r->backlash), s->b + r->backlash);
+    if (r->gear > 0.0) return s->play + r->gear * sin(2.0 * M_PI * s->play / r->gear_pitch); /* an eccentric wheel */
     return s->play;
 }
 
@@ -91,9 +94,19 @@ static double rotor(const struct rig *r, struct state *s, const double *command,
     if (r->speed_max_w > 0.0) u = fmin(u, r->speed_max_w - r->sag * b);
     if (r->volt_gain > 0.0) u = fmin(u, r->volt_gain * volt);
     u *= 1.0 + r->volt_share * (volt - 1.0);
+    if (r->esc_step > 0.0) { /* the speed controller passes on what differs enough */
+        if (fabs(u - s->esc) > r->esc_step) s->esc = u;
+        u = s->esc;
+    }
+    if (r->drain > 0.0) { /* the battery's voltage sinks as it is loaded, and comes back */
+        s->drained += r->step * (s->load - s->drained) / r->drain_time;
+        u *= 1.0 - r->drain * s->drained;
+    }
     u -= r->droop * fmax(b, 0.0) * s->w * s->w;
     v = (u - s->y) / (r->speed_last > 0.5 ? tau : bent_tau(r, tau, u, s->y));
     if (r->ramp > 0.0) v = clip(v, -r->ramp, r->ramp);
+    if (r->torque > 0.0) v = fmin(v, r->torque - r->torque_load * s->load); /* the motor's current limit */
+    if (r->coast > 0.0) v = fmax(v, -r->coast * s->w * s->w);               /* no brake: the air alone slows it */
     s->y += r->step * v;
     if (r->hunt_hz > 0.0) { /* the loop's second pole becomes an underdamped pair */
         double p = 2.0 * M_PI * r->hunt_hz;
@@ -109,6 +122,10 @@ static double rotor(const struct rig *r, struct state *s, const double *command,
 }
 
 static double thrust(const struct rig *r, struct state *s, double w, double b, double rate, double t) {
+    if (r->untwist != 0.0) { /* centrifugal force untwists the blade, which gives way slowly */
+        s->twisted += r->step * (w * w - s->twisted) / r->untwist_time;
+        b -= r->untwist * s->twisted;
+    }
     double T = w * (w * (r->c20 + r->c21 * b + r->c30 * w) + b * (r->c11 + r->c12 * b)), steady;
     T += r->map_w * w + r->map_w2b2 * w * w * b * b + r->map_wb3 * w * b * b * b;
     if (r->stall > 0.0) {
@@ -128,6 +145,16 @@ static double thrust(const struct rig *r, struct state *s, double w, double b, d
         T += r->inflow * w * w * (b - s->inflow);
     }
     T += r->feedthrough * w * w * rate;
+    if (r->notch > 0.0) T *= 1.0 - r->notch * exp(-pow((w - 0.68) / 0.06, 2.0)); /* the stand's wake blocks at one speed */
+    if (r->parting > 0.0) { /* the flow parts under load and comes back late */
+        if (T > 0.5) s->parted = 1.0;
+        if (T < 0.3) s->parted = 0.0;
+        T *= 1.0 - r->parting * s->parted;
+    }
+    if (r->surge != 0.0) { /* air and mount are pushed as the rotor speeds up */
+        if (s->started > 0.5) T += r->surge * (w - s->w_before) / r->step;
+        s->w_before = w, s->started = 1.0;
+    }
     if (r->wash != 0.0) {
         s->slow += r->step * (steady - s->slow) / r->wash_time;
         T -= r->wash * s->slow;
@@ -149,6 +176,9 @@ static double cell(const struct rig *r, struct state *s, double T, double t) {
         s->creep[k] += r->step * (T - s->creep[k]) / times[k];
         reading += 0.25 * r->creep * s->creep[k];
     }
+    if (r->friction_cell > 0.0) /* the mount sticks */
+        reading = s->stuck = fmin(fmax(s->stuck, reading - r->friction_cell), reading + r->friction_cell);
+    if (r->bend > 0.0) reading -= r->bend * fmax(reading - 0.4, 0.0); /* the cell touches its stop softly */
     return reading + r->bias + r->drift * t / 100.0;
 }
 
@@ -159,8 +189,11 @@ static struct state settled(const struct rig *r, double w, double b) {
     s.held = s.led = b;
     s.active = 1.0;
     s.y = s.w = w;
+    s.esc = s.w_before = w;
+    s.twisted = w * w;
     double T = thrust(r, &s, w, b, 0.0, 0.0);
     s.inflow = b;
+    s.drained = s.stuck = T;
     s.slow = s.load = T;
     s.cell = T * (1.0 - r->wash);
     for (int k = 0; k < 4; k++) s.creep[k] = s.cell;

@@ -5,6 +5,7 @@ import importlib
 import os
 import sys
 import warnings
+from importlib.metadata import entry_points
 
 from vpp_fmu import __version__
 from vpp_fmu.errors import BadInput, VppError
@@ -24,9 +25,15 @@ VERBS = {
     "compare": "two records side by side",
     "plan": "the next experiment for a model: commands, and what they would tell",
     "import": "somebody's log to a file of a campaign",
+    "effects": "the effects that the model may have, and a page of their theory",
+    "check-effect": "what holds for an effect of one's own",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
+
+GROUP = "vpp.verbs"
+"""Entry points of installed packages: each names a verb, and its module with `configure(parser)`, `run(options)`, EXAMPLE and a
+docstring, as those of this folder."""
 
 READER_GONE = 141
 """Exit code where whoever read standard output has closed it: 128 + SIGPIPE, as of any other program in a pipe."""
@@ -47,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one verb; returns the exit code: 0, or 2 where the input is bad, after one line on standard error; 128 and its number
     where a signal ended it."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    verb = f"vpp {arguments[0]}" if arguments and arguments[0] in VERBS else "vpp"
+    verb = f"vpp {arguments[0]}" if arguments and arguments[0] in known_verbs() else "vpp"
     try:
         with stoppable(verb), warnings.catch_warnings():
             warnings.simplefilter("always", RecordWarning)
@@ -72,19 +79,39 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> None:
-    listing = "\n".join(f"  {verb:10} {text}" for verb, text in VERBS.items())
+    verbs = known_verbs()
+    listing = "\n".join(f"  {verb:13} {text}" for verb, text in verbs.items())
     parser = Parser("vpp", description="Rig data to FMUs.", formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.epilog = f"verbs:\n{listing}\n\nvpp VERB --help tells the rest"
     parser.add_argument("--version", action="version", version=f"vpp {__version__}")
-    parser.add_argument("verb", choices=VERBS, metavar="VERB")
+    parser.add_argument("verb", choices=verbs, metavar="VERB")
     verb = parser.parse_args(arguments[:1]).verb
     parser, module = parser_of(verb)
     module.run(parser.parse_args(arguments[1:]))
 
 
+def known_verbs() -> dict[str, str]:
+    """What each verb does, those of installed packages among them; the house's own go first."""
+    return {e.name: f"of {e.dist.name if e.dist else e.value}" for e in entry_points(group=GROUP)} | VERBS
+
+
+def _module(verb: str):
+    if verb in VERBS:
+        return importlib.import_module(f"vpp_fmu.cli.{verb.replace('-', '_')}")
+    (entry,) = [e for e in entry_points(group=GROUP) if e.name == verb][:1]
+    try:
+        module = entry.load()
+    except Exception as error:  # somebody else's package may raise anything
+        said = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise BadInput(f"entry point {verb} of {GROUP}", entry.value, said, "a module that can be imported") from error
+    if missing := [name for name in ("configure", "run", "EXAMPLE") if not hasattr(module, name)]:
+        raise BadInput(f"entry point {verb} of {GROUP}", entry.value, f"no {', '.join(missing)}", "configure, run and EXAMPLE")
+    return module
+
+
 def parser_of(verb: str):
     """(the parser of a verb's options, its module)."""
-    module = importlib.import_module(f"vpp_fmu.cli.{verb}")
+    module = _module(verb)
     parser = Parser(f"vpp {verb}", description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.epilog = f"example:\n  {module.EXAMPLE}"
     module.configure(parser)

@@ -4,12 +4,12 @@ Errors (exit code 2) are what nothing sane can follow; identify and diagnose ref
 their reports. Where nothing forbids it, the model is fitted as identify does it, for what only a fit shows.
 """
 
-from pathlib import Path
+from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from identification.gate.contents import COLUMNS, contents, lacks
-from identification.gate.files import files_of, least_diameter
+from identification.gate.contents import COLUMNS, Held, contents, lacks
+from identification.gate.files import File, files_of, least_diameter
 from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, settled
 from identification.gate.gate import look
 from identification.gate.template import write_template
@@ -46,20 +46,53 @@ def run(options):
     accept, folder = check_accepted(options.accept), OutputFolder(options.output) if options.output else None
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         bar.set_description("read")
-        campaign = read_campaign(options.campaign)
-        files = files_of(campaign, {})
-        findings = _fitted(campaign, look(campaign, accept=accept).findings, accept, bar.set_description)
-    held, missing = contents(files), lacks(campaign, files)
-    _say(campaign, files, [COLUMNS, *(h.row() for h in held)], missing, findings)
-    errors = [f for f in findings if f.level == ERROR]
+        found = checked(read_campaign(options.campaign), accept, bar.set_description)
+    _say(found)
     if folder is not None:
-        content = {"format": FORMAT, "campaign": Path(options.campaign).name, "files": [h.summary() for h in held]}
-        content |= {"missing": missing, "rig": campaign.rig.summary(), "quality": [f.summary() for f in findings]}
-        folder.write("check.json", as_json(content | {"errors": len(errors)}))
+        write_check(folder, found)
         say_written(folder)
+    errors = found.errors
     if errors:
         found = f"{len(errors)} error{'s' * (len(errors) > 1)}: {', '.join(dict.fromkeys(f.code for f in errors))}"
         raise BadInput(options.campaign, "quality", found, "none")
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What a campaign's `files` are (`held`), hold and lack (`missing`, and what that costs), and the gate's `findings`."""
+
+    campaign: Campaign
+    files: list[File]
+    held: list[Held]
+    missing: dict[str, str]
+    findings: tuple[Finding, ...]
+
+    @property
+    def errors(self) -> list[Finding]:
+        """What nothing sane can follow."""
+        return [f for f in self.findings if f.level == ERROR]
+
+    def summary(self) -> dict:
+        """The content of check.json."""
+        content = {"format": FORMAT, "campaign": self.campaign.folder.name, "files": [h.summary() for h in self.held]}
+        content |= {
+            "missing": self.missing,
+            "rig": self.campaign.rig.summary(),
+            "quality": [f.summary() for f in self.findings],
+        }
+        return content | {"errors": len(self.errors)}
+
+
+def checked(campaign: Campaign, accept: frozenset[str], stage=lambda text: None) -> Checked:
+    """Everything that the files show, and a fit of them where nothing forbids one. `stage` is told what begins."""
+    files = files_of(campaign, {})
+    findings = _fitted(campaign, look(campaign, accept=accept).findings, accept, stage)
+    return Checked(campaign, files, contents(files), lacks(campaign, files), findings)
+
+
+def write_check(folder: OutputFolder, found: Checked) -> None:
+    """check.json."""
+    folder.write("check.json", as_json(found.summary()))
 
 
 def _fitted(campaign: Campaign, findings: tuple[Finding, ...], accept: frozenset[str], stage) -> tuple[Finding, ...]:
@@ -76,19 +109,20 @@ def _fitted(campaign: Campaign, findings: tuple[Finding, ...], accept: frozenset
     return settled([*findings, unfit], accept)
 
 
-def _say(campaign: Campaign, files, table, missing, findings) -> None:
+def _say(found: Checked) -> None:
+    table = [COLUMNS, *(h.row() for h in found.held)]
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
     for row in table:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    for name, cost in missing.items():
+    for name, cost in found.missing.items():
         print(f"missing {name}: {cost}")
-    print(f"rig: {'; '.join(campaign.rig.lines())}")
-    rotors = [least_diameter(f) for f in files if f.response is not None]
+    print(f"rig: {'; '.join(found.campaign.rig.lines())}")
+    rotors = [least_diameter(f) for f in found.files if f.response is not None]
     if rotors:
         force, rpm, diameter = max(rotors)
         need = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2g} m or more"
         print(f"units: {need}; if yours is smaller, thrust is not in N")
-    for finding in findings:
+    for finding in found.findings:
         print(finding.text)
-    if not findings:
+    if not found.findings:
         print("quality: nothing found against these data")

@@ -10,7 +10,7 @@ from vpp_fmu.digits import number
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import FmuController, FmuPlant
-from vpp_fmu.record import read_profile, write_record
+from vpp_fmu.record import Record, read_profile, write_record
 from vpp_fmu.report import Page, closed_loop
 from vpp_fmu.response import Step, steps
 
@@ -36,15 +36,21 @@ def run(options):
     ):
         done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))
     write_record(folder, "run.csv", done)
+    page = loop_page(done, f"{options.plant} under {options.controller} over {options.profile}.")
+    folder.write("report.html", page.html())
+    for step in steps(done):
+        print(told(step))
+    say_written(folder)
+
+
+def loop_page(done: Record, summary: str) -> Page:
+    """The report of a closed loop's run."""
     found = steps(done)
-    page = Page("Closed loop", f"{options.plant} under {options.controller} over {options.profile}.")
+    page = Page("Closed loop", summary)
     title = told(found[0]) if found else "Thrust under a constant set-point"
     page.figure(closed_loop({"loop": done.columns}, title), "Thrust with its set-point, speed and pitch with their commands.")
     page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
-    folder.write("report.html", page.html())
-    for step in found:
-        print(told(step))
-    say_written(folder)
+    return page
 
 
 STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")

@@ -3,18 +3,20 @@
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.learned.told import FILE, source
 from identification.diagnose.report.identification import identification_of
 from identification.diagnose.report.page import diagnosis_page, headline, key_figures
 from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.identify import named_records
 from vpp_fmu.cli.options import SEED, WORKERS, Number
-from vpp_fmu.cli.output import add_accept, add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_accept, add_effects_from, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import read_parameters, to_json, to_ssv
 from vpp_fmu.record import write_record
 
@@ -26,6 +28,7 @@ def configure(parser):
     text = "a model to start from and to judge against, with the effects it has; else the campaign is identified first"
     parser.add_argument("--parameters", metavar="F", help=text)
     parser.add_argument("--effects", metavar="A,B", help="candidates (default: the whole library)")
+    add_effects_from(parser)
     parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
     text = "least size of interest: what an effect must change the thrust by, rms (default: a small share of the noise)"
     parser.add_argument("--smallest", type=Number(0.0, 1e5, "N"), metavar="N", help=text)
@@ -38,8 +41,9 @@ def configure(parser):
 
 
 def run(options):
-    given = read_parameters(options.parameters, plant) if options.parameters else None
-    library = _library(options.effects, given.model.optional if given else ())
+    whole = library_with(options.effects_from)
+    given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
+    library = _library(options.effects, given.model.optional if given else (), whole)
     campaign = read_campaign(options.campaign)
     folder = OutputSet(options.output, "diagnose")
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
@@ -66,17 +70,17 @@ def run(options):
     say_written(folder, found.parameters(found.final))
 
 
-def _library(names: str | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
-    """The effects to choose from: all, or those named, and what the model has already."""
+def _library(names: str | None, kept: tuple[str, ...], whole: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """The effects of a library to choose from: all, or those named, and what the model has already."""
     if names is None:
-        return LIBRARY
+        return whole
     chosen = [n.strip() for n in names.split(",") if n.strip()]
-    known = [e.name for e in LIBRARY if e.off is not None]
+    known = [e.name for e in whole if e.off is not None]
     unknown = [n for n in chosen if n not in known]
     if unknown or not chosen:
         allowed = f"names, parted by commas, of {', '.join(known)}"
         raise BadInput("command line", "--effects", ", ".join(unknown) or "none", allowed)
-    return tuple(e for e in LIBRARY if e.off is None or e.name in chosen or e.name in kept)
+    return tuple(e for e in whole if e.off is None or e.name in chosen or e.name in kept)
 
 
 def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | None = None) -> None:
@@ -91,4 +95,6 @@ def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | None = 
         folder.write(f"parameters{suffix}.json", to_json(dated(found.parameters(fit), **parent)))
         folder.write(f"identification{suffix}.json", as_json(identification_of(found, fit)))
     folder.write("parameters.ssv", to_ssv(found.parameters(found.final), "parameters"))
+    if found.learned:
+        folder.write(FILE, source(found.learned.term, found.rig.scales, found.campaign.folder.name))
     write_record(folder, "next_experiment.csv", found.experiment)

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from vpp_fmu import __version__
-from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.export.archive import archive
@@ -25,6 +25,7 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
 
@@ -38,6 +39,7 @@ WANTED_THRUST = 8.0  # N; what the loop's archive starts on, where nobody says m
 
 def configure(parser):
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
+    add_effects_from(parser)
     parser.add_argument("--gains", metavar="G", help="the controller's parameters (default: the paper's, both actuators)")
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
@@ -111,7 +113,12 @@ def _check(options) -> None:
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:
-    model = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    library = library_with(options.effects_from)
+    model = (
+        read_parameters(options.parameters, lambda names: plant(names, library))
+        if options.parameters
+        else ParameterSet(plant())
+    )
     gains = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
     return [model, gains]
 

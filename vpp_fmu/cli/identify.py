@@ -6,11 +6,12 @@ from tqdm import tqdm
 
 from identification.fit.refine import METHODS
 from identification.found_report import untold
-from identification.identify import identify
+from identification.identify import Identification, identify
 from identification.report import identification_page, key_figures, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.options import SEED, WORKERS, whole
 from vpp_fmu.cli.output import add_accept, add_output, as_json, dated, say_written
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import to_json, to_ssv
 from vpp_fmu.record import Record, read_record
@@ -53,10 +54,7 @@ def run(options):
             stage=bar.set_description,
         )
         bar.set_description("report")
-        folder.write("parameters.json", to_json(dated(found.parameters)))
-        folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
-        folder.write("identification.json", as_json(found.summary()))
-        folder.write("report.html", identification_page(found).html())
+        write_identification(folder, found)
     for finding in found.quality:
         print(finding.text)
     for remark in (*remarks(found), *untold(found)):
@@ -64,6 +62,14 @@ def run(options):
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})")
     say_written(folder, found.parameters)
+
+
+def write_identification(folder: OutputFolder, found: Identification) -> None:
+    """All files of an identification."""
+    folder.write("parameters.json", to_json(dated(found.parameters)))
+    folder.write("parameters.ssv", to_ssv(found.parameters, "parameters"))
+    folder.write("identification.json", as_json(found.summary()))
+    folder.write("report.html", identification_page(found).html())
 
 
 def named_records(paths: list[str]) -> dict[str, Record]:

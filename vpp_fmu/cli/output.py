@@ -27,6 +27,12 @@ def add_accept(parser) -> None:
     parser.add_argument("--accept", action="append", default=[], metavar="CODE", help=text)
 
 
+def add_effects_from(parser) -> None:
+    """The option that adds effects of one's own to the library."""
+    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; may be repeated"
+    parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
+
+
 def as_json(content: dict) -> str:
     """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
     return json.dumps(content, indent=2, allow_nan=False) + "\n"

@@ -15,11 +15,12 @@ from identification.worth.information import read_knowledge
 from identification.worth.quality import noise_floor
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.options import SEED, Number
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters
 from vpp_fmu.record import write_record
 from vpp_fmu.report import Page, thinning
@@ -55,6 +56,7 @@ def configure(parser):
         parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
 
     parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
+    add_effects_from(parser)
     parser.add_argument(
         "--knowledge", metavar="F", help="identification.json of the data there are (default: nothing is known)"
     )
@@ -92,7 +94,8 @@ class Basis:
 
 
 def run(options):
-    parameters = read_parameters(options.parameters, plant)
+    library = library_with(options.effects_from)
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
     knowledge, inflation = read_knowledge(options.knowledge) if options.knowledge else (None, 1.0)
     if options.knowledge:
         check_same_model(options.knowledge, parameters, options.parameters)
@@ -109,11 +112,8 @@ def run(options):
         omega_std=options.omega_noise,
         step=basis.step,
     )
-    write_record(folder, "plan.csv", found.commands)
-    folder.write("plan.json", as_json(found.summary()))
-    remarks = [_coloured(inflation, basis.noise)] if inflation > COLOURED else []
-    remarks += _overload(found)
-    folder.write("report.html", plan_page(found, basis.lines(), remarks).html())
+    remarks = remarks_on(found, inflation)
+    write_plan(folder, found, basis.lines(), remarks)
     for line in basis.lines():
         print(line)
     for label, value, note in key_figures(found):
@@ -121,6 +121,18 @@ def run(options):
     for remark in remarks:
         print(f"note: {remark}")
     say_written(folder, parameters)
+
+
+def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
+    """What a reader must be told of a plan. `inflation`: of the intervals so far, by the residuals' colour."""
+    return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
+
+
+def write_plan(folder: OutputFolder, found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = ()) -> None:
+    """All files of a plan."""
+    write_record(folder, "plan.csv", found.commands)
+    folder.write("plan.json", as_json(found.summary()))
+    folder.write("report.html", plan_page(found, basis, remarks).html())
 
 
 def _basis(options, parameters: ParameterSet) -> Basis:

@@ -1,10 +1,11 @@
 """Predict the open-loop response to the commands of a record."""
 
 from identification.identify import predict
-from vpp_fmu.cli.output import add_output, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import read_parameters
 from vpp_fmu.record import Record, read_record, write_record
 
@@ -14,11 +15,13 @@ EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/paramet
 def configure(parser):
     parser.add_argument("record", metavar="RECORD", help="CSV with time, omega_ref, beta_ref")
     parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
+    add_effects_from(parser)
     add_output(parser)
 
 
 def run(options):
-    record, parameters = read_record(options.record), read_parameters(options.parameters, plant)
+    record, library = read_record(options.record), library_with(options.effects_from)
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
     folder = OutputSet(options.output, "simulate")
     shown = predict(parameters.model, parameters.values, record)
     columns = {name: record[name] for name in ("time", "omega_ref", "beta_ref")}

@@ -6,6 +6,7 @@ The result is run again through both FMUs. With --robust, gains are sought for t
 from the parameters' doubt."""
 
 import json
+import os
 from collections.abc import Mapping
 
 from identification.tune.controllers import controllers
@@ -17,15 +18,16 @@ from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
 from identification.worth.information import read_knowledge
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
-from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.rig import ASSUMED
@@ -62,6 +64,7 @@ def configure(parser):
         parser.add_argument(f"--{name}", type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
+    add_effects_from(parser)
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
     text = "limits, filter, sample time and first gains of the controller (default: the rig's limits, the paper's gains)"
@@ -88,18 +91,16 @@ def configure(parser):
 
 
 def run(options):
-    parameters = read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    library = library_with(options.effects_from)
+    read = options.parameters and read_parameters(options.parameters, lambda names: plant(names, library))
+    parameters = read or ParameterSet(plant())
     task, starts = _task(options, parameters)
     came = {"parameters": (options.parameters or PAPERS, parameters)}
     folder = OutputSet(options.output, "tune")
     for line in _setting(task, starts):
         print(line)
     found = tune(task, starts, options.workers, options.scheduler)
-    for name in found.tuned:
-        folder.write(FILES[name], to_json(dated(_gains(found, name, options), **came)))
-    folder.write("tuning.json", as_json(summary(found)))
-    write_record(folder, "profile.csv", task.profile)
-    folder.write("report.html", tuning_page(found).html())
+    write_tuning(folder, found, **came)
     for name, tuned in found.tuned.items():
         for which, verdict in tuned.verdicts.items():
             print(f"{NAMES[name]}, {task.reference} → {which}")
@@ -110,6 +111,15 @@ def run(options):
         print(f"{label}: {value} ({note})")
     print(f"tuned in {found.seconds:.1f} s")
     say_written(folder, parameters)
+
+
+def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.PathLike[str], ParameterSet]) -> None:
+    """All files of a tuning. `came`: (file, its content) that the plant's parameters come from."""
+    for name in found.tuned:
+        folder.write(FILES[name], to_json(dated(gains_of(found, name), **came)))
+    folder.write("tuning.json", as_json(summary(found)))
+    write_record(folder, "profile.csv", found.task.profile)
+    folder.write("report.html", tuning_page(found).html())
 
 
 def _setting(task: Task, starts) -> list[str]:
@@ -146,6 +156,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         resolution = options.resolution
     task = Task(
         parameters=parameters,
+        effects_from=tuple(options.effects_from),
         profile=profile,
         assumed=tuple(assumed),
         chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
@@ -188,12 +199,13 @@ def _assumed(text: str, parameters: ParameterSet) -> tuple[str, float]:
     return name, number
 
 
-def _gains(found: Tuning, name: str, options) -> ParameterSet:
+def gains_of(found: Tuning, name: str) -> ParameterSet:
+    """What is handed out for the controller `name`, "dual" or "speed_only"."""
     tuned = found.tuned[name]
     source = {
         "made_by": "vpp tune",
         "assumed": {n: found.task.parameters.values[n] for n in found.task.assumed},
-        "robust": options.robust,
+        "robust": found.task.robust,
         "cost": tuned.cost(tuned.chosen),
         "verdict": {which: each.words() for which, each in tuned.verdicts.items()},
         "rig": found.task.parameters.rig.summary(),

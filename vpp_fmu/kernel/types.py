@@ -10,8 +10,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import SimpleNamespace
+from typing import Any
 
 from vpp_fmu.kernel.scales import Scales
+
+SETTLING = 6
+"""How often a chain that feeds back is gone through to settle it: what is fed back with a share k is then k^6 off."""
 
 REAL, INTEGER, BOOLEAN = "Real", "Integer", "Boolean"
 """What a quantity is to an importer, in FMI's words; within the model all are floats, a Boolean 0 or 1."""
@@ -94,7 +98,7 @@ class State:
     closed_by: str | None = None
 
 
-def no_step(ops, s, x, p, dt):
+def no_step(ops: Any, s: Any, x: Any, p: Any, dt: Any) -> tuple[dict, dict]:
     """The step of an effect that only delays an input."""
     return {}, {}
 
@@ -115,7 +119,8 @@ class Effect:
     too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: "thrust" or
     "speed", it is how that is read, not what it is. `common`: every rig has a little of it, and it is worth a name from this
     share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in
-    shares of the rig's scales."""
+    shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as `settled_<name>`, each
+    with the input that it is about; "": it is about 0."""
 
     name: str
     description: str
@@ -132,6 +137,7 @@ class Effect:
     reading: str = ""
     common: float = 0.0
     declared: "Effect | None" = None
+    ahead: Mapping[str, str] = field(default_factory=dict)
 
     def sized(self, scales: Scales) -> "Effect":
         """The effect with absolute numbers for a rig of these scales, whatever rig it was sized for before."""
@@ -222,13 +228,13 @@ def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Mo
     return replace(model, inputs=model.inputs + tuple(u for e in effects for u in e.inputs), effects=effects)
 
 
-def step(model: Model, ops, inputs: Mapping, states: Mapping, parameters: Mapping, dt) -> tuple[dict, dict]:
+def step(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: Mapping, dt: Any) -> tuple[dict, dict]:
     """One step of the chain under held inputs: (signals at its end, next states), on whatever arithmetic `ops` is.
 
     `states` and `parameters` go by full name. Units are the declarations'; dt in s.
     """
     s = SimpleNamespace(**inputs)
-    ahead = {}
+    ahead: dict = {}
     for e in model.effects:
         own_states = SimpleNamespace(**{x.name: states[e.full(x.name)] for x in e.states})
         own_parameters = SimpleNamespace(**{p.name: parameters[e.full(p.name)] for p in e.parameters})
@@ -242,17 +248,23 @@ def step(model: Model, ops, inputs: Mapping, states: Mapping, parameters: Mappin
     return vars(s), ahead
 
 
-def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:
+def start(model: Model, ops: Any, inputs: Mapping, parameters: Mapping) -> tuple[dict, dict]:
     """The chain settled on `inputs`: (signals, states).
 
     Each state starts from the signals that reach its effect; one INSTANT of the effect's own step then gives the signals
-    behind it. From a settled state every exact form stays where it is to the bit.
-
-    A sampled law has not run before its first sample: until then its outputs are their start values, whatever its inputs.
-    Two models that feed each other thus form no algebraic loop when they start, as long as one of them is sampled.
+    behind it. From a settled state every exact form stays where it is to the bit. Where effects start from signals that arise
+    behind them, the chain is gone through again with what it has led to.
     """
-    s = SimpleNamespace(**inputs)
-    states = {}
+    guesses = {name: inputs[guess] if guess else 0.0 for e in model.effects for name, guess in e.ahead.items()}
+    for _ in range(SETTLING if guesses else 0):
+        signals, _ = _started(model, ops, inputs, guesses, parameters)
+        guesses = {name: signals[name] for name in guesses}
+    return _started(model, ops, inputs, guesses, parameters)
+
+
+def _started(model: Model, ops: Any, inputs: Mapping, ahead: Mapping, parameters: Mapping) -> tuple[dict, dict]:
+    s = SimpleNamespace(**inputs, **{f"settled_{name}": value for name, value in ahead.items()})
+    states: dict = {}
     for e in model.effects:
         p = SimpleNamespace(**{q.name: parameters[e.full(q.name)] for q in e.parameters})
         own = {x.name: x.start(ops, s, p) for x in e.states}
@@ -264,7 +276,7 @@ def start(model: Model, ops, inputs: Mapping, parameters: Mapping) -> tuple[dict
     return vars(s), states
 
 
-def largest_step(model: Model, ops, parameters: Mapping):
+def largest_step(model: Model, ops: Any, parameters: Mapping) -> Any:
     """The longest step [s] that every effect's form allows; infinite where all are exact. What is off allows any."""
     longest = float("inf")
     for e in model.effects:

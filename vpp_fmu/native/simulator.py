@@ -2,7 +2,8 @@
 
 import ctypes
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing
 from functools import cache
 from importlib.resources import files
 
@@ -39,7 +40,28 @@ class Simulator:
         """As `simulate`, and the outputs' derivatives (rows, outputs, wrt) in the parameters `wrt`, exact to rounding."""
         return self._go(parameters, inputs, steps)
 
+    def pieces(self, parameters, inputs, steps, rows: int) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """The same in pieces of `rows` rows, each (its rows, outputs, derivatives): a long record's need not be held at once.
+
+        Both are overwritten by the next piece.
+        """
+        values, columns, steps = self._prepared(parameters, inputs, steps)
+        n, size = len(columns), min(rows, len(columns))
+        outputs, tangents = np.empty((size, len(self.outputs))), np.empty((size, len(self.outputs), len(self.wrt)))
+        with closing(self._run(values, columns, steps)) as run:
+            next(run)
+            for first in range(0, n, size):
+                at = slice(first, min(first + size, n))
+                piece = outputs[: at.stop - first], tangents[: at.stop - first]
+                run.send((at, *piece))
+                yield at, *piece
+
     def _go(self, parameters, inputs, steps):
+        ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, len(steps) + 1)
+        return outputs, tangents
+
+    def _prepared(self, parameters, inputs, steps):
+        """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = {n: np.full(len(steps) + 1, v) for n, v in self.model.measured_inputs.items()} | dict(inputs)
         rows = {name: len(inputs[name]) for name in self._inputs}
@@ -47,14 +69,11 @@ class Simulator:
             told = ", ".join(f"{name} has {count}" for name, count in rows.items())
             raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {told}")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
-        steps = np.ascontiguousarray(steps, float)
-        outputs = np.empty((len(columns), len(self.outputs)))
-        tangents = np.empty((len(columns), len(self.outputs), len(self.wrt)))
-        self._run(values, columns, steps, outputs, tangents)
-        return outputs, tangents
+        return values, columns, np.ascontiguousarray(steps, float)
 
 
 def _runner(model: Model, wrt: tuple[str, ...]):
+    """A generator function (parameters, inputs, steps): each (rows, outputs, tangents) sent to it is filled in."""
     try:
         return _compiled(trace(model, wrt))
     except CompilerMissing as missing:
@@ -65,14 +84,27 @@ def _runner(model: Model, wrt: tuple[str, ...]):
 def _compiled(program: Program):
     source = c_source(program) + (files("vpp_fmu.kernel") / "schedule.c").read_text()
     source += (files("vpp_fmu.native") / "simulate.c").read_text()
-    function = ctypes.CDLL(str(compiled(source))).simulate
+    library = ctypes.CDLL(str(compiled(source)))
     vector = np.ctypeslib.ndpointer(float, flags="C")
-    function.argtypes = [vector, vector, vector, ctypes.c_long, vector, vector]
-    failures = {1: "out of memory", 2: f"more than {SLOTS} command changes wait in one delay: take longer communication steps"}
+    library.begin.argtypes, library.begin.restype = [vector, vector], ctypes.c_void_p
+    library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, vector]
+    library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
 
-    def run(values, inputs, steps, outputs, tangents):
-        if code := function(values, inputs, steps, len(inputs), outputs, tangents):
-            raise SimulationFailed(f"{program.model.name}: {failures[code]}")
+    def run(values, inputs, steps):
+        begun = library.begin(values, inputs[0])
+        if not begun:
+            raise MemoryError
+        try:
+            asked = yield
+            while True:
+                at, outputs, tangents = asked
+                last = at.stop == len(inputs)
+                if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, tangents):
+                    told = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
+                    raise SimulationFailed(f"{program.model.name}: {told}")
+                asked = yield
+        finally:
+            library.end(begun)
 
     return run
 
@@ -83,7 +115,7 @@ def _interpreted(program: Program):
     code: dict = {}
     exec("from math import exp, expm1, sqrt, sin, cos, tanh\n" + python_source(program), code)
 
-    def run(values, inputs, steps, outputs, tangents):
+    def run(values, inputs, steps):
         v = [*inputs[0].tolist(), *[0.0] * n_out, *values.tolist(), *[0.0] * len(layout.states)]
         d = [0.0] * (width * len(layout.moving))
         delays = [None] * n_in
@@ -117,11 +149,14 @@ def _interpreted(program: Program):
 
         code["start"](v, d)
         wait = 0.0
+        at, outputs, tangents = yield
         for row, held in enumerate(inputs.tolist()):
-            outputs[row] = v[n_in : n_in + n_out]
-            tangents[row].flat = d[: n_out * width]
+            if row == at.stop:
+                at, outputs, tangents = yield
+            outputs[row - at.start] = v[n_in : n_in + n_out]
+            tangents[row - at.start].flat = d[: n_out * width]
             if row == len(steps):
-                return
+                break
             span = float(steps[row])
             if model.sample_time is None:
                 try:
@@ -131,6 +166,8 @@ def _interpreted(program: Program):
             else:
                 period = v[layout.index["parameter", model.sample_time]]
                 wait = run_sampled(wait, period, span, lambda dt, held=held: step(held, dt))
+
+        yield
 
     return run
 

@@ -3,6 +3,7 @@
 from vpp_fmu.report.curves import behind_against_before, reached_against_commanded, stacked
 from vpp_fmu.report.evidence import evidence_bars
 from vpp_fmu.report.fits import correlation_heatmap, learning_curve, parameter_change
+from vpp_fmu.report.learned import learned_curve
 from vpp_fmu.report.maps import map_residuals, map_section, map_surface
 from vpp_fmu.report.page import Page
 from vpp_fmu.report.records import closed_loop, measured_against_predicted, two_records
@@ -19,6 +20,7 @@ __all__ = [
     "correlations",
     "cross_correlation",
     "evidence_bars",
+    "learned_curve",
     "learning_curve",
     "map_residuals",
     "map_section",

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 from importlib.metadata import version
+from textwrap import dedent
 
 from plotly import graph_objects as go
 from plotly.offline import get_plotlyjs
@@ -24,7 +25,7 @@ class Page:
         self._tiles: list[str] = []
         self._parts: list[str] = []
         self._sections: list[str] = []
-        self._figures = 0
+        self.figures: list[go.Figure] = []
         self._tables = 0
 
     def tiles(self, tiles: Sequence[tuple[str, object, str]]) -> None:
@@ -42,16 +43,16 @@ class Page:
 
     def figure(self, fig: go.Figure, caption: str) -> int:
         """A figure, as wide as the page; returns its number."""
-        self._figures += 1
-        name = f"figure-{self._figures}"
+        self.figures.append(fig)
+        name = f"figure-{len(self.figures)}"
         # "</script>" in a label would end the script; the json engine keeps the bytes the same wherever orjson is about.
         drawing = fig.to_json(engine="json").replace("<", "\\u003c")
         self._parts.append(
             f'<figure><div id="{name}" class="plot" style="height:{fig.layout.height or 450}px"></div>\n'
             f"<script>draw({name!r},{drawing})</script>\n"
-            f"<figcaption><b>Figure {self._figures}.</b> {escape(caption)}</figcaption></figure>"
+            f"<figcaption><b>Figure {len(self.figures)}.</b> {escape(caption)}</figcaption></figure>"
         )
-        return self._figures
+        return len(self.figures)
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
         """A table; the columns' names bear the units. Reals show four significant digits, texts as they are."""
@@ -64,7 +65,7 @@ class Page:
 
     def html(self) -> str:
         """The page, the same bytes for the same input."""
-        scripts = f"<script>{get_plotlyjs()}</script>\n<script>{DRAW}</script>\n" if self._figures else ""
+        scripts = f"<script>{get_plotlyjs()}</script>\n<script>{DRAW}</script>\n" if self.figures else ""
         tiles = f'<div class="tiles">{"".join(self._tiles)}</div>\n' if self._tiles else ""
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -85,5 +86,8 @@ class Page:
 
 
 def _paragraphs(text: str) -> str:
-    """Text parted by empty lines as escaped paragraphs."""
-    return "\n".join(f"<p>{escape(part.strip())}</p>" for part in text.split("\n\n") if part.strip())
+    """Text parted by empty lines as escaped paragraphs; what is indented, an equation, line by line."""
+    parts = [part for part in text.split("\n\n") if part.strip()]
+    return "\n".join(
+        f"<pre>{escape(dedent(part))}</pre>" if part.startswith("    ") else f"<p>{escape(part.strip())}</p>" for part in parts
+    )

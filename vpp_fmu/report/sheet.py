@@ -12,6 +12,7 @@ header { padding: 36px 0 8px; }
 h1 { font-size: 28px; line-height: 1.25; margin: 0 0 12px; font-weight: 650; letter-spacing: -0.01em; }
 h2 { font-size: 20px; line-height: 1.3; margin: 48px 0 8px; padding-top: 14px; border-top: 1px solid var(--line); }
 p { margin: 0 0 10px; max-width: 78ch; overflow-wrap: anywhere; }
+pre { margin: 0 0 10px 2ch; overflow-x: auto; font-size: 15px; }
 nav { margin: 18px 0 0; font-size: 14px; display: flex; flex-wrap: wrap; gap: 4px 20px; }
 nav a { color: var(--accent); text-decoration: none; }
 nav a:hover { text-decoration: underline; }

@@ -33,6 +33,11 @@ class Blocks:
     edges: np.ndarray
     time: np.ndarray
 
+    def part(self, rows: slice) -> "Blocks":
+        """The whole blocks in a slice of the rows, which starts with one; their rows counted from there."""
+        inside = (self.edges >= rows.start) & (self.edges <= rows.stop)
+        return Blocks(self.edges[inside] - rows.start, self.time[inside[:-1] & inside[1:]])
+
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Block means of (rows,) or (rows, k), rows that are NaN left out; NaN where a block has none."""
         rows = int(self.edges[1] - self.edges[0])

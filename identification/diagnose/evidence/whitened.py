@@ -24,6 +24,10 @@ WEIGHED, ENOUGH = 0.5, 1e-3
 deviations of the estimate)."""
 
 
+PIECE = 16384
+"""Rows of a record that are run at a time."""
+
+
 @dataclass(frozen=True)
 class Score:
     """Sum of squares and number of whitened residuals in each channel."""
@@ -80,6 +84,28 @@ class Experiment:
             return np.zeros((self.sizes["thrust"], *tangents.shape[1:]))
         return self._white(self._blocks.mean(self._where_measured(tangents)))
 
+    def sensitivities(self, simulator: Simulator, values: Mapping[str, float]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(outputs (rows, 3), whitened sensitivities (n, k) by channel) of a simulator's model.
+
+        The record is run in pieces: of a long one, sensitivities are by far the largest thing in memory, and only block means
+        of those of thrust are kept.
+        """
+        length, k = int(self._blocks.edges[1]), len(simulator.wrt)
+        means, speed = np.empty((len(self._blocks.time), k)), np.empty((len(self.record) * bool(self.tachometers), k))
+        outputs, first = np.empty((len(self.record), len(simulator.outputs))), 0
+        rows = max(1, PIECE // length) * length
+        for at, shown, tangents in simulator.pieces(values, self.record.columns, self.record.steps, rows):
+            outputs[at] = shown
+            own = self._blocks.part(at)
+            if len(own.time):
+                thrust = (tangents[:, 0].T * self.converter.slope(shown[:, 0])).T
+                means[first : first + len(own.time)] = own.mean(self._where_measured(thrust, at))
+                first += len(own.time)
+            if len(speed):
+                speed[at] = tangents[:, 1]
+        found = {"thrust": self._white(means)}
+        return outputs, found | ({"omega": self.omega_columns(speed)} if len(self.omega_time) else {})
+
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened predicted less measured speed (n,), from speed (rows,) rpm."""
         return self._heard([(t.shows(predicted) - t.measured) / t.std for t in self.tachometers])
@@ -90,16 +116,23 @@ class Experiment:
             return np.zeros((len(self.omega_time), *tangents.shape[1:]))
         return self._heard([(t.shows(tangents).T / t.std).T for t in self.tachometers])
 
+    def white_thrust(self, means: np.ndarray) -> np.ndarray:
+        """Whitened change of the residual (n, ...) for a change of the thrust's block means (blocks, ...) N."""
+        return self._white(means)
+
+    def white_speed(self, shown: Sequence[np.ndarray]) -> np.ndarray:
+        """Whitened change of the residual (n, ...) for one of what each tachometer shows (readings, ...) rpm."""
+        return self._heard([(part.T / t.std).T for t, part in zip(self.tachometers, shown, strict=True)])
+
     def slow_thrust(self, rows: np.ndarray) -> np.ndarray:
         """Means of a thrust (rows,) [N] over 50 ms, what is below 10 Hz of it; blocks without a reading left out."""
         means = blocks(self.record, 0.05).mean(self._where_measured(rows))
         return means[np.isfinite(means)]
 
-    def _where_measured(self, predicted):
+    def _where_measured(self, predicted, at=slice(None)):
         """NaN where no thrust was read, so that block means of both are over the same rows."""
-        if self._there.all():
-            return predicted
-        return np.where(self._there.reshape(-1, *[1] * (predicted.ndim - 1)), predicted, np.nan)
+        there = self._there[at]
+        return predicted if there.all() else np.where(there.reshape(-1, *[1] * (predicted.ndim - 1)), predicted, np.nan)
 
     def _white(self, means):
         return self.noise.colour.whiten(means)[self._seen] / self._share
@@ -170,11 +203,10 @@ class Evidence:
         if self._simulator is None:
             self._simulator = Simulator(self.model, self.coordinates.names)
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
-        runs = [self._simulator.sensitivities(found, e.record.columns, e.record.steps) for e in self.experiments]
+        runs = [e.sensitivities(self._simulator, found) for e in self.experiments]
         residuals = self.residuals([outputs for outputs, _ in runs])
-        columns = self.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
         residual = np.concatenate([r / self.scale[c] for c, r in residuals.items()])
-        jacobian = np.vstack([j @ inner / self.scale[c] for c, j in columns.items()])
+        jacobian = np.vstack([own[c] @ (inner / self.scale[c]) for c in residuals for _, own in runs if c in own])
         if self.prior is None:
             return residual, jacobian
         error, known = self.prior.rows(found, self.coordinates.names)

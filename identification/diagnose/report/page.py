@@ -6,8 +6,10 @@ import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.evidence.noise import blocks
+from identification.diagnose.learned.told import sentence
 from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
+from identification.diagnose.report.learned import add_learned
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import artefact, errors, summary
 from identification.gate.report import add_quality, quality_tile
@@ -19,6 +21,7 @@ SURE = {
     "attributed": "one set of effects explains it",
     "family": "these data can't tell the named effects from others",
     "partly": "the named effect explains a part of it, or something near it does",
+    "learned": "an effect of no list, learned from these data",
     "unexplained": "no effect to choose from explains it",
     "none": "nothing above the noise is missing",
 }
@@ -37,6 +40,10 @@ def headline(found: Diagnosis) -> str:
         return f"What fits these records best is refuted and does not ship: {found.refuted}. The base model stands, {noise}."
     if found.verdict == "none":
         return f"Nothing is missing: the thrust error {where} is {number(before)} N, {noise}."
+    if found.learned:
+        named = f"beside {' and '.join(found.learned.beside.effects)} " if found.learned.beside.effects else ""
+        told = f"Something of no list {named}{sentence(found.learned.term)}"
+        return f"{told}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
     described = {e.name: e.description for e in found.final.evidence.model.effects}
@@ -132,6 +139,8 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
     if found.final.effects:
         _add_sections(page, found)
         page.section("What the effect does")
+        if found.learned:
+            add_learned(page, found)
         add_effects(page, found)
         add_shift(page, found)
     page.section("Why this, and not something else")

@@ -4,6 +4,7 @@ import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import STRONG, Judgement
+from identification.diagnose.learned.told import block
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import Tried
 from identification.worth.prediction import predict
@@ -35,7 +36,8 @@ def summary(found: Diagnosis) -> dict:
         "refuted": {"effects": list(found.selection.final.effects), "why": found.refuted} if found.refuted else None,
         "quality": [finding.summary() for finding in found.quality],
         "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},
-        "learned": None,
+        "learned": block(found.learned, found.doubt) if found.learned else None,
+        "learning": _learning(found),
         "effects": [_effect(found, name) for name in found.final.effects],
         "family": {name: others for name, others in found.selection.family.items() if others},
         "next_experiment": "next_experiment.csv" if found.verdict != "none" else None,
@@ -53,6 +55,26 @@ def summary(found: Diagnosis) -> dict:
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],
         "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
     }
+
+
+def _learning(found: Diagnosis) -> dict | None:
+    """What was tried to learn, where no effect of the list explains all."""
+    attempt = found.attempt
+    if not attempt.looks:
+        return None
+    tried = [
+        {
+            "port": term.lead.port,
+            "driver": term.lead.driver,
+            "shape": term.lead.shape,
+            "lag": term.values.get("lag"),
+            "evidence": judged.evidence,
+            "held_out_gain": dict(judged.gain),
+            "why_not": "; ".join(judged.refused) or None,
+        }
+        for term, judged in attempt.tried
+    ]
+    return {"looks": attempt.looks, "tried": tried, "refuted": attempt.refuted or None}
 
 
 def errors(found: Diagnosis, fit: Fit) -> dict:

@@ -1,0 +1,236 @@
+"""Where no effect of the library explains what is left: learn a term, with a place, a driver and a shape, or say that none
+stands.
+
+The look ranks all of them by what they gain on folds left out; the best few are refitted with all parameters, looked for once
+more from where the best one leaves the base, and judged as any effect, by the same rules, against the best that so many looks
+find by chance.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import ttest_1samp
+
+from identification.diagnose.crossval import Held, cross_validated, thirds
+from identification.diagnose.judgement import CARRIED, FOLD_BLOCK, LEVEL, RIVALS, STRONG, TERMS, Judgement
+from identification.diagnose.lack import lack_of_fit
+from identification.diagnose.learned.laws import laws_of
+from identification.diagnose.learned.look import Lead, forms_of, look
+from identification.diagnose.learned.refit import Term, refitted
+from identification.diagnose.learned.score import TOLD
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.refits import evidence_over
+from identification.diagnose.selection import Judge
+from vpp_fmu.kernel.learned import PORTS
+from vpp_fmu.kernel.scales import Scales
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+NAME = "learned"
+"""Of the effect."""
+
+AGAIN = 3
+"""Leads refitted after each further look."""
+
+ROUNDS = 3
+"""Further looks, each from where the best term leaves the base, while something is lacking and a better one turns up."""
+
+UNLAGGED = 2
+"""Terms behind the best one of which the same without the lag is refitted, too."""
+
+FAMILY = 2
+"""Of the leads of one family of ports, so many at most are refitted in a round."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What was learned. `term`: what enters the model; `curve`: the same as a table, where a law took its place; `beside`:
+    the fit without it; `rivals`: other terms whose evidence comes within RIVALS of it; `laws`: (name, evidence over the
+    table) of the laws that were tried on the curve."""
+
+    term: Term
+    curve: Term
+    judgement: Judgement
+    beside: Fit
+    rivals: tuple[Term, ...]
+    laws: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What came of learning. `tried`: the terms that were refitted, each with its judgement; `looks`: points looked at;
+    `learned`: None where no term stands; `refuted`: why the one that stood does not ship."""
+
+    tried: tuple[tuple[Term, Judgement], ...] = ()
+    looks: int = 0
+    learned: Learned | None = None
+    refuted: str = ""
+
+    def confirmed(self, refuted: Callable[[Fit], str]) -> "Attempt":
+        """The same without a term that is refuted: `refuted(fit)` says why, "" where it is not."""
+        why = refuted(self.learned.term.fit) if self.learned else ""
+        return replace(self, learned=None, refuted=why) if why else self
+
+
+def by_chance(looks: int) -> float:
+    """Cross-validated log-likelihood that the best of so many looks gains by chance with LEVEL.
+
+    A predictive likelihood ratio has an expectation of at most 1 where nothing is there; so it exceeds looks / LEVEL in a share
+    LEVEL of rigs at most (Markov, Bonferroni).
+    """
+    return float(np.log(max(looks, 1) / LEVEL))
+
+
+def learn(
+    searcher: Searcher,
+    beside: Fit,
+    smallest: float | None,
+    scales: Scales,
+    runs: Sequence[Record],
+    pool,
+    stage: Callable[[str], None] = lambda text: None,
+) -> Attempt:
+    """Learn a term beside a fit. `smallest` [N]: the least size of interest, None: as of any effect; `scales`: of the rig;
+    `runs`: of steps, where terms are checked."""
+    stage("look for an effect of no list")
+    leads = look(beside)
+    looks = len(leads)
+    searcher.points = max(searcher.points, looks)
+    judge = Carried(searcher, smallest, runs)
+    chosen = short_list(leads, (), TERMS)
+    stage(f"refit {len(chosen)} of {looks} terms")
+    terms = _refitted(searcher, beside, chosen, scales, pool)
+    if not terms:
+        return Attempt((), looks)
+    for _ in range(ROUNDS):
+        best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
+        if not lack_of_fit(best.fit, judge.least()).found:
+            break
+        base = {n: best.fit.values[n] for n in beside.evidence.coordinates.names}
+        again = short_list(look(beside, base), [t.lead for t in terms], AGAIN)
+        simpler = [lead for t in (best, *others[:UNLAGGED]) for lead in unlagged(t, [*(u.lead for u in terms), *again])]
+        stage(f"refit {len(again)} more of {looks} terms")
+        more = _refitted(searcher, beside, [*again, *variants(best, terms), *simpler], scales, pool, best.fit)
+        terms += more
+        if not more or best is max(terms, key=lambda t: judge.gain(t.fit, beside)):
+            break
+    judged = {t: judged_term(judge, t.fit, beside, looks) for t in terms}
+    tried = tuple(sorted(judged.items(), key=lambda pair: -judge.gain(pair[0].fit, beside)))
+    standing = [(t, j) for t, j in tried if not j.refused]
+    if not standing:
+        return Attempt(tried, looks)
+    top = judge.gain(standing[0][0].fit, beside)
+    near = [(t, j) for t, j in standing if judge.gain(t.fit, beside) > top - STRONG]
+    curve, judgement = min(near, key=lambda pair: len(pair[0].free))
+    stage("try simple laws")
+    term, laws = laws_of(searcher, beside, curve, scales, pool)
+    if term is not curve:
+        by_law = judged_term(judge, term.fit, beside, looks)
+        term, judgement = (curve, judgement) if by_law.refused else (term, by_law)
+    rivals = [t for t, j in tried if t is not curve and j.evidence > judgement.evidence - RIVALS]
+    return Attempt(tried, looks, Learned(term, curve, judgement, beside, tuple(rivals), laws))
+
+
+def _own(name: str) -> bool:
+    return name.startswith(f"{NAME}.")
+
+
+class Carried(Judge):
+    """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
+
+    def __init__(self, searcher: Searcher, smallest: float | None, runs: Sequence[Record]):
+        super().__init__(searcher, smallest)
+        self._runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
+        self._carried: dict[int, tuple[Fit, Held]] = {}
+
+    def carried(self, fit: Fit) -> Held:
+        """Cross-validation of a fit by thirds, once for each: a term's own parameters come from the other two.
+
+        The base stays as all data have it, for two thirds alone might not tell it; so a fit without a term is not held out,
+        which is in its favour.
+        """
+        if id(fit) not in self._carried:
+            self._carried[id(fit)] = fit, cross_validated(fit, thirds, _own, TOLD)
+        return self._carried[id(fit)][1]
+
+    def gain(self, fit: Fit, beside: Fit) -> float:
+        """nat: the lesser of what a fit gains over another on the folds left out, interleaved and by thirds, in total or of
+        thrust alone."""
+        gains = [one(fit).gain(one(beside)) for one in (self.held, self.carried)]
+        return min(min(sum(g.values()), g["thrust"]) for g in gains)
+
+    def falls(self, fit: Fit, beside: Fit) -> float:
+        """p-value of a thrust error that is no smaller with a fit than with another where it was not fitted.
+
+        The difference of their squares in each block of the left-out thirds, as long as those of the folds so that they hardly
+        share anything, and in each of the step runs, which no fit of a diagnosis takes; its mean against its own scatter
+        (Diebold and Mariano, 1995; Student's t, one-sided).
+        """
+        found = []
+        pairs = zip(fit.evidence.experiments, self.carried(fit).thrust, self.carried(beside).thrust, strict=True)
+        for e, new, old in pairs:
+            block = (e.record.time / FOLD_BLOCK).astype(int)
+            seen = np.isfinite(new) & np.isfinite(old)
+            count = np.bincount(block[seen])
+            sums = np.bincount(block[seen], weights=old[seen] ** 2 - new[seen] ** 2)
+            found += (sums[count > 0] / count[count > 0]).tolist()
+        found += [old - new for old, new in zip(self.errors(beside), self.errors(fit), strict=True)]
+        return float(ttest_1samp(found, 0.0, alternative="greater").pvalue) if np.std(found) > 0.0 else 1.0
+
+    def errors(self, fit: Fit) -> list[float]:
+        """Mean square of the thrust's error in each of the step runs, N^2."""
+        simulator = Simulator(fit.evidence.model)
+        shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self._runs]
+        return [float(np.nanmean((y - r["thrust"]) ** 2)) for y, r in zip(shown, self._runs, strict=True)]
+
+
+def judged_term(judge: Carried, fit: Fit, beside: Fit, looks: int) -> Judgement:
+    """As of any effect; and it must carry over: to the folds left out, of thrust too, by more than the best of all looks
+    gains by chance, and the thrust's error there must fall."""
+    judged = judge(fit.effects[-1], fit, beside)
+    needed, gain, p, refused = by_chance(looks), judge.gain(fit, beside), judge.falls(fit, beside), list(judged.refused)
+    if gain <= needed:
+        refused.append(f"cross-validation gains {gain:.1f} nats; the best of {looks} by chance {needed:.1f}")
+    if p >= CARRIED:
+        refused.append(f"the thrust error on what was not fitted does not fall for certain (p = {p:.2g})")
+    if sum(judge.errors(fit)) > sum(judge.errors(beside)):
+        refused.append("the step runs are predicted worse")
+    return replace(judged, refused=tuple(refused))
+
+
+def short_list(leads: Sequence[Lead], had: Sequence[Lead], count: int) -> list[Lead]:
+    """The leads of best held-out score that promise anything: one of a place and shape, FAMILY of a family of ports."""
+    places, families, found = {lead.kind for lead in had}, {}, []
+    for lead in leads:
+        if len(found) == count:
+            break
+        family = PORTS[lead.port].channel or "thrust"
+        if not lead.promising or lead.kind in places or families.get((family, lead.port), 0) >= FAMILY:
+            continue
+        places.add(lead.kind)
+        families[family, lead.port] = families.get((family, lead.port), 0) + 1
+        found.append(lead)
+    return found
+
+
+def variants(term: Term, had: Sequence[Term]) -> list[Lead]:
+    """The same term in the other lag of its channel, and with the lags in the other order, where it was not tried."""
+    lead, values = term.lead, {n: v for n, v in term.values.items() if n not in ("form", "lag")}
+    own = replace(lead, values=values, lag=term.values.get("lag"))
+    tried = {(t.lead.kind, t.lead.form, t.lead.swapped) for t in had}
+    others = [replace(own, form=form, swapped=swapped) for form, swapped in forms_of(lead.port)]
+    return [lead for lead in others if (lead.kind, lead.form, lead.swapped) not in tried]
+
+
+def unlagged(term: Term, had: Sequence[Lead]) -> list[Lead]:
+    """The same term without its lag, if it has one: a bent base asks for lags that are not there."""
+    values = {n: v for n, v in term.values.items() if n not in ("form", "lag")}
+    lead = replace(term.lead, values=values, lag=None)
+    return [] if "lag" not in term.values or lead.kind in {other.kind for other in had} else [lead]
+
+
+def _refitted(searcher, beside, leads, scales, pool, start=None) -> list[Term]:
+    """Those of which there is strong evidence."""
+    terms = pool.map(lambda lead: refitted(searcher, beside, lead, NAME, scales, start), leads)
+    return [t for t in terms if t is not None and evidence_over(t.fit, beside) > STRONG]

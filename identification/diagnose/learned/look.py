@@ -1,0 +1,201 @@
+"""The look at every place, driver, lag and shape of a term beside a fit, by group score tests: which are worth a refit.
+
+Curves are groups of hats; plays, holds, relays and sines are single columns, or pairs, over a grid of their thresholds.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from identification.diagnose.evidence.linearised import Linearised
+from identification.diagnose.judgement import needed_fall
+from identification.diagnose.learned.columns import Course, hats, holds, knots_of, lagged, plays, relay
+from identification.diagnose.learned.score import Scored, Scores
+from identification.diagnose.search.fits import Fit
+from vpp_fmu.kernel.effects.stage import INNER, OUTER
+from vpp_fmu.kernel.learned import DRIVERS, PORTS
+from vpp_fmu.native import Simulator
+
+LAGS = (0.0, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0)
+"""Lags behind a driver, in the rig's time scale; those beyond a third of the record are left out."""
+
+WIDTHS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
+"""Half widths of plays and holds, as shares of the driver's range."""
+
+LEVELS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+"""Quantiles of a driver that a relay's thresholds may be."""
+
+FASTEST = 5.0
+"""Hz: of sines."""
+
+FOLLOWED = {
+    "pitch_command": "pitch_command",
+    "speed_command": "speed_command",
+    "effective_pitch": "pitch",
+    "rotor_speed": "speed",
+    "reading": "thrust",
+}
+"""Driver that a play at a port follows, and a hold of a command: the port's own quantity."""
+
+SWITCHED = ("thrust_share", "speed_command_share", "effective_pitch", "pitch_rate_share")
+"""Ports of relays."""
+
+FREE_AT_REST = ("speed_command", "speed_command_share", "rotor_speed", "thrust", "reading", "motor_acceleration")
+"""Ports at which a constant is no gauge of the base: a curve over a driver without rest has no pinned knot there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """A term that looks worth a refit: where, by what, how; `swapped`: with the channel's lags in
+    the other order; `values` of its shape, `pinned`: those that stay where they are.
+
+    `needed`: fall that the best of all looks reaches by chance; `looks`: how many there were."""
+
+    port: str
+    driver: str
+    shape: str
+    lag: float | None
+    times: str
+    form: float
+    swapped: bool
+    span: tuple[float, float]
+    values: dict[str, float]
+    pinned: tuple[str, ...]
+    scored: Scored
+    looks: int = 0
+    needed: float = np.inf
+
+    @property
+    def kind(self) -> tuple:
+        """What tells one place, cause and shape from another; those with a lag are one kind, whatever it is."""
+        return self.port, self.driver, self.times, self.shape, self.lag is None
+
+    @property
+    def promising(self) -> bool:
+        """Whether it gains beyond the best that chance would find, and on what was left out."""
+        return self.scored.fall > self.needed and self.scored.held > 0.0
+
+
+def look(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
+    """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands."""
+    evidence, simulator = fit.evidence, Simulator(fit.evidence.model)
+    x = fit.solution.value if values is None else evidence.coordinates.vector({**fit.values, **values})
+    at = {**fit.values, **evidence.coordinates.values(x)}
+    residual, jacobian = evidence.evaluate(x)
+    about = Linearised(evidence, x, residual, jacobian)
+    courses = [Course.of(e, at, simulator.simulate(at, e.record.columns, e.record.steps)) for e in evidence.experiments]
+    scores = Scores(about, jacobian[: evidence.size], courses, evidence.scale, evidence.times)
+    leads = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
+    found = [replace(lead, needed=needed_fall(lead.scored.rank, len(leads)), looks=len(leads)) for lead in leads]
+    return sorted(found, key=lambda lead: -lead.scored.held)
+
+
+def _lags(scores: Scores) -> list[float]:
+    block = scores.courses[0].step
+    scale = block * 30.0
+    longest = max(c.drivers["time"][-1] for c in scores.courses) / 3.0
+    return [lag * scale for lag in LAGS if lag * scale <= longest]
+
+
+def forms_of(port: str) -> tuple[tuple[float, bool], ...]:
+    """(lag that a port bends, whether the two stand in the other order) to look at."""
+    return tuple(product((INNER, OUTER), (False, True))) if PORTS[port].staged else ((OUTER, False),)
+
+
+def _responses(scores: Scores, port: str, form: tuple[float, bool], terms: list[np.ndarray], times: str = ""):
+    courses = scores.courses
+    terms = [f * (c.w**2)[:, None] if times else f for c, f in zip(courses, terms, strict=True)]
+    return [c.response(port, *form, f) for c, f in zip(courses, terms, strict=True)]
+
+
+def _span(parts: list[np.ndarray]) -> tuple[float, float]:
+    low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+    return low, high
+
+
+def _curves(scores: Scores) -> Iterator[Lead]:
+    for name, driver in DRIVERS.items():
+        for lag in _lags(scores) if driver.signal else [0.0]:
+            common = [lagged(c.drivers[name], lag, c.step) for c in scores.courses]
+            for port, place in PORTS.items():
+                if port == "reading" and name != "thrust":
+                    continue  # in front of all effects of the reading it is the thrust's
+                own = driver.own_stage(place)
+                if own and lag > 0.0:
+                    continue  # an actuator's law goes by what there is to go now
+                for form in forms_of(port):
+                    v = [c.driver(name, port, *form) for c in scores.courses] if own else common
+                    for times in ("", "speed_squared") if port == "thrust" else ("",):
+                        if (lead := _curve(scores, port, name, lag, form, times, v)) is not None:
+                            yield lead
+
+
+def _curve(scores, port, name, lag, form, times, v) -> Lead | None:
+    driver, together = DRIVERS[name], np.concatenate(v)
+    at = knots_of(together, driver.signed)
+    if len(at) == 0 or np.any(np.diff(at) <= 1e-9 * max(np.ptp(together), 1e-12)):
+        return None
+    if driver.signed:
+        pinned = [len(at) // 2]
+    else:
+        pinned = [] if port in FREE_AT_REST else [int(np.argmin(np.abs(at - np.median(together))))]
+    kept = [k for k in range(len(at)) if k not in pinned]
+    terms = [hats(one, at)[:, kept] for one in v]
+    scored = scores.group(*scores.products(_responses(scores, port, form, terms, times)))
+    values = {f"at_{k + 1}": float(a) for k, a in enumerate(at)} | {f"value_{k + 1}": 0.0 for k in pinned}
+    values |= {f"value_{k + 1}": float(share) for k, share in zip(kept, scored.shares, strict=True)}
+    stay = (*(f"at_{k + 1}" for k in range(len(at))), *(f"value_{k + 1}" for k in pinned))
+    return Lead(port, name, "curve", lag or None, times, *form, _span(v), values, stay, scored)
+
+
+def _memories(scores: Scores) -> Iterator[Lead]:
+    """Plays, and holds of commands, of a port's own quantity."""
+    for port, name in FOLLOWED.items():
+        v = [c.drivers[name] for c in scores.courses]
+        low, high = _span(v)
+        widths = (high - low) * np.array(WIDTHS)
+        for shape, width, made in (("play", "half_gap", plays), ("hold", "half_width", holds)):
+            if shape == "hold" and not name.endswith("command"):
+                continue
+            yield from _each(scores, port, name, shape, v, [{width: float(w)} for w in widths], [made(o, widths) for o in v])
+
+
+def _relays(scores: Scores) -> Iterator[Lead]:
+    for name in ("thrust", "speed", "pitch"):
+        for lag in (0.0, *_lags(scores)[2:3]):
+            v = [lagged(c.drivers[name], lag, c.step) for c in scores.courses]
+            levels = np.quantile(np.concatenate(v), LEVELS)
+            pairs = [(a, b) for k, a in enumerate(levels) for b in levels[k:]]
+            terms = [np.stack([relay(one, a, b) for a, b in pairs], axis=1) for one in v]
+            points = [{"lower": float(a), "upper": float(b)} for a, b in pairs]
+            for port in SWITCHED:
+                yield from _each(scores, port, name, "relay", v, points, terms, lag)
+
+
+def _each(scores, port, name, shape, v, points, terms, lag=0.0) -> Iterator[Lead]:
+    """A lead for each column by itself; the products of all are made at once."""
+    for form in forms_of(port):
+        gram, product = scores.products(_responses(scores, port, form, terms))
+        for k, point in enumerate(points):
+            scored = scores.group(gram[:, k : k + 1, k : k + 1], product[:, k : k + 1])
+            values = {**point, "gain": float(scored.shares[0])}
+            yield Lead(port, name, shape, lag or None, "", *form, _span(v), values, (), scored)
+
+
+def _sines(scores: Scores) -> Iterator[Lead]:
+    """Sines of the thrust at the frequencies at which the longest record resolves them."""
+    times = [c.drivers["time"] for c in scores.courses]
+    seconds = max(t[-1] for t in times)
+    count = int(min(FASTEST * seconds, 400))
+    frequencies = np.arange(1, count + 1) / seconds
+    for some in np.array_split(frequencies, max(1, count // 20)):
+        turns = [2.0 * np.pi * t[:, None] * some for t in times]
+        terms = [np.hstack([np.sin(turn), np.cos(turn)]) for turn in turns]
+        gram, product = scores.products([(f, None) for f in terms])
+        for k, frequency in enumerate(some.tolist()):
+            pair = [k, k + len(some)]
+            scored = scores.group(gram[:, pair][:, :, pair], product[:, pair])
+            values = {"in_phase": float(scored.shares[0]), "quadrature": float(scored.shares[1]), "frequency": frequency}
+            yield Lead("thrust", "time", "sine", None, "", OUTER, False, (0.0, seconds), values, (), scored)

@@ -1,0 +1,84 @@
+"""Leads refitted beside a fit with all parameters free, by the search's own machinery: a term is an effect like any other."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnose.learned.look import Lead
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.fit.problem import Prior
+from vpp_fmu.kernel.learned import PORTS, learned, placed
+from vpp_fmu.kernel.scales import Scales
+from vpp_fmu.kernel.types import Effect
+
+WILD = 2.0
+"""Standard deviation of a term's sizes beforehand, over the largest in the look: half a nat at twice that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A lead as it was refitted. `library`: with the term in its place."""
+
+    lead: Lead
+    effect: Effect
+    library: tuple[Effect, ...]
+    fit: Fit
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Of the effect's parameters, by bare name."""
+        return {p.name: self.fit.values[self.effect.full(p.name)] for p in self.effect.parameters}
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Fitted parameters of the effect, bare names."""
+        head = f"{self.effect.name}."
+        return tuple(n.removeprefix(head) for n in self.fit.free if n.startswith(head))
+
+
+def effect_of(lead: Lead, name: str, scales: Scales) -> Effect:
+    """The effect of a lead, sized for a rig; values beyond their bounds are held there."""
+    effect = learned(name, lead.port, lead.driver, lead.shape, lead.values, lead.span, lead.lag, lead.times, lead.form, scales)
+    bounds = {p.name: (p.minimum, p.maximum) for p in effect.parameters}
+    return replace(effect, probe={n: min(max(v, bounds[n][0]), bounds[n][1]) for n, v in effect.probe.items()})
+
+
+def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Scales, start: Fit | None = None) -> Term | None:
+    """The term beside what is there already; None where a wild start has driven the model out of all bounds.
+
+    `start`: the fit whose base it starts from; None: that beside which it is.
+    """
+    effect = effect_of(lead, name, scales)
+    library = placed(searcher.library, effect, PORTS[lead.port])
+    fixed = {"form", "side", *lead.pinned}
+    sizes = {effect.full(n): effect.probe[n] for n in effect.off if n not in fixed}
+    own = Searcher(searcher.experiments, searcher.names, _calmed(searcher.prior, sizes), searcher.start, library)
+    forms = {effect.full(n): v for n, v in effect.probe.items() if n in fixed}
+    free = [effect.full(n) for n in effect.probe if n not in fixed]
+    values = {**beside.values, **(start.values if start else {}), **{effect.full(n): v for n, v in effect.probe.items()}}
+    order, u = dict(beside.slow_first), PORTS[lead.port].channel
+    if u:
+        order[u] = order.get(u, True) != lead.swapped
+        one, two = f"tau_{u}_1", f"tau_{u}_2"
+        if order[u] != (values[one] >= values[two]):
+            values |= {one: values[two], two: values[one]}
+    effects, forms, free = [*beside.effects, name], {**beside.forms, **forms}, [*beside.free, *free]
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a loop that swings up grows without end
+            fit = own.fit(effects, forms, free, values, order, not beside.thresholds)
+    except np.linalg.LinAlgError:
+        return None
+    return Term(lead, effect, library, fit) if np.isfinite(fit.deviance) else None
+
+
+def _calmed(prior: Prior | None, sizes: Mapping[str, float]) -> Prior:
+    """A prior that also keeps sizes of a term, which hardly any data may tell, from running away: none is WILD times as large
+    as the largest that the look has seen."""
+    wide = WILD * max(abs(v) for v in sizes.values()) or 1.0
+    known = prior or Prior((), np.zeros(0), np.zeros((0, 0)))
+    count = len(known.names)
+    covariance = np.zeros((count + len(sizes), count + len(sizes)))
+    covariance[:count, :count] = known.covariance
+    covariance[count:, count:] = wide**2 * np.eye(len(sizes))
+    return Prior((*known.names, *sizes), np.append(known.mean, np.zeros(len(sizes))), covariance)

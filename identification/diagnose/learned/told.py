@@ -1,0 +1,147 @@
+"""A learned term in words, in figures of diagnosis.json, and as a file that `--effects-from` takes."""
+
+import numpy as np
+
+from identification.diagnose.learned.laws import curve_of
+from identification.diagnose.learned.learn import Learned
+from identification.diagnose.learned.refit import Term
+from vpp_fmu.digits import number
+from vpp_fmu.kernel.learned import DRIVERS, PORTS, SHAPES
+from vpp_fmu.kernel.scales import Scales
+
+FILE = "learned_effect.py"
+
+NO_EFFECT = 2.0
+"""Standard deviations within which a curve counts as none."""
+
+
+def sentence(term: Term) -> str:
+    """Where a term enters, what drives it, and how it looks."""
+    port, driver, values = PORTS[term.lead.port], DRIVERS[term.lead.driver], term.values
+    if term.lead.shape == "sine":
+        size = float(np.hypot(values["in_phase"], values["quadrature"]))
+        turns = f"{number(values['frequency'], 3)} Hz"
+        return f"enters at {port.words}: a sine of {number(size, 3)} {port.unit} at {turns}, locked to the record's start"
+    lag = f" through a lag of {number(values['lag'], 2)} s" if "lag" in values else ""
+    times = ", times the square of speed" if term.lead.times else ""
+    return f"enters at {port.words}, driven by {driver.words}{lag}{times}: {_look(term, port.unit, driver.unit)}"
+
+
+def _look(term: Term, unit: str, driver_unit: str) -> str:
+    values, shape = term.values, term.lead.shape
+    if shape == "curve":
+        return _curve(term, unit, driver_unit)
+    gain = next(p for p in term.effect.parameters if p.name == "gain")
+    size = f"{number(values['gain'], 3)} {gain.unit}".removesuffix(" 1")
+
+    def at(name):
+        return f"{number(values[name], 3)} {driver_unit}".removesuffix(" 1")
+
+    return {
+        "line": lambda: f"in proportion, {size}",
+        "square": lambda: f"with its square, {size}",
+        "hinge": lambda: (
+            f"no effect {'below' if values['side'] > 0.0 else 'above'} {at('knee')}, from there in proportion, {size}"
+        ),
+        "threshold": lambda: f"a step of {size} above {at('level')}",
+        "saturation": lambda: f"in proportion, {size}, up to {at('limit')}",
+        "sign": lambda: f"with its sign, {size}",
+        "play": lambda: f"a play of {at('half_gap')} to each side, {size} of what is lost",
+        "hold": lambda: f"changes up to {at('half_width')} are ignored, {size} of them",
+        "relay": lambda: f"{size} from above {at('upper')} until below {at('lower')}",
+    }[shape]()
+
+
+def _curve(term: Term, unit: str, driver_unit: str) -> str:
+    at, f, std = curve_of(term)
+    ends = [f"{number(f[k], 3)} {unit}".removesuffix(" 1") + f" at {number(at[k], 3)} {driver_unit}" for k in (0, -1)]
+    told = f"from {ends[0]} to {ends[1]}"
+    none = np.abs(f) <= np.maximum(NO_EFFECT * std, 1e-3 * np.abs(f).max())
+    if none[0] and none[1] and not none.all():
+        return f"no effect below {number(at[np.argmin(none) - 1], 2)} {driver_unit}, {ends[1]}"
+    if none[-1] and none[-2] and not none.all():
+        return f"no effect above {number(at[len(at) - np.argmin(none[::-1])], 2)} {driver_unit}, {ends[0]}"
+    k = int(np.argmax(np.abs(f)))
+    if 0 < k < len(at) - 1:
+        told += f", most, {number(f[k], 3)} {unit}".removesuffix(" 1") + f", at {number(at[k], 3)} {driver_unit}"
+    return told
+
+
+def rival_words(term: Term) -> str:
+    """Place and driver, in few words."""
+    return f"{PORTS[term.lead.port].words} by {DRIVERS[term.lead.driver].words}"
+
+
+def block(found: Learned, doubt: dict[str, float | None]) -> dict:
+    """For diagnosis.json. `doubt`: standard deviations by full name."""
+    term, effect = found.term, found.term.effect
+    units = {p.name: p.unit for p in effect.parameters}
+    parameters = {
+        n: {"value": v, "std": doubt.get(effect.full(n)), "unit": units[n]} for n, v in term.values.items() if n != "lag"
+    }
+    lag = term.values.get("lag")
+    told = {
+        "port": term.lead.port,
+        "driver": term.lead.driver,
+        "lag": None if lag is None else {"value": lag, "std": doubt.get(effect.full("lag")), "unit": "s"},
+        "shape": term.lead.shape,
+        "times": term.lead.times or None,
+        "parameters": parameters,
+        "range": {"from": term.lead.span[0], "to": term.lead.span[1], "unit": DRIVERS[term.lead.driver].unit},
+        "file": FILE,
+        "sentence": sentence(term),
+    }
+    if found.curve.lead.shape == "curve":
+        at, f, std = curve_of(found.curve)
+        told["curve"] = {"at": at.tolist(), "value": f.tolist(), "std": std.tolist()}
+    told["laws"] = [{"law": name, "evidence_over_curve": evidence} for name, evidence in found.laws]
+    told["could_also_be"] = [
+        {"port": t.lead.port, "driver": t.lead.driver, "shape": t.lead.shape, "lag": t.values.get("lag")} for t in found.rivals
+    ]
+    return told
+
+
+def source(term: Term, scales: Scales, campaign: str) -> str:
+    """The effect as a Python file."""
+    lead = term.lead
+    values = {n: _rounded(v) for n, v in term.values.items() if n not in ("lag", "form")}
+    lines = "".join(f'        "{n}": {v!r},\n' for n, v in values.items())
+    lag = f"    lag={_rounded(term.values['lag'])!r},\n" if "lag" in term.values else ""
+    times = f'    times="{lead.times}",\n' if lead.times else ""
+    form = f"    form={term.values['form']!r},\n" if "form" in term.values else ""
+    span = tuple(_rounded(v) for v in lead.span)
+    sizes = ", ".join(f"{n}={getattr(scales, n)!r}" for n in vars(scales))
+    return f'''"""Learned from {campaign} by vpp diagnose: a term that {sentence(term)}.
+
+{_equation(term)}
+Beyond the range in which it was learned it stays as at its ends. Give it a name of its own below: `--effects-from` takes this
+file, in vpp diagnose as a candidate, in vpp export and vpp simulate for parameters that name it.
+"""
+
+from vpp_fmu.kernel.learned import learned
+from vpp_fmu.kernel.scales import Scales
+
+PORT = "{lead.port}"
+
+EFFECT = learned(
+    "{term.effect.name}",
+    port=PORT,
+    driver="{lead.driver}",
+    shape="{lead.shape}",
+    values={{
+{lines}    }},
+    span={span!r},
+{lag}{times}{form}    scales=Scales({sizes}),
+)
+'''
+
+
+def _equation(term: Term) -> str:
+    port, driver = PORTS[term.lead.port], DRIVERS[term.lead.driver]
+    line = SHAPES[term.lead.shape].equation
+    how = "port * (1 + f)" if port.name.endswith("share") else "port + f"
+    return f"    f = {line},   port <- {how}\n    v: {driver.words} [{driver.unit}]; f [{port.unit}]\n"
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")

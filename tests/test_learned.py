@@ -1,0 +1,214 @@
+"""Terms of no list: columns against the kernel's own tangents, the score test's size, what is learned, its file."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+from studies.synthetic import TRUTH, commands
+
+from identification.demo import example_folder
+from identification.diagnose.crossval import thirds
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.judgement import LEVEL
+from identification.diagnose.learned.columns import Course, hats, holds, lagged, plays, relay
+from identification.diagnose.learned.learn import by_chance
+from identification.diagnose.learned.look import look
+from identification.diagnose.learned.score import Scores
+from identification.diagnose.learned.told import FILE
+from identification.diagnose.report.page import diagnosis_page
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.cli import main
+from vpp_fmu.cli.diagnose import write_diagnosis
+from vpp_fmu.export import python_fmu
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.fmu import simulate_in_fmpy
+from vpp_fmu.kernel.learned import PORTS, learned, placed
+from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import read_parameters
+from vpp_fmu.record import write_record
+
+NOISE = 0.05  # N
+GAIN = 0.06  # N.s/deg, of the pitch rate on the thrust: what the term is
+FEW = tuple(e for e in LIBRARY if e.off is None or e.name in ("pitch_command_deadband", "sensor_lag"))
+
+
+def with_term(gain):
+    """The plant with thrust that goes with the pitch rate."""
+    effect = learned("hidden", "thrust", "pitch_rate", "line", {"gain": gain}, (-60.0, 60.0))
+    return plant(["hidden"], placed(LIBRARY, effect, PORTS["thrust"])), {"hidden.gain": gain}
+
+
+def campaign(gain, seed=0) -> Campaign:
+    """Records of the paper's model with that term, a repeat and a validation record; no steps, no static map."""
+    rng, (model, term) = np.random.default_rng(seed), with_term(gain)
+    first, other = commands(rng, 16.0), commands(rng, 8.0)
+    simulator, found = Simulator(model), []
+    for record, name in ((first, "open_loop"), (first, "repeat"), (other, "validation")):
+        thrust = simulator.simulate({**model.values(TRUTH), **term}, record.columns, record.steps)[:, 0]
+        found.append(
+            replace(record.with_columns(thrust=thrust + NOISE * rng.standard_normal(len(record))), source=f"{name}.csv")
+        )
+    return Campaign(example_folder(), None, (), *found)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """The diagnosis of a rig with a term that the list given to it lacks."""
+    return diagnose(campaign(GAIN), FEW)
+
+
+@pytest.fixture(scope="module")
+def nothing():
+    """The diagnosis of a rig that lacks nothing."""
+    return diagnose(campaign(0.0), FEW)
+
+
+def test_hats_add_up_to_one_and_make_the_curve():
+    at, v = np.array([-2.0, 0.0, 1.0, 5.0]), np.linspace(-3.0, 6.0, 91)
+    found = hats(v, at)
+    np.testing.assert_allclose(found.sum(axis=1), 1.0)
+    values = np.array([1.0, -1.0, 4.0, 2.0])
+    np.testing.assert_allclose(found @ values, np.interp(v, at, values))
+
+
+def test_memories_in_closed_form():
+    v = np.array([0.0, 1.0, 3.0, 2.5, 1.0, 0.0, 4.0])
+    np.testing.assert_allclose(plays(v, np.array([1.0]))[:, 0] + v, [0.0, 0.0, 2.0, 2.0, 2.0, 1.0, 3.0])
+    np.testing.assert_allclose(holds(v, np.array([1.2]))[:, 0] + v, [0.0, 0.0, 3.0, 3.0, 1.0, 1.0, 4.0])
+    np.testing.assert_array_equal(relay(v, 0.5, 2.0), [0, 0, 1, 1, 1, 0, 1])
+
+
+def test_a_lag_of_a_step_is_the_exponential():
+    u = np.r_[0.0, np.ones(200)]
+    np.testing.assert_allclose(lagged(u, 0.5, 0.01)[1:], 1.0 - np.exp(-0.01 * np.arange(1, 201) / 0.5), rtol=1e-12)
+
+
+@pytest.mark.parametrize("port", [p for p in PORTS if p != "reading"])
+def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
+    """Curves over pitch or speed, at 0: what the look's linear response says, and what the model does."""
+    base, form = nothing.base, 2.0
+    e, driver = base.evidence.experiments[0], "speed" if PORTS[port].channel == "beta" else "pitch"
+    outputs = Simulator(base.evidence.model).simulate(base.values, e.record.columns, e.record.steps)
+    course = Course.of(e, base.values, outputs)
+    at = np.linspace(*np.quantile(course.drivers[driver], [0.1, 0.9]), 3)
+    values = {f"at_{k + 1}": float(v) for k, v in enumerate(at)} | {f"value_{k + 1}": 0.0 for k in range(3)}
+    effect = learned("term", port, driver, "curve", values, (float(at[0]), float(at[-1])), form=form)
+    model = plant(["term"], placed(nothing.base.evidence.model.effects, effect, PORTS[port]))
+    wrt = [f"term.value_{k + 1}" for k in range(3)]
+    _, tangents = Simulator(model, wrt).sensitivities(
+        {**base.values, "term.form": form} if PORTS[port].staged else base.values, e.record.columns, e.record.steps
+    )
+    shown, _ = course.response(port, form, False, hats(course.drivers[driver], at))
+    told, whole = e.white_thrust(shown), e.thrust_columns(tangents[:, 0])
+    for k in range(3):
+        assert told[:, k] @ whole[:, k] / np.linalg.norm(told[:, k]) / np.linalg.norm(whole[:, k]) > 0.97
+        assert np.linalg.norm(told[:, k]) == pytest.approx(np.linalg.norm(whole[:, k]), rel=0.1)
+
+
+def test_the_score_test_of_noise_has_its_distribution(nothing):
+    """Twice the fall of a group is chi^2 of its rank where there is only noise: 200 draws, Kolmogorov and Smirnov."""
+    base = nothing.base
+    e, about = base.evidence.experiments[0], base.linearised()
+    outputs = Simulator(base.evidence.model).simulate(base.values, e.record.columns, e.record.steps)
+    course, (_, jacobian) = Course.of(e, base.values, outputs), base.tangent()
+    columns, rng, falls = jacobian[: base.evidence.size], np.random.default_rng(0), []
+    terms = hats(course.drivers["pitch_rate"], np.array([-10.0, -2.0, 0.0, 2.0, 10.0]))[:, [0, 1, 3, 4]]
+    for _ in range(200):
+        about.residual = about.apart(rng.standard_normal(len(columns)))
+        scores = Scores(about, columns, [course], base.evidence.scale, base.evidence.times)
+        scored = scores.group(*scores.products([(terms * base.evidence.scale["thrust"], None)]))
+        falls.append(2.0 * scored.fall)
+    assert scored.rank == 4
+    assert kstest(falls, chi2(4).cdf).pvalue > 0.01
+
+
+def test_thirds_leave_whole_thirds_out():
+    np.testing.assert_array_equal(thirds(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 30.0]), 30.0), [0, 0, 1, 1, 2, 2])
+
+
+def test_chance_in_a_closed_form():
+    assert by_chance(100) == pytest.approx(np.log(100 / LEVEL))
+
+
+def test_where_nothing_lacks_nothing_is_looked_for(nothing):
+    assert nothing.verdict == "none"
+    assert nothing.attempt.looks == 0
+    assert not [lead for lead in look(nothing.base) if lead.promising and lead.scored.held > by_chance(lead.looks)]
+
+
+def test_a_law_is_learned_and_ships(found):
+    assert found.verdict == "learned"
+    term = found.learned.term
+    assert (term.lead.port, term.lead.driver) == ("thrust", "pitch_rate")
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    assert (before**2 - after**2) / (before**2 - NOISE**2) > 0.9
+    assert not found.after.found
+    if term.lead.shape == "line":
+        std = found.doubt["learned.gain"]
+        assert abs(term.values["gain"] - GAIN) < 4.0 * std
+
+
+def test_its_files_are_read_exported_and_reported(found, tmp_path):
+    write_diagnosis(OutputFolder(tmp_path), found)
+    told = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert told["verdict"] == "learned"
+    assert {"port", "driver", "lag", "shape", "parameters", "file"} <= set(told["learned"])
+    assert told["learned"]["file"] == FILE
+    assert told["after"]["rmse_thrust"] < told["before"]["rmse_thrust"]
+    library = library_with([tmp_path / FILE])
+    parameters = read_parameters(tmp_path / "parameters.json", lambda names: plant(names, library))
+    record = found.campaign.validation
+    shown = Simulator(parameters.model).simulate(parameters.values, record.columns, record.steps)[:, 0]
+    np.testing.assert_allclose(shown, found.prediction(found.final, record).thrust, rtol=0, atol=1e-4)
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(python_fmu(parameters.model, parameters.values))
+    error = simulate_in_fmpy(path, record) - record["thrust"]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(told["after"]["rmse_thrust"], rel=1e-3)
+    page = diagnosis_page(found).html()
+    assert "enters at the thrust, driven by the rate of pitch" in page
+
+
+OWN = """
+from vpp_fmu.kernel.learned import learned
+PORT = "thrust"
+EFFECT = learned("camber", PORT, "pitch_rate", "line", {"gain": 0.05}, (-60.0, 60.0))
+"""
+
+
+def test_a_file_adds_its_effect_to_the_candidates(tmp_path):
+    (tmp_path / "camber.py").write_text(OWN)
+    found = diagnose(campaign(GAIN), (*(e for e in library_with([tmp_path / "camber.py"], FEW)),))
+    assert (found.verdict, found.final.effects) == ("attributed", ("camber",))
+    assert found.final.values["camber.gain"] == pytest.approx(GAIN, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "no such file"),
+        ("", "EFFECT: found nothing"),
+        ("EFFECT = 3", "EFFECT: found a int"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("def", "SyntaxError"),
+        (OWN.replace('PORT = "thrust"', 'PORT = "wing"').replace("PORT,", '"thrust",'), "PORT: found 'wing'"),
+        (OWN.replace("camber", "sensor_lag"), "name that no other effect has"),
+        (OWN.replace('PORT = "thrust"', 'BEFORE = "wing"').replace("PORT,", '"thrust",'), "BEFORE: found 'wing'"),
+    ],
+)
+def test_a_bad_file_is_one_line_and_exit_2(text, words, tmp_path, capsys):
+    record = campaign(0.0).validation
+    write_record(OutputFolder(tmp_path), "record.csv", record)
+    (tmp_path / "parameters.json").write_text('{"format": "vpp-parameters/1"}')
+    path = Path(tmp_path, "own.py")
+    if text is not None:
+        path.write_text(text)
+    arguments = ["simulate", f"{tmp_path}/record.csv", "--parameters", f"{tmp_path}/parameters.json", "-o", f"{tmp_path}/out"]
+    assert main([*arguments, "--effects-from", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1

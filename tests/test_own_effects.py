@@ -1,0 +1,165 @@
+"""Effects and verbs from outside the package: by a file, by an entry point, and what is checked of them."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import vpp_fmu as vpp
+from identification.tune.objective import closed_loop
+from vpp_fmu.cli import main
+from vpp_fmu.errors import BadInput
+from vpp_fmu.invariants import INVARIANTS
+from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import ParameterSet
+
+FILE = Path(__file__).with_name("own_effect.py")
+SOURCE = FILE.read_text()
+
+BROKEN = {
+    "declares itself": SOURCE.replace('probe={"tau": 0.05}', 'probe={"tau": 0.5}'),
+    "off is the model without it": SOURCE.replace(
+        "reading = ops.where(p.tau > 0.0, reading, s.thrust)", "reading = 1.001 * reading"
+    ),
+    "C is Python": SOURCE.replace("ops.where(p.tau > 0.0, reading, s.thrust)", "reading if p.tau > 0.0 else s.thrust"),
+    "the probe shows": SOURCE.replace('probe={"tau": 0.05}', 'probe={"tau": 1e-6}'),
+    "finite at every bound": SOURCE.replace(
+        "reading = ops.where", "reading = reading / (0.3 - p.tau)\n    reading = ops.where"
+    ),
+    "free of the communication step": SOURCE.replace("s.thrust)\n    return", "s.thrust) + p.tau * dt * 1e3\n    return"),
+    "sensitivities are differences": None,
+}
+"""A file that each invariant catches; a wrong tangent can't be written by a user."""
+
+
+def test_the_effect_of_the_readme_is_tried(capsys):
+    assert main(["check-effect", str(FILE)]) == 0
+    assert capsys.readouterr().out.count("  yes  ") == len(INVARIANTS)
+
+
+def test_every_invariant_has_a_file_that_it_catches():
+    assert list(BROKEN) == list(INVARIANTS)
+
+
+@pytest.mark.parametrize("name", [name for name, source in BROKEN.items() if source])
+def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
+    path = tmp_path / "broken.py"
+    path.write_text(BROKEN[name])
+    assert BROKEN[name] != SOURCE
+    assert main(["check-effect", str(path)]) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert re.search(rf"  {name} +NO ", said.out)
+
+
+def test_the_readme_shows_the_file_that_is_tested():
+    body = SOURCE.partition("\n\n")[2].strip()
+    assert body in (FILE.parents[1] / "README.md").read_text()
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """A parameter file with the effect, and its file's folder."""
+    model = vpp.read_parameters(_written(tmp_path, []), [FILE]).model
+    assert not model.optional
+    return _written(tmp_path, ["cell_lag"])
+
+
+def _written(folder, effects):
+    base = ParameterSet(library_model(())).to_dict()
+    tau = {"cell_lag.tau": {"value": 0.04, "std": None, "unit": "s"}} if effects else {}
+    path = folder / f"parameters{len(effects)}.json"
+    path.write_text(json.dumps(base | {"effects": effects, "parameters": base["parameters"] | tau}))
+    return path
+
+
+def library_model(effects):
+    """The plant with effects of the file."""
+    from vpp_fmu.kernel.plant import plant
+
+    return plant(effects, library_with([FILE]))
+
+
+def test_verbs_take_the_file(parameters, tmp_path, capsys):
+    record, out = str(vpp.example_campaign() / "validation.csv.gz"), str(tmp_path / "out")
+    call = ["simulate", record, "--parameters", str(parameters), "-o", out]
+    assert main(call) == 2
+    assert "cell_lag" in capsys.readouterr().err
+    assert main([*call, "--effects-from", str(FILE)]) == 0
+    rig = tmp_path / "rig.json"
+    ranges = {"speed": {"min": 2000, "max": 6000}, "pitch": {"min": -5, "max": 10}, "thrust": {"min": 0, "max": 15}}
+    rig.write_text(json.dumps({"format": "vpp-rig/1", **ranges}))
+    found = vpp.plan(parameters, rig=rig, seconds=20, effects_from=[FILE])
+    assert "cell_lag.tau" in found.found.after.names
+    call = ["plan", "--parameters", str(parameters), "--rig", str(rig), "--seconds", "20", "-o", out]
+    assert main([*call, "--effects-from", str(FILE)]) == 0
+    assert json.loads((tmp_path / "out" / "plan.json").read_text())["seconds"] == 20.0
+
+
+def test_the_loop_that_gains_are_tuned_on_has_the_effect(parameters):
+    assert "cell_lag.tau" in [p.name for p in closed_loop(("cell_lag",), (str(FILE),)).models[0].parameters]
+    held = vpp.read_parameters(parameters, [FILE])
+    with pytest.raises(BadInput, match="effects_from: found nothing, allowed is the file of cell_lag"):
+        vpp.tune(held)
+
+
+def test_a_diagnosis_tries_it():
+    found = vpp.diagnose(vpp.example_campaign(), effects=["cell_lag", "pitch_command_deadband"], effects_from=[FILE])
+    assert {"cell_lag", "pitch_command_deadband"} <= {
+        str(c.get("name", c.get("effects"))) for c in found.to_dict()["candidates"]
+    }
+    assert found.effects == ("pitch_command_deadband",)
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Puts a package with entry points onto the path: (group, name, value), its modules by name."""
+
+    def install(entries, modules):
+        info = tmp_path / "a_plugin-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: a-plugin\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text("".join(f"[{group}]\n{name} = {value}\n" for group, name, value in entries))
+        for name, source in modules.items():
+            (tmp_path / f"{name}.py").write_text(source)
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        monkeypatch.syspath_prepend(tmp_path)
+
+    return install
+
+
+def test_nobody_installed_is_the_library_itself():
+    assert library_with(()) is LIBRARY
+
+
+@pytest.mark.parametrize("value", ["a_plugin_effect", "a_plugin_effect:EFFECT"])
+def test_an_installed_package_brings_effects(installed, value):
+    installed([("vpp.effects", "cell", value)], {"a_plugin_effect": SOURCE})
+    assert [e.name for e in library_with(())] == [*(e.name for e in LIBRARY), "cell_lag"]
+
+
+def test_a_broken_package_is_one_line(installed):
+    installed([("vpp.effects", "cell", "a_broken_effect")], {"a_broken_effect": "1 / 0"})
+    with pytest.raises(BadInput, match=r"entry point cell of vpp.effects: a_broken_effect: found ZeroDivisionError"):
+        library_with(())
+
+
+VERB = 'EXAMPLE = "vpp greet"\n\n\ndef configure(parser):\n    pass\n\n\ndef run(options):\n    print("hello")\n'
+
+
+def test_an_installed_package_brings_verbs(installed, capsys):
+    installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB})
+    assert main(["greet"]) == 0
+    assert capsys.readouterr().out == "hello\n"
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert re.search(r"greet +of a-plugin", capsys.readouterr().out)
+
+
+def test_a_verb_that_is_none_is_one_line(installed, capsys):
+    installed([("vpp.verbs", "greet", "a_plugin_verb")], {"a_plugin_verb": VERB.replace("EXAMPLE", "OTHER")})
+    assert main(["greet"]) == 2
+    assert "no EXAMPLE" in capsys.readouterr().err

@@ -1,0 +1,122 @@
+"""What the verbs take: a path, or the object that would be read from it. Nothing here loads what only a fit needs."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from vpp_fmu import campaign as campaigns
+from vpp_fmu import parameters as parameter_files
+from vpp_fmu import record as records
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import COMMANDS, Record
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+
+def example_campaign() -> Path:
+    """The folder of the campaign that ships with the project: 100 steady points, 40 steps, 90 s twice, 60 s unseen.
+
+    >>> sorted(file.name for file in vpp.example_campaign().glob("*.csv.gz"))
+    ['open_loop.csv.gz', 'repeat.csv.gz', 'static.csv.gz', 'steps.csv.gz', 'validation.csv.gz']
+    """
+    return Path(str(files("identification") / "example"))
+
+
+def read_campaign(folder: PathLike) -> Campaign:
+    """Read a campaign: a folder with any of static, steps, open_loop, repeat and validation (.csv or .csv.gz), and rig.json.
+
+    Speed in rpm, pitch in deg, thrust in N, time in s from 0. BadInput: no folder, none of the files, whatever is wrong in one
+    (file, column, line), a repeat with other commands than the open loop.
+
+    >>> vpp.read_campaign(vpp.example_campaign()).open_loop["thrust"].shape
+    (22500,)
+    >>> vpp.read_campaign("nowhere")
+    Traceback (most recent call last):
+        ...
+    vpp_fmu.errors.BadInput: nowhere: campaign folder: found no such folder, allowed is a folder with any of static.csv, ...
+    """
+    return campaigns.read_campaign(folder)
+
+
+def read_record(path: PathLike, need: Sequence[str] = COMMANDS) -> Record:
+    """Read a record, a CSV with at least the columns `need`: columns by name, each (n,), in s, rpm, deg, N, V, A.
+
+    BadInput names column and line; a RecordWarning names columns that nothing here knows, which are kept.
+
+    >>> record = vpp.read_record(vpp.example_campaign() / "validation.csv.gz")
+    >>> float(record.time[-1]), record.period
+    (59.996, 0.004)
+    """
+    return records.read_record(path, need)
+
+
+def read_parameters(path: PathLike, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
+    """Read a parameters.json of a plant, with the effects it names, or a gains.json of the controller: values with their
+    standard deviations. `effects_from`: files of effects that the library does not have. BadInput names the field that is not
+    known, out of range, or in another unit.
+
+    >>> saved = vpp.identify(vpp.example_campaign(), starts=1).save("out")
+    >>> vpp.read_parameters("out/parameters.json").estimates["tau_beta_1"].unit
+    's'
+    """
+    return as_parameters(path, effects_from)
+
+
+def as_campaign(given: PathLike | Campaign) -> Campaign:
+    """A campaign, read where a path is given."""
+    return given if isinstance(given, Campaign) else read_campaign(given)
+
+
+def as_record(given: Any, need: Sequence[str] = COMMANDS) -> Record:
+    """A record: as it is, read from a path, or made of a frame."""
+    if isinstance(given, Record):
+        for name in need:
+            if name not in given:
+                raise BadInput(
+                    given.source, f"column {name}", f"only {', '.join(given.columns)}", f"a record with {', '.join(need)}"
+                )
+        return given
+    if isinstance(given, str | os.PathLike):
+        return records.read_record(given, need, holes=("thrust",))
+    return Record.from_frame(given, need=need)
+
+
+def as_parameters(given: Any, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
+    """Parameters: a set, a file, or what a verb has found."""
+    if isinstance(given, ParameterSet):
+        return given
+    if isinstance(given, str | os.PathLike):
+        library = library_with(effects_from)
+        return parameter_files.read_parameters(given, lambda names: plant(names, library))
+    if isinstance(found := getattr(given, "parameters", None), ParameterSet):
+        return found
+    allowed = "a ParameterSet, the path of a parameters.json, or what identify and diagnose give"
+    raise BadInput("parameters", "type", f"a {type(given).__name__}", allowed)
+
+
+def as_gains(given: Any) -> ParameterSet:
+    """A controller's values: a set, a gains.json, or values by name."""
+    if isinstance(given, str | os.PathLike):
+        return parameter_files.read_parameters(given, lambda _: CONTROLLER)
+    if isinstance(given, Mapping):
+        return changed(ParameterSet(CONTROLLER), given)
+    return as_parameters(given)
+
+
+def changed(parameters: ParameterSet, values: Mapping[str, float]) -> ParameterSet:
+    """The set with other values. BadInput names one that the model does not have, or that is out of its range."""
+    known = {p.name: p for p in parameters.model.parameters}
+    for name, value in values.items():
+        if name not in known:
+            raise BadInput("values", name, "a name that the model does not have", f"one of {', '.join(known)}")
+        if not known[name].minimum <= value <= known[name].maximum:
+            ends = f"{known[name].minimum:g} to {known[name].maximum:g} {known[name].unit}"
+            raise BadInput("values", name, f"{value:g}", ends)
+    return parameters.replaced(values)

@@ -1,0 +1,35 @@
+"""Try an effect of one's own: everything that holds for the effects of the library, before it is fitted to anything.
+
+The file holds EFFECT, a vpp_fmu.Effect, and perhaps PORT or BEFORE, its place in the chain; README.md shows one."""
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.invariants import INVARIANTS, Broken, Trial
+from vpp_fmu.own_effects import library_with
+
+EXAMPLE = "vpp check-effect my_effect.py"
+
+
+def configure(parser):
+    parser.add_argument("file", metavar="FILE.py", help="the file, as --effects-from takes it")
+
+
+def run(options):
+    before = {e.name for e in library_with(())}
+    library = library_with([options.file])
+    (effect,) = (e for e in library if e.name not in before)
+    trial, broken = Trial(effect, library), {}
+    print(f"{effect.name}: {effect.description}")
+    for name, invariant in INVARIANTS.items():
+        try:
+            told = f"yes  {invariant(trial)}"
+        except Broken as why:
+            broken[name] = str(why)
+            told = f"NO   {why}"
+        except Exception as error:  # it is anybody's code, and may fail in any way; a traced `if` is a TypeError
+            broken[name] = " ".join(f"{type(error).__name__}: {error}".split())
+            told = f"NO   {broken[name]}"
+        print(f"  {name:32} {told}")
+    if broken:
+        first, why = next(iter(broken.items()))
+        more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+        raise BadInput(options.file, f"EFFECT {effect.name}: {first}", f"{why}{more}", "all of what is said above")

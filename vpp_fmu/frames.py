@@ -1,0 +1,88 @@
+"""Records as other libraries' frames, and back. None of these libraries is needed: the extra `frames` brings them all."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput, ExtraMissing
+from vpp_fmu.files import Table
+
+EXTRA = "frames"
+
+
+class Frame(Table):
+    """A table that never was a file: its cells are named by row, from 0."""
+
+    def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
+        """The error that names a cell."""
+        return BadInput(self.source, f"{name}, row {row}", found, allowed)
+
+
+def library(name: str) -> Any:
+    """pandas, polars or xarray. ExtraMissing says how to get it."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ExtraMissing(f"{name} is not installed: pip install {name}, or the extra '{EXTRA}' of vpp-fmu") from error
+
+
+def to_pandas(columns: Mapping[str, np.ndarray]) -> Any:
+    """A pandas.DataFrame."""
+    return library("pandas").DataFrame(dict(columns))
+
+
+def to_polars(columns: Mapping[str, np.ndarray]) -> Any:
+    """A polars.DataFrame."""
+    frame = library("polars").DataFrame
+    return frame({name: column.tolist() if column.dtype == object else column for name, column in columns.items()})
+
+
+def to_xarray(columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
+    """An xarray.Dataset over the coordinate `time`; `units` become the attribute of that name."""
+    held = {name: ("time", column, _told(units.get(name))) for name, column in columns.items() if name != "time"}
+    return library("xarray").Dataset(held, {"time": ("time", columns["time"], _told(units["time"]))})
+
+
+def _told(unit: str | None) -> dict[str, str]:
+    return {} if unit is None else {"units": unit}
+
+
+def frame_table(frame: Any, source: str) -> Frame:
+    """A frame's columns as a table that is checked as a file's is: empty cells where a frame has none or NaN.
+
+    A pandas frame may have `time` as its index. BadInput where it is no frame, or has no rows.
+    """
+    columns = {str(name): np.asarray(column) for name, column in _columns(frame, source).items()}
+    if not columns or not len(next(iter(columns.values()))):
+        raise BadInput(source, "frame", "no rows", "a column `time` and at least one row")
+    count = len(next(iter(columns.values())))
+    for name, column in columns.items():
+        if column.shape != (count,):
+            raise BadInput(source, name, f"an array of shape {column.shape}", f"({count},), one value a row")
+    return Frame(source, {name: _cells(column) for name, column in columns.items()}, np.arange(count))
+
+
+def _columns(frame: Any, source: str) -> dict[Any, Any]:
+    if hasattr(frame, "data_vars"):  # xarray
+        return {name: frame[name].values for name in (*frame.coords, *frame.data_vars)}
+    if hasattr(frame, "get_columns"):  # polars
+        return {column.name: column.to_numpy() for column in frame.get_columns()}
+    if hasattr(frame, "iloc"):  # pandas
+        frame = frame.reset_index() if frame.index.name is not None else frame
+        return {name: frame[name].to_numpy() for name in frame.columns}
+    if isinstance(frame, Mapping):
+        return dict(frame)
+    raise BadInput(
+        source, "frame", f"a {type(frame).__name__}", "a frame of pandas or polars, an xarray.Dataset, or arrays by name"
+    )
+
+
+def _cells(column: np.ndarray) -> np.ndarray:
+    """float where all are finite numbers, else text as a file would hold it."""
+    if column.dtype.kind in "fiub":
+        values = column.astype(float)
+        if np.isfinite(values).all():
+            return values
+    return np.array(["" if str(cell) in ("None", "nan", "<NA>") else str(cell) for cell in column.tolist()], dtype=object)

@@ -1,0 +1,83 @@
+"""Effects of one's own: a Python file beside the library, that `--effects-from` takes.
+
+The file is run. It holds EFFECT, a kernel Effect, and says where in the chain that stands: PORT, the name of a port
+(`vpp_fmu.kernel.learned.PORTS`), or BEFORE, the name of an effect of the library; neither: at the chain's end. `vpp diagnose`
+writes such a file for a term that it has learned. An installed package brings effects by entry points of the group
+`vpp.effects`: each names an Effect, or a module that holds what such a file holds.
+"""
+
+import importlib.util
+import os
+from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_text
+from vpp_fmu.kernel.learned import PORTS, placed
+from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
+from vpp_fmu.units import base_unit
+
+GROUP = "vpp.effects"
+
+
+def library_with(paths: Iterable[str | os.PathLike], library: Iterable[Effect] = LIBRARY) -> tuple[Effect, ...]:
+    """The library with the effects of these files, each in its place; the library itself where there are none. BadInput."""
+    for entry in entry_points(group=GROUP):
+        library = _with(f"entry point {entry.name} of {GROUP}", _loaded(entry), tuple(library))
+    for path in paths:
+        library = _with(path, _run(path), tuple(library))
+    return library if isinstance(library, tuple) else tuple(library)
+
+
+def _loaded(entry: EntryPoint) -> Mapping:
+    """What an installed package declares."""
+    try:
+        found = entry.load()
+    except Exception as error:  # somebody else's package may raise anything
+        said = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise BadInput(
+            f"entry point {entry.name} of {GROUP}", entry.value, said, "an Effect, or a module with EFFECT"
+        ) from error
+    return vars(found) if isinstance(found, ModuleType) else {"EFFECT": found}
+
+
+def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    effect, names = told.get("EFFECT"), [e.name for e in library]
+    if not isinstance(effect, Effect) or not effect.off or not effect.probe:
+        found = "nothing" if effect is None else f"a {type(effect).__name__}"
+        raise BadInput(path, "EFFECT", found, "a vpp_fmu.kernel.types.Effect with off and probe")
+    if effect.name in names or not effect.name.isidentifier():
+        raise BadInput(path, "EFFECT, name", repr(effect.name), "a name that no other effect has, of letters, digits and _")
+    quantities: tuple[Parameter | State | Signal, ...] = (*effect.parameters, *effect.states, *effect.inputs)
+    for quantity in quantities:
+        try:
+            base_unit(quantity.unit)
+        except KeyError as error:
+            raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
+    port, before = told.get("PORT"), told.get("BEFORE")
+    if port is not None:
+        if port not in PORTS:
+            raise BadInput(path, "PORT", repr(port), f"one of {', '.join(PORTS)}")
+        return placed(library, effect, PORTS[port])
+    if before is not None and before not in names:
+        raise BadInput(path, "BEFORE", repr(before), f"one of {', '.join(names)}")
+    at = len(library) if before is None else names.index(before)
+    return (*library[:at], effect, *library[at:])
+
+
+def _run(path: str | os.PathLike) -> dict:
+    """What a Python file defines."""
+    read_text(path)  # whether there is such a file, and it is text
+    spec = importlib.util.spec_from_file_location("own_effects", path)
+    if spec is None or spec.loader is None:
+        raise BadInput(path, "file", "not a Python file", "a file that ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # it is anybody's code, and may fail in any way
+        raise BadInput(
+            path, "file", f"{type(error).__name__}: {error}".splitlines()[0], "Python that defines EFFECT"
+        ) from error
+    return vars(module)
