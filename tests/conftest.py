@@ -24,6 +24,13 @@ def pytest_configure(config):
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
 
+def pytest_collection_modifyitems(items):
+    """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
+    for item in items:
+        real_time = item.path.parent.name == "hil" or item.path.stem == "test_stopping"
+        item.add_marker(pytest.mark.xdist_group("real time" if real_time else item.path.stem))
+
+
 @pytest.fixture(scope="session")
 def fmu_files(tmp_path_factory):
     """Paths of FMUs: the plain plant, with every effect at its probe, the paper's control plant, the controller."""

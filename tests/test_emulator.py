@@ -52,7 +52,7 @@ OWN_TIME = {"fade", "drift", "discharge"}
 
 
 @pytest.mark.parametrize(
-    "hidden", [h for h in LISTED if not OWN_TIME & set(h.draw(Draw(np.random.default_rng(1), 1.0)))], ids=str
+    "hidden", [h for h in LISTED if not OWN_TIME & set(h.draw(Draw(np.random.default_rng(1), 1.0)))], ids=lambda h: h.name
 )
 def test_a_slower_rig_does_the_same_more_slowly(hidden):
     settings = PAPER | dict(hidden.draw(Draw(np.random.default_rng(1), 1.0)))
