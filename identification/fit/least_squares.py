@@ -16,6 +16,10 @@ FLAT = 1e-9
 STRAIGHT = 0.25
 """Share by which a step may bring more or less than promised for the Jacobian to be kept."""
 
+CLOSE = 0.01
+"""Share of the cost that a step may bring for the Jacobian to be kept: one that brings more is still on its way, and where a
+record is far from what the model can be, an old Jacobian walks into another valley."""
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -50,16 +54,16 @@ def solve(
     upper: np.ndarray,
     tolerance: float = 1e-12,
     limit: int = 100,
-    enough: float = 0.0,
     residual_at: Callable[[np.ndarray], np.ndarray] | None = None,
+    tangent: bool = True,
 ) -> Solution:
     """Minimise the sum of squares of `evaluate(x) -> (residual, jacobian)` from `start` within [lower, upper].
 
     Stops when no free column has a share in the residual, when a step promised and brought less than `tolerance` of the
-    cost or than `enough`, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient
+    cost, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient
     turns. Damping follows Nielsen's rule. `residual_at(x)`: the residual alone, where that is cheaper: steps are tried by it,
-    and the Jacobian stays where it was as long as they bring what it promised (a chord method); at the end it is of the
-    solution, unless `enough` was asked for.
+    and the Jacobian stays where it was as long as they bring little, and what it promised (a chord method). `tangent`: the
+    Jacobian handed out is the solution's own, whatever it costs.
     """
     x = np.clip(np.asarray(start, float), lower, upper)
     residual, jacobian = evaluate(x)
@@ -84,7 +88,7 @@ def solve(
             new_residual, new_jacobian = evaluate(there) if residual_at is None else (residual_at(there), None)
             evaluations += 1
             cost = 0.5 * float(new_residual @ new_residual)
-            gained, least = costs[-1] - cost, max(tolerance * costs[-1], enough)
+            gained, least = costs[-1] - cost, tolerance * costs[-1]
             done = promise <= least and abs(gained) <= least
             if gained > 0:
                 x, residual, fresh = there, new_residual, new_jacobian is not None
@@ -93,10 +97,10 @@ def solve(
             else:
                 damping, growth = damping * growth, growth * 2
             jacobian = jacobian if new_jacobian is None or gained <= 0 else new_jacobian
-        if done and (fresh or enough > 0.0):
+        if done and (fresh or not tangent):
             converged = True
             break
-        if not fresh and (done or gained <= 0 or abs(gained / promise - 1.0) > STRAIGHT):
+        if not fresh and (done or gained <= 0 or gained > CLOSE * cost or abs(gained / promise - 1.0) > STRAIGHT):
             jacobian, fresh = evaluate(x)[1], True
         if fresh:
             normal = jacobian.T @ jacobian

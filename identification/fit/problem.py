@@ -25,6 +25,9 @@ REWEIGHTS = 3
 WEIGHED = 0.5
 """Log-likelihood at which a fit may end that only weighs the channels."""
 
+EXACT = 1e-12
+"""Share of the cost: as far as numbers go."""
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -163,13 +166,15 @@ class Problem:
         self._work = None
 
     def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
-        """Fit from `start` under the present weights; `enough`: cost at which it may end, 0 for as far as numbers go."""
+        """Fit from `start` under the present weights. `enough`: log-likelihood (of noise of unknown size) that a step must bring
+        for the search to go on, and then the Jacobian need not be the solution's own; 0: as far as numbers go."""
         c = self.coordinates
 
         def residual_at(x: np.ndarray) -> np.ndarray:
             return self.residual(c.values(x))
 
-        return solve(self.evaluate, c.vector(start), c.lower, c.upper, enough=enough, residual_at=residual_at)
+        tolerance = 2.0 * enough / self.size if enough else EXACT
+        return solve(self.evaluate, c.vector(start), c.lower, c.upper, tolerance, residual_at=residual_at, tangent=not enough)
 
     def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
         """Fit from `start`, and weigh the channels by what the fit leaves in them, until the two agree.

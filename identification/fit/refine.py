@@ -26,8 +26,8 @@ BASE_PARAMETERS = tuple(FINE_TUNED)
 
 METHODS = ("levenberg-marquardt", "gradient-descent", "adjoint")
 
-SAME = 1e-6
-"""Two starts have reached the same optimum when their costs differ by less than this share."""
+SAME, ROUGH = 1e-6, 1e-8
+"""Two starts have reached the same optimum when their costs differ by less than the first share; one is told to the second."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
         rounds = problem.solve_and_weigh(values)
     best, found = rounds[-1], [rounds[-1].slim()]
     for at in _random_starts(problem, values, starts - 1, seed):
-        one = problem.solve(at, 0.01 * SAME * best.cost)
+        one = problem.solve(at, 0.5 * ROUGH * problem.size)
         if one.cost < best.cost * (1 - SAME):
             one = problem.solve(problem.coordinates.values(one.value))
         best = min(best, one, key=lambda solution: solution.cost)

@@ -161,13 +161,13 @@ class Profile:
         lower, upper = self._bounds(away)
         start = np.clip(self.start + away * slope, lower, upper)
         # The rise has to be known, not the place of the minimum: to half of CLOSE in its root.
-        enough = 0.5 * CLOSE * self.target**2
+        enough = 0.5 * CLOSE * self.target**2 / self.optimum.cost
         problem, held = self.optimum.problem, {self.name: self.at + away}
 
         def residual_at(x: np.ndarray) -> np.ndarray:
             return problem.residual(self.coordinates.values(x) | held)
 
-        return solve(lambda x: self._evaluate(x, away), start, lower, upper, enough=enough, residual_at=residual_at)
+        return solve(lambda x: self._evaluate(x, away), start, lower, upper, enough, residual_at=residual_at, tangent=False)
 
     def _evaluate(self, x: np.ndarray, away: float) -> tuple[np.ndarray, np.ndarray]:
         values = self.coordinates.values(x) | {self.name: self.at + away}

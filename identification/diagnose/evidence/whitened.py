@@ -237,8 +237,10 @@ class Evidence:
         return self._solve(x, ENOUGH, limit)
 
     def _solve(self, x, enough, limit):
-        c = self.coordinates
-        return solve(self.evaluate, x, c.lower, c.upper, 0.0, limit, enough, lambda x: self.residual_at(c.values(x)))
+        c, tolerance = self.coordinates, 2.0 * enough / self.size
+        return solve(
+            self.evaluate, x, c.lower, c.upper, tolerance, limit, lambda x: self.residual_at(c.values(x)), tangent=False
+        )
 
     def weigh(self, residual: np.ndarray) -> None:
         """Set the channels' scales from a residual under the present ones."""
