@@ -4,7 +4,7 @@ import ctypes
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 
 import numpy as np
@@ -23,10 +23,7 @@ class Simulator:
         self.model, self.wrt = model, tuple(wrt)
         self._inputs = [s.name for s in model.inputs]
         self.outputs = tuple(s.name for s in model.outputs)
-        memo, made = model.memo, ("simulator", self.wrt)
-        if made not in memo:
-            memo[made] = _runner(model, self.wrt)
-        self._run = memo[made]
+        self._run = _runner(_Chain(model), self.wrt)
 
     def simulate(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> np.ndarray:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
@@ -72,13 +69,31 @@ class Simulator:
         return values, columns, np.ascontiguousarray(steps, float)
 
 
-def _runner(model: Model, wrt: tuple[str, ...]):
+class _Chain:
+    """A model as what is traced of it: two of the same effects, whatever rig they were sized for, are one."""
+
+    def __init__(self, model: Model):
+        self.model = model
+        self._effects = tuple(e.declared or e for e in model.effects)
+        names = (tuple(s.name for s in signals) for signals in (model.inputs, model.outputs))
+        self._key = (model.name, *names, model.sample_time, *map(id, self._effects))
+
+    def __eq__(self, other):
+        return self._key == other._key
+
+    def __hash__(self):
+        return hash(self._key)
+
+
+@lru_cache(maxsize=1024)
+def _runner(chain: _Chain, wrt: tuple[str, ...]):
     """A generator function (parameters, inputs, steps): each (rows, outputs, tangents) sent to it is filled in."""
+    program = trace(chain.model, wrt)
     try:
-        return _compiled(trace(model, wrt))
+        return _compiled(program)
     except CompilerMissing as missing:
         _say_once(str(missing))
-        return _interpreted(trace(model, wrt))
+        return _interpreted(program)
 
 
 def _compiled(program: Program):

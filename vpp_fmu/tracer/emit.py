@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from math import isinf
 
-from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed_by
+from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed
 from vpp_fmu.tracer.program import Program, Write
 
 ONCE = """#if defined(__clang__)
@@ -102,17 +102,9 @@ def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
 
 def _statements(writes, name: Callable, operation: Callable, form: str, inline: bool = True):
     """Code for what `writes` need: (statements in order, expression of each target's value)."""
-    order: list[Node] = []
-    known: set[Node] = set()
-    uses: Counter = Counter()
-    for _, value in writes:
-        if isinstance(value, Node):
-            uses[value] += 1
-            fresh = needed_by(value, known)
-            known.update(fresh)
-            order += fresh
-    for n in order:
-        uses.update(n.nodes)
+    order = needed(value for _, value in writes)
+    uses = Counter(value for _, value in writes if isinstance(value, Node))
+    uses.update(a for n in order for a in n.nodes)
     lines, text = [], {}
     for n in order:
         args = [text[a] if isinstance(a, Node) else _number(a, form) for a in n.args] if n.nodes else None
