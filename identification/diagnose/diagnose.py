@@ -289,7 +289,7 @@ have started settled; of its 50 or more rows, noise reaches 2 in less than one c
 def _unsettled(base: Fit, number: int, settled: float) -> bool:
     """Whether an experiment's thrust in its first `settled` s is far from the model, and behind it is not."""
     e = base.evidence.experiments[number]
-    outputs = Simulator(base.evidence.model).simulate(base.values, e.record.columns, e.record.steps)
+    outputs = base.evidence.simulator.simulate(base.values, e.record.columns, e.record.steps)
     residual, first = e.thrust_residual(outputs[:, 0]), e.thrust_time < settled
     if first.sum() < 2 or (~first).sum() < 10 * first.sum() // 2:
         return False

@@ -10,7 +10,6 @@ from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement,
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import Tried, added, deeper, evidence_over, first_round, key
-from vpp_fmu.native import Simulator
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -84,7 +83,7 @@ class Judge:
 
 
 def _outputs(fit: Fit, experiment) -> np.ndarray:
-    return Simulator(fit.evidence.model).simulate(fit.values, experiment.record.columns, experiment.record.steps)
+    return fit.evidence.simulator.simulate(fit.values, experiment.record.columns, experiment.record.steps)
 
 
 def _rms(parts: Sequence[np.ndarray]) -> float:

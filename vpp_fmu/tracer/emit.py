@@ -83,10 +83,12 @@ def c_source(program: Program) -> str:
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
     columns = [program.wrt.index(p) if p in program.wrt else -1 for _, p in model.delays] or [-1]
     parts.append(f"static const int DELAY_COLUMN[] = {{{', '.join(map(str, columns))}}};\n")
+    plain = tuple((target, value) for target, value in program.step if target[0] != "d")
     for head, writes in (
         ("ONCE void start(double *v, double *d)", program.start),
         ("void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
         ("void step(double *v, const double *c, double *d)", program.step),
+        *([("void step_values(double *v, const double *c)", plain)] if width else []),
         ("double largest_step(const double *v)", program.largest_step),
     ):
         parts.append(c_function(head, writes, name))

@@ -24,7 +24,6 @@ from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Judge
 from vpp_fmu.kernel.learned import PORTS
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 NAME = "learned"
@@ -180,7 +179,7 @@ class Carried(Judge):
 
     def errors(self, fit: Fit) -> list[float]:
         """Mean square of the thrust's error in each of the step runs, N^2."""
-        simulator = Simulator(fit.evidence.model)
+        simulator = fit.evidence.simulator
         shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self._runs]
         return [float(np.nanmean((y - r["thrust"]) ** 2)) for y, r in zip(shown, self._runs, strict=True)]
 
