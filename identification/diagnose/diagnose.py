@@ -183,7 +183,7 @@ def diagnose(
         options = candidates(at.library, [one.record for one in fitted])
         stage("noise")
         searcher, base = _prepared(groups, at, options, pool)
-        judge = Judge(searcher, smallest)
+        judge = Judge(searcher, base, smallest)
         least = judge.least()
         before = lack_of_fit(base, least)
         searcher.lacking = before.score.gain

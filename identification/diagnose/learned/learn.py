@@ -96,7 +96,7 @@ def learn(
     leads = look(beside)
     looks = len(leads)
     searcher.points = max(searcher.points, looks)
-    judge = Carried(searcher, smallest, runs)
+    judge = Carried(searcher, beside, smallest, runs)
     chosen = short_list(leads, (), TERMS)
     stage(f"refit {len(chosen)} of {looks} terms")
     terms = _refitted(searcher, beside, chosen, scales, pool)
@@ -138,8 +138,8 @@ def _own(name: str) -> bool:
 class Carried(Judge):
     """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
 
-    def __init__(self, searcher: Searcher, smallest: float | None, runs: Sequence[Record]):
-        super().__init__(searcher, smallest)
+    def __init__(self, searcher: Searcher, beside: Fit, smallest: float | None, runs: Sequence[Record]):
+        super().__init__(searcher, beside, smallest)
         self._runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
         self._carried: dict[int, tuple[Fit, Held]] = {}
 
