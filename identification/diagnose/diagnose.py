@@ -22,7 +22,7 @@ from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, looks, refitted
 from identification.diagnose.selection import Judge, Selection, select
-from identification.diagnose.starting import Starting, exportable, from_given, from_identification
+from identification.diagnose.starting import LOOSEST, Starting, disagreement, exportable, from_given, from_identification
 from identification.diagnose.uncertainty import standard_deviations
 from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS
@@ -271,13 +271,20 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
     """A searcher on experiments of this noise, and the base fitted to them; a run-in that was not settled gets no weight."""
     settled = 5.0 * slowest(at.values, at.names)
     experiments = [Experiment(group, noise) for group in groups]
-    searcher = Searcher(experiments, at.names, at.knowledge, at.first, at.library)
-    base = searcher.fit((), {}, (), values)
+    knowledge = at.knowledge and at.knowledge.loosened(LOOSEST)
+
+    def fitted(values: Mapping[str, float]) -> tuple[Searcher, Fit]:
+        searcher = Searcher(experiments, at.names, knowledge, at.first, at.library)
+        return searcher, searcher.fit((), {}, (), values)
+
+    searcher, base = fitted(values)
     skips = [settled if _unsettled(base, k, settled) else 0.0 for k in range(len(experiments))]
     if any(skips):
         experiments = [Experiment(group, noise, skip) for group, skip in zip(groups, skips, strict=True)]
-        searcher = Searcher(experiments, at.names, at.knowledge, at.first, at.library)
-        base = searcher.fit((), {}, (), base.values)
+        searcher, base = fitted(base.values)
+    if at.knowledge:
+        knowledge = at.knowledge.loosened(disagreement(at.knowledge, base))
+        searcher, base = fitted(base.values)
     return searcher, base
 
 
