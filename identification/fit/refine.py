@@ -106,14 +106,17 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     else:
         rounds = problem.solve_and_weigh(values)
     best, found = rounds[-1], [rounds[-1].slim()]
+    if starts > 1:  # while others are sought, there is no room for the first one's rows
+        best, rounds = found[0], [solution.slim() for solution in rounds]
     for at in _random_starts(problem, values, starts - 1, seed):
-        one = problem.solve(at, 0.5 * ROUGH * problem.size)
+        one = problem.solve(at, 0.5 * ROUGH * problem.size).slim()
         if one.cost < best.cost * (1 - SAME):
-            one = problem.solve(problem.coordinates.values(one.value))
+            one = problem.solve(problem.coordinates.values(one.value)).slim()
         best = min(best, one, key=lambda solution: solution.cost)
-        found.append(one.slim())
+        found.append(one)
+    if starts > 1:
+        best = problem.with_rows(best)
     final = values | problem.coordinates.values(best.value)
-    problem.release()
     return Refinement(
         problem=problem,
         solution=best,

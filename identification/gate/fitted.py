@@ -121,7 +121,8 @@ def _from_commands(found: Refinement) -> Uncertainty:
     the commands."""
     solution, coordinates = found.solution, found.problem.coordinates
     free = np.flatnonzero(~solution.active)
-    inverse = np.linalg.pinv(solution.jacobian[:, free].T @ solution.jacobian[:, free], hermitian=True)
+    normal = solution.jacobian.T @ solution.jacobian
+    inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
     tangent = coordinates.jacobian(solution.value)[:, free]
     return replace(found.uncertainty, covariance=tangent @ inverse @ tangent.T, reach=None)
 
@@ -162,8 +163,10 @@ def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Ite
     blocks = [b for b in problem.blocks if b.channel == "thrust"]
     for block in blocks:
         constant[block.at] = 1.0 / problem.std["thrust"]
-    jacobian = solution.jacobian[:, ~solution.active]
-    own = constant - jacobian @ np.linalg.lstsq(jacobian, constant, rcond=1e-10)[0]
+    jacobian, free = solution.jacobian, np.ix_(~solution.active, ~solution.active)
+    inverse = np.zeros((jacobian.shape[1], jacobian.shape[1]))
+    inverse[free] = np.linalg.pinv((jacobian.T @ jacobian)[free], hermitian=True)
+    own = constant - jacobian @ (inverse @ (jacobian.T @ constant))
     information = float(own @ own)
     if information < 1e-3 * float(constant @ constant):  # all of it goes as well with the map
         return

@@ -18,14 +18,11 @@ from identification.fit.problem import Prior
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
+from vpp_fmu.native.simulator import PIECE
 
 WEIGHED, ENOUGH = 0.5, 1e-3
 """Log-likelihood at which a fit ends: to weigh the channels by what it leaves, and for good (a deviation of 0.045 standard
 deviations of the estimate)."""
-
-
-PIECE = 16384
-"""Rows of a record that are run at a time."""
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ class Searcher:
         simulator = Simulator(model, free)
         moved = np.zeros(len(free), bool)
         for e in self.experiments:
-            _, tangents = simulator.sensitivities(values, e.record.columns, e.record.steps)
-            moved |= tangents[:, e.compared].any(axis=(0, 1))
+            for _, _, tangents in simulator.pieces(values, e.record.columns, e.record.steps):
+                moved |= tangents[:, e.compared].any(axis=(0, 1))
         smooth = [n for n, does in zip(free, moved, strict=True) if does]
         return smooth, [n for n in free if n not in smooth and piecewise_constant(model, self.experiments, values, n)]
