@@ -13,10 +13,19 @@ from vpp_fmu.record import Record
 
 IDENTIFIED = (
     *("fixed pitch", "one move only", "static map only", "steps only", "raw steady samples only", "validation only"),
-    *("thrust of a section empty", "speed all empty", "static of one point", "static of zeros", "gaps", "no noise"),
+    *(
+        "no move at all",
+        "no move beside map and steps",
+        "thrust of a section empty",
+        "speed all empty",
+        "static of one point",
+        "static of zeros",
+        "gaps",
+        "no noise",
+    ),
 )
 REFUSED = {
-    "no move at all": "constant in all rows",
+    "no move of a rotor at rest": "nothing that tells a parameter",
     "raw samples that never rest": "steady stretches",
     "steps without a step": "nothing that tells a parameter",
     "dead load cell": "Look at the load cell",
@@ -55,7 +64,7 @@ def test_what_holds_nothing_is_refused_in_a_line(name, tmp_path):
     assert REFUSED[name] in found[0].outcome
 
 
-@pytest.mark.parametrize("name", ["one move only", "record of 2 s", "static map only"])
+@pytest.mark.parametrize("name", ["one move only", "no move at all", "record of 2 s", "static map only"])
 def test_diagnose_ends_with_its_files_or_a_line(name, tmp_path):
     (found,) = checked([name], ("diagnose",), tmp_path)
     assert found.outcome.startswith(

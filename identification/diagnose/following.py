@@ -62,12 +62,13 @@ def following(fit: Fit) -> Following:
     for e in evidence.experiments:
         outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
         # One after the other: side by side the shapes of a long record would be the largest thing in memory.
-        rows.append(np.stack([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)]))
+        rows.append([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)])
     ends = np.cumsum([e.sizes["thrust"] for e in evidence.experiments])
-    parts = [slice(end - own.shape[1], end) for own, end in zip(rows, ends, strict=True)]
+    parts = [slice(end - len(own[0]), end) for own, end in zip(rows, ends, strict=True)]
     columns = np.zeros((len(rows[0]), evidence.size))  # speed's rows come after
     for at in parts:
-        np.divide(rows.pop(0), evidence.scale["thrust"], out=columns[:, at])
+        for column, own in zip(columns, rows.pop(0), strict=True):
+            column[at] = own / evidence.scale["thrust"]
     for k in range(len(columns)):
         left = about.apart(columns[k])
         columns[k] = left / max(float(np.linalg.norm(left)), np.finfo(float).tiny)

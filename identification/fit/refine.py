@@ -17,6 +17,7 @@ from identification.fit.identifiability import held as undetermined
 from identification.fit.least_squares import Solution
 from identification.fit.problem import CHANNELS, Prior, Problem
 from identification.fit.uncertainty import Uncertainty, uncertainty
+from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.record import Record
@@ -99,6 +100,11 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     trial = kind(model, records, values, names, prior, channels)
     why = undetermined(trial, trial.coordinates.vector(values), names)
     free = [n for n in names if n not in why]
+    if not free:
+        told = "; ".join(dict.fromkeys(why.values()))
+        raise BadInput(
+            records[0].source, "thrust", f"nothing that tells a parameter ({told})", "what follows a command that moves"
+        )
     problem = kind(model, records, values, free, prior, channels) if why else trial
     cost_start = paper_cost(problem, values)
     if method == "gradient-descent":

@@ -93,6 +93,7 @@ def _compiled(program: Program):
     library.begin.argtypes, library.begin.restype = [vector, vector], ctypes.c_void_p
     library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, vector]
     library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
+    name = program.model.name  # of the program itself, whose graph is large, nothing is needed any more
 
     def run(values, inputs, steps):
         begun = library.begin(values, inputs[0])
@@ -105,7 +106,7 @@ def _compiled(program: Program):
                 last = at.stop == len(inputs)
                 if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, tangents):
                     told = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
-                    raise SimulationFailed(f"{program.model.name}: {told}")
+                    raise SimulationFailed(f"{name}: {told}")
                 asked = yield
         finally:
             library.end(begun)
