@@ -76,7 +76,8 @@ def _bounds(found: Refinement, where: str) -> Iterator[Finding]:
 def _errors(predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float | None) -> Iterator[Finding]:
     for name, p in predictions.items():
         fit = p.fit_thrust
-        if fit < HALF:
+        moved = any(np.ptp(p.record[n]) > 0.0 for n in ("omega_ref", "beta_ref"))  # else there is nothing to explain
+        if moved and fit < HALF:
             told = f"the fit explains {fit:.1f} %"
             cause = "columns that do not belong together, a wrong unit, or a rig that this model does not describe"
             yield Finding("poor_fit", p.record.source, "thrust", fit, "%", told, cause)
