@@ -17,7 +17,7 @@ from identification.gate.gate import Passed, passed
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
-from identification.unrefined import unrefined
+from identification.unrefined import unrefined, with_steps
 from identification.worth.bootstrap import Bootstrap, bootstrap
 from identification.worth.pairs import forms, slow_first
 from identification.worth.prediction import Prediction, band, predict
@@ -175,21 +175,23 @@ def identify(
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
     noise = noise_floor(campaign.open_loop, campaign.repeat) if {"open_loop", "repeat"} <= set(fitted) else None
-    rig = campaign.rig.timed(slowest(found.values, found.names))
     source = {**_made(campaign), "record_seconds": float(first.record.time[-1])}
-    source |= {"rig": rig.summary(), "sample_period": first.record.period}
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig))
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
+    doubt = with_steps(found.uncertainty, found.values, steps)
+    known = dict(zip(doubt.names, doubt.std.tolist(), strict=True))
+    rig = campaign.rig.timed(slowest(found.values, doubt.names))
+    source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
-        parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, found.std),
+        parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, known),
         start=start,
         static=static,
         steps=steps,
         refinement=found,
-        uncertainty=found.uncertainty,
-        not_identifiable={**found.held, **hardly_told(found.uncertainty)},
+        uncertainty=doubt,
+        not_identifiable={n: why for n, why in found.held.items() if n not in known} | hardly_told(doubt),
         fitted=tuple(fitted),
         predictions=predictions,
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},

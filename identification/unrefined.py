@@ -1,10 +1,10 @@
-"""What a campaign without a record to fit tells: the map by its steady points, the lags by its step responses.
+"""What a campaign tells without a record to fit: the map by its steady points, the lags by its step responses.
 
 Nothing is fitted to both, so neither knows of the other: their covariances stand side by side.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,26 @@ def unrefined(
         covariance[np.ix_(at, at)] = known[np.ix_(kept, kept)]
     found = Uncertainty(told, np.array([values[n] for n in told]), covariance, np.ones(len(told)))
     return Unrefined(found, {n: why[n] for n in names if n in why})
+
+
+def with_steps(fitted: Uncertainty, values: Mapping[str, float], steps: StepSummary | None) -> Uncertainty:
+    """A fit's uncertainty with that of lags that it leaves alone and the steps tell: no record moves the command."""
+    untold = _untold_lags(steps)
+    told = {pair(u): a for u, a in (steps.lags if steps else {}).items() if not {*fitted.names, *untold} & {*pair(u)}}
+    for own, average in told.items():
+        names, kept = (*fitted.names, *own), len(fitted.names)
+        covariance = np.zeros((len(names), len(names)))
+        covariance[:kept, :kept], covariance[kept:, kept:] = fitted.covariance, np.array(average.covariance)
+        reach = NORMAL_95 * np.sqrt(np.diag(covariance)[kept:])
+        fitted = replace(
+            fitted,
+            names=names,
+            values=np.append(fitted.values, [values[n] for n in own]),
+            covariance=covariance,
+            inflation=np.append(fitted.inflation, np.ones(len(own))),
+            reach=None if fitted.reach is None else np.vstack([fitted.reach, np.column_stack([reach, reach])]),
+        )
+    return fitted
 
 
 _ENOUGH = "a record with time, omega_ref, beta_ref, thrust; or steady points; or steps"

@@ -118,6 +118,20 @@ def test_a_sensor_that_is_quieter_than_its_digit_is_not_clipped(record):
     assert screen(record.with_columns(thrust=np.round(quiet, 1)))[1] == ()
 
 
+@pytest.mark.parametrize(("noise", "stuck"), [(1.0, True), (0.0, False)])
+def test_a_speed_that_no_small_move_reaches_is_stuck_if_rest_would_show_otherwise(noise, stuck):
+    """Steps of a thirtieth of the range, 35 ms a turn. Without noise a sensor shows equal values wherever the rotor rests."""
+    rows, turn = 40_000, 35
+    command = 1700.0 + 33.0 * (np.arange(rows) // 2000 % 2) + 1000.0 * (np.arange(rows) > 30_000)
+    shown = np.repeat(command[::turn] + noise * np.random.default_rng(0).standard_normal(-(-rows // turn)), turn)[:rows]
+    shown[9_000:11_900] = shown[9_000]
+    shown[10_000:11_900] += 0.0 if noise else 33.0  # quiet, it follows, once
+    columns = {"time": 1e-3 * np.arange(rows), "omega_ref": command, "beta_ref": np.zeros(rows), "omega": shown}
+    columns["thrust"] = np.random.default_rng(1).standard_normal(rows)
+    findings = screen(Record(columns, "open_loop.csv"))[1]
+    assert [(f.code, f.field) for f in findings] == [("frozen", "omega")] * stuck
+
+
 def test_single_spikes_are_left_out_and_steps_are_not(record):
     thrust = record["thrust"].copy()
     thrust[[700, 2300, 2301]] += 5.0, -4.0, -4.0

@@ -9,14 +9,23 @@ from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, vali
 
 from identification.diagnose.evidence.noise import noise_from
 from vpp_fmu.cli import VERBS
-from vpp_fmu.record import Record
+from vpp_fmu.record import Record, read_record
 
 IDENTIFIED = (
     *("fixed pitch", "one move only", "static map only", "steps only", "raw steady samples only", "validation only"),
-    *("thrust of a section empty", "speed all empty", "static of one point", "static of zeros", "gaps", "no noise"),
+    *(
+        "no move at all",
+        "no move beside map and steps",
+        "thrust of a section empty",
+        "speed all empty",
+        "static of one point",
+        "static of zeros",
+        "gaps",
+        "no noise",
+    ),
 )
 REFUSED = {
-    "no move at all": "constant in all rows",
+    "no move of a rotor at rest": "nothing that tells a parameter",
     "raw samples that never rest": "steady stretches",
     "steps without a step": "nothing that tells a parameter",
     "dead load cell": "Look at the load cell",
@@ -39,6 +48,20 @@ def test_identify_ends_with_its_files_and_names_what_it_does_not_know(name, tmp_
     assert all(not row.outcome.startswith("exit") for row in found)
 
 
+def test_of_a_record_at_rest_no_fit_is_called_poor(tmp_path):
+    """One thrust at one point is told to what the mean of the readings is; there is no response that a fit could miss."""
+    checked(["no move at all"], ("identify",), tmp_path)
+    (folder,) = tmp_path.iterdir()
+    found = json.loads((folder / "identify" / "identification.json").read_text())
+    assert {f["code"] for f in found["quality"]} == {"no_move", "thin"}
+    records = [read_record(folder / f"{name}.csv") for name in ("open_loop", "repeat")]
+    (c20,) = found["parameters"].values()
+    shares = [r["thrust"] - r["thrust"].mean() for r in records]
+    mean = np.std(np.concatenate(shares)) / np.sqrt(sum(map(len, shares)))  # N, of white noise
+    w = records[0]["omega_ref"][0] / 6000.0
+    assert c20["std"] == pytest.approx(mean / (15.0 * w**2), rel=0.15)
+
+
 @pytest.mark.parametrize("method", ["gradient-descent", "adjoint"])
 def test_every_method_ends_with_its_files(method, tmp_path):
     options = {"identify": ("--starts", "2", "--method", method, "--bootstrap", "3")}
@@ -55,7 +78,7 @@ def test_what_holds_nothing_is_refused_in_a_line(name, tmp_path):
     assert REFUSED[name] in found[0].outcome
 
 
-@pytest.mark.parametrize("name", ["one move only", "record of 2 s", "static map only"])
+@pytest.mark.parametrize("name", ["one move only", "no move at all", "record of 2 s", "static map only"])
 def test_diagnose_ends_with_its_files_or_a_line(name, tmp_path):
     (found,) = checked([name], ("diagnose",), tmp_path)
     assert found.outcome.startswith(

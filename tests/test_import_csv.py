@@ -2,12 +2,13 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from import_zoo import PLAIN, Format, came_out, text, truth
+from studies.gate import SIZES
 
-from identification.gate.made import Maker
 from identification.stand.clock import guessed_unit, mended, read_clock
 from identification.stand.commands import fitted_map
 from identification.stand.mapping import read_toml
@@ -18,7 +19,6 @@ from identification.stand.units import QUANTITIES, factor_of
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record, read_record
 
 
@@ -476,17 +476,8 @@ def test_the_zoo_is_judged_by_what_was_written(tmp_path, vpp):
 
 # From a stranger's log to a report, in two commands
 
-RIG = Maker(
-    scales=Scales(),
-    speed=(2000.0, 6000.0),
-    pitch=(-5.0, 10.0),
-    row=0.005,
-    hold=(0.8, 1.6),
-    section=8.0,
-    noise=0.1,
-    digit=0.003,
-    values={"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1},
-)
+LAGS = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.3, "tau_beta_2": 0.1}
+RIG = replace(SIZES["15 N"], row=0.005, hold=(0.8, 1.6), section=8.0, noise=0.1, values=LAGS)
 
 
 def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_path, vpp, capsys):

@@ -25,9 +25,10 @@ class Level:
         self.coordinates = Coordinates(self.model, ["p"])
         self.readings, self.curve, self.slope = readings, curve, slope
 
-    def rows(self, values):
+    def rows(self, values, inner=None):
         p = values["p"]
-        return self.curve(p) - self.readings, np.full((len(self.readings), 1), self.slope(p))
+        jacobian = np.full((len(self.readings), 1), self.slope(p))
+        return self.curve(p) - self.readings, jacobian if inner is None else jacobian @ inner
 
     def solution(self):
         def evaluate(x):
@@ -106,11 +107,11 @@ class Plane(Level):
         self.coordinates = Coordinates(self.model, ["p", "q"])
         self.first, self.second = first, second
 
-    def rows(self, values):
+    def rows(self, values, inner=None):
         p, q = values["p"], values["q"]
         n = len(self.first)
         jacobian = np.vstack([np.ones((n, 2)), np.column_stack([np.zeros(n), np.ones(n)])])
-        return np.concatenate([p + q - self.first, q - self.second]), jacobian
+        return np.concatenate([p + q - self.first, q - self.second]), jacobian if inner is None else jacobian @ inner
 
     def residual(self, values):
         return self.rows(values)[0]
@@ -180,10 +181,10 @@ def test_a_profile_is_cheap(near_double_pole):
     found, _ = near_double_pole
     count, rows = 0, found.problem.rows
 
-    def counted(values):
+    def counted(*at):
         nonlocal count
         count += 1
-        return rows(values)
+        return rows(*at)
 
     found.problem.rows = counted
     profiled(found.problem, found.solution, found.uncertainty)

@@ -1,5 +1,7 @@
 """Records of the same commands: simulated once, fitted together, and what they share is not taken for independent."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from studies.synthetic import STEP, TRUTH, commands, covariance, measured
@@ -8,6 +10,8 @@ from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.worth.bootstrap import bootstrap
 from vpp_fmu.kernel.plant import AVERAGED, BASE
+from vpp_fmu.native.simulator import PIECE
+from vpp_fmu.record import Record
 
 SECTION = 8.0
 """Seconds of each part of a record."""
@@ -31,12 +35,27 @@ def fit(records):
 def test_records_of_the_same_commands_are_simulated_once(records):
     problem = Problem(BASE, records, BASE.values(), BASE_PARAMETERS)
     assert problem.twin == (0, 0, 2)
-    runs, sensitivities = [], problem._simulator.sensitivities
-    problem._simulator.sensitivities = lambda *run: runs.append(run) or sensitivities(*run)
+    runs, pieces = [], problem._simulator.pieces
+    problem._simulator.pieces = lambda *run: runs.append(run) or pieces(*run)
     together, _ = problem.rows(TRUTH)
     assert len(runs) == 2
     alone = [Problem(BASE, [record], BASE.values(), BASE_PARAMETERS).rows(TRUTH)[0] for record in records]
     np.testing.assert_array_equal(together, np.concatenate(alone))
+
+
+def test_a_long_record_costs_no_more_memory_than_its_rows_and_one_jacobian():
+    """Twenty pieces: all outputs' sensitivities would be three Jacobians of the thrust."""
+    rows = 20 * PIECE
+    commands = {"omega_ref": np.where(np.arange(rows) // 500 % 2, 4000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
+    record = Record({"time": STEP * np.arange(rows), **commands, "thrust": np.zeros(rows)}, "made")
+    problem = Problem(BASE, [record], BASE.values(), BASE_PARAMETERS)
+    problem.rows(TRUTH)  # compiles
+    tracemalloc.start()
+    _, jacobian = problem.rows(TRUTH)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    signals = (len(record.columns) + len(problem._simulator.outputs) + 4) * 8 * rows
+    assert most < jacobian.nbytes + signals
 
 
 def test_other_times_or_commands_make_another_record(records):

@@ -129,10 +129,10 @@ def _errors(
     simulator, inner = Simulator(evidence.model, evidence.coordinates.names), evidence.coordinates.jacobian(fit.solution.value)
     thrust, omega = [], []
     for e in evidence.experiments:
-        outputs, tangents = simulator.sensitivities(fit.values, e.record.columns, e.record.steps)
-        fold, predicted = split(e.record.time, e.record.time[-1]), outputs[:, :2].copy()
-        for k, move in enumerate(moves):
-            predicted[fold == k] += tangents[fold == k, :2] @ (inner @ move)
+        fold, predicted = split(e.record.time, e.record.time[-1]), np.empty((len(e.record), 2))
+        changes = np.column_stack([inner @ move for move in moves])
+        for at, shown, tangents in simulator.pieces(fit.values, e.record.columns, e.record.steps):
+            predicted[at] = shown[:, :2] + np.einsum("rcn,nr->rc", tangents[:, :2], changes[:, fold[at]])
         thrust.append(predicted[:, 0] - e.thrust_rows)
         shown = [t.shows(predicted[:, 1]) - t.measured for t in e.tachometers]
         omega.append(np.concatenate(shown) if shown else np.zeros(0))

@@ -36,6 +36,7 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.native import Simulator
+from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
@@ -182,6 +183,7 @@ def diagnose(
             at = from_identification(campaign, gate, library, seed)
         options = candidates(at.library, [one.record for one in fitted])
         stage("noise")
+        give_back()
         searcher, base = _prepared(groups, at, options, pool)
         judge = Judge(searcher, base, smallest)
         least = judge.least()
@@ -189,7 +191,9 @@ def diagnose(
         searcher.lacking = before.score.gain
         stage("what can be told apart")
         apart = distinguishability(base, options, at.library, pool.map)
+        give_back()
         selection = select(searcher, base, options, judge, lambda fit: lack_of_fit(fit, least).found, pool, stage)
+        give_back()
         after = lack_of_fit(selection.final, least)
         word = verdict(base, selection.final, before, after, selection.family)
         refuted = _refuted(judge, base, selection.final, unseen) if word in CHANGED else ""

@@ -61,23 +61,24 @@ def following(fit: Fit) -> Following:
     for e in evidence.experiments:
         outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
         # One after the other: side by side the shapes of a long record would be the largest thing in memory.
-        rows.append(np.stack([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)]))
-    thrust = np.hstack(rows) / evidence.scale["thrust"]
-    columns = np.zeros((len(thrust), evidence.size))
-    columns[:, : thrust.shape[1]] = thrust  # speed's rows come after
+        rows.append([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)])
+    ends = np.cumsum([e.sizes["thrust"] for e in evidence.experiments])
+    parts = [slice(end - len(own[0]), end) for own, end in zip(rows, ends, strict=True)]
+    columns = np.zeros((len(rows[0]), evidence.size))  # speed's rows come after
+    for at in parts:
+        for column, own in zip(columns, rows.pop(0), strict=True):
+            column[at] = own / evidence.scale["thrust"]
     for k in range(len(columns)):
         left = about.apart(columns[k])
         columns[k] = left / max(float(np.linalg.norm(left)), np.finfo(float).tiny)
     power, directions = np.linalg.eigh(columns @ columns.T)
     kept = power > DEPENDENT**2 * power[-1]
-    directions = (directions[:, kept] / np.sqrt(power[kept])).T @ columns
-    score = directions @ about.residual
+    turned = (directions[:, kept] / np.sqrt(power[kept])).T
+    score = turned @ (columns @ about.residual)
     if all(e.noise.verified for e in evidence.experiments):
         return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
-    left = about.residual - directions.T @ score
-    sizes = [e.sizes["thrust"] for e in evidence.experiments]
-    parts = [slice(end - n, end) for n, end in zip(sizes, np.cumsum(sizes), strict=True)]
-    covariance, degrees = scores_covariance([(directions[:, at], left[at]) for at in parts])
+    left = about.residual - columns.T @ (turned.T @ score)
+    covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at]) for at in parts])
     return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), int(kept.sum()), degrees)
 
 

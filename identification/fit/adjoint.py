@@ -39,11 +39,10 @@ class AdjointProblem(Problem):
         cost, gradient = 0.0, np.zeros(len(x))
         for i, record in enumerate(self.records):
             tape = self._adjoint.record(found, record.columns, record.steps)
-            no_tangents = np.empty((*tape.outputs.shape, 0))
             cotangents = np.zeros_like(tape.outputs)
             for block in self.blocks:
                 if block.record == i:
-                    error, _ = self._compared(block, record, tape.outputs, no_tangents)
+                    error, _ = self._error(block, record, tape.outputs)
                     cost += 0.5 * float(np.sum(error**2))
                     self._pull_back(block, error, cotangents)
             gradient += tape.pull_back(cotangents)

@@ -23,8 +23,7 @@ ORDER = ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c30",
 
 def held(problem: Problem, x: np.ndarray, names: Sequence[str]) -> dict[str, str]:
     """Parameters (of the problem's) that its data do not determine at coordinates `x`: name -> why, in words."""
-    _, jacobian = problem.evaluate(x)
-    columns = jacobian[: problem.size] @ np.linalg.pinv(problem.coordinates.jacobian(x))
+    columns = _columns(problem, x)
     largest = max(np.linalg.norm(columns, axis=0).max(), 1e-300)
     columns = np.vstack([columns, _known(problem, columns)])
     reasons, basis, taken = {}, np.zeros((len(columns), 0)), {}
@@ -53,6 +52,14 @@ def hardly_told(found: Uncertainty) -> dict[str, str]:
     known = zip(found.names, found.values.tolist(), found.std.tolist(), strict=True)
     worst = {n: s for n, v, s in known if s >= (abs(v) if n.startswith("tau_") else UNKNOWN)}
     return {n: f"these data tell it to no better than ± {number(NORMAL_95 * s, 2)}" for n, s in worst.items()}
+
+
+def _columns(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """(n, n) in place of the data's rows (rows, n): the root of their normal matrix has the same lengths and angles."""
+    _, jacobian = problem.evaluate(x)
+    power, axes = np.linalg.eigh(jacobian[: problem.size].T @ jacobian[: problem.size])
+    root = np.sqrt(np.maximum(power, 0.0))[:, None] * axes.T
+    return root @ np.linalg.pinv(problem.coordinates.jacobian(x))
 
 
 def _partners(column: np.ndarray, taken: Mapping[str, np.ndarray]) -> list[str]:

@@ -101,6 +101,7 @@ def solve(
             converged = True
             break
         if not fresh and (done or gained <= 0 or gained > CLOSE * cost or abs(gained / promise - 1.0) > STRAIGHT):
+            del jacobian  # of a long record there is room for one
             jacobian, fresh = evaluate(x)[1], True
         if fresh:
             normal = jacobian.T @ jacobian

@@ -7,7 +7,7 @@ share what the model lacks; they weigh as their mean does, not as so many indepe
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -127,24 +127,39 @@ class Problem:
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian (rows, coordinates) at `x`."""
-        residual, jacobian = self.rows(self.coordinates.values(x))
-        return residual, jacobian @ self.coordinates.jacobian(x)
+        return self.rows(self.coordinates.values(x), self.coordinates.jacobian(x))
 
-    def rows(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Residual and Jacobian (rows, names) in the free parameters themselves, at their `values` by name."""
+    def rows(self, values: Mapping[str, float], inner: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and Jacobian (rows, k) at the free parameters' `values` by name, in what these have the derivatives `inner`
+        (names, k) in; None: in the parameters themselves.
+
+        Records are run in pieces: of a long one, all sensitivities are larger than the Jacobian that is made of them.
+        """
         found, names = self.values | dict(values), self.coordinates.names
+        inner = np.eye(len(names)) if inner is None else inner
         known = 0 if self.prior is None else len(self.prior.names)
-        residual, jacobian = np.empty(self.size + known), np.empty((self.size + known, len(names)))
+        residual, jacobian = np.empty(self.size + known), np.empty((self.size + known, inner.shape[1]))
         for first in dict.fromkeys(self.twin):
-            record = self.records[first]
-            # Kept until the next evaluation: memory that went back to the system costs more to get again than the arithmetic.
-            outputs, tangents = self._work = self._simulator.sensitivities(found, record.columns, record.steps)
-            for block in self._blocks:
-                if self.twin[block.record] == first:
-                    measured = self.records[block.record]
-                    residual[block.at], jacobian[block.at] = self._compared(block, measured, outputs, tangents)
+            record, blocks = self.records[first], [b for b in self._blocks if self.twin[b.record] == first]
+            outputs = np.empty((len(record), len(self._simulator.outputs)))
+            heard = any(b.channel == "omega" for b in blocks)
+            speed = np.empty((len(record) * heard, len(names)))
+            for at, shown, tangents in self._simulator.pieces(found, record.columns, record.steps):
+                outputs[at] = shown
+                if heard:
+                    speed[at] = tangents[:, self._omega]
+                for block in blocks:
+                    if block.channel == "thrust":
+                        part = slice(*np.searchsorted(block.rows, (at.start, at.stop)))
+                        own = tangents[block.rows[part] - at.start, self._thrust] / self.std["thrust"]
+                        jacobian[block.at][part] = own @ inner
+            for block in blocks:
+                residual[block.at], std = self._error(block, self.records[block.record], outputs)
+                if block.channel == "omega":
+                    jacobian[block.at] = self._tachometers[block.record].shows(speed) / std[:, None] @ inner
         if self.prior is not None:
-            residual[self.size :], jacobian[self.size :] = self.prior.rows(found, names)
+            residual[self.size :], own = self.prior.rows(found, names)
+            jacobian[self.size :] = own @ inner
         return residual, jacobian
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
@@ -160,10 +175,6 @@ class Problem:
         if self.prior is not None:
             residual[self.size :], _ = self.prior.rows(found, self.coordinates.names)
         return residual
-
-    def release(self) -> None:
-        """Give back what `rows` keeps of the last evaluation: as much as all records' sensitivities."""
-        self._work = None
 
     def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
         """Fit from `start` under the present weights. `enough`: log-likelihood (of noise of unknown size) that a step must
@@ -189,6 +200,11 @@ class Problem:
             found.append(self.solve(self.coordinates.values(found[-1].value), WEIGHED if k < rounds - 1 else 0.0))
         return found
 
+    def with_rows(self, found: Solution) -> Solution:
+        """A slim solution under the present weights, with its residual and Jacobian again."""
+        residual, jacobian = self.evaluate(found.value)
+        return replace(found, residual=residual, jacobian=jacobian)
+
     def thrust_error(self, record: int, values: Mapping[str, float]) -> np.ndarray:
         """Predicted less measured thrust (rows with thrust,) N of one record."""
         columns, steps = self.records[record].columns, self.records[record].steps
@@ -212,13 +228,6 @@ class Problem:
             self._tachometers[i] = Tachometer(record)
             return self._tachometers[i].rows
         return np.flatnonzero(np.isfinite(record[channel]))
-
-    def _compared(self, block, record, outputs, tangents):
-        """(error, its sensitivities), both in standard deviations."""
-        error, std = self._error(block, record, outputs)
-        if block.channel == "omega":
-            return error, self._tachometers[block.record].shows(tangents[:, self._omega]) / std[:, None]
-        return error, tangents[block.rows, self._thrust] / std
 
     def _error(self, block, record, outputs):
         """(predicted less measured, in standard deviations; these)."""

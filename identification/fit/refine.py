@@ -17,6 +17,7 @@ from identification.fit.identifiability import held as undetermined
 from identification.fit.least_squares import Solution
 from identification.fit.problem import CHANNELS, Prior, Problem
 from identification.fit.uncertainty import Uncertainty, uncertainty
+from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.record import Record
@@ -99,6 +100,11 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     trial = kind(model, records, values, names, prior, channels)
     why = undetermined(trial, trial.coordinates.vector(values), names)
     free = [n for n in names if n not in why]
+    if not free:
+        told = "; ".join(dict.fromkeys(why.values()))
+        raise BadInput(
+            records[0].source, "thrust", f"nothing that tells a parameter ({told})", "what follows a command that moves"
+        )
     problem = kind(model, records, values, free, prior, channels) if why else trial
     cost_start = paper_cost(problem, values)
     if method == "gradient-descent":
@@ -106,14 +112,17 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     else:
         rounds = problem.solve_and_weigh(values)
     best, found = rounds[-1], [rounds[-1].slim()]
+    if starts > 1:  # while others are sought, there is no room for the first one's rows
+        best, rounds = found[0], [solution.slim() for solution in rounds]
     for at in _random_starts(problem, values, starts - 1, seed):
-        one = problem.solve(at, 0.5 * ROUGH * problem.size)
+        one = problem.solve(at, 0.5 * ROUGH * problem.size).slim()
         if one.cost < best.cost * (1 - SAME):
-            one = problem.solve(problem.coordinates.values(one.value))
+            one = problem.solve(problem.coordinates.values(one.value)).slim()
         best = min(best, one, key=lambda solution: solution.cost)
-        found.append(one.slim())
+        found.append(one)
+    if starts > 1:
+        best = problem.with_rows(best)
     final = values | problem.coordinates.values(best.value)
-    problem.release()
     return Refinement(
         problem=problem,
         solution=best,

@@ -24,7 +24,7 @@ _KEEP = "keeps the rows"
 
 KINDS = {
     "too_short": Kind(ERROR, "too few rows, seconds or readings to show a lag", "Record longer, or leave the file out"),
-    "no_move": Kind(ERROR, "both commands stand still throughout", "Move one at least; a steady point belongs into static.csv"),
+    "no_move": Kind(WARNING, "both commands stand still throughout", "Move one at least; a record at rest tells one thrust"),
     "thrust_dead": Kind(ERROR, "the thrust never changes", "Look at the load cell and its wires"),
     "copied": Kind(ERROR, "a file holds another one's readings", "Leave the file out, and it is known to be missing"),
     "time_unit": Kind(ERROR, "responses are slower or faster than any rotor's", "Write seconds", _GO_ON),

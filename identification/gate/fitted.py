@@ -76,7 +76,8 @@ def _bounds(found: Refinement, where: str) -> Iterator[Finding]:
 def _errors(predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float | None) -> Iterator[Finding]:
     for name, p in predictions.items():
         fit = p.fit_thrust
-        if fit < HALF:
+        moved = any(np.ptp(p.record[n]) > 0.0 for n in ("omega_ref", "beta_ref"))  # else there is nothing to explain
+        if moved and fit < HALF:
             told = f"the fit explains {fit:.1f} %"
             cause = "columns that do not belong together, a wrong unit, or a rig that this model does not describe"
             yield Finding("poor_fit", p.record.source, "thrust", fit, "%", told, cause)
@@ -121,7 +122,8 @@ def _from_commands(found: Refinement) -> Uncertainty:
     the commands."""
     solution, coordinates = found.solution, found.problem.coordinates
     free = np.flatnonzero(~solution.active)
-    inverse = np.linalg.pinv(solution.jacobian[:, free].T @ solution.jacobian[:, free], hermitian=True)
+    normal = solution.jacobian.T @ solution.jacobian
+    inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
     tangent = coordinates.jacobian(solution.value)[:, free]
     return replace(found.uncertainty, covariance=tangent @ inverse @ tangent.T, reach=None)
 
@@ -162,8 +164,10 @@ def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Ite
     blocks = [b for b in problem.blocks if b.channel == "thrust"]
     for block in blocks:
         constant[block.at] = 1.0 / problem.std["thrust"]
-    jacobian = solution.jacobian[:, ~solution.active]
-    own = constant - jacobian @ np.linalg.lstsq(jacobian, constant, rcond=1e-10)[0]
+    jacobian, free = solution.jacobian, np.ix_(~solution.active, ~solution.active)
+    inverse = np.zeros((jacobian.shape[1], jacobian.shape[1]))
+    inverse[free] = np.linalg.pinv((jacobian.T @ jacobian)[free], hermitian=True)
+    own = constant - jacobian @ (inverse @ (jacobian.T @ constant))
     information = float(own @ own)
     if information < 1e-3 * float(constant @ constant):  # all of it goes as well with the map
         return

@@ -38,7 +38,8 @@ AFTER_GAP = 2.0
 """Seconds after a gap that are left out: until then what happened in it has died away."""
 
 STUCK = 20.0
-"""Usual times between new values of the speed: one that stands still for so many, though its command has moved, is stuck."""
+"""Usual times between new values of the speed: one that stands still for so many, though its command has moved, is stuck. So
+is one that a smaller move finds still longer than chance makes of readings at rest; where these repeat, that is never."""
 
 MOVE = 0.05
 """Share of a command's range in a record that counts as a move."""
@@ -153,12 +154,12 @@ def _equal_by_chance(thrust: np.ndarray, begin: int, end: int, digit: float) -> 
     return min(1.0, 1.0 / (np.sqrt(2.0 * np.pi) * max(s, 1e-3)))
 
 
-def _rows_since_move(record: Record) -> np.ndarray:
-    """(n,) rows since a command last moved by more than MOVE of its range."""
+def _rows_since_move(record: Record, least: float | None = None) -> np.ndarray:
+    """(n,) rows since a command last moved by more than `least`; None: than MOVE of its range."""
     moves = np.zeros(len(record), bool)
     for name in ("omega_ref", "beta_ref"):
         change = np.abs(np.diff(record[name], prepend=record[name][0]))
-        moves |= change > MOVE * max(np.ptp(record[name]), 1e-12)
+        moves |= change > (MOVE * max(np.ptp(record[name]), 1e-12) if least is None else least)
     rows = np.arange(len(record))
     return rows - np.maximum.accumulate(np.where(moves, rows, 0))
 
@@ -209,17 +210,37 @@ def _speed(record: Record) -> Iterator[Fault]:
         yield Fault(finding, "omega", everywhere)
         return
     first, length = runs_of_equals(shown)
-    moved = _rows_since_move(record.with_columns(beta_ref=np.zeros(len(record))))[seen]
-    stuck, limit = np.zeros(len(record), bool), STUCK * np.median(length)
+    alone = record.with_columns(beta_ref=np.zeros(len(record)))
+    moved, touched = (_rows_since_move(alone, least)[seen] for least in (None, float(np.min(np.diff(np.unique(shown))))))
+    stuck, usual = np.zeros(len(record), bool), float(np.median(length))
+    least = usual * _longest(0.0, len(length))
     for begin, many in zip(first, length, strict=True):
-        if many > limit and _outlasts(moved[begin : begin + many], limit):
-            stuck[seen[begin : begin + many]] = True
+        stretch = slice(begin, begin + many)
+        if many > least and _outlasts(touched[stretch], least):
+            turn = max(usual, 60.0 / max(shown[begin], 1e-9) / float(np.median(record.steps)))
+            chance = turn * _longest(_equal_at_rest(first, touched, stretch, usual), len(length))
+            if _outlasts(moved[stretch], STUCK * usual) or _outlasts(touched[stretch], chance):
+                stuck[seen[stretch]] = True
     if count := int(stuck.sum()):
         begin = record.time[np.argmax(stuck)]
         told = f"{count} readings that stand still from {begin:.2f} s on while the command moves, left out"
         cause = "lost pulses, or a logger that holds the last value"
         yield Fault(Finding("frozen", record.source, "omega", count, "1", told, cause), "omega", stuck)
     yield from _spikes(record, "omega", "rpm", seen[first])
+
+
+def _equal_at_rest(first: np.ndarray, since: np.ndarray, stretch: slice, usual: float) -> float:
+    """Probability that a speed is renewed with the same value where its command has stood for half of the time that it will.
+
+    `first`: where values are new, `since` (n,): rows since the last move, `usual`: rows between renewals. What a `stretch`
+    itself shows does not count: 1 where the command stands nowhere else.
+    """
+    ends = np.flatnonzero(np.append(np.diff(since) <= 0, True))
+    hold = np.repeat(since[ends], np.diff(ends, prepend=-1))  # rows that each row's command stands in all
+    rests = since > 0.5 * hold
+    rests[stretch] = False
+    renewals = rests.sum() / usual
+    return float(np.clip((renewals - rests[first].sum() + 1.0) / (renewals + 1.0), 0.0, 1.0))
 
 
 def _gaps(record: Record) -> Iterator[Fault]:

@@ -70,6 +70,8 @@ def predict(model: Model, values: Mapping[str, float], record: Record) -> Predic
 
 def band(model: Model, values: Mapping[str, float], doubt: Uncertainty, record: Record, left: float) -> np.ndarray:
     """Standard deviation (rows,) N of a predicted reading: what the parameters leave open, and what the fit has `left` [N]."""
-    _, tangents = Simulator(model, doubt.names).sensitivities(values, record.columns, record.steps)
-    slope = tangents[:, 0]
-    return np.sqrt(np.einsum("ij,jk,ik->i", slope, doubt.covariance, slope) + left**2)
+    variance = np.empty(len(record))
+    for at, _, tangents in Simulator(model, doubt.names).pieces(values, record.columns, record.steps):
+        slope = tangents[:, 0]
+        variance[at] = np.einsum("ij,jk,ik->i", slope, doubt.covariance, slope)
+    return np.sqrt(variance + left**2)

@@ -65,30 +65,31 @@ def profiled(problem: Problem, found: Solution, doubt: Uncertainty, others: Sequ
 
 @dataclass(frozen=True)
 class _Optimum:
-    """A solution in the parameters themselves, all (n,) or by name: its cost, its Jacobian (rows, n), and the rise of the root
-    of twice the cost at the end of each interval, `target`."""
+    """A solution in the parameters themselves, all (n,) or by name: its cost, its normal matrix (n, n), and the rise of the
+    root of twice the cost at the end of each interval, `target`."""
 
     problem: Problem
     names: tuple[str, ...]
     values: Mapping[str, float]
     cost: float
-    jacobian: np.ndarray
+    normal: np.ndarray
     target: np.ndarray
 
 
 def _optimum(problem: Problem, found: Solution, doubt: Uncertainty) -> _Optimum:
     values = dict(zip(doubt.names, doubt.values.tolist(), strict=True))
-    jacobian = problem.rows(values)[1]
+    _, jacobian = problem.rows(values)
+    normal = jacobian.T @ jacobian
     variance, unit = np.diag(doubt.covariance), np.zeros(len(doubt.values))
     # What stands on a bound has no part in the covariance, and must have none in what that is compared with.
     free = np.flatnonzero(variance > 0)
-    unit[free] = np.diag(_inverse(jacobian[:, free]))
+    unit[free] = np.diag(_inverse(normal[np.ix_(free, free)]))
     told = (variance > 0) & (unit > 0)
     scale = np.sqrt(np.divide(variance, unit, out=np.ones(len(unit)), where=told))
     # At a bound nothing was said of the colour: the worst of the others, and not below the residual's own size.
     left = np.sqrt(2.0 * found.cost / max(1, len(found.residual) - len(found.value)))
     worst = scale[told].max(initial=left)
-    return _Optimum(problem, doubt.names, values, found.cost, jacobian, NORMAL_95 * np.where(told, scale, worst))
+    return _Optimum(problem, doubt.names, values, found.cost, normal, NORMAL_95 * np.where(told, scale, worst))
 
 
 class Profile:
@@ -104,9 +105,10 @@ class Profile:
         names = [optimum.names[i] for i in self.rest]
         self.coordinates = Coordinates(problem.model, names, problem.coordinates.slow_first)
         self.start = self.coordinates.vector(optimum.values)
-        inner = optimum.jacobian[:, self.rest] @ self.coordinates.jacobian(self.start)
+        inner, normal = self.coordinates.jacobian(self.start), optimum.normal
         # How the others follow where the parameter moves, to first order.
-        self.slope = -_inverse(inner) @ (inner.T @ optimum.jacobian[:, k])
+        others = normal[np.ix_(self.rest, self.rest)]
+        self.slope = -_inverse(inner.T @ others @ inner) @ (inner.T @ normal[self.rest, k])
 
     def end(self, side: float, linear: float) -> float:
         """How far the interval goes to one `side` (-1, 1): as far as the `linear` one if that is right."""
@@ -115,8 +117,8 @@ class Profile:
             return 0.0
         if 0.0 < linear <= room and abs(self._expected(side * linear) / self.target - 1.0) <= DEPARTURE:
             return linear
-        own = self.optimum.jacobian[:, self.k]
-        first = linear or self.target / float(np.sqrt(max(own @ own, 1e-300)))
+        own = float(self.optimum.normal[self.k, self.k])
+        first = linear or self.target / float(np.sqrt(max(own, 1e-300)))
         return self._search(side, first, room)
 
     def _search(self, side: float, away: float, room: float) -> float:
@@ -154,7 +156,8 @@ class Profile:
         residual, jacobian = self._evaluate(x, away)
         gradient = jacobian.T @ residual
         free = ~((x <= lower) & (gradient > 0)) & ~((x >= upper) & (gradient < 0))
-        fall = gradient[free] @ _inverse(jacobian[:, free]) @ gradient[free]
+        normal = (jacobian.T @ jacobian)[np.ix_(free, free)]
+        fall = gradient[free] @ _inverse(normal) @ gradient[free]
         return self.root(0.5 * float(residual @ residual - fall))
 
     def _refitted(self, away: float, slope: np.ndarray) -> Solution:
@@ -171,8 +174,9 @@ class Profile:
 
     def _evaluate(self, x: np.ndarray, away: float) -> tuple[np.ndarray, np.ndarray]:
         values = self.coordinates.values(x) | {self.name: self.at + away}
-        residual, jacobian = self.optimum.problem.rows(values)
-        return residual, jacobian[:, self.rest] @ self.coordinates.jacobian(x)
+        inner = np.zeros((len(self.optimum.names), len(self.rest)))
+        inner[self.rest] = self.coordinates.jacobian(x)
+        return self.optimum.problem.rows(values, inner)
 
     def _bounds(self, away: float) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the others: of a pair whose one constant is held, the slower stays the slower."""
@@ -188,7 +192,7 @@ class Profile:
         return lower, upper
 
 
-def _inverse(jacobian: np.ndarray) -> np.ndarray:
-    """Of the normal matrix; columns may vanish or coincide at a bound."""
-    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    return np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-13, hermitian=True) / np.outer(size, size)
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    """Of a normal matrix; columns may vanish or coincide at a bound."""
+    size = np.maximum(np.sqrt(np.diag(normal)), 1e-150)
+    return np.linalg.pinv(normal / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size)

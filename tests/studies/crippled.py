@@ -201,6 +201,18 @@ def one_move(files: Files, size: Size, rng: np.random.Generator) -> Files:
     return {n: measured(size, told, rng) for n in ("open_loop", "repeat")}
 
 
+def at_rest(files: Files, size: Size, rng: np.random.Generator) -> Files:
+    """Commands that never move, of a rotor that stands."""
+    told = commanded(size, rng, "--")
+    told["omega_ref"] = np.zeros(len(told["time"]))
+    return {name: measured(size, told, rng) for name in ("open_loop", "repeat")}
+
+
+def resting_records(files: Files, size: Size, rng: np.random.Generator) -> Files:
+    """Long records in which no command moves, beside a map and steps."""
+    return files | recorded("-")(files, size, rng)
+
+
 def emptied(column: str, share: float):
     """Cells at random without a value."""
 
@@ -388,6 +400,9 @@ CASES: Mapping[str, Case] = {
     "fixed speed": Case("paper", recorded("bbb")),
     "one move only": Case("big", one_move),
     "no move at all": Case("paper", recorded("--")),
+    "no move, no speed column": Case("big", lambda *campaign: without("omega")(recorded("-")(*campaign), *campaign[1:])),
+    "no move of a rotor at rest": Case("paper", at_rest),
+    "no move beside map and steps": Case("micro", resting_records),
     "static map only": Case("micro", only("static")),
     "steps only": Case("paper", only("steps")),
     "static map and steps only": Case("big", only("static", "steps")),

@@ -15,6 +15,10 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
 from vpp_fmu.tracer import Program, c_source, python_source, trace
 
+PIECE = 4096
+"""Rows that are run at a time where a record's sensitivities need not be held at once: few enough to stay in a core's cache,
+which is three times as fast as memory, and enough for what a piece costs by itself not to count."""
+
 
 class Simulator:
     """A model ready to run records, with sensitivities in the parameters `wrt`."""
@@ -41,7 +45,7 @@ class Simulator:
         ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, len(steps) + 1)
         return outputs, tangents
 
-    def pieces(self, parameters, inputs, steps, rows: int) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    def pieces(self, parameters, inputs, steps, rows: int = PIECE) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """The same in pieces of `rows` rows, each (its rows, outputs, derivatives): a long record's need not be held at once.
 
         Both are overwritten by the next piece.
@@ -110,6 +114,7 @@ def _compiled(program: Program):
     library.begin.argtypes, library.begin.restype = [vector, vector, ctypes.c_int], ctypes.c_void_p
     library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, ctypes.c_void_p]
     library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
+    name = program.model.name  # of the program itself, whose graph is large, nothing is needed any more
 
     def run(values, inputs, steps, plain):
         begun = library.begin(values, inputs[0], plain)
@@ -123,7 +128,7 @@ def _compiled(program: Program):
                 moves = None if tangents is None else tangents.ctypes.data
                 if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, moves):
                     told = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
-                    raise SimulationFailed(f"{program.model.name}: {told}")
+                    raise SimulationFailed(f"{name}: {told}")
                 asked = yield
         finally:
             library.end(begun)

@@ -4,7 +4,7 @@ Records of the same commands are one experiment: they are simulated once, and th
 noise's power by their number. Speed is compared as the tachometer shows it, in each record by itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,14 +19,11 @@ from identification.fit.problem import Prior
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
+from vpp_fmu.native.simulator import PIECE
 
 WEIGHED, ENOUGH = 0.5, 1e-3
 """Log-likelihood at which a fit ends: to weigh the channels by what it leaves, and for good (a deviation of 0.045 standard
 deviations of the estimate)."""
-
-
-PIECE = 16384
-"""Rows of a record that are run at a time."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ class Experiment:
         of those of thrust are kept.
         """
         length, k = int(self._blocks.edges[1]), len(simulator.wrt)
-        means, speed = np.empty((len(self._blocks.time), k)), np.empty((len(self.record) * bool(self.tachometers), k))
+        means, speed = np.empty((len(self._blocks.time), k)), np.empty((len(self.record) * bool(len(self.omega_time)), k))
         outputs, first = np.empty((len(self.record), len(simulator.outputs))), 0
         rows = max(1, PIECE // length) * length
         for at, shown, tangents in simulator.pieces(values, self.record.columns, self.record.steps, rows):
@@ -136,11 +133,24 @@ class Experiment:
         return predicted if there.all() else np.where(there.reshape(-1, *[1] * (predicted.ndim - 1)), predicted, np.nan)
 
     def _white(self, means):
-        return self.noise.colour.whiten(means)[self._seen] / self._share
+        return _by_column(lambda column: self.noise.colour.whiten(column)[self._seen] / self._share, means)
 
     def _heard(self, parts):
-        white = [self.noise.speed.whiten(part)[kept] for part, (kept, _) in zip(parts, self._late, strict=True)]
+        whiten = self.noise.speed.whiten
+        white = [_by_column(lambda c, k=kept: whiten(c)[k], p) for p, (kept, _) in zip(parts, self._late, strict=True)]
         return np.concatenate(white)
+
+
+def _by_column(change: Callable[[np.ndarray], np.ndarray], values: np.ndarray) -> np.ndarray:
+    """`change` of (rows,), or of each column of (rows, k): what it needs beside them is then small."""
+    if values.ndim == 1 or not values.size:
+        return change(values)
+    columns = values.reshape(len(values), -1).T
+    first = change(columns[0])
+    found = np.empty((len(first), len(columns)))
+    for k, column in enumerate(columns):
+        found[:, k] = change(column) if k else first
+    return found.reshape(len(first), *values.shape[1:])
 
 
 class Evidence:
@@ -208,12 +218,19 @@ class Evidence:
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
         runs = [e.sensitivities(self.simulator, found) for e in self.experiments]
         residuals = self.residuals([outputs for outputs, _ in runs])
-        residual = np.concatenate([r / self.scale[c] for c, r in residuals.items()])
-        jacobian = np.vstack([own[c] @ (inner / self.scale[c]) for c in residuals for _, own in runs if c in own])
-        if self.prior is None:
-            return residual, jacobian
-        error, known = self.prior.rows(found, self.coordinates.names)
-        return np.append(residual, error), np.vstack([jacobian, known @ inner])
+        error, known = np.zeros(0), np.zeros((0, len(inner)))
+        if self.prior is not None:
+            error, known = self.prior.rows(found, self.coordinates.names)
+        residual = np.concatenate([*(r / self.scale[c] for c, r in residuals.items()), error])
+        jacobian, first = np.empty((len(residual), len(inner))), 0
+        for c in residuals:
+            for _, own in runs:
+                if c in own:
+                    rows = own.pop(c)
+                    np.matmul(rows, inner / self.scale[c], out=jacobian[first : first + len(rows)])
+                    first += len(rows)
+        jacobian[first:] = known @ inner
+        return residual, jacobian
 
     def residual_at(self, values: Mapping[str, float]) -> np.ndarray:
         """The scaled residual at parameter values, the prior's rows last."""

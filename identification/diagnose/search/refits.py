@@ -10,6 +10,7 @@ from identification.diagnose.judgement import REFITTED, STRONG
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.look import Looks, Seen
+from vpp_fmu.native.memory import give_back
 
 SAME_RESPONSE = 1e-6
 """Standard deviations of noise by which two responses may differ by rounding."""
@@ -55,6 +56,7 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[T
     if not chosen:
         return list(tried)
     at = {c.label: seen for c, seen in looks(searcher, fit, chosen, pool)}
+    give_back()
     refits = dict(zip(chosen, pool.map(lambda c: refitted(searcher, fit, c, at[c.label]), chosen), strict=True))
 
     def improve(some: Sequence[Candidate], how: Callable[[Candidate], Fit]) -> None:
