@@ -398,7 +398,9 @@ def _not_logged(files: Sequence[File]) -> Iterator[Finding]:
             if high - low > AS_UNIT * max(abs(low), abs(high)):
                 told = f"it stands at {command[0]:.4g} {unit} while {channel} runs from {low:.4g} to {high:.4g} {unit}"
                 field, moved = f"{channel}_ref", float(high - low)
-                yield Finding("not_logged", file.where, field, moved, unit, told, "the command was not logged")
+                other = file.column("beta_ref" if channel == "omega" else "omega_ref")
+                code = "not_logged" if np.ptp(other) > 0.0 else "no_commands"
+                yield Finding(code, file.where, field, moved, unit, told, "the command was not logged")
 
 
 def _tares(files: Sequence[File]) -> Iterator[Finding]:

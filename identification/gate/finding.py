@@ -25,6 +25,7 @@ _KEEP = "keeps the rows"
 KINDS = {
     "too_short": Kind(ERROR, "too few rows, seconds or readings to show a lag", "Record longer, or leave the file out"),
     "no_move": Kind(WARNING, "both commands stand still throughout", "Move one at least; a record at rest tells one thrust"),
+    "no_commands": Kind(ERROR, "no command moves while the rotor does", "Log what was commanded, row by row"),
     "thrust_dead": Kind(ERROR, "the thrust never changes", "Look at the load cell and its wires"),
     "copied": Kind(ERROR, "a file holds another one's readings", "Leave the file out, and it is known to be missing"),
     "time_unit": Kind(ERROR, "responses are slower or faster than any rotor's", "Write seconds", _GO_ON),

@@ -7,7 +7,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from identification.gate.files import files_of, of_files
-from identification.gate.finding import Finding, check_accepted, refuse, settled
+from identification.gate.finding import ERROR, Finding, check_accepted, refuse, settled
 from identification.gate.sensors import screen, unusable
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
@@ -38,7 +38,7 @@ _BLAS = ThreadpoolController()
 def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[str]) -> Passed:
     own = {n: r for n in RECORDS if (r := getattr(campaign, n)) is not None}
     found = [f for r in (own | further).values() for f in unusable(r)]
-    short = {f.where for f in found}
+    short = {f.where for f in found if f.level == ERROR}
     unseen = {campaign.validation.source} if campaign.validation is not None else set()
     found = [f for f in found if f.where not in unseen or f.code == "thrust_dead"]  # nothing is fitted to it
     kept: dict[str, Record] = {}
