@@ -6,6 +6,7 @@ import pytest
 from identification.diagnose.evidence.converter import LEAST, Converter, grid
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
@@ -96,3 +97,27 @@ def test_an_empty_reading_is_no_pulse_of_the_tachometer():
     values = np.unique(whole.measured)
     assert np.isin(part.measured, values).all()
     assert len(np.unique(part.rows)) == len(part)
+
+
+@pytest.mark.parametrize("age", [0.3, 1.0, 2.6])
+def test_a_row_holds_what_was_read_rows_before(age):
+    """Straight between the ends of uneven rows, thrust and speed; pitch is not late."""
+    rows, rng = 3000, np.random.default_rng(5)
+    steps = np.round(rng.uniform(0.005, 0.03, rows - 1), 6)
+    inputs = {"omega_ref": np.where(np.arange(rows) % 200 < 100, 3000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
+    plain = Simulator(BASE).simulate({}, inputs, steps)
+    logged = Simulator(plant(["row_clock"])).simulate({"row_clock.age": age}, inputs, steps)
+    before = np.arange(3, rows) - age
+    for column in (0, 1):
+        expected = np.interp(before, np.arange(rows), plain[:, column])
+        np.testing.assert_allclose(logged[3:, column], expected, rtol=1e-8)
+    np.testing.assert_allclose(logged[:, 2], plain[:, 2], rtol=1e-9)
+
+
+def test_nothing_is_logged_late_where_nobody_says_how_long_rows_are():
+    """A co-simulation has no logger: its communication step is no row."""
+    model, commands = plant(["row_clock"]), [(3000.0, 5.0)] * 3 + [(5000.0, 5.0)] * 50
+    told, plain = Simulation(model, {"row_clock.age": 1.5}), Simulation(BASE)
+    for omega_ref, beta_ref in commands:
+        shown = [one.advance({"omega_ref": omega_ref, "beta_ref": beta_ref}, 0.004) for one in (told, plain)]
+        assert shown[0]["thrust"] == pytest.approx(shown[1]["thrust"], rel=1e-12)

@@ -33,7 +33,7 @@ class Broken(Exception):
 
 def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> dict[str, np.ndarray]:
     """Speed and pitch commands over the rig's whole range, each held for 1 to `hold` rows; any other input of the model
-    wanders by a tenth around its nominal value."""
+    wanders by a tenth around its nominal value; a row of a log lasts 2 STEP."""
     rng = np.random.default_rng(seed)
 
     def steps(low, high):
@@ -41,7 +41,8 @@ def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> di
         return np.repeat(rng.uniform(low, high, rows), lengths)[:rows]
 
     ranges = {"omega_ref": (2000.0, 6000.0), "beta_ref": (-5.0, 10.0)}
-    return {u.name: steps(*ranges.get(u.name, (0.9 * u.nominal, 1.1 * u.nominal))) for u in model.inputs}
+    wander = {u.name: (0.9 * u.nominal, 1.1 * u.nominal) for u in model.inputs} | ranges
+    return {u.name: np.full(rows, 2.0 * STEP) if u.clock else steps(*wander[u.name]) for u in model.inputs}
 
 
 def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps) -> np.ndarray:

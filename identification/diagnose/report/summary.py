@@ -125,7 +125,7 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
     }
 
 
-HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger"}
+HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
 
 
 def artefact(found: Diagnosis, name: str) -> str:
