@@ -99,19 +99,23 @@ def test_an_empty_reading_is_no_pulse_of_the_tachometer():
     assert len(np.unique(part.rows)) == len(part)
 
 
-@pytest.mark.parametrize("age", [0.3, 1.0, 2.6])
-def test_a_row_holds_what_was_read_rows_before(age):
-    """Straight between the ends of uneven rows, thrust and speed; pitch is not late."""
-    rows, rng = 3000, np.random.default_rng(5)
-    steps = np.round(rng.uniform(0.005, 0.03, rows - 1), 6)
-    inputs = {"omega_ref": np.where(np.arange(rows) % 200 < 100, 3000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
-    plain = Simulator(BASE).simulate({}, inputs, steps)
-    logged = Simulator(plant(["row_clock"])).simulate({"row_clock.age": age}, inputs, steps)
-    before = np.arange(3, rows) - age
-    for column in (0, 1):
-        expected = np.interp(before, np.arange(rows), plain[:, column])
-        np.testing.assert_allclose(logged[3:, column], expected, rtol=1e-8)
-    np.testing.assert_allclose(logged[:, 2], plain[:, 2], rtol=1e-9)
+@pytest.mark.parametrize(("age", "whole"), [(0.3, 0), (1.0, 0), (1.0, 1), (2.75, 2)])
+def test_a_row_holds_what_was_read_rows_before(age, whole):
+    """Of uneven rows, beside the model looked at every 0.25 ms: straight over 1 ms is h^2 / 8 of the curvature off."""
+    rows, rng = 1500, np.random.default_rng(5)
+    fine = 4 * rng.integers(5, 60, rows - 1)
+    speed = np.where(np.arange(rows) % 100 < 50, 3000.0, 5000.0)
+    inputs = {"omega_ref": np.repeat(speed, [*fine, 1]), "beta_ref": np.full(fine.sum() + 1, 5.0)}
+    plain = Simulator(BASE).simulate({}, inputs, np.full(fine.sum(), 0.00025))
+    logged = Simulator(plant(["row_clock"])).simulate(
+        {"row_clock.age": age}, {"omega_ref": speed, "beta_ref": np.full(rows, 5.0)}, 0.00025 * fine
+    )
+    at = np.append(0, np.cumsum(fine))
+    read = at[1:] - (age - whole) * fine
+    for column, near in ((0, 2e-4), (1, 0.06)):
+        expected = np.interp(read, np.arange(len(plain)), plain[:, column])
+        np.testing.assert_allclose(logged[1 + whole :, column], expected[: rows - 1 - whole], rtol=0, atol=near)
+    np.testing.assert_allclose(logged[:, 2], plain[at, 2], rtol=1e-9)
 
 
 def test_nothing_is_logged_late_where_nobody_says_how_long_rows_are():

@@ -16,7 +16,7 @@ from vpp_fmu.native import Simulator, compiler
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
 UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 4000)
 MODELS = {"plain": (BASE, {}), "all on": (ALL_ON, PROBES), "two delays": (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087})}
-LATE = ("reading_delay", "speed_reading_delay")
+LATE = {"reading_delay": "delay", "speed_reading_delay": "delay", "row_clock": "age"}
 
 
 def test_60_000_compiled_steps_are_the_functions_to_the_bit(long_run):
@@ -84,7 +84,7 @@ def test_sensitivities_are_central_differences(model, even):
 def test_sensitivities_with_all_effects_on_are_central_differences(without):
     """Of even steps: long uneven ones switch so often that no difference quotient can be trusted there.
 
-    The dead time of a reading takes what it reads as straight over each piece of a step. A delayed command that begins to act
+    A late reading takes what it reads as straight over each piece of a step. A delayed command that begins to act
     cuts a step in two, and where it is cut moves the error of that: a quotient in the delay holds this error's slope, 2 % of
     the whole, and the tangent, which is that of the exact response, does not. So each is looked at without the other.
     """
@@ -92,9 +92,9 @@ def test_sensitivities_with_all_effects_on_are_central_differences(without):
     model = plant(e.name for e in left)
     values = {name: value for name, value in {**PROBES, PITCH: 0.0413}.items() if name in model.values()}
     inputs, steps = random_steps(2001, 150, model=model), np.full(2000, 0.004)
-    own = [f"{e.name}.delay" for e in left if e.name in LATE]
+    own = [f"{e.name}.{LATE[e.name]}" for e in left if e.name in LATE]
     wrt = [p.name for p in BASE.parameters] + own + [name for _, name in model.delays]
-    assert len(wrt) == len(BASE.parameters) + 2
+    assert len(wrt) == len(BASE.parameters) + (2 if without == "late readings" else 3)
     shares = off_by(model, values, inputs, steps, wrt)
     assert max(shares.values()) < 3e-3, shares
 

@@ -73,7 +73,7 @@ class Simulator:
 
 
 def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> dict[str, np.ndarray]:
-    """Inputs by name, each (rows,), with those that effects brought and nobody measured; rows hold for `steps` (rows - 1,) s."""
+    """Inputs by name, each (rows,), with those that effects brought and nobody measured; rows last `steps` (rows - 1,) s."""
     rows = len(steps) + 1
     own = {name: np.full(rows, value) for name, value in model.measured_inputs.items()}
     own |= {u.name: np.append(steps, steps[-1:])[:rows] for u in model.inputs if u.clock and rows > 1}
