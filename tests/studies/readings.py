@@ -5,7 +5,7 @@ the commands and writes the rows. Hidden in turn, and together: rows that hold w
 load cell that is read late, a motor that is late. Three lags are all that a record holds of these: from the speed's command to
 the speed that is read, from there to the thrust that is read, from the pitch's command to the thrust. A case is `right` where
 the names are, a `family` where they are among those that it does not tell apart, `same` where other names put all three lags
-within TOLD; else it has missed a name, or has a wrong one.
+within TOLD; else it has missed a name, or has a wrong one, or says that something is missing where nothing is.
 """
 
 import argparse
@@ -34,7 +34,7 @@ FINE = 0.001
 UNEVEN = 0.5
 """Share by which an uneven row is longer or shorter than the usual one, at most."""
 
-RATES = (10.0, 25.0, 50.0, 100.0)
+RATES = (100.0, 50.0, 25.0, 10.0)
 LATE, MOTOR = 0.03, 0.04
 AGES = (0.5, 1.0)
 """Hz; s by which the load cell is read late, s by which the motor is late; rows."""
@@ -122,13 +122,15 @@ def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
     weighed = own["reading_delay"] + own["sensor_lag"]
     lags = np.array([own["speed_delay"] + shown + row, weighed - shown, own["pitch_delay"] + weighed + row])
     off = lags - case.lags
-    named = effects | set(itertools.chain.from_iterable(found.selection.family.values())) if effects else effects
-    if effects == case.hidden:
+    named = effects.union(*found.selection.family.values())
+    alarm = found.verdict == "unexplained" and not case.hidden
+    if effects == case.hidden and not alarm:
         word = "right"
     elif found.verdict == "family" and case.hidden <= named:
         word = "family"
     else:
-        word = "same" if effects and np.all(np.abs(off) < TOLD) else "wrong" if effects - case.hidden else "missed"
+        same = effects and np.all(np.abs(off) < TOLD)
+        word = "same" if same else "wrong" if alarm or effects - case.hidden else "missed"
     before, after = (found.errors(fit)[0] for fit in (found.base, found.final))
     return {
         "word": word,
