@@ -216,6 +216,24 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
     assert (tmp_path / "c" / "validation.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("time (s)", "speed setpoint (rpm)", "speed (rpm)", "load cell (N)"),
+        ("Zeit (s)", "Soll (1/min)", "Ist (1/min)", "Kraft (N)"),
+        ("t_s", "n_soll_rpm", "n_ist_rpm", "F_N"),
+    ],
+)
+def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
+    """A load cell is none of a battery; "target (rpm)" is a speed by its unit; the N behind a force is no speed."""
+    t = truth()
+    path = table(tmp_path / "log.csv", dict(zip(names, (t[n] for n in ("time", "omega_ref", "omega", "thrust")), strict=True)))
+    assert vpp(path, "-o", tmp_path / "out")[0] == 0
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in ("omega_ref", "omega", "thrust"):
+        np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
 def test_a_header_that_leaves_doubt_is_refused_with_the_words_that_would_do(tmp_path, vpp):
     t = truth()
     path = table(
