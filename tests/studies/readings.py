@@ -35,9 +35,13 @@ UNEVEN = 0.5
 """Share by which an uneven row is longer or shorter than the usual one, at most."""
 
 RATES = (100.0, 50.0, 25.0, 10.0)
+"""Hz."""
+
 LATE, MOTOR = 0.03, 0.04
+"""s by which the load cell is read late, and by which the motor is late."""
+
 AGES = (0.5, 1.0)
-"""Hz; s by which the load cell is read late, s by which the motor is late; rows."""
+"""Rows by which what is read is old."""
 
 LAGS = ("motor and row", "thrust after speed", "pitch and row")
 TOLD = 2.0
