@@ -88,4 +88,6 @@ def test_what_a_logger_does_is_named(case):
     """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row."""
     found = outcome(replace(case, seconds=30.0), library=SOME)
     assert found["word"] == "right"
+    assert all("not your rotor" in said for said in found["said"].values())
+    assert ("ms of dead time of both" in found["said"].get("row_clock", "")) == bool(case.age)
     assert np.all(np.abs(found["off"]) < 0.5e3 / case.rate)

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from identification.diagnose.diagnose import diagnose
+from identification.diagnose.report.summary import artefact
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
@@ -141,6 +142,7 @@ def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
         "verdict": found.verdict,
         "effects": sorted(effects),
         "family": {k: v for k, v in found.selection.family.items() if v},
+        "said": {effect: artefact(found, effect) for effect in found.final.effects},
         "off": off,
         "before": before,
         "after": after,
