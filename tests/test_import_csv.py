@@ -536,3 +536,17 @@ def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
     fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
     assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
     assert (tmp_path / "out" / "report.html").stat().st_size > 1e5
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_command_that_is_written_a_row_late_is_said(late):
+    """Behind one lag of 0.2 s the speed goes 1 - exp(-0.04 / 0.2) = 18 % of a move in a row of 40 ms."""
+    rng, rows = np.random.default_rng(2), 1500
+    command = np.repeat(np.round(rng.uniform(2000.0, 6000.0, rows // 10)), 10)
+    speed = lagged(command, 0.04, 0.2)
+    told = np.append(command[0], command[:-1]) if late else command
+    columns = {"time": 0.04 * np.arange(rows), "omega_ref": told, "beta_ref": np.zeros(rows)}
+    columns |= {"omega": speed + rng.normal(0.0, 5.0, rows), "thrust": 10.0 * (speed / 6000.0) ** 2}
+    said = [line for line in said_of_rows(Record(columns, "log")) if line.startswith("clock")]
+    assert bool(said) == late
+    assert all("gone 18 ± " in line for line in said)
