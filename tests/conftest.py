@@ -70,6 +70,7 @@ def no_compiler(monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
     monkeypatch.setattr(Model, "memo", property(lambda model: {}))  # what was compiled before must not serve
+    monkeypatch.setattr(simulator, "_runner", simulator._runner.__wrapped__)
     for cached in caches:
         cached.cache_clear()
     yield

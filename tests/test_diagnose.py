@@ -307,7 +307,8 @@ def test_play_s_own_curve_is_its_closed_form():
     """At rest the blades trail a rising command by half of the gap and lead a falling one by as much."""
     name, half = "pitch_backlash", 1.0
     fit = SimpleNamespace(
-        evidence=SimpleNamespace(model=plant([name])), values=TRUTH | {f"{name}.half_gap": half, f"{name}.form": 1.0}
+        evidence=SimpleNamespace(simulator=Simulator(plant([name]))),
+        values=TRUTH | {f"{name}.half_gap": half, f"{name}.form": 1.0},
     )
     stairs = np.concatenate([np.linspace(-5.0, 10.0, 31), np.linspace(9.5, -5.0, 30)])
     reached = at_rest(fit, rig().open_loop, "beta_ref", stairs, {"omega_ref": 4000.0})["beta"]

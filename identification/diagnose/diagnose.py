@@ -22,7 +22,7 @@ from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, looks, refitted
 from identification.diagnose.selection import Judge, Selection, select
-from identification.diagnose.starting import Starting, exportable, from_given, from_identification
+from identification.diagnose.starting import LOOSEST, Starting, disagreement, exportable, from_given, from_identification
 from identification.diagnose.uncertainty import standard_deviations
 from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS
@@ -183,7 +183,7 @@ def diagnose(
         options = candidates(at.library, [one.record for one in fitted])
         stage("noise")
         searcher, base = _prepared(groups, at, options, pool)
-        judge = Judge(searcher, smallest)
+        judge = Judge(searcher, base, smallest)
         least = judge.least()
         before = lack_of_fit(base, least)
         searcher.lacking = before.score.gain
@@ -271,13 +271,20 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
     """A searcher on experiments of this noise, and the base fitted to them; a run-in that was not settled gets no weight."""
     settled = 5.0 * slowest(at.values, at.names)
     experiments = [Experiment(group, noise) for group in groups]
-    searcher = Searcher(experiments, at.names, at.knowledge, at.first, at.library)
-    base = searcher.fit((), {}, (), values)
+    knowledge = at.knowledge and at.knowledge.loosened(LOOSEST)
+
+    def fitted(values: Mapping[str, float]) -> tuple[Searcher, Fit]:
+        searcher = Searcher(experiments, at.names, knowledge, at.first, at.library)
+        return searcher, searcher.fit((), {}, (), values)
+
+    searcher, base = fitted(values)
     skips = [settled if _unsettled(base, k, settled) else 0.0 for k in range(len(experiments))]
     if any(skips):
         experiments = [Experiment(group, noise, skip) for group, skip in zip(groups, skips, strict=True)]
-        searcher = Searcher(experiments, at.names, at.knowledge, at.first, at.library)
-        base = searcher.fit((), {}, (), base.values)
+        searcher, base = fitted(base.values)
+    if at.knowledge:
+        knowledge = at.knowledge.loosened(disagreement(at.knowledge, base))
+        searcher, base = fitted(base.values)
     return searcher, base
 
 
@@ -289,7 +296,7 @@ have started settled; of its 50 or more rows, noise reaches 2 in less than one c
 def _unsettled(base: Fit, number: int, settled: float) -> bool:
     """Whether an experiment's thrust in its first `settled` s is far from the model, and behind it is not."""
     e = base.evidence.experiments[number]
-    outputs = Simulator(base.evidence.model).simulate(base.values, e.record.columns, e.record.steps)
+    outputs = base.evidence.simulator.simulate(base.values, e.record.columns, e.record.steps)
     residual, first = e.thrust_residual(outputs[:, 0]), e.thrust_time < settled
     if first.sum() < 2 or (~first).sum() < 10 * first.sum() // 2:
         return False

@@ -20,7 +20,6 @@ from identification.diagnose.search.fits import Fit
 from identification.fit.bands import ORDINATES, banded, starts
 from identification.identify import slowest
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
-from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 WIDTHS = (0.012, 0.03, 0.08, 0.2)
@@ -58,7 +57,7 @@ class Following:
 def following(fit: Fit) -> Following:
     """How far the thrust residual of a fit follows the commands still, beyond what its parameters could take up."""
     evidence, about, rows = fit.evidence, fit.linearised(), []
-    simulator = Simulator(evidence.model)
+    simulator = evidence.simulator
     for e in evidence.experiments:
         outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
         # One after the other: side by side the shapes of a long record would be the largest thing in memory.
@@ -164,11 +163,12 @@ def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.nda
 
 def _play(signal: np.ndarray, width: float) -> np.ndarray:
     """What follows (rows,) a signal with play of `width` to each side."""
-    followed, at = np.empty_like(signal), float(signal[0])
-    for k, now in enumerate(signal.tolist()):
-        at = min(max(at, now - width), now + width)
-        followed[k] = at
-    return followed
+    lowest, highest = (signal - width).tolist(), (signal + width).tolist()
+    at, followed = float(signal[0]), []
+    for low, high in zip(lowest, highest, strict=True):  # conditions, not min and max: calls are most of the time
+        at = low if at < low else high if at > high else at
+        followed.append(at)
+    return np.array(followed)
 
 
 def _lagged(signal: np.ndarray, time_constant: float, step: float) -> np.ndarray:

@@ -16,6 +16,10 @@ STRONG = 5.0
 """Natural logarithm of the penalised likelihood ratio (half a difference of the BIC) from which evidence is very strong (Kass
 and Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
 
+FORM = 0.0025
+"""Share of the log-likelihood that the rest of a set explains which one more effect must exceed, beside what chance reaches: no
+form is a rig's own, and what one leaves of an effect that it describes to 5 % of its amplitude is 0.25 % of its power."""
+
 CERTAIN = 0.001
 """Level of each test of lack of fit: of the pure error in a band, and of the score test on generic shapes."""
 
@@ -56,9 +60,9 @@ class Judgement:
     """What an effect of a set rests on, against the set without it.
 
     `fall`: of half the deviance on the fitted records; `needed`: what chance alone reaches in a share LEVEL of rigs without
-    any effect. `evidence`: the fall less BIC's penalty. `gain`: cross-validated log-likelihood by channel. `size` [N]: what
-    the effect changes of the thrust below SLOW, rms; `least`: the least size of interest. `refused`: reasons in words; none:
-    it stands."""
+    any effect, and what the forms of the set's others may leave. `evidence`: the fall less BIC's penalty. `gain`:
+    cross-validated log-likelihood by channel. `size` [N]: what the effect changes of the thrust below SLOW, rms; `least`: the
+    least size of interest. `refused`: reasons in words; none: it stands."""
 
     effect: str
     fall: float
@@ -70,9 +74,10 @@ class Judgement:
     refused: tuple[str, ...] = ()
 
 
-def needed_fall(parameters: int, looks: int) -> float:
-    """Fall of half the deviance that the best of `looks` candidates of so many free parameters reaches by chance with LEVEL."""
-    return 0.5 * float(chi2.isf(LEVEL / max(looks, 1), max(parameters, 1)))
+def needed_fall(parameters: int, looks: int, explained: float = 0.0) -> float:
+    """Fall of half the deviance that the best of `looks` candidates of so many free parameters reaches by chance with LEVEL,
+    beside a set that has `explained` so much of it already, in a form that is not quite the rig's."""
+    return 0.5 * float(chi2.isf(LEVEL / max(looks, 1), max(parameters, 1))) + FORM * max(explained, 0.0)
 
 
 def refusals(
@@ -85,7 +90,7 @@ def refusals(
     """
     found = []
     if fall < needed:
-        found.append(f"log-likelihood rises by {fall:.1f}; chance reaches {needed:.1f} in one rig of {1.0 / LEVEL:.0f}")
+        found.append(f"log-likelihood rises by {fall:.1f}; chance, and what forms leave, reach {needed:.1f}")
     if evidence <= STRONG:
         found.append(f"evidence too weak: {evidence:.1f} after the penalty for its parameters, {STRONG:g} is asked for")
     total = sum(gain.values())

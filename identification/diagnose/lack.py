@@ -15,7 +15,6 @@ from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.following import Following, following
 from identification.diagnose.judgement import CERTAIN, SLOW
 from identification.diagnose.search.fits import Fit
-from vpp_fmu.native import Simulator
 
 EDGES = (0.0, 0.1, 0.3, 1.0, 3.0, SLOW)
 """Hz: bands of half a decade."""
@@ -89,7 +88,7 @@ def _score_size(fit: Fit, score: Following) -> float:
 
 def pure_error(fit: Fit) -> tuple[Band, ...]:
     """Pure error of the thrust in bands, over all experiments with a repeat."""
-    simulator, found = Simulator(fit.evidence.model), {}
+    simulator, found = fit.evidence.simulator, {}
     for e in fit.evidence.experiments:
         if len(e.records) < 2:
             continue

@@ -10,7 +10,6 @@ from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement,
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import Tried, added, deeper, evidence_over, first_round, key
-from vpp_fmu.native import Simulator
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -32,13 +31,13 @@ class Selection:
 
 
 class Judge:
-    """Judges effects against the set without them. `smallest` [N]: the least size of interest, None: SMALLEST of the noise's.
+    """Judges effects against the set without them, which may be the `base`.
 
-    `looks`: points that a search has looked at.
+    `smallest` [N]: the least size of interest, None: SMALLEST of the noise's.
     """
 
-    def __init__(self, searcher: Searcher, smallest: float | None):
-        self.searcher, self.smallest = searcher, smallest
+    def __init__(self, searcher: Searcher, base: Fit, smallest: float | None):
+        self.searcher, self.base, self.smallest = searcher, base, smallest
         self._held: dict[int, tuple[Fit, Held]] = {}
 
     def held(self, fit: Fit) -> Held:
@@ -51,7 +50,8 @@ class Judge:
         """The judgement of one effect of a set."""
         fall = 0.5 * (without.deviance - with_it.deviance)
         more = max(1, len(with_it.free) - len(without.free))
-        evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points)
+        explained = 0.5 * (self.base.deviance - without.deviance)
+        evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points, explained)
         gain = self.held(with_it).gain(self.held(without))
         declared = next(e for e in with_it.evidence.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
@@ -84,7 +84,7 @@ class Judge:
 
 
 def _outputs(fit: Fit, experiment) -> np.ndarray:
-    return Simulator(fit.evidence.model).simulate(fit.values, experiment.record.columns, experiment.record.steps)
+    return fit.evidence.simulator.simulate(fit.values, experiment.record.columns, experiment.record.steps)
 
 
 def _rms(parts: Sequence[np.ndarray]) -> float:
@@ -122,6 +122,7 @@ def select(
             break
         found.final, found.judgements = _pruned(searcher, base, best, judge)
     stage("judge")
+    _narrow(searcher, found, judge)
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
     found.family = {effect: _family(searcher, found, effect, judge) for effect in found.final.effects}
     return found
@@ -188,17 +189,36 @@ def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit,
         fit = rests[min(fallen, key=lambda effect: judged[effect].evidence)]
 
 
+def _narrow(searcher: Searcher, found: Selection, judge: Judge) -> None:
+    """A special case takes the place of an effect that contains it where, beside the rest of the set, it fits as well: what
+    made the wider one the better one may have been what was not there yet."""
+    for effect in found.final.effects:
+        wide = next(e for e in found.final.evidence.model.effects if e.name == effect)
+        rest = without(searcher, found.base, found.final, effect)
+        for tried in _near(found, effect):
+            if tried.candidate.name not in wide.contains:
+                continue
+            other = _in_place(searcher, rest, tried)
+            if evidence_over(other, found.final) > -SAME and not judge(tried.candidate.name, other, rest).refused:
+                judgements = {n: judge(n, other, without(searcher, found.base, other, n)) for n in other.effects}
+                found.final, found.judgements = other, judgements
+                break
+
+
+def _in_place(searcher: Searcher, rest: Fit, tried: Tried) -> Fit:
+    """A candidate of another round beside the rest of a set, refitted."""
+    if not rest.effects and not tried.beside:
+        return tried.fit
+    start = {**rest.values, **{n: tried.fit.values[n] for n in tried.candidate.free}}
+    return added(searcher, rest, tried.candidate, start, tried.fit.slow_first, thorough=False)
+
+
 def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge) -> list[str]:
     """Other effects that, in the place of one, have evidence within STRONG of its own, refitted beside the rest of the set."""
     final, names = found.final, set()
     rest = without(searcher, found.base, final, effect)
     for tried in _near(found, effect):
-        candidate = tried.candidate
-        if not rest.effects and not tried.beside:
-            other = tried.fit
-        else:
-            start = {**rest.values, **{n: tried.fit.values[n] for n in candidate.free}}
-            other = added(searcher, rest, candidate, start, tried.fit.slow_first, thorough=False)
+        candidate, other = tried.candidate, _in_place(searcher, rest, tried)
         if other.idle or evidence_over(final, other) > STRONG or _only_contains(candidate, effect, other, final):
             continue
         if not judge(candidate.name, other, rest).refused:

@@ -9,7 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.uncertainty import uncertainty_of
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.gate.gate import Passed
@@ -23,8 +26,8 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
-LOOSE = 100.0
-"""How much wider the static map's knowledge is taken than its own scatter: a missing effect bends the steady points too."""
+LOOSEST = 100.0
+"""How much wider than its own scatter the static map's knowledge is taken at most: nothing is left of it then."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ def exportable(model: Model) -> Model:
 @dataclass(frozen=True)
 class Starting:
     """Library, sized for the `rig`, and free base parameters of a search, `values` to start from and those before any fit
-    (`first`), what the static map tells; `identification` where that is where the values come from."""
+    (`first`), what the static map tells as it stands; `identification` where that is where the values come from."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
@@ -88,10 +91,33 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
 
 
 def _knowledge(static: StaticFit | None, names: Sequence[str]) -> Prior | None:
-    """What the steady points tell of the map, loosened."""
+    """What the steady points tell of the map."""
     if static is None:
         return None
     kept = [k for k, n in enumerate(static.coefficients) if n in names]
     mean = np.array(list(static.coefficients.values()))[kept]
     chosen = tuple(n for n in static.coefficients if n in names)
-    return Prior(chosen, mean, static.covariance[np.ix_(kept, kept)]).loosened(LOOSE) if kept else None
+    return Prior(chosen, mean, static.covariance[np.ix_(kept, kept)]) if kept else None
+
+
+def disagreement(told: Prior, fit: Fit) -> float:
+    """How much wider knowledge must be for records to agree with it, from 1 to LOOSEST. `fit`: to the records, hardly held by
+    it.
+
+    What is missing in a model bends records and steady points, and not alike. The factor f solves d' (C + f^2 S)^-1 d = k, d
+    (k,) the differences, C and S the covariances of records and knowledge (Birge, 1932; Mandel and Paule, 1970): where the
+    records tell little, knowledge keeps its word.
+    """
+    doubt, _ = uncertainty_of(fit, {})
+    names = [n for n in told.names if n in doubt.names]
+    own, its = [doubt.names.index(n) for n in names], [told.names.index(n) for n in names]
+    away = doubt.values[own] - told.mean[its]
+    records, known = doubt.covariance[np.ix_(own, own)], told.covariance[np.ix_(its, its)]
+
+    def excess(log_factor: float) -> float:
+        return float(away @ np.linalg.solve(records + np.exp(2.0 * log_factor) * known, away)) - len(names)
+
+    most = float(np.log(LOOSEST))
+    if not names or excess(0.0) <= 0.0:
+        return 1.0
+    return LOOSEST if excess(most) >= 0.0 else float(np.exp(brentq(excess, 0.0, most)))

@@ -149,11 +149,11 @@ class Problem:
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """The same residual alone, from a simulation without sensitivities."""
-        found, simulator = self.values | dict(values), Simulator(self.model)
+        found = self.values | dict(values)
         residual = np.empty(self.size + (0 if self.prior is None else len(self.prior.names)))
         for first in dict.fromkeys(self.twin):
             record = self.records[first]
-            outputs = simulator.simulate(found, record.columns, record.steps)
+            outputs = self._simulator.simulate(found, record.columns, record.steps)
             for block in self._blocks:
                 if self.twin[block.record] == first:
                     residual[block.at] = self._error(block, self.records[block.record], outputs)[0]
@@ -166,8 +166,8 @@ class Problem:
         self._work = None
 
     def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
-        """Fit from `start` under the present weights. `enough`: log-likelihood (of noise of unknown size) that a step must bring
-        for the search to go on, and then the Jacobian need not be the solution's own; 0: as far as numbers go."""
+        """Fit from `start` under the present weights. `enough`: log-likelihood (of noise of unknown size) that a step must
+        bring for the search to go on, and then the Jacobian need not be the solution's own; 0: as far as numbers go."""
         c = self.coordinates
 
         def residual_at(x: np.ndarray) -> np.ndarray:

@@ -223,31 +223,42 @@ LISTED = (
 )
 
 
-def _gusts(g):
+@dataclass(frozen=True)
+class Gusts:
     """After each large step of a command, a puff of wind, the same each time the commands are given."""
-    amplitude, seed = g.size(0.013, 0.04), int(g.rng.integers(1 << 30))
 
-    def force(clock, speed, pitch):
+    amplitude: float
+    seed: int
+
+    def __call__(self, clock, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+        """(rows,) share of full thrust."""
         steps = (np.abs(np.diff(speed)) > 0.05) | (np.abs(np.diff(pitch)) > 0.07)
-        sign = np.random.default_rng(seed).choice([-1.0, 1.0], len(speed))
-        pulse = amplitude * 0.5 * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, clock.rows(0.8))))
+        sign = np.random.default_rng(self.seed).choice([-1.0, 1.0], len(speed))
+        pulse = self.amplitude * 0.5 * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, clock.rows(0.8))))
         kicks, late = np.zeros(len(speed)), clock.rows(0.25)
         kicks[late + 1 :] = (steps * sign[1:])[: len(speed) - late - 1]
         return np.convolve(kicks, pulse)[: len(speed)]
 
-    return {"extra": force}
+
+@dataclass(frozen=True)
+class Tone:
+    """A force of one frequency [Hz], its phase locked to the record's start."""
+
+    amplitude: float
+    frequency: float
+    phase: float
+
+    def __call__(self, clock, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+        """(rows,) share of full thrust."""
+        return self.amplitude * np.sin(2.0 * np.pi * self.frequency * clock.row * np.arange(len(speed)) + self.phase)
+
+
+def _gusts(g):
+    return {"extra": Gusts(g.size(0.013, 0.04), int(g.rng.integers(1 << 30)))}
 
 
 def _tone(least, full, frequencies):
-    def draw(g):
-        amplitude, frequency, phase = g.size(least, full), g.one(*frequencies), g.rng.uniform(0.0, 2.0 * np.pi)
-
-        def force(clock, speed, pitch):
-            return amplitude * np.sin(2.0 * np.pi * frequency * clock.row * np.arange(len(speed)) + phase)
-
-        return {"extra": force}
-
-    return draw
+    return lambda g: {"extra": Tone(g.size(least, full), g.one(*frequencies), g.rng.uniform(0.0, 2.0 * np.pi))}
 
 
 OUTSIDE = (

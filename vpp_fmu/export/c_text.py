@@ -10,8 +10,8 @@ from vpp_fmu.kernel import calls
 from vpp_fmu.kernel.types import Model, start, step
 from vpp_fmu.tracer import Layout, c_source, trace
 from vpp_fmu.tracer.emit import c_function
-from vpp_fmu.tracer.graph import Graph
-from vpp_fmu.tracer.tangents import Tangents
+from vpp_fmu.tracer.graph import Graph, needed
+from vpp_fmu.tracer.tangents import tangents
 
 COMPILERS = """\
 /* Fused multiply-adds round once where the model rounds twice: results would differ from machine to machine. */
@@ -67,13 +67,14 @@ def tangent_source(model: Model) -> str:
     )
     dt = graph.node("dt")
     leaves = {v: graph.node("a", *v.args) for v in (*inputs.values(), *parameters.values())}
-    from_start = Tangents(graph, leaves)
+    from_start = dict(leaves)
     leaves |= {v: graph.node("a", *v.args) for v in states.values()}
-    from_step = Tangents(graph, leaves | {dt: graph.node("dt_along")})
+    from_step = leaves | {dt: graph.node("dt_along")}
 
-    def writes(signals, ahead, tangents):
+    def writes(signals, ahead, leaves):
         reached = [signals[n] for n in layout.outputs] + [ahead[n] for n in layout.states]
-        return tuple((("a", i), tangents.of(value)) for i, value in zip(layout.moving, reached, strict=True))
+        moves = tangents(graph, leaves, reached, needed(reached))
+        return tuple((("a", i), move) for i, move in zip(layout.moving, moves, strict=True))
 
     def name(target):
         kind, *i = target

@@ -1,7 +1,7 @@
 /* schedule.py in C: the same arithmetic in the same order. See there for what it does and why.
  *
  * Comes after the generated model, which defines the sizes N_INPUTS, N_DELAYED, N_WRT and the functions prepare(), step(),
- * largest_step(); `v` holds all values (inputs, outputs, parameters, states), `c` what prepare() made of parameters and dt,
+ * step_values() where there are tangents, largest_step(); `v` holds all values (inputs, outputs, parameters, states), `c` what prepare() made of parameters and dt,
  * `d` the tangents of states and outputs. */
 
 #include <string.h>
@@ -63,6 +63,7 @@ typedef struct {
   double dt, dt_tangent[N_DELAYED_OR_1]; /* what `c` was prepared for */
   double wait;
   int nudging; /* the step being taken is no part of the run, but half of a nudge */
+  int plain;   /* values alone are wanted: tangents stand still */
   DelayLine lines[N_DELAYED_OR_1];
 } Instance;
 
@@ -70,7 +71,7 @@ typedef struct {
 static int is_observed(const Instance *m);
 static void before_step(Instance *m, double dt, const double *dt_tangent);
 #else
-#define is_observed(m) N_WRT
+#define is_observed(m) (N_WRT && !(m)->plain)
 #define before_step(m, dt, dt_tangent)
 #endif
 
@@ -83,6 +84,12 @@ static void take_step(Instance *m, double dt, const double *dt_tangent) {
     for (int k = 0; k < N_DELAYED; k++) m->dt_tangent[k] = dt_tangent[k];
   }
   before_step(m, dt, dt_tangent);
+#if N_WRT
+  if (m->plain) {
+    step_values(m->v, m->c);
+    return;
+  }
+#endif
   step(m->v, m->c, m->d);
 }
 

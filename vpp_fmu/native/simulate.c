@@ -11,8 +11,8 @@ typedef struct {
   double rings[2 * SLOTS * N_DELAYED_OR_1]; /* never touched, and so never in memory, where nothing is delayed */
 } Run;
 
-/* A run settled on the first row of inputs; NULL: no memory. */
-void *begin(const double *parameters, const double *first) {
+/* A run settled on the first row of inputs, without tangents where it is `plain`; NULL: no memory. */
+void *begin(const double *parameters, const double *first, int plain) {
   Run *run = calloc(1, sizeof *run);
   if (!run) return NULL;
   Instance *m = &run->instance;
@@ -25,17 +25,18 @@ void *begin(const double *parameters, const double *first) {
     delay_start(&m->lines[k], m->v[DELAYED_INPUT[k]]);
   }
   start(m->v, m->d);
+  m->plain = plain;
   return run;
 }
 
 /* The next n rows. inputs: n rows of N_INPUTS; steps: the n lengths [s] from row to row, under the inputs of the row, of which
  * the `last` piece has one less; outputs: n rows of N_OUTPUTS, sampled at each row before its inputs act; tangents: n rows of
- * N_OUTPUTS x N_WRT. */
+ * N_OUTPUTS x N_WRT, of a plain run NULL. */
 int proceed(void *of, const double *inputs, const double *steps, long n, int last, double *outputs, double *tangents) {
   Instance *m = &((Run *)of)->instance;
   for (long row = 0; row < n; row++) {
     memcpy(outputs + row * N_OUTPUTS, m->v + N_INPUTS, N_OUTPUTS * sizeof *outputs);
-    memcpy(tangents + row * N_OUTPUTS * N_WRT, m->d, N_OUTPUTS * N_WRT * sizeof *tangents);
+    if (tangents) memcpy(tangents + row * N_OUTPUTS * N_WRT, m->d, N_OUTPUTS * N_WRT * sizeof *tangents);
     if (last && row == n - 1) break;
     memcpy(m->v, inputs + row * N_INPUTS, N_INPUTS * sizeof *inputs);
     if (SAMPLED)

@@ -4,7 +4,7 @@ import ctypes
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 
 import numpy as np
@@ -23,10 +23,7 @@ class Simulator:
         self.model, self.wrt = model, tuple(wrt)
         self._inputs = [s.name for s in model.inputs]
         self.outputs = tuple(s.name for s in model.outputs)
-        memo, made = model.memo, ("simulator", self.wrt)
-        if made not in memo:
-            memo[made] = _runner(model, self.wrt)
-        self._run = memo[made]
+        self._run = _runner(_Chain(model), self.wrt)
 
     def simulate(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> np.ndarray:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
@@ -34,31 +31,36 @@ class Simulator:
         `parameters`: changes to the defaults, by name. `inputs`: one array (rows,) for each of the model's inputs, held from
         its row to the next; those that effects brought may be missing. `steps` (rows - 1,): seconds from row to row.
         """
-        return self._go(parameters, inputs, steps)[0]
+        outputs = np.empty((len(steps) + 1, len(self.outputs)))
+        for _ in self._run_pieces(parameters, inputs, steps, len(outputs), outputs, None):
+            pass
+        return outputs
 
     def sensitivities(self, parameters, inputs, steps) -> tuple[np.ndarray, np.ndarray]:
         """As `simulate`, and the outputs' derivatives (rows, outputs, wrt) in the parameters `wrt`, exact to rounding."""
-        return self._go(parameters, inputs, steps)
+        ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, len(steps) + 1)
+        return outputs, tangents
 
     def pieces(self, parameters, inputs, steps, rows: int) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """The same in pieces of `rows` rows, each (its rows, outputs, derivatives): a long record's need not be held at once.
 
         Both are overwritten by the next piece.
         """
-        values, columns, steps = self._prepared(parameters, inputs, steps)
-        n, size = len(columns), min(rows, len(columns))
+        size = min(rows, len(steps) + 1)
         outputs, tangents = np.empty((size, len(self.outputs))), np.empty((size, len(self.outputs), len(self.wrt)))
-        with closing(self._run(values, columns, steps)) as run:
-            next(run)
-            for first in range(0, n, size):
-                at = slice(first, min(first + size, n))
-                piece = outputs[: at.stop - first], tangents[: at.stop - first]
-                run.send((at, *piece))
-                yield at, *piece
+        for at in self._run_pieces(parameters, inputs, steps, size, outputs, tangents):
+            yield at, outputs[: at.stop - at.start], tangents[: at.stop - at.start]
 
-    def _go(self, parameters, inputs, steps):
-        ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, len(steps) + 1)
-        return outputs, tangents
+    def _run_pieces(self, parameters, inputs, steps, size, outputs, tangents) -> Iterator[slice]:
+        """Fill `outputs` and, unless it is None, `tangents`, both of `size` rows, over and over: the rows that stand there."""
+        values, columns, steps = self._prepared(parameters, inputs, steps)
+        with closing(self._run(values, columns, steps, tangents is None)) as run:
+            next(run)
+            for first in range(0, len(columns), size):
+                at = slice(first, min(first + size, len(columns)))
+                count = at.stop - first
+                run.send((at, outputs[:count], None if tangents is None else tangents[:count]))
+                yield at
 
     def _prepared(self, parameters, inputs, steps):
         """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order."""
@@ -80,13 +82,32 @@ def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray)
     return own | dict(inputs)
 
 
-def _runner(model: Model, wrt: tuple[str, ...]):
-    """A generator function (parameters, inputs, steps): each (rows, outputs, tangents) sent to it is filled in."""
+class _Chain:
+    """A model as what is traced of it: two of the same effects, whatever rig they were sized for, are one."""
+
+    def __init__(self, model: Model):
+        self.model = model
+        self._effects = tuple(e.declared or e for e in model.effects)
+        names = (tuple(s.name for s in signals) for signals in (model.inputs, model.outputs))
+        self._key = (model.name, *names, model.sample_time, *map(id, self._effects))
+
+    def __eq__(self, other):
+        return self._key == other._key
+
+    def __hash__(self):
+        return hash(self._key)
+
+
+@lru_cache(maxsize=1024)
+def _runner(chain: _Chain, wrt: tuple[str, ...]):
+    """A generator function (parameters, inputs, steps, plain): each (rows, outputs, tangents) sent to it is filled in; a plain
+    run has no tangents, None."""
+    program = trace(chain.model, wrt)
     try:
-        return _compiled(trace(model, wrt))
+        return _compiled(program)
     except CompilerMissing as missing:
         _say_once(str(missing))
-        return _interpreted(trace(model, wrt))
+        return _interpreted(program)
 
 
 def _compiled(program: Program):
@@ -94,12 +115,12 @@ def _compiled(program: Program):
     source += (files("vpp_fmu.native") / "simulate.c").read_text()
     library = ctypes.CDLL(str(compiled(source)))
     vector = np.ctypeslib.ndpointer(float, flags="C")
-    library.begin.argtypes, library.begin.restype = [vector, vector], ctypes.c_void_p
-    library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, vector]
+    library.begin.argtypes, library.begin.restype = [vector, vector, ctypes.c_int], ctypes.c_void_p
+    library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, ctypes.c_void_p]
     library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
 
-    def run(values, inputs, steps):
-        begun = library.begin(values, inputs[0])
+    def run(values, inputs, steps, plain):
+        begun = library.begin(values, inputs[0], plain)
         if not begun:
             raise MemoryError
         try:
@@ -107,7 +128,8 @@ def _compiled(program: Program):
             while True:
                 at, outputs, tangents = asked
                 last = at.stop == len(inputs)
-                if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, tangents):
+                moves = None if tangents is None else tangents.ctypes.data
+                if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, moves):
                     told = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
                     raise SimulationFailed(f"{program.model.name}: {told}")
                 asked = yield
@@ -123,7 +145,7 @@ def _interpreted(program: Program):
     code: dict = {}
     exec("from math import exp, expm1, sqrt, sin, cos, tanh\n" + python_source(program), code)
 
-    def run(values, inputs, steps):
+    def run(values, inputs, steps, plain):
         v = [*inputs[0].tolist(), *[0.0] * n_out, *values.tolist(), *[0.0] * len(layout.states)]
         d = [0.0] * (width * len(layout.moving))
         delays = [None] * n_in
@@ -162,7 +184,8 @@ def _interpreted(program: Program):
             if row == at.stop:
                 at, outputs, tangents = yield
             outputs[row - at.start] = v[n_in : n_in + n_out]
-            tangents[row - at.start].flat = d[: n_out * width]
+            if not plain:
+                tangents[row - at.start].flat = d[: n_out * width]
             if row == len(steps):
                 break
             span = float(steps[row])

@@ -9,9 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from vpp_fmu.tracer.emit import c_function
-from vpp_fmu.tracer.graph import Graph, Node, needed_by
+from vpp_fmu.tracer.graph import Graph, Node, needed
 from vpp_fmu.tracer.program import Program, Write
-from vpp_fmu.tracer.tangents import Tangents
+from vpp_fmu.tracer.tangents import tangents
 
 
 @dataclass(frozen=True)
@@ -55,22 +55,18 @@ def pulled_back(graph: Graph, seeds: Iterable[tuple[object, Node]]) -> dict[Node
 
     Each operation's partial derivatives are its forward rule on one-hot tangents: both directions rest on one table.
     """
-    order: list[Node] = []
     total: dict[Node, object] = {}
-    known: set[Node] = set()
+    seeds = list(seeds)
 
     def add(n: Node, w: object) -> None:
         total[n] = total[n] + w if n in total else w
 
     for value, w in seeds:
         if isinstance(value, Node):
-            fresh = needed_by(value, known)
-            known.update(fresh)
-            order += fresh
             add(value, w)
-    for n in reversed(order):  # whoever uses n stands behind it: its cotangent is complete
+    for n in reversed(needed(value for value, _ in seeds)):  # whoever uses n stands behind it: its cotangent is complete
         for a in dict.fromkeys(n.nodes):
-            partial = Tangents(graph, dict.fromkeys(n.nodes, 0.0) | {a: 1.0}).of(n)
+            (partial,) = tangents(graph, {a: 1.0}, [n], [n])
             if n in total and not _is(partial, 0.0):
                 add(a, total[n] if _is(partial, 1.0) else -total[n] if _is(partial, -1.0) else total[n] * partial)
     return total

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from math import isinf
 
-from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed_by
+from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed
 from vpp_fmu.tracer.program import Program, Write
 
 ONCE = """#if defined(__clang__)
@@ -83,10 +83,12 @@ def c_source(program: Program) -> str:
     parts.append(f"static const int DELAY_PARAMETER[] = {{{', '.join(map(str, delays))}}};\n")
     columns = [program.wrt.index(p) if p in program.wrt else -1 for _, p in model.delays] or [-1]
     parts.append(f"static const int DELAY_COLUMN[] = {{{', '.join(map(str, columns))}}};\n")
+    plain = tuple((target, value) for target, value in program.step if target[0] != "d")
     for head, writes in (
         ("ONCE void start(double *v, double *d)", program.start),
         ("void prepare(const double *v, double dt, const double *dt_tangent, double *c)", program.prepare),
         ("void step(double *v, const double *c, double *d)", program.step),
+        *([("void step_values(double *v, const double *c)", plain)] if width else []),
         ("double largest_step(const double *v)", program.largest_step),
     ):
         parts.append(c_function(head, writes, name))
@@ -102,17 +104,9 @@ def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
 
 def _statements(writes, name: Callable, operation: Callable, form: str, inline: bool = True):
     """Code for what `writes` need: (statements in order, expression of each target's value)."""
-    order: list[Node] = []
-    known: set[Node] = set()
-    uses: Counter = Counter()
-    for _, value in writes:
-        if isinstance(value, Node):
-            uses[value] += 1
-            fresh = needed_by(value, known)
-            known.update(fresh)
-            order += fresh
-    for n in order:
-        uses.update(n.nodes)
+    order = needed(value for _, value in writes)
+    uses = Counter(value for _, value in writes if isinstance(value, Node))
+    uses.update(a for n in order for a in n.nodes)
     lines, text = [], {}
     for n in order:
         args = [text[a] if isinstance(a, Node) else _number(a, form) for a in n.args] if n.nodes else None

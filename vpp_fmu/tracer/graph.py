@@ -3,7 +3,7 @@
 What can't be recorded raises TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
 """
 
-from collections.abc import Collection
+from collections.abc import Iterable
 
 from vpp_fmu.kernel.ops import NUMBERS, Ops
 
@@ -18,15 +18,11 @@ class Node:
     step, `dt_tangent` the step's tangent in a delay.
     """
 
-    __slots__ = ("args", "graph", "number", "op")
+    __slots__ = ("args", "graph", "nodes", "number", "op")
 
     def __init__(self, graph: "Graph", op: str, args: tuple, number: int):
         self.graph, self.op, self.args, self.number = graph, op, args, number
-
-    @property
-    def nodes(self) -> list["Node"]:
-        """The arguments that are nodes; none for a leaf."""
-        return [a for a in self.args if isinstance(a, Node)]
+        self.nodes = tuple(a for a in args if isinstance(a, Node))  # none for a leaf
 
     def __add__(self, other):
         return self.graph.node("+", self, other)
@@ -107,15 +103,12 @@ class Graph(Ops):
         return self.node(name, x) if isinstance(x, Node) else getattr(NUMBERS, name)(x)
 
 
-def needed_by(root: Node, known: Collection[Node]) -> list[Node]:
-    """`root` and all nodes below it that are not `known`; what is needed comes first."""
-    order, seen, stack = [], set(), [(root, False)]
+def needed(values: Iterable[object]) -> list[Node]:
+    """Those of the values that are nodes and all nodes below them; what is needed comes first, as it was recorded."""
+    stack = [v for v in values if isinstance(v, Node)]
+    seen = set(stack)
     while stack:
-        n, expanded = stack.pop()
-        if expanded:
-            order.append(n)
-        elif n not in seen and n not in known:
-            seen.add(n)
-            stack.append((n, True))
-            stack.extend((a, False) for a in n.nodes)
-    return order
+        below = [a for a in stack.pop().nodes if a not in seen]
+        seen.update(below)
+        stack += below
+    return sorted(seen, key=lambda n: n.number)

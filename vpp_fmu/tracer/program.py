@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from vpp_fmu.kernel.types import Model, largest_step, start, step
-from vpp_fmu.tracer.graph import COMPARE, Graph, Node, needed_by
-from vpp_fmu.tracer.tangents import Tangents
+from vpp_fmu.tracer.graph import COMPARE, Graph, Node, needed
+from vpp_fmu.tracer.tangents import tangents
 
 
 @dataclass(frozen=True)
@@ -75,36 +75,31 @@ def trace(model: Model, wrt: Iterable[str] = ()) -> Program:
     from_start, from_step = [], []
     for j, name in enumerate(wrt):
         leaves = {parameters[name]: 1.0}
-        from_start.append(Tangents(graph, leaves))
-        leaves |= {x: graph.node("d", layout.moving.index(at["state", n]), j) for n, x in states.items()}
+        from_start.append(leaves)
+        leaves = leaves | {x: graph.node("d", layout.moving.index(at["state", n]), j) for n, x in states.items()}
         if name in delay_parameters:  # a delay moves the ends of the schedule's pieces, and so the length of a step
             leaves[dt] = graph.node("dt_tangent", delay_parameters.index(name))
-        from_step.append(Tangents(graph, leaves))
+        from_step.append(leaves)
 
-    begun = _writes(layout, *start(model, graph, inputs, parameters), from_start)
-    moved = _writes(layout, *step(model, graph, inputs, states, parameters, dt), from_step)
+    begun = _writes(graph, layout, *start(model, graph, inputs, parameters), from_start)
+    moved = _writes(graph, layout, *step(model, graph, inputs, states, parameters, dt), from_step)
     prepared, moved = _set_apart(graph, moved, set(parameters.values()))
     longest = ((("result",), largest_step(model, graph, parameters)),)
     return Program(model, layout, wrt, begun, prepared, moved, longest)
 
 
-def _writes(layout: Layout, signals: dict, states: dict, tangents: list[Tangents]) -> tuple[Write, ...]:
+def _writes(graph: Graph, layout: Layout, signals: dict, states: dict, wrt: list[dict[Node, object]]) -> tuple[Write, ...]:
     values = [signals[n] for n in layout.outputs] + [states[n] for n in layout.states]
     writes = [(("v", i), value) for i, value in zip(layout.moving, values, strict=True)]
-    for j, tangent in enumerate(tangents):
-        writes += [(("d", k, j), tangent.of(value)) for k, value in enumerate(values)]
+    order = needed(values)
+    for j, leaves in enumerate(wrt):
+        writes += [(("d", k, j), derivative) for k, derivative in enumerate(tangents(graph, leaves, values, order))]
     return tuple(writes)
 
 
 def _set_apart(graph: Graph, writes: tuple[Write, ...], parameters: set[Node]) -> tuple[tuple[Write, ...], tuple[Write, ...]]:
     """Split what needs only parameters and dt off: (what `prepare` writes, what `step` writes from it)."""
-    known: set[Node] = set()
-    order = []
-    for _, value in writes:
-        if isinstance(value, Node):
-            fresh = needed_by(value, known)
-            known.update(fresh)
-            order += fresh
+    order = needed(value for _, value in writes)
     fixed = set()
     for n in order:
         leaf = n in parameters or n.op in ("dt", "dt_tangent")

@@ -1,58 +1,54 @@
 """Forward derivatives of a recorded graph, themselves recorded."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
-from vpp_fmu.tracer.graph import COMPARE, Graph, Node, needed_by
+from vpp_fmu.tracer.graph import COMPARE, Graph, Node
 
 
-class Tangents:
-    """Derivatives of nodes in one parameter, from those of the leaves; leaves not named do not depend on it.
+def tangents(graph: Graph, leaves: Mapping[Node, object], values: Sequence[object], order: Iterable[Node]) -> list[object]:
+    """The derivatives of values in one parameter, from those of the leaves; leaves not named do not depend on it.
 
-    A derivative that is zero stays the number 0.0, so what doesn't depend on the parameter costs nothing.
+    Values and derivatives are nodes or numbers; `order`: all nodes that the values need, in order. A derivative that is zero
+    stays the number 0.0, so what doesn't depend on the parameter costs nothing.
     """
+    known = {n: d for n, d in leaves.items() if not _is(d, 0.0)}  # what is not in there is 0
+    for n in order:
+        if n not in known and n.op not in COMPARE and not known.keys().isdisjoint(n.nodes):
+            derivative = _rule(graph, n, [known.get(a, 0.0) if isinstance(a, Node) else 0.0 for a in n.args])
+            if not _is(derivative, 0.0):
+                known[n] = derivative
+    return [known.get(v, 0.0) if isinstance(v, Node) else 0.0 for v in values]
 
-    def __init__(self, graph: Graph, leaves: Mapping[Node, object]):
-        self._graph, self._known = graph, dict(leaves)
 
-    def of(self, value):
-        """The derivative of a node or number: a node or a number."""
-        if not isinstance(value, Node):
-            return 0.0
-        for n in needed_by(value, self._known):
-            self._known[n] = self._rule(n)
-        return self._known[value]
-
-    def _rule(self, n: Node):
-        d = [self._known[a] if isinstance(a, Node) else 0.0 for a in n.args]
-        if n.op in COMPARE or all(_is(x, 0.0) for x in d):
-            return 0.0
-        x = n.args
-        match n.op:
-            case "+":
-                return _sum(d[0], d[1])
-            case "-":
-                return _difference(d[0], d[1])
-            case "neg":
-                return -d[0]
-            case "*":
-                return _sum(_product(d[0], x[1]), _product(x[0], d[1]))
-            case "/":
-                return _difference(d[0], _product(n, d[1])) / x[1]
-            case "exp":
-                return _product(n, d[0])
-            case "expm1":
-                return _product(n + 1.0, d[0])
-            case "sqrt":
-                return d[0] / (2.0 * n)
-            case "sin":
-                return _product(self._graph.cos(x[0]), d[0])
-            case "cos":
-                return -_product(self._graph.sin(x[0]), d[0])
-            case "tanh":
-                return _product(1.0 - n * n, d[0])
-            case "where":
-                return self._graph.where(x[0], d[1], d[2])
-        raise TypeError(f"no derivative is known for {n.op}")
+def _rule(graph: Graph, n: Node, d: Sequence[object]):
+    """The derivative of one operation from its arguments' derivatives `d`."""
+    x = n.args
+    match n.op:
+        case "+":
+            return _sum(d[0], d[1])
+        case "-":
+            return _difference(d[0], d[1])
+        case "neg":
+            return -d[0]
+        case "*":
+            return _sum(_product(d[0], x[1]), _product(x[0], d[1]))
+        case "/":
+            return _difference(d[0], _product(n, d[1])) / x[1]
+        case "exp":
+            return _product(n, d[0])
+        case "expm1":
+            return _product(n + 1.0, d[0])
+        case "sqrt":
+            return d[0] / (2.0 * n)
+        case "sin":
+            return _product(graph.cos(x[0]), d[0])
+        case "cos":
+            return -_product(graph.sin(x[0]), d[0])
+        case "tanh":
+            return _product(1.0 - n * n, d[0])
+        case "where":
+            return graph.where(x[0], d[1], d[2])
+    raise TypeError(f"no derivative is known for {n.op}")
 
 
 def _is(x, number: float) -> bool:

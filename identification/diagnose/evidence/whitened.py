@@ -6,6 +6,7 @@ noise's power by their number. Speed is compared as the tachometer shows it, in 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -160,7 +161,11 @@ class Evidence:
         self.model, self.experiments, self.values, self.prior = model, tuple(experiments), dict(values), prior
         self.coordinates = Coordinates(model, names, slow_first)
         self.scale = dict.fromkeys(("thrust", "omega"), 1.0)
-        self._simulator: Simulator | None = None
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """The model's, with sensitivities in what is free."""
+        return Simulator(self.model, self.coordinates.names)
 
     @property
     def size(self) -> int:
@@ -200,10 +205,8 @@ class Evidence:
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residual, the prior's rows last, and Jacobian in coordinates."""
-        if self._simulator is None:
-            self._simulator = Simulator(self.model, self.coordinates.names)
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
-        runs = [e.sensitivities(self._simulator, found) for e in self.experiments]
+        runs = [e.sensitivities(self.simulator, found) for e in self.experiments]
         residuals = self.residuals([outputs for outputs, _ in runs])
         residual = np.concatenate([r / self.scale[c] for c, r in residuals.items()])
         jacobian = np.vstack([own[c] @ (inner / self.scale[c]) for c in residuals for _, own in runs if c in own])
@@ -214,17 +217,10 @@ class Evidence:
 
     def residual_at(self, values: Mapping[str, float]) -> np.ndarray:
         """The scaled residual at parameter values, the prior's rows last."""
-        found, simulator = self.values | dict(values), Simulator(self.model)
-        outputs = [simulator.simulate(found, e.record.columns, e.record.steps) for e in self.experiments]
+        found = self.values | dict(values)
+        outputs = [self.simulator.simulate(found, e.record.columns, e.record.steps) for e in self.experiments]
         residual = np.concatenate([r / self.scale[c] for c, r in self.residuals(outputs).items()])
         return residual if self.prior is None else np.append(residual, self.prior.rows(found, self.coordinates.names)[0])
-
-    def score(self, values: Mapping[str, float], simulator: Simulator) -> Score:
-        """The score of parameter values, by a simulator of the model."""
-        found = self.values | dict(values)
-        outputs = [simulator.simulate(found, e.record.columns, e.record.steps) for e in self.experiments]
-        residuals = self.residuals(outputs)
-        return Score({c: float(r @ r) for c, r in residuals.items()}, {c: len(r) for c, r in residuals.items()})
 
     def fit(self, start: Mapping[str, float]) -> Solution:
         """Fit from `start`, then once more with the channels weighed by what the first fit left."""

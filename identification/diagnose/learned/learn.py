@@ -24,7 +24,6 @@ from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Judge
 from vpp_fmu.kernel.learned import PORTS
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 NAME = "learned"
@@ -97,7 +96,7 @@ def learn(
     leads = look(beside)
     looks = len(leads)
     searcher.points = max(searcher.points, looks)
-    judge = Carried(searcher, smallest, runs)
+    judge = Carried(searcher, beside, smallest, runs)
     chosen = short_list(leads, (), TERMS)
     stage(f"refit {len(chosen)} of {looks} terms")
     terms = _refitted(searcher, beside, chosen, scales, pool)
@@ -139,8 +138,8 @@ def _own(name: str) -> bool:
 class Carried(Judge):
     """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
 
-    def __init__(self, searcher: Searcher, smallest: float | None, runs: Sequence[Record]):
-        super().__init__(searcher, smallest)
+    def __init__(self, searcher: Searcher, beside: Fit, smallest: float | None, runs: Sequence[Record]):
+        super().__init__(searcher, beside, smallest)
         self._runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
         self._carried: dict[int, tuple[Fit, Held]] = {}
 
@@ -180,7 +179,7 @@ class Carried(Judge):
 
     def errors(self, fit: Fit) -> list[float]:
         """Mean square of the thrust's error in each of the step runs, N^2."""
-        simulator = Simulator(fit.evidence.model)
+        simulator = fit.evidence.simulator
         shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self._runs]
         return [float(np.nanmean((y - r["thrust"]) ** 2)) for y, r in zip(shown, self._runs, strict=True)]
 

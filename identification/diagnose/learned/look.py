@@ -16,7 +16,6 @@ from identification.diagnose.learned.score import Scored, Scores
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.kernel.effects.stage import INNER, OUTER
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
-from vpp_fmu.native import Simulator
 
 LAGS = (0.0, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0)
 """Lags behind a driver, in the rig's time scale; those beyond a third of the record are left out."""
@@ -80,7 +79,7 @@ class Lead:
 
 def look(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
     """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands."""
-    evidence, simulator = fit.evidence, Simulator(fit.evidence.model)
+    evidence, simulator = fit.evidence, fit.evidence.simulator
     x = fit.solution.value if values is None else evidence.coordinates.vector({**fit.values, **values})
     at = {**fit.values, **evidence.coordinates.values(x)}
     residual, jacobian = evidence.evaluate(x)

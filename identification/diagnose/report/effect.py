@@ -6,7 +6,6 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.digits import number
-from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, behind_against_before, reached_against_commanded, stacked
 
@@ -45,7 +44,7 @@ class Outputs(dict):
 
 
 def _simulated(fit: Fit, columns, steps, changes=()) -> Outputs:
-    outputs = Simulator(fit.evidence.model).simulate({**fit.values, **dict(changes)}, columns, steps)
+    outputs = fit.evidence.simulator.simulate({**fit.values, **dict(changes)}, columns, steps)
     return Outputs(zip(OUTPUTS, outputs.T, strict=True))
 
 

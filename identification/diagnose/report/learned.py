@@ -11,7 +11,6 @@ from vpp_fmu.digits import number
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 from vpp_fmu.kernel.learned.shapes import LAWS, SHAPES
 from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.native import Simulator
 from vpp_fmu.report import Page, learned_curve
 
 POINTS = 200
@@ -68,7 +67,7 @@ def data(found: Diagnosis) -> np.ndarray:
     term, fit = found.learned.term, found.final
     lead, parts = term.lead, []
     for e in fit.evidence.experiments:
-        outputs = Simulator(fit.evidence.model).simulate(fit.values, e.record.columns, e.record.steps)
+        outputs = fit.evidence.simulator.simulate(fit.values, e.record.columns, e.record.steps)
         course = Course.of(e, fit.values, outputs)
         v = course.driver(lead.driver, lead.port, lead.form, False)
         parts.append(lagged(v, term.values.get("lag", 0.0), course.step))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnose.evidence.linearised import Linearised
-from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
+from identification.diagnose.evidence.whitened import PIECE, Evidence, Experiment, Score
 from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Prior
@@ -140,10 +140,10 @@ class Searcher:
 
     def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
         """Free parameters (with a tangent, in which the response is piecewise constant); any other is idle here, and stays."""
-        simulator = Simulator(model, free)
+        simulator = Simulator(model, [*self.names, *free])  # the fit's own, where all are smooth
         moved = np.zeros(len(free), bool)
         for e in self.experiments:
-            _, tangents = simulator.sensitivities(values, e.record.columns, e.record.steps)
-            moved |= tangents[:, e.compared].any(axis=(0, 1))
+            for _, _, tangents in simulator.pieces(values, e.record.columns, e.record.steps, PIECE):
+                moved |= tangents[:, e.compared, len(self.names) :].any(axis=(0, 1))
         smooth = [n for n, does in zip(free, moved, strict=True) if does]
         return smooth, [n for n in free if n not in smooth and piecewise_constant(model, self.experiments, values, n)]

@@ -10,7 +10,6 @@ from identification.diagnose.judgement import REFITTED, STRONG
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.look import Looks, Seen
-from vpp_fmu.native import Simulator
 
 SAME_RESPONSE = 1e-6
 """Standard deviations of noise by which two responses may differ by rounding."""
@@ -164,7 +163,7 @@ def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
     axes = {n: [candidate.off[n], *candidate.axis(n)] for n in candidate.sizes if fit.values[n] == candidate.off[n]}
     if not axes or len(candidate.sizes) == 1:
         return fit
-    about, simulator = fit.linearised(), Simulator(fit.evidence.model)
+    about, simulator = fit.linearised(), fit.evidence.simulator
     points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
     costs = [about.cost(simulator, point) for point in points]
     if costs[0] - min(costs) < 1.0:  # the first is the fit as it is

@@ -58,7 +58,7 @@ def scan(
 
     The interval is of the value itself: between the commands that bound it nothing can tell where it lies.
     """
-    simulator = Simulator(evidence.model)
+    simulator = evidence.simulator
     for near in grids:
         spread = near if evidence.values[name] > 0.0 else None  # nothing is near 0 by ratio
         about = Linearised.of(evidence, solution)
