@@ -6,6 +6,7 @@ import pytest
 from identification.diagnose.evidence.converter import LEAST, Converter, grid
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
@@ -96,3 +97,31 @@ def test_an_empty_reading_is_no_pulse_of_the_tachometer():
     values = np.unique(whole.measured)
     assert np.isin(part.measured, values).all()
     assert len(np.unique(part.rows)) == len(part)
+
+
+@pytest.mark.parametrize(("age", "whole"), [(0.3, 0), (1.0, 0), (1.0, 1), (2.75, 2)])
+def test_a_row_holds_what_was_read_rows_before(age, whole):
+    """Of uneven rows, beside the model looked at every 0.25 ms: straight over 1 ms is h^2 / 8 of the curvature off."""
+    rows, rng = 1500, np.random.default_rng(5)
+    fine = 4 * rng.integers(5, 60, rows - 1)
+    speed = np.where(np.arange(rows) % 100 < 50, 3000.0, 5000.0)
+    inputs = {"omega_ref": np.repeat(speed, [*fine, 1]), "beta_ref": np.full(fine.sum() + 1, 5.0)}
+    plain = Simulator(BASE).simulate({}, inputs, np.full(fine.sum(), 0.00025))
+    logged = Simulator(plant(["row_clock"])).simulate(
+        {"row_clock.age": age}, {"omega_ref": speed, "beta_ref": np.full(rows, 5.0)}, 0.00025 * fine
+    )
+    at = np.append(0, np.cumsum(fine))
+    read = at[1:] - (age - whole) * fine
+    for column, near in ((0, 2e-4), (1, 0.06)):
+        expected = np.interp(read, np.arange(len(plain)), plain[:, column])
+        np.testing.assert_allclose(logged[1 + whole :, column], expected[: rows - 1 - whole], rtol=0, atol=near)
+    np.testing.assert_allclose(logged[:, 2], plain[at, 2], rtol=1e-9)
+
+
+def test_nothing_is_logged_late_where_nobody_says_how_long_rows_are():
+    """A co-simulation has no logger: its communication step is no row."""
+    model, commands = plant(["row_clock"]), [(3000.0, 5.0)] * 3 + [(5000.0, 5.0)] * 50
+    told, plain = Simulation(model, {"row_clock.age": 1.5}), Simulation(BASE)
+    for omega_ref, beta_ref in commands:
+        shown = [one.advance({"omega_ref": omega_ref, "beta_ref": beta_ref}, 0.004) for one in (told, plain)]
+        assert shown[0]["thrust"] == pytest.approx(shown[1]["thrust"], rel=1e-12)

@@ -216,6 +216,24 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
     assert (tmp_path / "c" / "validation.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("time (s)", "speed setpoint (rpm)", "speed (rpm)", "load cell (N)"),
+        ("Zeit (s)", "Soll (1/min)", "Ist (1/min)", "Kraft (N)"),
+        ("t_s", "n_soll_rpm", "n_ist_rpm", "F_N"),
+    ],
+)
+def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
+    """A load cell is none of a battery; "target (rpm)" is a speed by its unit; the N behind a force is no speed."""
+    t = truth()
+    path = table(tmp_path / "log.csv", dict(zip(names, (t[n] for n in ("time", "omega_ref", "omega", "thrust")), strict=True)))
+    assert vpp(path, "-o", tmp_path / "out")[0] == 0
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    for name in ("omega_ref", "omega", "thrust"):
+        np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
 def test_a_header_that_leaves_doubt_is_refused_with_the_words_that_would_do(tmp_path, vpp):
     t = truth()
     path = table(
@@ -509,3 +527,17 @@ def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
     fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
     assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
     assert (tmp_path / "out" / "report.html").stat().st_size > 1e5
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_command_that_is_written_a_row_late_is_said(late):
+    """Behind one lag of 0.2 s the speed goes 1 - exp(-0.04 / 0.2) = 18 % of a move in a row of 40 ms."""
+    rng, rows = np.random.default_rng(2), 1500
+    command = np.repeat(np.round(rng.uniform(2000.0, 6000.0, rows // 10)), 10)
+    speed = lagged(command, 0.04, 0.2)
+    told = np.append(command[0], command[:-1]) if late else command
+    columns = {"time": 0.04 * np.arange(rows), "omega_ref": told, "beta_ref": np.zeros(rows)}
+    columns |= {"omega": speed + rng.normal(0.0, 5.0, rows), "thrust": 10.0 * (speed / 6000.0) ** 2}
+    said = [line for line in said_of_rows(Record(columns, "log")) if line.startswith("clock")]
+    assert bool(said) == late
+    assert all("gone 18 ± " in line for line in said)

@@ -33,7 +33,7 @@ class Broken(Exception):
 
 def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> dict[str, np.ndarray]:
     """Speed and pitch commands over the rig's whole range, each held for 1 to `hold` rows; any other input of the model
-    wanders by a tenth around its nominal value."""
+    wanders by a tenth around its nominal value; a row of a log lasts 2 STEP."""
     rng = np.random.default_rng(seed)
 
     def steps(low, high):
@@ -41,7 +41,8 @@ def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> di
         return np.repeat(rng.uniform(low, high, rows), lengths)[:rows]
 
     ranges = {"omega_ref": (2000.0, 6000.0), "beta_ref": (-5.0, 10.0)}
-    return {u.name: steps(*ranges.get(u.name, (0.9 * u.nominal, 1.1 * u.nominal))) for u in model.inputs}
+    wander = {u.name: (0.9 * u.nominal, 1.1 * u.nominal) for u in model.inputs} | ranges
+    return {u.name: np.full(rows, 2.0 * STEP) if u.clock else steps(*wander[u.name]) for u in model.inputs}
 
 
 def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps) -> np.ndarray:
@@ -58,8 +59,8 @@ def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str
 def slopes(model: Model, values: Mapping[str, float], name: str, inputs, steps):
     """Numeric derivatives of the outputs in a parameter: (central differences, where they are to be trusted, their size).
 
-    A row is trusted where the curve is smooth: both one-sided differences agree, and so do those at h and h / 4. What
-    switches at a threshold is flat in it between switches.
+    A row is trusted where the curve is smooth: both one-sided differences agree, and so do those at h and h / 4: from either
+    side of a kink of twice SLOPE the middle is SLOPE away. What switches at a threshold is flat in it between switches.
     """
     nominal = next(p.nominal for p in model.parameters if p.name == name)
     h = 1e-5 * max(abs(values[name]), 1e-2 * nominal)
@@ -71,7 +72,7 @@ def slopes(model: Model, values: Mapping[str, float], name: str, inputs, steps):
     below, here, above = at(-h), at(0.0), at(h)
     wide, narrow = (above - below) / (2.0 * h), (at(h / 4.0) - at(-h / 4.0)) / (h / 2.0)
     size = np.abs(narrow).max(axis=0) + small
-    smooth = (np.abs(above - 2.0 * here + below) / h < 1e-2 * size) & (np.abs(wide - narrow) < 1e-3 * size)
+    smooth = (np.abs(above - 2.0 * here + below) / h < 2.0 * SLOPE * size) & (np.abs(wide - narrow) < 1e-3 * size)
     return wide, smooth, size
 
 

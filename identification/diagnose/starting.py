@@ -77,7 +77,7 @@ def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effe
 def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect], fitted: Sequence[Record]) -> Starting:
     """Start at a given model, fitted to the `fitted` records. BadInput where a record lacks an input that the model needs."""
     kept = given.model.optional
-    for name in given.model.measured_inputs:
+    for name in (u.name for e in given.model.effects for u in e.inputs if not u.clock):
         for record in (campaign.open_loop, campaign.repeat, campaign.validation):
             if record is not None and name not in record:
                 raise BadInput(record.source, f"column {name}", "no such column", f"what {', '.join(kept)} of the model needs")

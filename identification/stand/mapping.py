@@ -172,9 +172,11 @@ def propose(sheet: Sheet) -> dict[str, Column]:
 def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
     """(quantity, score, column) of a header's name; None where it says nothing of a record's."""
     base, _ = split_unit(name)
-    text = re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base)
+    text = re.sub(r"(?i)\bload[ _]cell\b", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
     tail = re.split(r"[\W_]+", base)[-1] if len(tokens) > 1 else ""  # as it is written: N is newton, n is none
+    if tail == "N":
+        tokens.pop()
     exact = base.casefold().replace(" ", "_")
     if exact in QUANTITIES:
         quantity, score = exact, 3.0
@@ -183,6 +185,8 @@ def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
             return None
         command = any(_commands(t) for t in tokens)
         scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
+        if set(tokens) <= _COMMAND | _NOISE and _fits("omega", sheet.unit(name) or ""):
+            scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
         quantity = max(scores, key=scores.get)
         score = scores[quantity]
         if score <= 0.0:

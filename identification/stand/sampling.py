@@ -28,6 +28,12 @@ one that is limited in its slew takes as many rows as the move is long. Of means
 FEWEST_MOVES = 4
 """Moves from which the share tells."""
 
+ROWS_BACK = 20
+"""Rows before whose moves of a command may still move the speed."""
+
+CHANCE = 5.0
+"""Standard deviations that noise reaches in one log of three million."""
+
 
 def said_of_gaps(record: Record) -> list[str]:
     """Rows that are missing."""
@@ -47,7 +53,7 @@ def said_of_rows(record: Record) -> list[str]:
         told = f"in {through} of {moves} moves between held commands one row lies in between"
         row = f"{1e3 * record.period:.3g} ms"
         lines.append(f"averages: {told}: rows are means over {row} and no samples, and lags come out wrong by as much")
-    return lines + _slow(record)
+    return lines + _leads(record) + _slow(record)
 
 
 def between(record: Record) -> tuple[int, int]:
@@ -66,6 +72,30 @@ def between(record: Record) -> tuple[int, int]:
         inside = single & ((before - at) * (at - after) > 0.0)
         through, moves = through + int(inside.sum()), moves + int(inside.sum())
     return through, moves
+
+
+def _leads(record: Record) -> list[str]:
+    """Whether speed has moved in the row that commands it. A command acts from its row on: then it was sent before.
+
+    Changes of speed from row to row are fitted by those of the command in this row and the ROWS_BACK before it (least squares).
+    """
+    if "omega" not in record or len(record) < 5 * ROWS_BACK or not np.ptp(record["omega_ref"]):
+        return []
+    command, speed = np.diff(record["omega_ref"]), np.diff(record["omega"])
+    moves = np.lib.stride_tricks.sliding_window_view(command, ROWS_BACK + 1)[:, ::-1]
+    seen = np.isfinite(speed[ROWS_BACK:])
+    moves, speed = moves[seen], speed[ROWS_BACK:][seen]
+    information = moves.T @ moves
+    if np.linalg.matrix_rank(information) <= ROWS_BACK:
+        return []
+    inverse = np.linalg.inv(information)
+    share = inverse @ (moves.T @ speed)
+    left = speed - moves @ share
+    std = np.sqrt(inverse[0, 0] * np.sum(left**2) / (len(left) - len(share)))
+    if share[0] < CHANCE * std:
+        return []
+    told = f"speed has gone {100.0 * share[0]:.2g} ± {100.0 * std:.1g} % of a move in the row that commands it"
+    return [f"clock: {told}, and a command acts from its row on: it was sent before; shift the commands' columns up by a row"]
 
 
 def _slow(record: Record) -> list[str]:

@@ -134,7 +134,7 @@ class Information:
 
     def _response(self, commands: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (rows, outputs) and their derivatives (rows, outputs, n) under commands."""
-        inputs = {u.name: np.full(len(commands), u.nominal) for u in self.model.inputs}
+        inputs = {u.name: np.full(len(commands), u.nominal) for u in self.model.inputs if not u.clock}
         inputs |= {"omega_ref": commands[:, 0], "beta_ref": commands[:, 1]}
         outputs, tangents = self._simulator.sensitivities(self.all_values, inputs, np.full(len(commands) - 1, step))
         return outputs, tangents[:, :, self._columns]

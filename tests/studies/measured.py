@@ -1,61 +1,197 @@
-"""python -m tests.studies measured DATA [--diagnose]: campaigns and stand logs in a folder, by error on what no fit has seen.
+"""python -m tests.studies measured FOLDER [--diagnose]: campaigns and logs, by the error on what no fit has seen.
 
-DATA holds campaign folders, and in `sar_motor` two logs of a thrust stand. A campaign is identified, exported, and its FMU run
-by fmpy on validation.csv; of the logs one day is fitted and the other predicted, with the first day's speed map.
+FOLDER is a campaign or holds campaigns, or holds logs of a stand, or folders of them, a log a day: logs of RCbenchmark, and any
+table where an import.toml beside them says what its columns are (`vpp import csv LOG --propose import.toml`). A campaign is
+identified, exported, and its FMU run by fmpy on validation.csv. Of logs that follow each other by name each is fitted and the
+other predicted as it stands, with the fitted one's map of the speed. The floor of a campaign is its noise, that of a day what
+the fitted model leaves when its steady map alone is fitted to that day: what days differ in, no lag explains.
 """
 
 import argparse
+import contextlib
+import io
 import tempfile
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
-from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.report.summary import artefact
+from identification.fit.refine import refine
 from identification.identify import identify
+from identification.stand.mapping import FILE
 from identification.stand.rcbenchmark import read_log
-from identification.stand.speed_map import fit_speed_map
 from identification.worth.quality import noise_floor, rmse
+from vpp_fmu import cli
 from vpp_fmu.campaign import NAMES, Campaign, read_campaign
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import simulate_in_fmpy
-from vpp_fmu.rig import infer_rig
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import RecordWarning
+
+MAP = ("c20", "c11", "c21", "c12", "c30")
 
 
-def main(arguments):
+@dataclass(frozen=True)
+class Row:
+    """One line of the table, all N: of the model as identified, of the diagnosis' base and of what it ships (None: not asked
+    for), the floor (None: not known)."""
+
+    name: str
+    identified: float
+    before: float | None
+    after: float | None
+    floor: float | None
+    verdict: str
+
+
+def main(arguments: list[str]) -> None:
+    """`python -m tests.studies measured`."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies measured", description=__doc__)
-    parser.add_argument("data", type=Path, metavar="DATA")
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--diagnose", action="store_true", help="also what the model lacks, and the error with it")
     options = parser.parse_args(arguments)
-    for folder in sorted(options.data.iterdir()):
-        if any(f.name.partition(".")[0] in NAMES for f in folder.glob("*.csv*")):
-            of_campaign(read_campaign(folder), options.diagnose)
-    logs = sorted((options.data / "sar_motor").glob("TimeConstant_Test_*.csv"))
-    for fitted, other in (logs, logs[::-1]) if len(logs) == 2 else ():
-        of_days(fitted, other, options.diagnose)
+    rows = []
+    try:
+        for row in found(options.folder, options.diagnose):
+            rows.append(row)
+    except VppError as error:
+        raise SystemExit(str(error)) from error
+    print(table(rows))
 
 
-def of_campaign(campaign, look):
-    found, name = identify(campaign), campaign.folder.name
-    twice = campaign.open_loop is not None and campaign.repeat is not None
-    floor = f"{noise_floor(campaign.open_loop, campaign.repeat):.4g} N" if twice else "not measured"
-    told = f"{name}: noise floor {floor}"
-    if campaign.validation is not None:
-        told += f"; rmse on validation.csv {in_fmpy(found.parameters, campaign):.4g} N through the FMU in fmpy"
-        told += f", fit {found.predictions['validation'].fit_thrust:.1f} %"
-        told += f", {100 * found.coverage['validation']:.1f} % of the readings in the 95 % band"
-    print(told, flush=True)
-    if look:
-        seen = diagnose(campaign)
-        if campaign.validation is not None:
-            before, after = (in_fmpy(seen.parameters(fit), campaign) for fit in (seen.base, seen.final))
+def found(folder: Path, look: bool) -> Iterator[Row]:
+    """A row for each campaign, and two for each pair of logs, in a folder and those in it. BadInput where there is nothing."""
+    if not folder.is_dir():
+        raise BadInput(folder, "folder", "no folder", "a campaign, or a folder of campaigns or of a stand's logs")
+    rows = 0
+    for place in (folder, *sorted(p for p in folder.iterdir() if p.is_dir())):
+        if is_campaign(place):
+            yield of_campaign(read_campaign(place), look)
+            rows += 1
+            continue
+        for one, other in pairwise(logs(place)):
+            for fitted, told in ((one, other), (other, one)):
+                yield of_days(fitted, told, look)
+                rows += 1
+    if not rows:
+        allowed = f"a campaign, two logs of RCbenchmark, or two tables beside an {FILE} that says what their columns are"
+        raise BadInput(folder, "files", ", ".join(sorted(p.name for p in folder.iterdir())[:8]) or "none", allowed)
+
+
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder holds a file of a campaign."""
+    return any(f.name.partition(".")[0] in NAMES for f in folder.glob("*.csv*"))
+
+
+def logs(folder: Path) -> list[Path]:
+    """The logs of a folder by name, those that are records in time; of each other file one line says why it is none."""
+    kept, mapping = [], (folder / FILE).exists()
+    for path in sorted(p for p in folder.iterdir() if p.is_file() and p.name != FILE):
+        why = "" if mapping else _no_record(path)
+        if why:
+            print(f"{path.name}: left out: {why}")
         else:
-            before, after = (seen.errors(fit)[0] for fit in (seen.base, seen.final))
-        _say(name, seen, before, after, "on validation.csv" if campaign.validation is not None else "cross-validated")
+            kept.append(path)
+    return kept
 
 
-def _say(name, seen, before, after, where):
-    effects = ", ".join(seen.final.effects) or "no effect"
+def _no_record(path: Path) -> str:
+    """Why a file is no record of an RCbenchmark stand; empty where it is one."""
+    if ".csv" not in path.suffixes:
+        return f"neither a log of RCbenchmark nor a table with an {FILE} beside it"
+    try:
+        return "averages, so steady points and no record" if read_log(path).averaged else ""
+    except BadInput as error:
+        return str(error).removeprefix(f"{path}: ")
+
+
+def of_campaign(campaign: Campaign, look: bool) -> Row:
+    """A campaign by its validation record, where it has one; else cross-validated."""
+    known, name = identify(campaign), campaign.folder.name
+    twice = campaign.open_loop is not None and campaign.repeat is not None
+    floor = noise_floor(campaign.open_loop, campaign.repeat) if twice else None
+    told = f"{name}: noise floor {'not measured' if floor is None else f'{floor:.4g} N'}"
+    error = known.refinement.problem.std.get("thrust", float("nan"))
+    if campaign.validation is not None:
+        error = in_fmpy(known.parameters, campaign)
+        told += f"; rmse on validation.csv {error:.4g} N through the FMU in fmpy"
+        told += f", fit {known.predictions['validation'].fit_thrust:.1f} %"
+        told += f", {100 * known.coverage['validation']:.1f} % of the readings in the 95 % band"
+    print(told, flush=True)
+    if not look:
+        return Row(name, error, None, None, floor, "")
+    seen = diagnose(campaign)
+    if campaign.validation is not None:
+        before, after = (in_fmpy(seen.parameters(fit), campaign) for fit in (seen.base, seen.final))
+    else:
+        before, after = (seen.errors(fit)[0] for fit in (seen.base, seen.final))
+    _say(name, seen, before, after, "on validation.csv" if campaign.validation is not None else "cross-validated")
+    return Row(name, error, before, after, floor, _verdict(seen))
+
+
+def of_days(fitted: Path, other: Path, look: bool) -> Row:
+    """One day's log fitted, the other predicted as it stands."""
+    name = f"{fitted.stem} -> {other.stem}"
+    campaign = days(fitted, other)
+    known = identify(campaign)
+    day, own = known.predictions["validation"], known.predictions["open_loop"]
+    print(
+        f"{fitted.stem} fitted: {own.rmse_thrust:.3f} N, fit {own.fit_thrust:.1f} %; "
+        f"{other.stem} as it stands: {day.rmse_thrust:.3f} N, fit {day.fit_thrust:.1f} %, "
+        f"held: {', '.join(known.refinement.held) or 'none'}",
+        flush=True,
+    )
+    if not look:
+        return Row(name, day.rmse_thrust, None, None, map_of_the_day(known.parameters, campaign), "")
+    seen = diagnose(campaign)
+    before, after = (seen.errors(fit)[0] for fit in (seen.base, seen.final))
+    floor = map_of_the_day(seen.parameters(seen.final), campaign)
+    _say(fitted.stem, seen, before, after, "other day")
+    return Row(name, day.rmse_thrust, before, after, floor, _verdict(seen))
+
+
+def days(fitted: Path, other: Path) -> Campaign:
+    """Two logs as open-loop and validation record of a campaign, taken in as a stranger would: by `vpp import`. BadInput."""
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordWarning)
+        for log, kind in ((fitted, "open_loop"), (other, "validation")):
+            toml = log.parent / FILE
+            words = ["csv", str(log), "--map", str(toml)] if toml.exists() else ["rcbenchmark", str(log)]
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+                failed = cli.main(["import", *words, "--as", kind, "-o", place])
+            if failed:
+                raise BadInput(log, "log", printed.getvalue().strip().splitlines()[-1], "one that vpp import takes in")
+        campaign = read_campaign(place)
+    return Campaign(Path(fitted.stem), None, (), campaign.open_loop, None, campaign.validation, rig=campaign.rig)
+
+
+def map_of_the_day(parameters: ParameterSet, campaign: Campaign) -> float:
+    """N on the other day, the steady map alone fitted to it."""
+    record = campaign.validation
+    there = refine(parameters.model, [record], parameters.values, MAP, channels=("thrust",))
+    return rmse(there.problem.thrust_error(0, there.values))
+
+
+def in_fmpy(parameters: ParameterSet, campaign: Campaign) -> float:
+    """Thrust error (N) on the validation record of the exported FMU, run by fmpy."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "VppPlant.fmu")
+        path.write_bytes(python_fmu(parameters.model, parameters.values))
+        return rmse(simulate_in_fmpy(path, campaign.validation) - campaign.validation["thrust"])
+
+
+def _verdict(seen: Diagnosis) -> str:
     refuted = f" (refuted: {', '.join(seen.selection.final.effects)}: {seen.refuted})" if seen.refuted else ""
-    print(f"{name}: {seen.verdict}: {effects}{refuted}; {where} {before:.4g} N before, {after:.4g} N after", flush=True)
+    return f"{seen.verdict}: {', '.join(seen.final.effects) or 'no effect'}{refuted}"
+
+
+def _say(name: str, seen: Diagnosis, before: float, after: float, where: str) -> None:
+    print(f"{name}: {_verdict(seen)}; {where} {before:.4g} N before, {after:.4g} N after", flush=True)
     for effect, judged in seen.selection.judgements.items():
         gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
         told = artefact(seen, effect)
@@ -64,33 +200,11 @@ def _say(name, seen, before, after, where):
         )
 
 
-def in_fmpy(parameters, campaign):
-    """Thrust error (N) on the validation record of the exported FMU, run by fmpy."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "VppPlant.fmu")
-        path.write_bytes(python_fmu(parameters.model, parameters.values))
-        return rmse(simulate_in_fmpy(path, campaign.validation) - campaign.validation["thrust"])
-
-
-def of_days(fitted, other, look):
-    """One day's log fitted, the other predicted as it stands."""
-    first, second = read_log(str(fitted)), read_log(str(other))
-    speed_map = fit_speed_map(first.steady_points(), first.span, first.loaded_voltage, fitted.name)
-    records = []
-    for log in (first, second):
-        tare = log.tare()
-        records.append(log.record(speed_map.omega_ref(log.signal), tare[0] if tare else 0.0, False))
-    rig = infer_rig(records[:1], None, {})
-    campaign = Campaign(Path(fitted.stem), None, (), records[0], None, records[1], rig=rig)
-    found = identify(campaign)
-    day, own = found.predictions["validation"], found.predictions["open_loop"]
-    print(
-        f"{fitted.stem} fitted: {own.rmse_thrust:.3f} N, fit {own.fit_thrust:.1f} %; "
-        f"{other.stem} as it stands: {day.rmse_thrust:.3f} N, fit {day.fit_thrust:.1f} %, "
-        f"held: {', '.join(found.refinement.held)}",
-        flush=True,
-    )
-    if look:
-        seen = diagnose(campaign)
-        before, after = (seen.errors(fit)[0] for fit in (seen.base, seen.final))
-        _say(fitted.stem, seen, before, after, "other day")
+def table(rows: list[Row]) -> str:
+    """A line a row, N."""
+    width = max((len(r.name) for r in rows), default=0)
+    lines = [f"{'N':{width}}  identified  before   after   floor  verdict"]
+    for r in rows:
+        cells = ["       -" if x is None else f"{x:8.4g}" for x in (r.before, r.after, r.floor)]
+        lines.append(f"{r.name:{width}}  {r.identified:10.4g}{''.join(cells)}  {r.verdict}".rstrip())
+    return "\n".join(lines)

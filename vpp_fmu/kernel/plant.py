@@ -5,6 +5,7 @@ from functools import cache
 
 from vpp_fmu.kernel.effects import (
     actuator,
+    dead_time,
     inflow_lag,
     map_terms,
     normalisation,
@@ -22,16 +23,15 @@ from vpp_fmu.kernel.effects import (
     pitch_stop_band,
     pitch_stop_restart,
     pitch_travel_limit,
-    reading_delay,
     recirculation,
     rotor_vibration,
+    row_clock,
     sensor_drift,
     sensor_gain,
     sensor_lag,
     speed_asymmetry,
     speed_delay,
     speed_dependent_lag,
-    speed_reading_delay,
     speed_saturation,
     stand_resonance,
     start_from_rest,
@@ -85,10 +85,11 @@ _DECLARED: tuple[Effect, ...] = (
     sensor_gain.EFFECT,
     sensor_lag.EFFECT,
     stand_resonance.EFFECT,
-    reading_delay.EFFECT,
+    dead_time.THRUST,
     rotor_vibration.EFFECT,
     sensor_drift.EFFECT,
-    speed_reading_delay.EFFECT,
+    dead_time.SPEED,
+    row_clock.EFFECT,
 )
 """Every effect there is, each where it acts between command and reading. A new effect is one file and one line here."""
 

@@ -28,7 +28,8 @@ INSTANT = 1e-9
 class Signal:
     """A quantity that runs along the chain; as a model's input or output also an FMU variable.
 
-    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute. `kind`: REAL, INTEGER or BOOLEAN.
+    `scale`: the rig's scale that is its nominal value; "": `nominal` is absolute. `kind`: REAL, INTEGER or BOOLEAN. `clock`: an
+    input that is the time [s] for which the row holds, which whoever runs a record knows.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Signal:
     start: float = 0.0
     scale: str = ""
     kind: str = REAL
+    clock: bool = False
 
     def sized(self, scales: Scales) -> "Signal":
         """The signal on a rig of these scales."""
@@ -116,11 +118,11 @@ class Effect:
     holds it back [s]; the schedule does it, between steps, exactly. `largest_step` is the longest step [s] that the discrete
     form is good for; None: exact for held inputs at any step. `contains` maps the name of an effect that is a special case of
     this one to the parameters that they share, own name to its: a search for this one starts at what was found for that one,
-    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: "thrust" or
-    "speed", it is how that is read, not what it is. `common`: every rig has a little of it, and it is worth a name from this
-    share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its file declares it, in
-    shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as `settled_<name>`, each
-    with the input that it is about; "": it is about 0."""
+    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: "thrust",
+    "speed" or "thrust and speed", it is how that is read, not what it is. `common`: every rig has a little of it, and it is
+    worth a name from this share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its
+    file declares it, in shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as
+    `settled_<name>`, each with the input that it is about; "": it is about 0."""
 
     name: str
     description: str

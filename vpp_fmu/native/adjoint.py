@@ -10,6 +10,7 @@ import numpy as np
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
+from vpp_fmu.native.simulator import completed
 from vpp_fmu.tracer import c_source, trace
 from vpp_fmu.tracer.adjoints import c_adjoints
 
@@ -31,6 +32,7 @@ class Adjoint:
     def record(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> "Tape":
         """Run a record (arguments as `Simulator.simulate`) and keep what the way back needs: memory is linear in its steps."""
         values = np.array(list(self.model.values(parameters).values()))
+        inputs = completed(self.model, inputs, steps)
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         steps, n = np.ascontiguousarray(steps, float), len(columns)
         if len(steps) != n - 1:

@@ -33,7 +33,7 @@ class Simulator:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
 
         `parameters`: changes to the defaults, by name. `inputs`: one array (rows,) for each of the model's inputs, held from
-        its row to the next; measured ones that effects brought may be missing. `steps` (rows - 1,): seconds from row to row.
+        its row to the next; those that effects brought may be missing. `steps` (rows - 1,): seconds from row to row.
         """
         outputs = np.empty((len(steps) + 1, len(self.outputs)))
         for _ in self._run_pieces(parameters, inputs, steps, len(outputs), outputs, None):
@@ -69,13 +69,21 @@ class Simulator:
     def _prepared(self, parameters, inputs, steps):
         """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order."""
         values = np.array(list(self.model.values(parameters).values()))
-        inputs = {n: np.full(len(steps) + 1, v) for n, v in self.model.measured_inputs.items()} | dict(inputs)
+        inputs = completed(self.model, inputs, steps)
         rows = {name: len(inputs[name]) for name in self._inputs}
         if set(rows.values()) != {len(steps) + 1}:
             told = ", ".join(f"{name} has {count}" for name, count in rows.items())
             raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {told}")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         return values, columns, np.ascontiguousarray(steps, float)
+
+
+def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> dict[str, np.ndarray]:
+    """Inputs by name, each (rows,), with those that effects brought and nobody measured; rows last `steps` (rows - 1,) s."""
+    rows = len(steps) + 1
+    own = {name: np.full(rows, value) for name, value in model.measured_inputs.items()}
+    own |= {u.name: np.append(steps, steps[-1:])[:rows] for u in model.inputs if u.clock and rows > 1}
+    return own | dict(inputs)
 
 
 class _Chain:

@@ -83,7 +83,7 @@ def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) ->
     """Outputs (stairs,) at the end of each stair of a command, everything else standing."""
     rows = round(HOLD / STEP)
     n = len(stairs) * rows
-    inputs = [u.name for u in fit.evidence.model.inputs]
+    inputs = [u.name for u in fit.evidence.model.inputs if not u.clock]
     columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
     columns[command] = np.repeat(stairs, rows)
     outputs = _simulated(fit, columns, np.full(n - 1, STEP))

@@ -10,6 +10,7 @@ from identification.diagnose.search.refits import Tried
 from identification.worth.prediction import predict
 from identification.worth.quality import fit_percent, rmse
 from identification.worth.sections import sections
+from vpp_fmu.digits import number
 
 FORMAT = "vpp-diagnosis/2"
 
@@ -125,7 +126,7 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
     }
 
 
-HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger"}
+HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
 
 
 def artefact(found: Diagnosis, name: str) -> str:
@@ -134,9 +135,15 @@ def artefact(found: Diagnosis, name: str) -> str:
     What delays or bends the speed must show in the measured speed too; where that gets worse, it is the thrust's reading
     that is late.
     """
-    effect = next(e for e in found.selection.final.evidence.model.effects if e.name == name)
+    fit = found.selection.final
+    effect = next(e for e in fit.evidence.model.effects if e.name == name)
     if effect.reading:
-        return f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
+        told = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
+        if any(u.clock for u in effect.inputs):
+            (rows,) = (fit.values[effect.full(n)] for n in effect.off)
+            late = number(1e3 * rows * found.fitted[0].record.period, 2)
+            told += f"; {number(rows, 2)} rows are {late} ms of dead time of both, where rows are even"
+        return told
     if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -STRONG:
         return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
     return ""

@@ -96,7 +96,7 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
     """Candidates for records; an effect that needs a measured input is left out where a record lacks it."""
     records, found = tuple(records), []
     for effect in library:
-        if effect.off is None or any(u.name not in r for u in effect.inputs for r in records):
+        if effect.off is None or any(u.name not in r for u in effect.inputs if not u.clock for r in records):
             continue
         choices = [(effect.full(p.name), p.choices) for p in effect.parameters if p.choices]
         free = tuple(effect.full(p.name) for p in effect.parameters if not p.choices)
@@ -112,7 +112,7 @@ def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[floa
     top = max(float(np.nanmax(r["omega_ref"])) for r in records)
     limits = [p for p in effect.parameters if p.unit == "rpm" and effect.off.get(p.name) == p.maximum]
     found = {effect.full(p.name): tuple(v for k in TOPS if (v := k * top) > p.minimum) or (p.minimum,) for p in limits}
-    for u in effect.inputs:
+    for u in (u for u in effect.inputs if not u.clock):
         seen = np.concatenate([r[u.name] for r in records])
         levels = tuple(dict.fromkeys(np.nanquantile(seen, [0.0, 0.5, 1.0]).tolist()))
         found |= {effect.full(p.name): levels for p in effect.parameters if p.unit == u.unit and p.name not in effect.off}

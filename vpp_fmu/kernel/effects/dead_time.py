@@ -1,4 +1,4 @@
-"""A signal's dead time as two states, for where the schedule can't hold it back: what is read late, not what is commanded.
+"""A signal's dead time as three states, for where the schedule can't hold it back: what is read late, not what is commanded.
 
     late(s) / signal(s) = (1 - x/2 + x^2/12) / (1 + x/2 + x^2/12),   x = s delay
 
@@ -9,7 +9,7 @@ times the rate of a second-order lag of it, solved exactly for a signal that run
 
 from math import sqrt
 
-from vpp_fmu.kernel.types import State
+from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
 def dead_time(ops, signal, x, delay, dt):
@@ -38,3 +38,33 @@ def states(signal: str, unit: str) -> tuple[State, ...]:
         State("behind", unit, f"{signal} behind two lags", settled),
         State("rate", f"{unit}/s", "rate of that", lambda ops, s, p: 0.0),
     )
+
+
+def late_reading(name: str, reading: str, signal: str, unit: str) -> Effect:
+    """The effect that a `signal`, in its `unit`, is read late as the `reading` "thrust" or "speed".
+
+    A logger's time goes with no scale of the rig, so neither does the delay.
+    """
+
+    def step(ops, s, x, p, dt):
+        late, ahead = dead_time(ops, getattr(s, signal), x, p.delay, dt)
+        return {signal: late}, ahead
+
+    return Effect(
+        name,
+        f"dead time of the {reading} reading",
+        step,
+        parameters=(Parameter("delay", "s", 0.0, 0.0, 0.3, f"time by which {reading} is read late", 0.03),),
+        states=states(signal, unit),
+        off={"delay": 0.0},
+        probe={"delay": 0.03},
+        largest_step=0.002,
+        reading=reading,
+    )
+
+
+THRUST = late_reading("reading_delay", "thrust", "thrust", "N")
+"""Averaging and frames of the load cell's amplifier. Measured speed is not late; that tells it from a rotor that moves late."""
+
+SPEED = late_reading("speed_reading_delay", "speed", "omega", "rpm")
+"""A display that averages, a frame that waits; the thrust is not late."""

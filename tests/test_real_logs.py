@@ -1,0 +1,93 @@
+"""Logs of one's own, from the folder to the table: which are taken, both directions; a logger told from a rotor."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from studies import measured
+from studies.readings import NAMES, Logged, outcome
+
+from identification.stand.mapping import FILE
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import LIBRARY
+
+SECONDS, NOISE = 20.0, 0.05
+LEFT = np.exp(-0.001 / 0.1)
+"""Of a lag of 0.1 s after a ms."""
+
+G = 9.80665e-3
+"""N a gf."""
+
+
+def stand(path, day: int, columns=("Zeit [ms]", "Soll [rpm]", "Ist [rpm]", "Schub [gf]"), every: int = 20):
+    """A day's log of a fixed-pitch stand in a table of its own, a row `every` ms: one lag, a mark a revolution, a steady map
+    that is 2 % more the next day."""
+    rng = np.random.default_rng(day)
+    time = np.arange(0.0, SECONDS, 0.001)
+    command = rng.uniform(2500.0, 5800.0, 40)[(time / 0.5).astype(int)]
+    speed = lfilter([0.0, 1.0 - LEFT], [1.0, -LEFT], command, zi=command[:1])[0]
+    turn = 60.0 / speed  # the pulse came half a revolution ago in the mean, and tells of the whole one before
+    covered = np.cumsum(speed) * 0.001
+    mean = (np.interp(time - 0.5 * turn, time, covered) - np.interp(time - 1.5 * turn, time, covered)) / turn
+    thrust = (1.0 + 0.02 * day) * 10.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, NOISE, len(time))
+    mean[time < 0.1] = command[0]
+    rows = slice(None, None, every)
+    time, command, mean, thrust = time[rows], command[rows], mean[rows], thrust[rows]
+    values = 7000.0 + 1e3 * time, command, mean + rng.normal(0.0, 3.0, len(time)), thrust / G
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, delimiter=";")
+        writer.writerow(columns)
+        writer.writerows([[f"{v:.4f}".replace(".", ",") for v in row] for row in zip(*values, strict=True)])
+
+
+MAPPING = """format = "vpp-mapping/1"
+[open_loop.columns]
+time = "Zeit [ms]:ms"
+omega_ref = "Soll [rpm]:rpm"
+omega = "Ist [rpm]:rpm"
+thrust = "Schub [gf]:gf"
+"""
+
+
+def test_two_logs_beside_a_mapping_are_fitted_one_way_and_the_other(tmp_path, capsys):
+    """A lag and the steady map describe a day; the other has 2 % more thrust, which its own map takes, and noise stays."""
+    folder = tmp_path / "logs" / "stand"
+    folder.mkdir(parents=True)
+    for day in (0, 1):
+        stand(folder / f"day{day}.csv", day)
+    (folder / FILE).write_text(MAPPING)
+    rows = list(measured.found(tmp_path / "logs", look=False))
+    assert [r.name for r in rows] == ["day0 -> day1", "day1 -> day0"]
+    for r in rows:
+        assert 0.08 < r.identified < 0.25
+        assert r.floor == pytest.approx(NOISE, rel=0.1)
+    assert "day0 fitted" in capsys.readouterr().out
+
+
+def test_what_is_no_campaign_and_no_log_is_said(tmp_path, capsys):
+    stand(tmp_path / "day0.csv", 0)
+    (tmp_path / "notes.txt").write_text("a windy day")
+    with pytest.raises(BadInput, match=r"two logs of RCbenchmark, or two tables beside an import\.toml"):
+        list(measured.found(tmp_path, look=False))
+    printed = capsys.readouterr().out
+    assert "day0.csv: left out: line 2: found 5 cells" in printed
+    assert "notes.txt: left out: neither a log" in printed
+    with pytest.raises(SystemExit, match="no folder"):
+        measured.main([str(tmp_path / "none")])
+
+
+SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
+
+
+@pytest.mark.parametrize(
+    "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
+)
+def test_what_a_logger_does_is_named(case):
+    """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row."""
+    found = outcome(replace(case, seconds=30.0), library=SOME)
+    assert found["word"] == "right"
+    assert all("not your rotor" in said for said in found["said"].values())
+    assert ("ms of dead time of both" in found["said"].get("row_clock", "")) == bool(case.age)
+    assert np.all(np.abs(found["off"]) < 0.5e3 / case.rate)
