@@ -1,10 +1,15 @@
 """Figures of a diagnosis: what they show is what the data hold."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from identification.diagnose.report.summary import reached
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 from vpp_fmu.report import (
     behind_against_before,
     correlations,
@@ -105,3 +110,27 @@ def test_each_pair_is_shown_once_and_only_what_is_close_has_a_number():
     assert trace.z[0][0] == 0.95
     assert sorted(text for row in trace.text for text in row) == ["", "", "", "0.95"]
     assert (list(trace.y), list(trace.x)) == (["b", "c"], ["a", "b"])
+
+
+def test_how_often_a_limit_is_reached_is_counted():
+    """Three pulses of 1 s beyond the limit: it acts while they last and until two lags have forgotten them."""
+    name, maximum = "speed_saturation", 5000.0
+    time = np.arange(0.0, 20.0, 0.01)
+    fast = (time % 6.0 >= 3.0) & (time % 6.0 < 4.0)
+    columns = {"time": time, "omega_ref": np.where(fast, 5500.0, 3000.0), "beta_ref": np.full(len(time), 4.0)}
+    model = plant([name])
+    fit = SimpleNamespace(
+        evidence=SimpleNamespace(
+            model=model,
+            simulator=Simulator(model),
+            experiments=[SimpleNamespace(record=Record(columns | {"thrust": np.zeros(len(time))}, "made"))],
+        ),
+        values=model.values({f"{name}.maximum": maximum}),
+    )
+    seconds, times = reached(fit, name)["maximum"]
+    assert times == 3
+    assert 3.0 < seconds < 3.0 * (1.0 + np.log(1e3) * (0.172 + 0.053))
+    fit.values[f"{name}.maximum"] = 5600.0
+    assert reached(fit, name)["maximum"] == (0.0, 0)
+    fit.values[f"{name}.maximum"] = 1e6
+    assert reached(fit, name) == {}

@@ -64,6 +64,9 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
                 continue
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
             note = _known(p, effect["intervals"].get(name))
+            if "acts_times" in p:
+                times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
+                note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
             figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     change = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"

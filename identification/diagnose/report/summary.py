@@ -108,8 +108,31 @@ def _effect(found: Diagnosis, name: str) -> dict:
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
     values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.doubt.get(n), "unit": units[n]} for n in own}
     intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
+    for parameter, (seconds, times) in reached(fit, name).items():
+        values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
     found_in = {"artefact": text} if (text := artefact(found, name)) else {}
     return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence(found, judged), **found_in}
+
+
+def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
+    """(seconds, times) for which each limit of an effect changes the response to the fitted commands.
+
+    A limit that is hardly reached is known from those moments alone; what it does beyond them is an extrapolation.
+    """
+    effect, simulator, found = next(e for e in fit.evidence.model.effects if e.name == name), fit.evidence.simulator, {}
+    for p in effect.parameters:
+        if p.unlimited is None or fit.values[effect.full(p.name)] == p.unlimited:
+            continue
+        seconds, times = 0.0, 0
+        for e in fit.evidence.experiments:
+            columns, steps = e.record.columns, e.record.steps
+            ways = ({}, {effect.full(p.name): p.unlimited})
+            limited, free = (simulator.simulate(fit.values | change, columns, steps) for change in ways)
+            acts = np.any(np.abs(limited - free) > ACTS * np.ptp(free, axis=0), axis=1)
+            seconds += float(np.sum(steps[acts[1:]]))
+            times += int(acts[0]) + int(np.sum(acts[1:] & ~acts[:-1]))
+        found[p.name] = seconds, times
+    return found
 
 
 def evidence(found: Diagnosis, judged: Judgement) -> dict:
@@ -125,6 +148,9 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
         "explained_fraction": found.explained,
     }
 
+
+ACTS = 1e-3
+"""Share of a response's range from which a limit counts as acting, in how long it did so."""
 
 HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
 
