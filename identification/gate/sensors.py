@@ -209,6 +209,8 @@ def _speed(record: Record) -> Iterator[Fault]:
         finding = Finding("speed_dead", record.source, "omega", value, "rpm", told, "no pulse reaches the logger")
         yield Fault(finding, "omega", everywhere)
         return
+    if np.ptp(shown) == 0.0:  # as its command does
+        return
     first, length = runs_of_equals(shown)
     alone = record.with_columns(beta_ref=np.zeros(len(record)))
     moved, touched = (_rows_since_move(alone, least)[seen] for least in (None, float(np.min(np.diff(np.unique(shown))))))
