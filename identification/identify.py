@@ -181,7 +181,7 @@ def identify(
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
     doubt = with_steps(found.uncertainty, found.values, steps)
     known = dict(zip(doubt.names, doubt.std.tolist(), strict=True))
-    rig = campaign.rig.timed(slowest(found.values, doubt.names))
+    rig = campaign.rig.timed(slowest(off_bounds(model, found.values, start), doubt.names))
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
@@ -243,6 +243,13 @@ def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
     sums = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in CHANNELS}
     told = [total for u, total in sums.items() if f"tau_{u}_1" in set(known)]
     return max(told or sums.values())
+
+
+def off_bounds(model: Model, values: Mapping[str, float], start: Mapping[str, float]) -> dict[str, float]:
+    """The values with those of `start` where a lag ended on its bound: it tells that the model lacks something, and no time."""
+    bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters if p.name.startswith("tau_")}
+    stuck = [n for n, ends in bounds.items() if any(isclose(values[n], end) for end in ends)]
+    return {**values, **{n: start[n] for n in stuck}}
 
 
 def _steady_noise(campaign: Campaign) -> float | None:

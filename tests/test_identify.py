@@ -8,7 +8,7 @@ import pytest
 from studies.synthetic import NOISE, TRUTH, commands, measured
 
 from identification.fit.tachometer import Tachometer
-from identification.identify import identify
+from identification.identify import identify, off_bounds, slowest
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
@@ -148,3 +148,13 @@ def test_a_tachometer_is_as_late_as_its_mark(rate, speed):
     sensor = Tachometer(Record({"time": time, "omega_ref": 0.0 * time, "omega": np.round(shown)}, ""))
     ahead = sensor.shows(speed + gain * time) - sensor.measured
     assert abs(np.mean(ahead[5:])) < 0.1 * gain * (60.0 / speed)
+
+
+def test_a_lag_on_its_bound_tells_no_time():
+    """What a saturated rotor bends onto 30 s is no time scale for a plan, for blocks of noise, for bounds."""
+    start = BASE.values()
+    longest = next(p.maximum for p in BASE.parameters if p.name == "tau_omega_1")
+    bent = {**start, "tau_omega_1": longest, "tau_beta_1": 1.1 * start["tau_beta_1"]}
+    kept = off_bounds(BASE, bent, start)
+    assert kept == {**bent, "tau_omega_1": start["tau_omega_1"]}
+    assert slowest(kept, start) == pytest.approx(kept["tau_beta_1"] + kept["tau_beta_2"])

@@ -29,7 +29,7 @@ from identification.fit.coordinates import CHANNELS
 from identification.fit.tachometer import Tachometer
 from identification.gate.finding import Finding
 from identification.gate.gate import passed
-from identification.identify import Identification, slowest
+from identification.identify import Identification, off_bounds, slowest
 from identification.worth.pairs import agreed_order, exchangeable
 from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
@@ -223,13 +223,18 @@ def diagnose(
             after=after,
             apart=apart,
             location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
-            experiment=discriminating_experiment(at.rig, seed, fitted[0].record.period),
+            experiment=discriminating_experiment(_timed(at, final), seed, fitted[0].record.period),
             held_before=judge.held(base),
             held_after=judge.held(final),
             unseen=unseen,
             refuted=refuted,
             attempt=attempt,
         )
+
+
+def _timed(at: Starting, final: Fit) -> Rig:
+    """The rig with the time scale of the model that ships: what was missing may have bent the lags of the identification."""
+    return at.rig.timed(slowest(off_bounds(final.evidence.model, final.values, at.first), at.names))
 
 
 def _with(selection: Selection, learned: Learned) -> Selection:
