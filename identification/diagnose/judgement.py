@@ -34,7 +34,7 @@ MOST = 3
 """Effects that one diagnosis may name."""
 
 REFITTED = (6, 3)
-"""Candidates that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
+"""Effects that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
 of them stands and a lack of fit says that something is missing, as many again are."""
 
 FOLDS, FOLD_BLOCK = 5, 5.0

@@ -20,7 +20,7 @@ REORDERED = 3
 
 
 REACH = 0.5
-"""Share of the best one's evidence from which on another order, or a special case, might still bring a candidate ahead."""
+"""Share of the best one's evidence from which on another order, form, or special case, might still bring a candidate ahead."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,18 @@ def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool
 
 
 def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[Tried]:
-    """The same with some more of them refitted: the most promising that have not been, as far as they promise anything."""
+    """The same with some more of them refitted: the most promising that have not been, as far as they promise anything.
+
+    An effect goes by the form that promises most; its forms that promise nearly as much are refitted with it.
+    """
     count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
-    chosen = [t.candidate for t in tried if t.fit is None and t.fall > STRONG][:count]
+    promised: dict[str, float] = {}
+    for t in tried:
+        if t.fit is None and t.fall > STRONG:
+            promised.setdefault(t.candidate.name, t.fall)
+    first = dict(list(promised.items())[:count])
+    least = {name: max(STRONG, REACH * fall) for name, fall in first.items()}
+    chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
     if not chosen:
         return list(tried)
     at = {c.label: seen for c, seen in looks(searcher, fit, chosen, pool)}
