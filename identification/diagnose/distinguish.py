@@ -59,7 +59,9 @@ def distinguishability(
         shown = about.rows(simulator, {**candidate.form, **on}) - about.rows(simulator, {**candidate.form, **off})
         return about.apart(shown)
 
-    traces = np.array(list(spread(trace, options)))
+    traces = np.empty((len(options), base.evidence.size))
+    for row, shown in zip(traces, spread(trace, options), strict=True):
+        row[:] = shown
     gram = traces @ traces.T
     size = np.sqrt(np.diag(gram))
     overlap = (gram / np.where(np.outer(size, size) > 0, np.outer(size, size), np.inf)) ** 2

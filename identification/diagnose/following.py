@@ -64,20 +64,18 @@ def following(fit: Fit) -> Following:
         rows.append([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)])
     ends = np.cumsum([e.sizes["thrust"] for e in evidence.experiments])
     parts = [slice(end - len(own[0]), end) for own, end in zip(rows, ends, strict=True)]
-    columns = np.zeros((len(rows[0]), evidence.size))  # speed's rows come after
-    for at in parts:
-        for column, own in zip(columns, rows.pop(0), strict=True):
-            column[at] = own / evidence.scale["thrust"]
-    for k in range(len(columns)):
-        left = about.apart(columns[k])
-        columns[k] = left / max(float(np.linalg.norm(left)), np.finfo(float).tiny)
-    power, directions = np.linalg.eigh(columns @ columns.T)
+    shapes = np.hstack([np.stack(own) for own in rows]) / evidence.scale["thrust"]
+    columns, gram = about.thrust_apart(shapes)
+    size = np.maximum(np.sqrt(np.diag(gram)), np.finfo(float).tiny)
+    columns /= size[:, None]
+    power, directions = np.linalg.eigh(gram / np.outer(size, size))
     kept = power > DEPENDENT**2 * power[-1]
     turned = (directions[:, kept] / np.sqrt(power[kept])).T
-    score = turned @ (columns @ about.residual)
+    residual = about.residual[: shapes.shape[1]]
+    score = turned @ ((shapes @ residual) / size)  # what the parameters follow has no share in the residual
     if all(e.noise.verified for e in evidence.experiments):
         return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
-    left = about.residual - columns.T @ (turned.T @ score)
+    left = residual - columns.T @ (turned.T @ score)
     covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at]) for at in parts])
     return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), int(kept.sum()), degrees)
 
