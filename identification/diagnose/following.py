@@ -66,7 +66,11 @@ def following(fit: Fit) -> Following:
     parts = [slice(end - len(own[0]), end) for own, end in zip(rows, ends, strict=True)]
     shapes = np.hstack([np.stack(own) for own in rows]) / evidence.scale["thrust"]
     columns, gram = about.thrust_apart(shapes)
-    size = np.maximum(np.sqrt(np.diag(gram)), np.finfo(float).tiny)
+    told = np.diag(gram) > np.finfo(float).eps * np.sum(shapes**2, axis=1)  # of a rotor that stands, nothing but rounding
+    if not told.any():
+        return Following(0.0, 0)
+    shapes, columns, gram = shapes[told], columns[told], gram[np.ix_(told, told)]
+    size = np.sqrt(np.diag(gram))
     columns /= size[:, None]
     power, directions = np.linalg.eigh(gram / np.outer(size, size))
     kept = power > DEPENDENT**2 * power[-1]
