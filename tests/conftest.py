@@ -3,11 +3,14 @@
 import os
 import signal
 import sys
+import time
 
 import numpy as np
 import pytest
+from _pytest.runner import runtestprotocol
 from builders import ALL_ON, FAST_PITCH, PROBES, random_steps, reference
 
+from tests.stalls import Stalls
 from vpp_fmu.export import python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -15,7 +18,6 @@ from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import compiler, simulator
 from vpp_fmu.scratch import remove_scratch
-
 
 SHARE_A_LONG_RUN = ("test_fmu", "test_native", "test_native_fmu")
 
@@ -27,18 +29,54 @@ def pytest_configure(config):
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
 
+def in_real_time(item):
+    """Whether a test must not share the machine with another one of its kind."""
+    return item.path.parent.name == "hil" or item.path.stem == "test_stopping"
+
+
+STALLS = pytest.StashKey[Stalls]()
+
+
+def pytest_runtest_protocol(item, nextitem):
+    """A test in real time that failed while the machine stood still is begun again, twice at most; how often, is said."""
+    if not in_real_time(item):
+        return None
+    stash = item.config.stash
+    if STALLS not in stash:
+        stash[STALLS] = Stalls()
+        item.config.add_cleanup(stash[STALLS].close)
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    standing = []
+    for tries_left in (2, 1, 0):
+        begun = time.monotonic()
+        reports = runtestprotocol(item, nextitem=nextitem, log=False)
+        stood = stash[STALLS].longest(since=begun)
+        if not tries_left or not stood or not any(report.failed for report in reports):
+            break
+        standing.append(stood)
+        item._initrequest()  # as pytest-rerunfailures does
+    reports[-1].user_properties += [("stood still", stood) for stood in standing]
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Which tests were begun again, and for how long the machine had stood still."""
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            for what, seconds in getattr(report, "user_properties", ()):
+                if what == "stood still":
+                    terminalreporter.write_line(f"begun again: {report.nodeid}: the machine {what} for {1e3 * seconds:.0f} ms")
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
     """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
     for item in items:
-        real_time = item.path.parent.name == "hil" or item.path.stem == "test_stopping"
-        group = "real time" if real_time else "long run" if item.path.stem in SHARE_A_LONG_RUN else item.path.stem
+        group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARE_A_LONG_RUN else item.path.stem
         item.add_marker(pytest.mark.xdist_group(group))
-
-
-def pytest_collection_finish(session):
-    """Groups that are lost let two rigs run in real time at once, whose faults tell nothing of the group."""
-    if session.config.getoption("loadgroup", False) and not all("@" in item.nodeid for item in session.items):
-        raise pytest.UsageError("pytest-xdist does not hand on the groups of tests: which pytest is installed? See constraints.txt")
 
 
 @pytest.fixture(scope="session")
@@ -68,8 +106,8 @@ def fmus(fmu_files):
 
 @pytest.fixture(scope="session")
 def long_run():
-    """20 000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
-    commands, steps = random_steps(20_001, 100, seed=20_000, model=ALL_ON), np.full(20_000, 0.004)
+    """10 000 steps of 4 ms with every effect at its probe: (commands, step lengths, the functions' own outputs)."""
+    commands, steps = random_steps(10_001, 100, seed=10_000, model=ALL_ON), np.full(10_000, 0.004)
     return commands, steps, reference(ALL_ON, PROBES, commands, steps)
 
 

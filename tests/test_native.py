@@ -15,19 +15,19 @@ from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
 
 PITCH, SPEED = "pitch_delay.delay", "test_speed_delay.delay"
-UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 4000)
+UNEVEN = np.random.default_rng(4).choice([1e-4, 0.0013, 0.004, 0.0047, 0.031], 2000)
 MODELS = {"plain": (BASE, {}), "all on": (ALL_ON, PROBES), "two delays": (TWO_DELAYS, {PITCH: 0.0413, SPEED: 0.0087})}
 LATE = {"reading_delay": "delay", "speed_reading_delay": "delay", "row_clock": "age"}
 
 
-def test_20_000_compiled_steps_are_the_functions_to_the_bit(long_run):
+def test_10_000_compiled_steps_are_the_functions_to_the_bit(long_run):
     commands, steps, exact = long_run
     np.testing.assert_array_equal(simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
     assert np.isfinite(exact).all()
     assert np.ptp(exact, axis=0).min() > 5.0
 
 
-def test_20_000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
+def test_10_000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
     commands, steps, exact = long_run
     np.testing.assert_array_equal(Simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
 
@@ -35,7 +35,7 @@ def test_20_000_generated_steps_are_the_functions_to_the_bit(long_run, no_compil
 @pytest.mark.parametrize("model", MODELS)
 def test_uneven_steps_are_the_functions_to_the_bit(model, request, recwarn):
     model, values = MODELS[model]
-    inputs = random_steps(4001, 60, model=model)
+    inputs = random_steps(2001, 60, model=model)
     exact = reference(model, values, inputs, UNEVEN)
     np.testing.assert_array_equal(Simulator(model).simulate(values, inputs, UNEVEN), exact)
     request.getfixturevalue("no_compiler")

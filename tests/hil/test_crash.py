@@ -31,11 +31,6 @@ def begun(folder, *words):
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def starved(said):
-    """Whether a run ended because this machine kept its processes waiting, and not by what is tried here."""
-    return any(word in said for word in ("tachometer: ", "overrun", "supervisor lost"))
-
-
 def wait_for(done, seconds=60.0):
     end = time.monotonic() + seconds
     while not done() and time.monotonic() < end:
@@ -69,11 +64,8 @@ def ended(out):
 )
 def test_an_fmu_that_fails_in_flight_leaves_a_rig_at_idle_and_all_files(tmp_path, how, code, cause):
     fmu = stubborn(tmp_path, how, 500)
-    for _ in range(3):  # a starved emulation may fail first, which is not what is tried here
-        process = begun(tmp_path, "--controller", str(fmu))
-        _, said = process.communicate(timeout=90)
-        if not starved(said):
-            break
+    process = begun(tmp_path, "--controller", str(fmu))
+    _, said = process.communicate(timeout=90)
     assert process.returncode == code, said
     told = ended(tmp_path / "out")
     assert told["status"] == "ended early"
@@ -86,19 +78,14 @@ def test_a_killed_loop_leaves_all_files(tmp_path):
     out = tmp_path / "out"
 
     def running():
-        return any('"run"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl"))
+        return any('"polarity"' in events.read_text() for events in (out / "runs").glob("*/log.events.jsonl"))
 
-    for _ in range(3):
-        process = begun(tmp_path)
-        wait_for(lambda process=process: running() or process.poll() is not None)
-        if process.poll() is None:
-            break
-        said = process.communicate()[1]
-        assert starved(said), said
+    process = begun(tmp_path)
     try:
-        assert process.poll() is None
+        wait_for(lambda: running() or process.poll() is not None)
+        assert process.poll() is None, process.communicate()[1]
         assert json.loads((out / "hil.json").read_text())["status"] == "running"  # it says what runs before anything turns
-        time.sleep(7.0)
+        time.sleep(6.0)  # of these about three on the way to where the loop begins
         assert process.poll() is None, process.communicate()[1]
     finally:
         process.kill()
