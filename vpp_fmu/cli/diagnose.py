@@ -1,17 +1,25 @@
-"""Trace a campaign's residual to what the model lacks, add it, and report the error before and after."""
+"""Trace a campaign's residual to what the model lacks, add it, and report the error before and after.
+
+Of several campaigns, a fleet, each is diagnosed by itself into a folder of its own, and one table tells of all.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
 
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.told import FILE, source
+from identification.diagnose.report.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
 from identification.diagnose.report.identification import identification_of
 from identification.diagnose.report.page import diagnosis_page, headline, key_figures
 from identification.diagnose.report.summary import summary
+from identification.workers import spread
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.identify import named_records
 from vpp_fmu.cli.options import SEED, WORKERS, Number
 from vpp_fmu.cli.output import add_accept, add_effects_from, add_output, as_json, dated, say_written
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
@@ -24,7 +32,8 @@ EXAMPLE = "vpp diagnose campaigns/monday -o out"
 
 
 def configure(parser):
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
+    text = "folder of the campaign; of several, each is diagnosed by itself, and one table tells of all"
+    parser.add_argument("campaigns", metavar="CAMPAIGN", nargs="+", help=text)
     text = "a model to start from and to judge against, with the effects it has; else the campaign is identified first"
     parser.add_argument("--parameters", metavar="F", help=text)
     parser.add_argument("--effects", metavar="A,B", help="candidates (default: the whole library)")
@@ -32,32 +41,28 @@ def configure(parser):
     parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
     text = "least size of interest: what an effect must change the thrust by, rms (default: a small share of the noise)"
     parser.add_argument("--smallest", type=Number(0.0, 1e5, "N"), metavar="N", help=text)
-    parser.add_argument(
-        "--workers", type=WORKERS, default=2, metavar="N", help="fits that run side by side (default: %(default)s)"
-    )
+    text = "fits that run side by side, of several campaigns the campaigns (default: %(default)s)"
+    parser.add_argument("--workers", type=WORKERS, default=2, metavar="N", help=text)
+    text = "a Dask scheduler to diagnose several campaigns on instead; its workers read the same folders"
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=text)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of random starts (default: %(default)s)")
     add_accept(parser)
     add_output(parser)
 
 
 def run(options):
-    whole = library_with(options.effects_from)
-    given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
-    library = _library(options.effects, given.model.optional if given else (), whole)
-    campaign = read_campaign(options.campaign)
+    if len(options.campaigns) > 1:
+        _fleet(options)
+        return
+    if options.scheduler:
+        raise BadInput("command line", "--scheduler", "one campaign", "several: a fleet is what is spread")
+    _one(options, options.campaigns[0])
+
+
+def _one(options, campaign: str) -> None:
     folder = OutputSet(options.output, "diagnose")
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        found = diagnose(
-            campaign,
-            library,
-            options.workers,
-            options.seed,
-            bar.set_description,
-            given,
-            options.smallest,
-            named_records(options.record),
-            options.accept,
-        )
+        found = _diagnosed(options, campaign, options.workers, bar.set_description)
         bar.set_description("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
@@ -68,6 +73,63 @@ def run(options):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")
     print(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     say_written(folder, found.parameters(found.final))
+
+
+def _diagnosed(options, campaign: str, workers: int, stage=lambda text: None) -> Diagnosis:
+    """A campaign's diagnosis as the options want it. BadInput."""
+    whole = library_with(options.effects_from)
+    given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
+    library = _library(options.effects, given.model.optional if given else (), whole)
+    records = named_records(options.record)
+    measured = read_campaign(campaign)
+    return diagnose(measured, library, workers, options.seed, stage, given, options.smallest, records, options.accept)
+
+
+def _of_fleet(job: tuple) -> Entry:
+    """Diagnose one campaign of a fleet into a folder of its own, wherever this runs: what is done stands, however the rest
+    ends. A campaign that is refused is no reason for the others not to be diagnosed."""
+    options, name, campaign, output = job
+    try:
+        found = _diagnosed(options, campaign, workers=1)
+        folder = OutputSet(output, "diagnose")
+        write_diagnosis(folder, found, options.parameters)
+        folder.write("report.html", diagnosis_page(found).html())
+        folder.finish(found.parameters(found.final).identity)
+    except VppError as error:
+        return refusal(name, campaign, str(error))
+    return entry(name, found)
+
+
+def _fleet(options) -> None:
+    """Each campaign into a folder of its name; the table of all beside them. BadInput at the end where any was refused."""
+    if options.record:
+        raise BadInput("command line", "--record", "several campaigns", "one campaign, to which the record belongs")
+    folder = OutputSet(options.output, "diagnose several")
+    there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask's may stand elsewhere
+    jobs = [
+        (options, name, str(own), str(Path(options.output, name).resolve()))
+        for name, own in zip(_names(there), there, strict=True)
+    ]
+    entries = spread(_of_fleet, jobs, options.workers, options.scheduler, "campaigns")
+    for one in entries:
+        print(one.line)
+    folder.write("fleet.csv", as_csv(entries))
+    if (packed := as_parquet(entries)) is not None:
+        folder.write("fleet.parquet", packed)
+    folder.write("report.html", fleet_page(entries).html())
+    say_written(folder)
+    if refused := [e.name for e in entries if e.refused]:
+        raise BadInput("fleet", "campaigns", f"{len(refused)} refused: {', '.join(refused)}", "what can be diagnosed")
+
+
+def _names(campaigns: Sequence[Path]) -> list[str]:
+    """A folder's name for each campaign: its own, with a number where another one has it already."""
+    found: list[str] = []
+    for campaign in campaigns:
+        own = campaign.name or "campaign"
+        free = (name for name in (own, *(f"{own}-{k}" for k in range(2, len(campaigns) + 2))) if name not in found)
+        found.append(next(free))
+    return found
 
 
 def _library(names: str | None, kept: tuple[str, ...], whole: tuple[Effect, ...]) -> tuple[Effect, ...]:

@@ -1,0 +1,134 @@
+"""Several campaigns diagnosed at once: each as if it were alone, one table of all, whoever computes it."""
+
+import csv
+import json
+import math
+
+import pytest
+
+from identification.diagnose.report.fleet import Entry, as_csv, fleet_page, measured_on
+from tests.studies.cases import WHOLE, draw
+from tests.studies.rig import save
+from vpp_fmu.cli import main
+
+FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
+SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE
+
+
+@pytest.fixture(scope="module")
+def campaigns(tmp_path_factory):
+    """Folders of campaigns: one with a dead band, one that hides nothing, one that is empty."""
+    folder = tmp_path_factory.mktemp("fleet")
+    for name, kind, hidden in (("2026-03-01", "single", ("pitch_command_deadband",)), ("2026-03-08", "none", None)):
+        case = draw(11, kind, hidden=hidden, **SHORT)
+        save(case.measured(), case.rig.size, folder / name)
+    (folder / "empty").mkdir()
+    return [str(folder / name) for name in ("2026-03-01", "2026-03-08", "empty")]
+
+
+@pytest.fixture(scope="module")
+def fleet(campaigns, tmp_path_factory):
+    """What two processes write of them."""
+    out = tmp_path_factory.mktemp("out") / "out"
+    assert main(["diagnose", *campaigns, *FEW, "--workers", "2", "-o", str(out)]) == 2  # one is refused
+    return out
+
+
+def table(out) -> list[dict]:
+    return list(csv.DictReader((out / "fleet.csv").read_text().splitlines()))
+
+
+def test_each_line_is_what_the_campaigns_own_files_say(fleet):
+    first, second, empty = table(fleet)
+    assert [r["verdict"] for r in (first, second, empty)] == ["attributed", "none", "refused"]
+    assert [r["date"] for r in (first, second, empty)] == ["2026-03-01", "2026-03-08", ""]
+    for row in (first, second):
+        told = json.loads((fleet / row["name"] / "diagnosis.json").read_text())
+        assert row["verdict"] == told["verdict"]
+        assert float(row["error_before_N"]) == told["before"]["rmse_thrust"]
+        assert float(row["error_after_N"]) == told["after"]["rmse_thrust"]
+    width = json.loads((fleet / "2026-03-01" / "diagnosis.json").read_text())["effects"][0]["parameters"]["half_width"]
+    assert float(first["pitch_command_deadband.half_width"]) == width["value"]
+    assert second["pitch_command_deadband.half_width"] == ""
+    assert "campaign folder: found none" in empty["refused"]
+    assert not (fleet / "empty").exists()
+
+
+def test_a_campaign_of_a_fleet_is_diagnosed_as_if_it_were_alone(fleet, campaigns, tmp_path):
+    assert main(["diagnose", campaigns[0], *FEW, "-o", str(tmp_path)]) == 0
+    for name in ("diagnosis.json", "next_experiment.csv", "parameters.ssv"):
+        assert (tmp_path / name).read_bytes() == (fleet / "2026-03-01" / name).read_bytes()
+
+
+def test_a_dask_cluster_writes_the_same_table(fleet, campaigns, tmp_path):
+    distributed = pytest.importorskip("dask.distributed", reason="dask.distributed is not installed (the extra 'dask')")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        words = ["--scheduler", cluster.scheduler_address, "-o", str(tmp_path)]
+        assert main(["diagnose", *campaigns, *FEW, *words]) == 2
+    assert (tmp_path / "fleet.csv").read_bytes() == (fleet / "fleet.csv").read_bytes()
+
+
+def test_the_table_is_also_parquet(fleet):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (the extra 'import')")
+    packed = parquet.read_table(fleet / "fleet.parquet").to_pydict()
+    assert packed["verdict"] == [row["verdict"] for row in table(fleet)]
+    assert packed["error_before_N"][:2] == [float(row["error_before_N"]) for row in table(fleet)[:2]]
+    assert packed["error_before_N"][2] is None
+
+
+def test_folders_of_one_name_are_told_apart(tmp_path, capsys):
+    for parent in ("a", "b"):
+        (tmp_path / parent / "monday").mkdir(parents=True)
+    words = [str(tmp_path / parent / "monday") for parent in ("a", "b")]
+    assert main(["diagnose", *words, "--workers", "1", "-o", str(tmp_path / "out")]) == 2
+    assert "2 refused: monday, monday-2" in capsys.readouterr().err
+    assert [row["name"] for row in table(tmp_path / "out")] == ["monday", "monday-2"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["a", "--scheduler", "tcp://127.0.0.1:1"], "--scheduler: found one campaign"),
+        (["a", "b", "--record", "c.csv"], "--record: found several campaigns"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(words, said, tmp_path, capsys):
+    assert main(["diagnose", *words, "-o", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "date"),
+    [
+        ("2026-03-01_rig", "2026-03-01"),
+        ("rig_20260301", "2026-03-01"),
+        ("rig_2026-13-45", ""),
+        ("rig_120260301", ""),
+        ("monday", ""),
+    ],
+)
+def test_a_date_in_the_folders_name_counts(name, date, tmp_path):
+    assert measured_on(tmp_path / name) == date
+
+
+def test_the_date_of_a_campaign_that_hil_measured_goes_first(tmp_path):
+    folder = tmp_path / "2026-03-01"
+    folder.mkdir()
+    (folder / "hil.json").write_text(json.dumps({"begun": "2026-04-02T08:00:00+00:00"}))
+    assert measured_on(folder) == "2026-04-02T08:00:00+00:00"
+
+
+def test_sizes_stand_over_their_dates_with_their_intervals():
+    def measured(day, value):
+        sizes = {"sensor_drift.rate": (value, 0.1, "N/s")}
+        return Entry(f"day {day}", f"day {day}", f"2026-03-{day:02d}", "attributed", ("sensor_drift",), 0.3, 0.2, 0.1, sizes)
+
+    entries = [measured(8, 2.0), measured(1, 1.0), Entry("<b>", "b", "", refused="nothing there")]
+    page = fleet_page(entries)
+    trend = page.figures[1].data[0]
+    assert list(trend.x) == ["2026-03-01", "2026-03-08"]
+    assert list(trend.y) == [1.0, 2.0]
+    assert [math.isclose(half, 0.196) for half in trend.error_y.array] == [True, True]
+    assert "The thrust error falls in 2 of 2 campaigns" in page.figures[0].layout.title.text
+    assert "nothing there" in page.html()
+    assert as_csv(entries).count("\n") == 4
