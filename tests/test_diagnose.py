@@ -28,7 +28,7 @@ from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
-from vpp_fmu.record import read_record, write_record
+from vpp_fmu.record import Record, read_record, write_record
 
 NOISE = 0.1  # N
 CONTRACT = {
@@ -330,3 +330,30 @@ def test_moves_are_steps_and_whole_ramps():
 def test_a_command_at_rest_has_no_moves():
     first, size = moves(np.arange(10.0), np.full(10, 4.0))
     assert len(first) == len(size) == 0
+
+
+def limited(pitches, seed=0) -> Campaign:
+    """A rig whose supply sags: speeds below its limit at any pitch, and 6000 rpm, above it, at these pitches [deg] only."""
+    rng, rows = np.random.default_rng(seed), round(1.0 / STEP)
+    below = [(rng.uniform(2500.0, 4500.0), rng.uniform(-4.0, 9.0)) for _ in range(16)]
+    above = [level for pitch in pitches for level in (*[(3500.0, pitch)] * 4, *[(6000.0, pitch)] * 2)]
+    above += [(3500.0, pitches[-1])] * 2
+    omega, beta = (np.repeat([level[k] for level in below + above], rows) for k in (0, 1))
+    record = Record({"time": np.arange(len(omega)) * STEP, "omega_ref": omega, "beta_ref": beta}, "open_loop.csv")
+    true = thrust_of(record, **{"supply_sag.limit": 6000.0, "supply_sag.sag": 60.0})
+    read = [record.with_columns(thrust=true + NOISE * rng.standard_normal(len(true))) for _ in range(2)]
+    return Campaign(example_folder(), None, (), *read, None)
+
+
+@pytest.mark.parametrize(
+    ("pitches", "effects", "family"),
+    [
+        ((5.0,), ("speed_saturation",), {"speed_saturation": ["supply_sag"]}),  # one pitch: does the limit fall with it?
+        ((-3.0, 1.0, 5.0, 9.0), ("supply_sag",), {"supply_sag": []}),
+    ],
+)
+def test_a_wider_effect_is_of_the_family_where_no_record_tells_what_it_adds(pitches, effects, family):
+    found = diagnose(limited(pitches), some("speed_saturation", "supply_sag"))
+    assert found.final.effects == effects
+    assert found.selection.family == family
+    assert found.verdict == ("family" if any(family.values()) else "attributed")

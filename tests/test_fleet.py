@@ -90,11 +90,13 @@ def test_folders_of_one_name_are_told_apart(tmp_path, capsys):
     [
         (["a", "--scheduler", "tcp://127.0.0.1:1"], "--scheduler: found one campaign"),
         (["a", "b", "--record", "c.csv"], "--record: found several campaigns"),
+        (["a", "b", "--effects", "magic"], "--effects: found magic"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(words, said, tmp_path, capsys):
     assert main(["diagnose", *words, "-o", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from identification.diagnose.crossval import Held, cross_validated
 from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement, needed_fall, refusals
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.refits import Tried, added, deeper, evidence_over, first_round, key
+from identification.diagnose.search.refits import REACH, Tried, added, deeper, evidence_over, first_round, key, looks, refitted
+from identification.diagnose.uncertainty import left_open
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -124,7 +125,7 @@ def select(
     stage("judge")
     _narrow(searcher, found, judge)
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
-    found.family = {effect: _family(searcher, found, effect, judge) for effect in found.final.effects}
+    found.family = {effect: _family(searcher, found, effect, judge, pool) for effect in found.final.effects}
     return found
 
 
@@ -213,22 +214,41 @@ def _in_place(searcher: Searcher, rest: Fit, tried: Tried) -> Fit:
     return added(searcher, rest, tried.candidate, start, tried.fit.slow_first, thorough=False)
 
 
-def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge) -> list[str]:
-    """Other effects that, in the place of one, have evidence within STRONG of its own, refitted beside the rest of the set."""
+def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge, pool) -> list[str]:
+    """Other effects that, in the place of one, have evidence within STRONG of its own, refitted beside the rest of the set.
+
+    An effect that contains it fits as well always. It is a rival where the records leave open how large what it adds is (a
+    speed that was limited at one load: does the limit fall with the load?), else only where that makes it the better one.
+    """
     final, names = found.final, set()
     rest = without(searcher, found.base, final, effect)
-    for tried in _near(found, effect):
-        candidate, other = tried.candidate, _in_place(searcher, rest, tried)
-        if other.idle or evidence_over(final, other) > STRONG or _only_contains(candidate, effect, other, final):
-            continue
-        if not judge(candidate.name, other, rest).refused:
+    for candidate, refit in _rivals(searcher, found, effect, rest, pool):
+        wider, other = effect in candidate.effect.contains, refit
+        if wider and left_open(whole := _all_on(searcher, candidate, refit), candidate.effect):
+            other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # the BIC charges for what no record tells
+        else:
+            behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * STRONG else evidence_over(final, refit)
+        if not refit.idle and behind <= STRONG and not judge(candidate.name, other, rest).refused:
             names.add(candidate.name)
     return sorted(names)
 
 
-def _only_contains(candidate: Candidate, effect: str, other: Fit, final: Fit) -> bool:
-    """Whether a rival is no more than the effect under a wider name: it contains it, and fits no better by what it adds."""
-    return effect in candidate.effect.contains and final.deviance - other.deviance < 2.0 * STRONG
+def _all_on(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
+    """The fit with every size of its last effect on: one that told too little had been left off."""
+    off = [n for n in candidate.sizes if n not in fit.free]
+    start = fit.values | {n: candidate.probe[n] for n in off}
+    return searcher.fit(fit.effects, fit.forms, [*fit.free, *off], start, fit.slow_first, thorough=False) if off else fit
+
+
+def _rivals(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) -> list[tuple[Candidate, Fit]]:
+    """What came near an effect, refitted in its place; of what comes near there, all forms: another one may fit as well."""
+    fits = [(tried.candidate, _in_place(searcher, rest, tried)) for tried in _near(found, effect)]
+    enough = REACH * evidence_over(found.final, rest)
+    near = {candidate.name for candidate, fit in fits if evidence_over(fit, rest) >= enough}
+    tried = {candidate.label for candidate, _ in fits}
+    every = {t.candidate.label: t.candidate for round_ in found.rounds for t in round_ if t.candidate.name in near}
+    further = [candidate for label, candidate in every.items() if label not in tried]
+    return fits + [(c, refitted(searcher, rest, c, seen)) for c, seen in looks(searcher, rest, further, pool)]
 
 
 def _near(found: Selection, effect: str) -> list[Tried]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.diagnose.search.fits import UNTOLD, Fit
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
+from vpp_fmu.kernel.types import Effect
 
 
 def uncertainty_of(fit: Fit, renamed: Mapping[str, str]) -> tuple[Uncertainty, list[str]]:
@@ -33,6 +34,12 @@ def uncertainty_of(fit: Fit, renamed: Mapping[str, str]) -> tuple[Uncertainty, l
     covariance = (scatter @ scatter.T)[np.ix_(kept, kept)]
     doubt = Uncertainty(tuple(names[k] for k in kept), values, covariance, np.ones(len(kept)))
     return doubt, [names[k] for k in open_ones]
+
+
+def left_open(fit: Fit, effect: Effect) -> bool:
+    """Whether the records leave open how large any of an effect's fitted parameters is."""
+    _, names = uncertainty_of(fit, {})
+    return any(effect.full(p.name) in names for p in effect.parameters)
 
 
 def standard_deviations(fit: Fit, renamed: Mapping[str, str]) -> dict[str, float | None]:

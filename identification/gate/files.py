@@ -219,7 +219,10 @@ def _pitches(files: Sequence[File]) -> Iterator[Finding]:
     yield from _between(files, "beta_ref", {"rad": np.pi / 180.0}, "pitch_unit", lambda c: float(np.ptp(c)))
     for file in files:
         r = file.response
-        if r is None or r.explained < FOLLOWS or (rise := r.rise("beta")) is None or abs(rise) < SLOPE * r.size:
+        if r is None or r.explained < FOLLOWS or r.rise("beta") is None:
+            continue
+        rise, owed = r.owed_to_pitch()
+        if owed < BETTER or abs(rise) < SLOPE * r.size:  # blades that hardly move tell no slope
             continue
         ends = np.quantile(r.beta, [0.1, 0.9])
         away = float(np.max(np.abs(r.thrust)) * (ends[1] - ends[0]) / abs(rise))

@@ -159,7 +159,7 @@ class Case:
         Of a pair, of its fainter effect, with the other one known.
         """
         known = [{k: v for other in self.each if other != name for k, v in self.each[other].items()} for name in self.each]
-        return min((self._over(record, others) for others in known), default=0.0)
+        return min((self._over(record, known=others) for others in known), default=0.0)
 
     def equals(self, record: Record) -> list[str]:
         """Names of special cases that these records can't tell from the single effect that is hidden."""
@@ -167,11 +167,11 @@ class Case:
             return []
         ((name, own),) = self.each.items()
         special = {other: settings(own) for other, settings in HIDDEN[name].special.items()}
-        return [other for other, known in special.items() if self._over(record, known) < LIMIT]
+        return [other for other, sizes in special.items() if self._over(record, free=sizes) < LIMIT]
 
-    def _over(self, record: Record, known: Mapping[str, float]) -> float:
+    def _over(self, record: Record, known: Mapping[str, float] | None = None, free: Mapping[str, float] | None = None) -> float:
         records = 1 + self.factors.repeat
-        return evidence(self.rig, self.base, record["omega_ref"], record["beta_ref"], known, records)
+        return evidence(self.rig, self.base, record["omega_ref"], record["beta_ref"], known, records, free)
 
     def summary(self) -> dict:
         """For a table's row."""

@@ -31,12 +31,14 @@ def evidence(
     pitch: np.ndarray,
     known: Mapping[str, float] | None = None,
     records: int = 2,
+    free: Mapping[str, float] | None = None,
 ) -> float:
     """Log-likelihood over the best base model, of so many records of these commands (rpm, deg).
 
-    `known`: settings that the base model has too.
+    `known`: settings that the base model has too; `free`: those that it has and that are fitted with it, from these values on.
     """
-    names = list(BASE)
+    base = {**base, **(free or {})}
+    names = [*BASE, *(free or {})]
     found = with_it.run(speed, pitch, STEP)
     uncertain = _speed_noise(with_it, found)
     true = _white(with_it, found, speed, pitch, uncertain)

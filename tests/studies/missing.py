@@ -44,7 +44,8 @@ class Hidden:
     `kernel(settings, size)`: true values of the project's parameters, by bare name; {}: no one number corresponds.
     `relatives`: names in the list of which it is another form or a special case; without its own name there, naming one of
     them is no mistake.
-    `special`: of relatives, their settings for the same sizes: where these can't be told from the effect, their name is right.
+    `special`: of special cases, settings about as large, from which their sizes are fitted: where a special case can't be told
+    from the effect, its name is right.
     """
 
     name: str
@@ -185,7 +186,14 @@ LISTED = (
     Hidden(
         "speed_saturation", _some("speed_max_w", 0.96, 0.8), _same("speed_max_w", "maximum", _rpm), relatives=("supply_sag",)
     ),
-    Hidden("supply_sag", _sag, _sag_parameters),
+    Hidden(
+        "supply_sag",
+        _sag,
+        _sag_parameters,
+        special={
+            "speed_saturation": lambda s: {"speed_max_w": 0.9 * s.get("speed_max_w", 1.0)}
+        },  # where it acts at one load only
+    ),
     Hidden("supply_voltage", _voltage, _same("volt_share", "share")),
     Hidden(
         "pitch_speed_coupling",

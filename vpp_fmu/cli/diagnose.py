@@ -60,9 +60,10 @@ def run(options):
 
 
 def _one(options, campaign: str) -> None:
+    asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
     folder = OutputSet(options.output, "diagnose")
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        found = _diagnosed(options, campaign, options.workers, bar.set_description)
+        found = diagnose(**asked, workers=options.workers, stage=bar.set_description)
         bar.set_description("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
@@ -75,14 +76,13 @@ def _one(options, campaign: str) -> None:
     say_written(folder, found.parameters(found.final))
 
 
-def _diagnosed(options, campaign: str, workers: int, stage=lambda text: None) -> Diagnosis:
-    """A campaign's diagnosis as the options want it. BadInput."""
+def _model(options) -> dict:
+    """What of the options is the same for every campaign, as `diagnose` takes it. BadInput."""
     whole = library_with(options.effects_from)
     given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
     library = _library(options.effects, given.model.optional if given else (), whole)
-    records = named_records(options.record)
-    measured = read_campaign(campaign)
-    return diagnose(measured, library, workers, options.seed, stage, given, options.smallest, records, options.accept)
+    common = {"seed": options.seed, "smallest": options.smallest, "accept": options.accept}
+    return {"library": library, "given": given, **common}
 
 
 def _of_fleet(job: tuple) -> Entry:
@@ -90,7 +90,7 @@ def _of_fleet(job: tuple) -> Entry:
     ends. A campaign that is refused is no reason for the others not to be diagnosed."""
     options, name, campaign, output = job
     try:
-        found = _diagnosed(options, campaign, workers=1)
+        found = diagnose(read_campaign(campaign), workers=1, **_model(options))
         folder = OutputSet(output, "diagnose")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
@@ -104,6 +104,7 @@ def _fleet(options) -> None:
     """Each campaign into a folder of its name; the table of all beside them. BadInput at the end where any was refused."""
     if options.record:
         raise BadInput("command line", "--record", "several campaigns", "one campaign, to which the record belongs")
+    _model(options)  # what is wrong for all is refused once
     folder = OutputSet(options.output, "diagnose several")
     there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask's may stand elsewhere
     jobs = [
