@@ -3,20 +3,22 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from studies.gate import FAULTS, good, planted, said, written
 
 from identification.gate.contents import contents
-from identification.gate.files import FORCES, SPEEDS, as_unit, files_of, least_diameter, turns_a_value
+from identification.gate.files import FORCES, SPEEDS, _pitches, as_unit, files_of, least_diameter, turns_a_value
 from identification.gate.finding import ERROR, KINDS, acceptable
 from identification.gate.gate import look, passed
 from identification.gate.made import one_mark, write_campaign
-from identification.gate.response import Look
+from identification.gate.response import FOLLOWS, Look, Response, Span
 from identification.gate.sensors import screen
 from identification.gate.template import COLUMNS, FILES
 from identification.identify import identify
+from identification.static.static_map import TERMS
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
@@ -346,3 +348,23 @@ def test_warnings_stand_in_the_json_and_on_the_first_screen(short, tmp_path, cap
     assert "quality of the data" in tiles
     assert "clipped" in tiles
     assert page.index("Quality of the data") < page.index("How well the model predicts")
+
+
+def test_blades_that_hardly_move_tell_no_unit_of_pitch():
+    """A map that is turned about the one pitch there is fits as well as the true one, and has any slope one likes."""
+    rng, n, turned = np.random.default_rng(0), 2000, 40.0
+    span = Span((2500.0, 5500.0), (8.9, 9.9))
+    omega, beta = rng.uniform(*span.speed, n), 9.9 - 0.1 * np.abs(rng.standard_normal(n))
+    thrust = 15.0 * (omega / 5500.0) ** 2 + rng.normal(0.0, 0.3, n)
+    coefficients = np.zeros(6)
+    coefficients[1 + list(TERMS).index("c20")] = 15.0 - turned * np.mean(beta - 8.9)
+    coefficients[1 + list(TERMS).index("c21")] = turned
+    response = Response(span, omega, beta, thrust, coefficients, {"omega": 0.0, "beta": 0.0}, 0.004)
+    assert response.explained > FOLLOWS
+    assert response.rise("beta") > np.ptp(np.quantile(beta, [0.1, 0.9])) * response.size  # as if all lay within a degree
+    file = SimpleNamespace(response=response, where="open_loop.csv", column=lambda name: beta)
+    assert list(_pitches([file])) == []
+    file.response = replace(
+        response, thrust=response.at(omega, beta) + rng.normal(0.0, 0.3, n)
+    )  # where that map is the true one
+    assert [finding.code for finding in _pitches([file])] == ["pitch_unit"]
