@@ -56,32 +56,42 @@ class Following:
 
 def following(fit: Fit) -> Following:
     """How far the thrust residual of a fit follows the commands still, beyond what its parameters could take up."""
-    evidence, about, rows = fit.evidence, fit.linearised(), []
-    simulator = evidence.simulator
-    for e in evidence.experiments:
-        outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
-        # One after the other: side by side the shapes of a long record would be the largest thing in memory.
-        rows.append([e.thrust_columns(s) for s in thrust_shapes(fit.values, e.record, outputs)])
-    ends = np.cumsum([e.sizes["thrust"] for e in evidence.experiments])
-    parts = [slice(end - len(own[0]), end) for own, end in zip(rows, ends, strict=True)]
-    shapes = np.hstack([np.stack(own) for own in rows]) / evidence.scale["thrust"]
-    columns, gram = about.thrust_apart(shapes)
-    told = np.diag(gram) > np.finfo(float).eps * np.sum(shapes**2, axis=1)  # of a rotor that stands, nothing but rounding
+    about, (columns, parts) = fit.linearised(), _columns(fit)
+    residual = about.residual[: columns.shape[1]]
+    followed, whole = columns @ residual, np.einsum("kn,kn->k", columns, columns)
+    gram = about.thrust_apart(columns)
+    told = np.diag(gram) > np.finfo(float).eps * whole  # of a rotor that stands, nothing but rounding
     if not told.any():
         return Following(0.0, 0)
-    shapes, columns, gram = shapes[told], columns[told], gram[np.ix_(told, told)]
-    size = np.sqrt(np.diag(gram))
+    size = np.sqrt(np.where(told, np.diag(gram), 1.0))
     columns /= size[:, None]
-    power, directions = np.linalg.eigh(gram / np.outer(size, size))
+    columns[~told] = 0.0
+    power, directions = np.linalg.eigh(np.where(np.outer(told, told), gram, 0.0) / np.outer(size, size))
     kept = power > DEPENDENT**2 * power[-1]
     turned = (directions[:, kept] / np.sqrt(power[kept])).T
-    residual = about.residual[: shapes.shape[1]]
-    score = turned @ ((shapes @ residual) / size)  # what the parameters follow has no share in the residual
-    if all(e.noise.verified for e in evidence.experiments):
+    score = turned @ (followed / size)  # what the parameters follow has no share in the residual
+    if all(e.noise.verified for e in fit.evidence.experiments):
         return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
     left = residual - columns.T @ (turned.T @ score)
     covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at]) for at in parts])
     return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), int(kept.sum()), degrees)
+
+
+def _columns(fit: Fit) -> tuple[np.ndarray, list[slice]]:
+    """((k, n) what the shapes would do to the whitened thrust of all experiments, the columns of each experiment)."""
+    experiments, simulator = fit.evidence.experiments, fit.evidence.simulator
+    ends = np.cumsum([e.sizes["thrust"] for e in experiments]).tolist()
+    parts, found = [slice(end - e.sizes["thrust"], end) for e, end in zip(experiments, ends, strict=True)], np.empty((0, 0))
+    for e, at in zip(experiments, parts, strict=True):
+        outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
+        # One after the other: side by side and unwhitened the shapes of a long record would be the largest thing in memory.
+        own = [e.thrust_columns(shape) for shape in thrust_shapes(fit.values, e.record, outputs)]
+        if not len(found):
+            found = np.empty((len(own), ends[-1]))
+        while own:
+            found[len(own) - 1, at] = own.pop()
+    found /= fit.evidence.scale["thrust"]
+    return found, parts
 
 
 def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
@@ -101,7 +111,8 @@ def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[n
         taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
         free = np.maximum(1.0 - banded(taken), 1.0 / ORDINATES)
         level = banded(spectrum) / free
-        covariance += ((shapes * (twice * level)) @ shapes.conj().T).real / n
+        shapes *= np.sqrt(twice * level)  # in place: it is large
+        covariance += (shapes @ shapes.conj().T).real / n
         first = starts(len(spectrum))
         shares.append(np.add.reduceat(twice * taken, first))
         degrees.append(np.add.reduceat(twice * free, first))

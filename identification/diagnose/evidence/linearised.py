@@ -29,15 +29,16 @@ class Linearised:
         """What of `rows` the fitted parameters can't follow."""
         return rows - self._columns @ (self._inverse @ (self._columns.T @ rows))
 
-    def thrust_apart(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `apart`, of many rows (k, n) of thrust alone: (what is left in thrust (k, n), products (k, k) of all left).
+    def thrust_apart(self, rows: np.ndarray) -> np.ndarray:
+        """As `apart`, of many rows (k, n) of thrust alone, in place; returns the products (k, k) of all that is left.
 
         What the parameters follow moves the speed, too, whose rows are many times as many: of these the products will do.
         """
         thrust, speed = np.split(self._columns, [rows.shape[1]])
         shares = self._inverse @ (thrust.T @ rows.T)
-        left = rows - shares.T @ thrust.T
-        return left, left @ left.T + shares.T @ (speed.T @ speed) @ shares
+        for row, share in zip(rows, shares.T, strict=True):
+            np.subtract(row, thrust @ share, out=row)
+        return rows @ rows.T + shares.T @ (speed.T @ speed) @ shares
 
     def followed(self, rows: np.ndarray) -> dict[str, float]:
         """Values of the fitted parameters once they have followed residual `rows` as far as they can."""
