@@ -48,16 +48,15 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
 @contextlib.contextmanager
 def _deaf() -> Iterator[None]:
     """While processes are started: they inherit it, so that what a terminal sends to all (Ctrl-C, that it closes) is for this
-    process alone. Those are the pool's workers, and a tracker of what they share."""
-    if threading.current_thread() is not threading.main_thread():
+    process alone. Those are the pool's workers, and a tracker of what they share. What comes meanwhile waits here."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in set(SIGNALS) - {signal.SIGTERM}}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, set(SIGNALS) - {signal.SIGTERM})
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:
