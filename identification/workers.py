@@ -39,7 +39,7 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
         raise WorkerLost(f"{what or 'work'}: one of {workers} processes has died: killed, or short of memory?") from error
     except BaseException:
         for process in set(active_children()) - others:
-            process.terminate()  # else it would finish the piece that it is at
+            process.kill()  # else it would finish the piece that it is at
         raise
     finally:
         pool.shutdown(cancel_futures=True)
@@ -47,12 +47,13 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
 
 @contextlib.contextmanager
 def _deaf() -> Iterator[None]:
-    """While processes are started: they inherit it, so that what a terminal sends to all (Ctrl-C, that it closes) is for this
-    process alone. Those are the pool's workers, and a tracker of what they share. What comes meanwhile waits here."""
+    """While processes are started: they inherit it, so that what is sent to all (Ctrl-C, that a terminal closes) is for this
+    process alone. Those are the pool's workers, and a tracker of what they share. What comes meanwhile waits here: in the midst
+    of a start it would leave half a worker."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, set(SIGNALS) - {signal.SIGTERM})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
     finally:

@@ -180,7 +180,7 @@ def _errors(done: Sequence[Entry]):
         fig.add_scatter(x=names, y=values, mode="markers", name=label, marker={"color": colour, "size": 10, "symbol": symbol})
     fig.update_layout(
         xaxis={"title": {"text": "campaign"}, "type": "category"},
-        yaxis={"title": {"text": "thrust error [N]"}, "type": "log", "dtick": "D2"},
+        yaxis={"title": {"text": "thrust error [N]"}, "rangemode": "tozero"},
     )
     return fig
 
