@@ -364,7 +364,5 @@ def test_blades_that_hardly_move_tell_no_unit_of_pitch():
     assert response.rise("beta") > np.ptp(np.quantile(beta, [0.1, 0.9])) * response.size  # as if all lay within a degree
     file = SimpleNamespace(response=response, where="open_loop.csv", column=lambda name: beta)
     assert list(_pitches([file])) == []
-    file.response = replace(
-        response, thrust=response.at(omega, beta) + rng.normal(0.0, 0.3, n)
-    )  # where that map is the true one
+    file.response = replace(response, thrust=response.at(omega, beta) + rng.normal(0.0, 0.3, n))  # that map is the true one
     assert [finding.code for finding in _pitches([file])] == ["pitch_unit"]

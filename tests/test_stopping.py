@@ -55,16 +55,11 @@ sys.exit(cli.main(["identify"]))
 """
 
 
-def all_started(process):
-    """Whether the command, its tracker and both workers are there."""
-    return len(group(process.pid)) == 4
-
-
 @has_proc
 @pytest.mark.parametrize("to_all", [False, True], ids=["to it alone", "to its whole group"])
 @pytest.mark.parametrize("number", [*SIGNALS, signal.SIGKILL], ids=str)
 def test_workers_end_with_whoever_started_them(number, to_all):
-    ended = signalled([sys.executable, "-c", SPREAD], number, all_started, to_all)
+    ended = signalled([sys.executable, "-c", SPREAD], number, lambda process: len(group(process.pid)) == 4, to_all)
     assert ended.left == ()
     if number == signal.SIGKILL:  # nothing was asked of the command itself: its workers noticed
         assert ended.code == -signal.SIGKILL

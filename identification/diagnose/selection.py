@@ -10,7 +10,7 @@ from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement,
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import REACH, Tried, added, deeper, evidence_over, first_round, key, looks, refitted
-from identification.diagnose.uncertainty import left_open
+from identification.diagnose.uncertainty import leaves_open
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -224,7 +224,7 @@ def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge, poo
     rest = without(searcher, found.base, final, effect)
     for candidate, refit in _rivals(searcher, found, effect, rest, pool):
         wider, other = effect in candidate.effect.contains, refit
-        if wider and left_open(whole := _all_on(searcher, candidate, refit), candidate.effect):
+        if wider and leaves_open(whole := _all_on(searcher, candidate, refit), candidate.effect):
             other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # the BIC charges for what no record tells
         else:
             behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * STRONG else evidence_over(final, refit)

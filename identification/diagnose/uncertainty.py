@@ -36,7 +36,7 @@ def uncertainty_of(fit: Fit, renamed: Mapping[str, str]) -> tuple[Uncertainty, l
     return doubt, [names[k] for k in open_ones]
 
 
-def left_open(fit: Fit, effect: Effect) -> bool:
+def leaves_open(fit: Fit, effect: Effect) -> bool:
     """Whether the records leave open how large any of an effect's fitted parameters is."""
     _, names = uncertainty_of(fit, {})
     return any(effect.full(p.name) in names for p in effect.parameters)
