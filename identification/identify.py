@@ -6,7 +6,7 @@ from math import isclose
 
 import numpy as np
 
-from identification.fit.coordinates import CHANNELS
+from identification.fit.coordinates import slowest
 from identification.fit.identifiability import hardly_told
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
@@ -236,13 +236,6 @@ def _without_record(
 
 def _made(campaign: Campaign) -> dict[str, str]:
     return {"made_by": "vpp identify", "campaign": campaign.folder.name}
-
-
-def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
-    """s: the sum of the lags of the channel that takes longest, of those whose lags are `known`; of both where none is."""
-    sums = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in CHANNELS}
-    told = [total for u, total in sums.items() if f"tau_{u}_1" in set(known)]
-    return max(told or sums.values())
 
 
 def off_bounds(model: Model, values: Mapping[str, float], start: Mapping[str, float]) -> dict[str, float]:

@@ -7,7 +7,7 @@ from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, named, random_steps, 
 from identification.demo import example_folder
 from identification.fit.adjoint import AdjointProblem
 from identification.fit.problem import Prior, Problem
-from identification.fit.refine import BASE_PARAMETERS, METHODS, refine
+from identification.fit.refine import BASE_PARAMETERS, METHODS, independent_readings, refine
 from identification.fit.tachometer import Tachometer
 from identification.static.static_map import fit_static_map
 from vpp_fmu.campaign import read_campaign
@@ -170,8 +170,9 @@ def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
     record, values, prior = campaign
     thrust = record["thrust"].copy()
     thrust[1000:1125] = np.nan
-    problem = AdjointProblem(BASE, [record.with_columns(thrust=thrust)], values, BASE_PARAMETERS, prior, channels)
-    problem.std["thrust"] = 0.2
+    experiments = independent_readings([record.with_columns(thrust=thrust)], values, channels)
+    problem = AdjointProblem(BASE, experiments, values, BASE_PARAMETERS, prior)
+    problem.scale["thrust"] = 0.2
     at, rng = problem.coordinates.vector(values), np.random.default_rng(1)
     for moved in (at, at * rng.uniform(0.9, 1.1, len(at)), at * rng.uniform(0.9, 1.1, len(at))):
         x = np.clip(moved, problem.coordinates.lower, problem.coordinates.upper)
@@ -183,7 +184,8 @@ def test_slope_of_the_cost_is_the_residual_s(channels, campaign):
 
 def test_it_ends_where_levenberg_marquardt_does(campaign):
     record, values, prior = campaign
-    problems = [kind(BASE, [record], values, BASE_PARAMETERS, prior) for kind in (Problem, AdjointProblem)]
+    experiments = independent_readings([record], values)
+    problems = [kind(BASE, experiments, values, BASE_PARAMETERS, prior) for kind in (Problem, AdjointProblem)]
     wanted, found = (problem.solve(values) for problem in problems)
     assert found.converged
     assert found.cost == pytest.approx(wanted.cost, rel=1e-6)

@@ -38,7 +38,7 @@ def theory(refinement, memory: float) -> np.ndarray:
     problem = refinement.problem
     x = problem.coordinates.vector(TRUTH)
     inner = problem.coordinates.jacobian(x)
-    of_thrust = problem.evaluate(x)[1] * problem.std["thrust"]
+    of_thrust = problem.evaluate(x)[1] * problem.experiments[0].noise.colour.innovation * problem.scale["thrust"]
     return np.sqrt(np.diag(inner @ covariance(of_thrust, CALM, memory) @ inner.T))
 
 
@@ -123,8 +123,8 @@ def test_both_channels_of_two_records_are_drawn_each_from_its_own():
         omega = 4000.0 + 500.0 * np.sin(record.time) + rng.normal(0.0, 1.0, len(record))
         records.append(record.with_columns(omega=omega))
     refinement = refine(BASE, records, TRUTH)
-    channels = [(b.record, b.channel) for b in refinement.problem.blocks]
-    assert channels == [(0, "thrust"), (0, "omega"), (1, "thrust"), (1, "omega")]
+    channels = [(b.experiment, b.channel) for b in refinement.problem.blocks]
+    assert channels == [(0, "thrust"), (1, "thrust"), (0, "omega"), (1, "omega")]
     samples = bootstrap(refinement, 4)
     assert np.all(np.isfinite(samples.samples))
     assert np.all(samples.std > 0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identification.diagnose.evidence.converter import LEAST, Converter, grid
+from identification.fit.converter import LEAST, Converter, grid
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.kernel.simulation import Simulation

@@ -7,7 +7,7 @@ import pytest
 from studies.crippled import CASES
 from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, valid
 
-from identification.diagnose.evidence.noise import noise_from
+from identification.fit.noise import noise_from
 from vpp_fmu.cli import VERBS
 from vpp_fmu.record import Record, read_record
 

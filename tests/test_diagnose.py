@@ -194,7 +194,7 @@ def test_one_record_is_enough_and_all_of_it_is_used():
     found = diagnose(Campaign(example_folder(), None, (), record, None, None), some("sensor_lag"))
     assert found.verdict == "none"
     assert not found.noise.verified
-    assert len(found.base.evidence.experiments[0].record) == len(record)
+    assert len(found.base.problem.experiments[0].record) == len(record)
     assert summary(found)["before"]["from"] == "cross-validation"
     assert summary(found)["before"]["rmse_thrust"] == pytest.approx(NOISE, rel=0.05)
     assert "not verified" in diagnosis_page(found).html()
@@ -218,7 +218,7 @@ def test_what_a_record_of_other_commands_refutes_does_not_ship():
     campaign = rig(**{"sensor_drift.rate": 0.02})
     base = diagnose(replace(campaign, validation=None), some("sensor_drift")).base
     validation = campaign.validation
-    thrust = Simulator(base.evidence.model).simulate(base.values, validation.columns, validation.steps)[:, 0]
+    thrust = Simulator(base.problem.model).simulate(base.values, validation.columns, validation.steps)[:, 0]
     validation = validation.with_columns(thrust=thrust + NOISE * np.random.default_rng(1).standard_normal(len(thrust)))
     found = diagnose(replace(campaign, validation=validation), some("sensor_drift"))
     assert found.selection.final.effects == ("sensor_drift",)
@@ -307,7 +307,7 @@ def test_play_s_own_curve_is_its_closed_form():
     """At rest the blades trail a rising command by half of the gap and lead a falling one by as much."""
     name, half = "pitch_backlash", 1.0
     fit = SimpleNamespace(
-        evidence=SimpleNamespace(model=plant([name]), simulator=Simulator(plant([name]))),
+        problem=SimpleNamespace(model=plant([name]), simulator=Simulator(plant([name]))),
         values=TRUTH | {f"{name}.half_gap": half, f"{name}.form": 1.0},
     )
     stairs = np.concatenate([np.linspace(-5.0, 10.0, 31), np.linspace(9.5, -5.0, 30)])

@@ -9,15 +9,15 @@ from scipy.stats import chi2, kstest
 
 from identification.diagnose import crossval, selection
 from identification.diagnose.crossval import Held, cross_validated, folds
-from identification.diagnose.evidence.noise import Blocks, colour_of
-from identification.diagnose.evidence.whitened import Experiment
 from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
 from identification.diagnose.lack import spectra
-from identification.diagnose.roles import Unseen, roles
 from identification.diagnose.selection import _ranked
-from identification.diagnose.starting import LOOSEST, disagreement
+from identification.fit.experiment import Experiment
+from identification.fit.noise import Blocks, colour_of
 from identification.fit.problem import Prior
+from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
+from identification.roles import Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 
@@ -68,7 +68,7 @@ def fit_of(residual, jacobian, time, thresholds=()):
     """A linear fit as cross-validation sees it: its residual and Jacobian at the least-squares solution."""
     solution, *_ = np.linalg.lstsq(jacobian, -residual, rcond=None)
     left = residual + jacobian @ solution
-    evidence = SimpleNamespace(
+    problem = SimpleNamespace(
         size=len(left),
         times=[(time, float(time[-1]))],
         experiments=(),
@@ -76,7 +76,7 @@ def fit_of(residual, jacobian, time, thresholds=()):
         score_of=lambda r: SimpleNamespace(squares={"thrust": float(r @ r)}, counts={"thrust": len(r)}),
     )
     return SimpleNamespace(
-        evidence=evidence, solution=SimpleNamespace(value=solution), thresholds={}, values={}, tangent=lambda: (left, jacobian)
+        problem=problem, solution=SimpleNamespace(value=solution), thresholds={}, values={}, tangent=lambda: (left, jacobian)
     )
 
 
@@ -190,10 +190,10 @@ def test_a_special_case_goes_before_the_wider_effect_that_fits_as_well():
 def test_a_special_case_takes_the_place_of_what_contains_it_once_the_set_stands(monkeypatch):
     """Ahead when it was alone, the wider effect gives way where, beside the rest, its special case fits as well."""
     wide = SimpleNamespace(name="limits", contains={"band": {}})
-    final = SimpleNamespace(effects=("limits", "wake"), evidence=SimpleNamespace(model=SimpleNamespace(effects=[wide])))
-    final.evidence.model.effects.append(SimpleNamespace(name="wake", contains={}))
+    final = SimpleNamespace(effects=("limits", "wake"), problem=SimpleNamespace(model=SimpleNamespace(effects=[wide])))
+    final.problem.model.effects.append(SimpleNamespace(name="wake", contains={}))
     band, lag = (SimpleNamespace(candidate=SimpleNamespace(name=n)) for n in ("band", "lag"))
-    fits = {id(t): SimpleNamespace(effects=(t.candidate.name, "wake"), evidence=final.evidence) for t in (band, lag)}
+    fits = {id(t): SimpleNamespace(effects=(t.candidate.name, "wake"), problem=final.problem) for t in (band, lag)}
     monkeypatch.setattr(selection, "without", lambda *_: SimpleNamespace())
     monkeypatch.setattr(selection, "_near", lambda found, effect: [lag, band] if effect == "limits" else [])
     monkeypatch.setattr(selection, "_in_place", lambda searcher, rest, tried: fits[id(tried)])
@@ -211,20 +211,14 @@ def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may
     assert needed_fall(1, 1000, -3.0) == alone
 
 
-@pytest.mark.parametrize(("away", "factor"), [(0.5, 1.0), (2.0, None), (500.0, LOOSEST)])
+@pytest.mark.parametrize(("away", "factor"), [(0.5, 1.0), (2.0, None), (500.0, WIDEST)])
 def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
     """Of one parameter d^2 = C + f^2 S has a closed form; below, knowledge keeps its word, above nothing is left of it."""
     of_records, known = 0.6, 0.3
-    coordinates = SimpleNamespace(names=("c20",), jacobian=lambda x: np.eye(1))
-    fit = SimpleNamespace(
-        evidence=SimpleNamespace(coordinates=coordinates),
-        solution=SimpleNamespace(active=np.zeros(1, bool), value=np.zeros(1)),
-        values={"c20": 1.0 + away},
-        tangent=lambda: (np.zeros(1), np.array([[1.0 / of_records]])),
-    )
+    doubt = Uncertainty(("c20",), np.array([1.0 + away]), np.array([[of_records**2]]), np.ones(1))
     told = Prior(("c20", "c11"), np.array([1.0, 7.0]), np.diag([known**2, 1.0]))
     expected = factor or np.sqrt((away**2 - of_records**2) / known**2)
-    assert disagreement(told, fit) == pytest.approx(expected, rel=1e-6)
+    assert disagreement(told, doubt) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])

@@ -92,13 +92,13 @@ def test_a_lag_of_a_step_is_the_exponential():
 def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
     """Curves over pitch or speed, at 0: what the look's linear response says, and what the model does."""
     base, form = nothing.base, 2.0
-    e, driver = base.evidence.experiments[0], "speed" if PORTS[port].channel == "beta" else "pitch"
-    outputs = Simulator(base.evidence.model).simulate(base.values, e.record.columns, e.record.steps)
+    e, driver = base.problem.experiments[0], "speed" if PORTS[port].channel == "beta" else "pitch"
+    outputs = Simulator(base.problem.model).simulate(base.values, e.record.columns, e.record.steps)
     course = Course.of(e, base.values, outputs)
     at = np.linspace(*np.quantile(course.drivers[driver], [0.1, 0.9]), 3)
     values = {f"at_{k + 1}": float(v) for k, v in enumerate(at)} | {f"value_{k + 1}": 0.0 for k in range(3)}
     effect = learned("term", port, driver, "curve", values, (float(at[0]), float(at[-1])), form=form)
-    model = plant(["term"], placed(nothing.base.evidence.model.effects, effect, PORTS[port]))
+    model = plant(["term"], placed(nothing.base.problem.model.effects, effect, PORTS[port]))
     wrt = [f"term.value_{k + 1}" for k in range(3)]
     _, tangents = Simulator(model, wrt).sensitivities(
         {**base.values, "term.form": form} if PORTS[port].staged else base.values, e.record.columns, e.record.steps
@@ -113,15 +113,15 @@ def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
 def test_the_score_test_of_noise_has_its_distribution(nothing):
     """Twice the fall of a group is chi^2 of its rank where there is only noise: 200 draws, Kolmogorov and Smirnov."""
     base = nothing.base
-    e, about = base.evidence.experiments[0], base.linearised()
-    outputs = Simulator(base.evidence.model).simulate(base.values, e.record.columns, e.record.steps)
+    e, about = base.problem.experiments[0], base.linearised()
+    outputs = Simulator(base.problem.model).simulate(base.values, e.record.columns, e.record.steps)
     course, (_, jacobian) = Course.of(e, base.values, outputs), base.tangent()
-    columns, rng, falls = jacobian[: base.evidence.size], np.random.default_rng(0), []
+    columns, rng, falls = jacobian[: base.problem.size], np.random.default_rng(0), []
     terms = hats(course.drivers["pitch_rate"], np.array([-10.0, -2.0, 0.0, 2.0, 10.0]))[:, [0, 1, 3, 4]]
     for _ in range(200):
         about.residual = about.apart(rng.standard_normal(len(columns)))
-        scores = Scores(about, columns, [course], base.evidence.scale, base.evidence.times)
-        scored = scores.group(*scores.products([(terms * base.evidence.scale["thrust"], None)]))
+        scores = Scores(about, columns, [course], base.problem.scale, base.problem.times)
+        scored = scores.group(*scores.products([(terms * base.problem.scale["thrust"], None)]))
         falls.append(2.0 * scored.fall)
     assert scored.rank == 4
     assert kstest(falls, chi2(4).cdf).pvalue > 0.01

@@ -8,7 +8,7 @@ import pytest
 from builders import simulator
 
 from identification.fit.problem import Prior, Problem
-from identification.fit.refine import BASE_PARAMETERS
+from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.plan.excitation import candidate, paper_plan
 from identification.plan.plan import free_parameters, plan
 from identification.worth.information import Information, read_knowledge
@@ -146,7 +146,7 @@ def test_forecast_is_what_refits_scatter_by(planned):
     found = []
     for _ in range(count):
         noisy = record.with_columns(thrust=thrust + rng.normal(0.0, 0.3, len(record)))
-        problem = Problem(BASE, [noisy], truth, BASE_PARAMETERS, channels=("thrust",))
+        problem = Problem(BASE, independent_readings([noisy], truth, ("thrust",)), truth, BASE_PARAMETERS)
         values = problem.coordinates.values(problem.solve(truth).value)
         found.append([values[name] for name in planned.after.names])
     error = np.array(found) - planned.after.values

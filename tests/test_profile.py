@@ -113,7 +113,7 @@ class Plane(Level):
         jacobian = np.vstack([np.ones((n, 2)), np.column_stack([np.zeros(n), np.ones(n)])])
         return np.concatenate([p + q - self.first, q - self.second]), jacobian if inner is None else jacobian @ inner
 
-    def residual(self, values):
+    def residual_at(self, values):
         return self.rows(values)[0]
 
 

@@ -120,7 +120,7 @@ def test_how_often_a_limit_is_reached_is_counted():
     columns = {"time": time, "omega_ref": np.where(fast, 5500.0, 3000.0), "beta_ref": np.full(len(time), 4.0)}
     model = plant([name])
     fit = SimpleNamespace(
-        evidence=SimpleNamespace(
+        problem=SimpleNamespace(
             model=model,
             simulator=Simulator(model),
             experiments=[SimpleNamespace(record=Record(columns | {"thrust": np.zeros(len(time))}, "made"))],

@@ -7,7 +7,7 @@ import pytest
 from studies.synthetic import STEP, TRUTH, commands, covariance, measured
 
 from identification.fit.problem import Prior, Problem
-from identification.fit.refine import BASE_PARAMETERS, refine
+from identification.fit.refine import BASE_PARAMETERS, independent_readings, refine
 from identification.worth.bootstrap import bootstrap
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.native.simulator import PIECE
@@ -32,43 +32,57 @@ def fit(records):
     return refine(BASE, records, AVERAGED, channels=("thrust",))
 
 
-def test_records_of_the_same_commands_are_simulated_once(records):
-    problem = Problem(BASE, records, BASE.values(), BASE_PARAMETERS)
-    assert problem.twin == (0, 0, 2)
-    runs, pieces = [], problem._simulator.pieces
-    problem._simulator.pieces = lambda *run: runs.append(run) or pieces(*run)
-    together, _ = problem.rows(TRUTH)
+def problem_of(records):
+    return Problem(BASE, independent_readings(records, BASE.values()), BASE.values(), BASE_PARAMETERS)
+
+
+def test_records_of_the_same_commands_are_simulated_once_and_their_thrust_is_averaged(records):
+    problem = problem_of(records)
+    assert [len(e.records) for e in problem.experiments] == [2, 1]
+    runs, pieces = [], problem.simulator.pieces
+    problem.simulator.pieces = lambda *run: runs.append(run) or pieces(*run)
+    residual, jacobian = problem.rows(TRUTH)
     assert len(runs) == 2
-    alone = [Problem(BASE, [record], BASE.values(), BASE_PARAMETERS).rows(TRUTH)[0] for record in records]
-    np.testing.assert_array_equal(together, np.concatenate(alone))
+    one, other, third = (problem_of([record]).rows(TRUTH) for record in records)
+    rows = len(records[0])
+    # The mean of two has half the variance: in units of its standard deviation it is the sum over the root of two.
+    np.testing.assert_allclose(residual[:rows], (one[0][:rows] + other[0][:rows]) / np.sqrt(2.0), atol=1e-12)
+    np.testing.assert_allclose(jacobian[:rows], np.sqrt(2.0) * one[1][:rows], rtol=1e-12)
+    np.testing.assert_allclose(residual[rows : rows + len(records[2])], third[0][: len(records[2])], rtol=1e-12)
 
 
-def test_a_long_record_costs_no_more_memory_than_its_rows_and_one_jacobian():
+def test_a_long_record_costs_no_more_memory_than_its_rows_and_two_jacobians():
     """Twenty pieces: all outputs' sensitivities would be three Jacobians of the thrust."""
     rows = 20 * PIECE
     commands = {"omega_ref": np.where(np.arange(rows) // 500 % 2, 4000.0, 5000.0), "beta_ref": np.full(rows, 5.0)}
     record = Record({"time": STEP * np.arange(rows), **commands, "thrust": np.zeros(rows)}, "made")
-    problem = Problem(BASE, [record], BASE.values(), BASE_PARAMETERS)
+    problem = problem_of([record])
     problem.rows(TRUTH)  # compiles
     tracemalloc.start()
     _, jacobian = problem.rows(TRUTH)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    signals = (len(record.columns) + len(problem._simulator.outputs) + 4) * 8 * rows
-    assert most < jacobian.nbytes + signals
+    signals = (len(record.columns) + len(problem.simulator.outputs) + 4) * 8 * rows
+    assert most < 2 * jacobian.nbytes + signals
 
 
 def test_other_times_or_commands_make_another_record(records):
     later = records[0].with_columns(time=records[0].time * 1.25)
     other = records[0].with_columns(beta_ref=records[0]["beta_ref"] + 1e-9)
-    assert Problem(BASE, [records[0], later, other], BASE.values(), BASE_PARAMETERS).twin == (0, 1, 2)
+    assert [len(e.records) for e in independent_readings([records[0], later, other], BASE.values())] == [1, 1, 1]
+
+
+def test_a_reading_that_one_of_two_records_lacks_counts_in_neither(records):
+    holed = records[1].with_columns(thrust=np.where(np.arange(len(records[1])) % 7, records[1]["thrust"], np.nan))
+    (experiment,) = independent_readings([records[0], holed], BASE.values())
+    assert experiment.sizes["thrust"] == int(np.isfinite(holed["thrust"]).sum())
 
 
 def test_the_same_record_twice_tells_nothing_new(records):
     once, twice = fit(records[:1]), fit([records[0], records[0]])
     np.testing.assert_allclose(twice.uncertainty.values, once.uncertainty.values, rtol=1e-6)
     np.testing.assert_allclose(twice.uncertainty.std, once.uncertainty.std, rtol=1e-5)
-    np.testing.assert_allclose(twice.uncertainty.inflation, np.sqrt(2.0) * once.uncertainty.inflation, rtol=1e-5)
+    np.testing.assert_allclose(twice.uncertainty.inflation, once.uncertainty.inflation, rtol=1e-5)
 
 
 def test_the_same_record_twice_weighs_against_knowledge_as_once(records):
@@ -92,10 +106,12 @@ def test_noise_of_its_own_halves_the_variance():
 
 
 def theory(problem) -> np.ndarray:
-    """Standard deviations from the first record alone, at the truth."""
+    """Standard deviations from one of the two records alone, at the truth."""
     x, first = problem.coordinates.vector(TRUTH), problem.blocks[0].at
     inner = problem.coordinates.jacobian(x)
-    of_thrust = problem.evaluate(x)[1][first] * problem.std["thrust"]
+    experiment = problem.experiments[0]
+    scale = experiment.noise.colour.innovation * problem.scale["thrust"] / np.sqrt(len(experiment.records))
+    of_thrust = problem.evaluate(x)[1][first] * scale
     return np.sqrt(np.diag(inner @ covariance(of_thrust, CALM) @ inner.T))
 
 

@@ -5,12 +5,13 @@ is linear, and a fold in five moves it little. A threshold has no tangent: its v
 folds make them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import ttest_1samp
 
-from identification.diagnose.judgement import FOLD_BLOCK, FOLDS
+from identification.diagnose.judgement import CARRIED, FOLD_BLOCK, FOLDS
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.native import Simulator
 
@@ -72,12 +73,12 @@ def cross_validated(
     stays; None: all do. `least`: a direction of which the other folds hold no more than this share of all that is known stays,
     too.
     """
-    evidence, (residual, jacobian) = fit.evidence, fit.tangent()
+    problem, (residual, jacobian) = fit.problem, fit.tangent()
     if moving is not None:
-        jacobian = jacobian * [float(moving(name)) for name in evidence.coordinates.names]
-    residuals = [residual, *(evidence.residual_at(values) for values in _alternatives(fit))]
-    size, held = evidence.size, np.empty(evidence.size)
-    fold_of = np.concatenate([split(time, seconds) for time, seconds in evidence.times])
+        jacobian = jacobian * [float(moving(name)) for name in problem.coordinates.names]
+    residuals = [residual, *(problem.residual_at(values) for values in _alternatives(fit))]
+    size, held = problem.size, np.empty(problem.size)
+    fold_of = np.concatenate([split(time, seconds) for time, seconds in problem.times])
     moves = []
     for fold in range(int(fold_of.max()) + 1):
         out = np.flatnonzero(fold_of == fold)
@@ -90,9 +91,31 @@ def cross_validated(
         likely /= likely.sum()
         held[out] = sum(p * (r[out] + jacobian[out] @ s) for p, r, s in zip(likely, residuals, steps, strict=True))
         moves.append(sum(p * s for p, s in zip(likely, steps, strict=True)))
-    score = evidence.score_of(held)
+    score = problem.score_of(held)
     thrust, omega = _errors(fit, moves, split)
     return Held(score.squares, score.counts, thrust, omega)
+
+
+def fall(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> float:
+    """p-value of an error that is no smaller in the mean square than another, both of data that were not fitted.
+
+    `parts`: (time [s], errors before, errors after), each (rows,). The difference of their squares in each block, as long as
+    those of the folds so that they hardly share anything, and `further` such differences; their mean against its own scatter
+    (Diebold and Mariano, 1995; Student's t, one-sided).
+    """
+    found = []
+    for time, old, new in parts:
+        block, seen = (time / FOLD_BLOCK).astype(int), np.isfinite(new) & np.isfinite(old)
+        count = np.bincount(block[seen])
+        sums = np.bincount(block[seen], weights=old[seen] ** 2 - new[seen] ** 2)
+        found += (sums[count > 0] / count[count > 0]).tolist()
+    found += list(further)
+    return float(ttest_1samp(found, 0.0, alternative="greater").pvalue) if np.std(found) > 0.0 else 1.0
+
+
+def rises(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> bool:
+    """Whether an error is larger than another for certain; `parts` as in `fall`."""
+    return fall([(time, new, old) for time, old, new in parts]) < CARRIED
 
 
 def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:
@@ -112,7 +135,7 @@ def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.nd
 
 def _alternatives(fit: Fit) -> list[dict[str, float]]:
     """The fit's values with each threshold elsewhere about its interval."""
-    bounds = {p.name: (p.minimum, p.maximum) for p in fit.evidence.model.parameters}
+    bounds = {p.name: (p.minimum, p.maximum) for p in fit.problem.model.parameters}
     found = []
     for name, (low, high) in fit.thresholds.items():
         wide = max(high - low, 0.1 * abs(fit.values[name]))
@@ -125,10 +148,10 @@ def _errors(
     fit: Fit, moves: list[np.ndarray], split: Callable[[np.ndarray, float], np.ndarray]
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """(thrust [N], speed [rpm]): the errors by experiment where each fold's parameters moved by `moves` (coordinates)."""
-    evidence = fit.evidence
-    simulator, inner = Simulator(evidence.model, evidence.coordinates.names), evidence.coordinates.jacobian(fit.solution.value)
+    problem = fit.problem
+    simulator, inner = Simulator(problem.model, problem.coordinates.names), problem.coordinates.jacobian(fit.solution.value)
     thrust, omega = [], []
-    for e in evidence.experiments:
+    for e in problem.experiments:
         fold, predicted = split(e.record.time, e.record.time[-1]), np.empty((len(e.record), 2))
         changes = np.column_stack([inner @ move for move in moves])
         for at, shown, tangents in simulator.pieces(fit.values, e.record.columns, e.record.steps):

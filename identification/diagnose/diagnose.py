@@ -7,29 +7,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identification.diagnose.crossval import Held
+from identification.diagnose.crossval import Held, rises
 from identification.diagnose.distinguish import Distinguishability, distinguishability
-from identification.diagnose.evidence.noise import BLOCKS_A_TIME, Noise, blocks, noise_from
-from identification.diagnose.evidence.whitened import Experiment
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
 from identification.diagnose.judgement import SLOW, STRONG
 from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
-from identification.diagnose.roles import Fitted, Unseen, roles
 from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, looks, refitted
 from identification.diagnose.selection import Judge, Selection, select
-from identification.diagnose.starting import LOOSEST, Starting, disagreement, exportable, from_given, from_identification
-from identification.diagnose.uncertainty import standard_deviations
+from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.verdict import verdict
-from identification.fit.coordinates import CHANNELS
+from identification.fit.coordinates import CHANNELS, slowest
+from identification.fit.experiment import Experiment
+from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, noise_from
+from identification.fit.refine import run_ins
 from identification.fit.tachometer import Tachometer
+from identification.fit.uncertainty import WIDEST, disagreement
 from identification.gate.finding import Finding
 from identification.gate.gate import passed
-from identification.identify import Identification, off_bounds, slowest
+from identification.identify import Identification, off_bounds
+from identification.roles import Fitted, Unseen, roles
 from identification.worth.pairs import agreed_order, exchangeable
 from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
@@ -54,10 +55,11 @@ class Diagnosis:
     """What a campaign's residual was traced to.
 
     `quality`: what the gate found in the files, and in the fit of the identification. `base`: the model without any further
-    effect, on the same likelihood as all others. `given`: the model that was brought, as it was brought; None where the
-    campaign was identified first. `before`, `after`: what base and set lack. `held_before`, `held_after`: cross-validation of
-    the model before and of the one that ships. `unseen`: the validation record, opened when the model stood. `refuted`: why
-    what was found does not ship, in words; "" where it does. `attempt`: at a term of no list, where no effect explains all.
+    effect, as it was identified. `final`: the one that ships. `given`: the model that was brought, as it was brought; None
+    where the campaign was identified first. `before`, `after`: what base and set lack. `held_before`, `held_after`:
+    cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the model
+    stood. `refuted`: why what was found does not ship, in words; "" where it does. `attempt`: at a term of no list, where no
+    effect explains all.
     """
 
     campaign: Campaign
@@ -75,6 +77,7 @@ class Diagnosis:
     apart: Distinguishability
     location: Mapping
     experiment: Record
+    final: Fit
     held_before: Held
     held_after: Held
     unseen: Unseen | None
@@ -85,11 +88,6 @@ class Diagnosis:
     def learned(self) -> Learned | None:
         """The term of no list that ships."""
         return self.attempt.learned
-
-    @property
-    def final(self) -> Fit:
-        """The model that ships: with the effects that stand and have not been refuted, else the base."""
-        return self.selection.final if self.verdict in CHANGED else self.base
 
     @property
     def fits(self) -> dict[str, Fit]:
@@ -112,29 +110,29 @@ class Diagnosis:
         first = self.fitted[0].record
         source |= {"record_seconds": float(first.time[-1]), "sample_period": first.period, "rig": self.rig.summary()}
         renamed = self.renamed(fit)
-        values = {renamed.get(n, n): v for n, v in fit.values.items()}
-        doubt = standard_deviations(fit, renamed)
-        return ParameterSet(exportable(fit.evidence.model), source=source).replaced(values, doubt)
+        values, std = ({renamed.get(n, n): v for n, v in each.items()} for each in (fit.values, fit.std()))
+        return ParameterSet(exportable(fit.problem.model), source=source).replaced(values, std)
 
     def renamed(self, fit: Fit) -> dict[str, str]:
         """Names that a fit's lags are written under, where they are not its own."""
-        return agreed_order(fit.evidence.model, fit.values, self.fitted[0].record)
+        return agreed_order(fit.problem.model, fit.values, self.fitted[0].record)
 
     @property
     def doubt(self) -> dict[str, float | None]:
         """Standard deviations of the parameters of the model that ships, under the names that they are written under."""
-        return standard_deviations(self.final, self.renamed(self.final))
+        renamed = self.renamed(self.final)
+        return {renamed.get(n, n): std for n, std in self.final.std().items()}
 
     @property
     def lag_order(self) -> dict[str, str]:
         """For each channel, in words, what the order of its two lags rests on in the model that ships."""
         fit, record = self.final, self.fitted[0].record
-        free = {u: exchangeable(fit.evidence.model, fit.values, record, u) for u in CHANNELS}
+        free = {u: exchangeable(fit.problem.model, fit.values, record, u) for u in CHANNELS}
         return {u: "exchangeable, the slower first" if same else "told by the data" for u, same in free.items()}
 
     def prediction(self, fit: Fit, record: Record) -> Prediction:
         """A fit's open-loop response to a record."""
-        return predict(fit.evidence.model, fit.values, record)
+        return predict(fit.problem.model, fit.values, record)
 
     def errors(self, fit: Fit) -> tuple[float, float | None]:
         """(thrust [N], speed [rpm]) rms on the unseen record, else cross-validated, of the base or the final model."""
@@ -196,18 +194,20 @@ def diagnose(
         give_back()
         after = lack_of_fit(selection.final, least)
         word = verdict(base, selection.final, before, after, selection.family)
-        refuted = _refuted(judge, base, selection.final, unseen) if word in CHANGED else ""
+        identified = base.estimated(at.refinement, at.doubt)
+        refuted = _refuted(judge, identified, base, selection.final, unseen) if word in CHANGED else ""
         word = "unexplained" if refuted else word  # what was found is not it
         attempt = Attempt()
         if word in ("unexplained", "partly"):
             beside = selection.final if word == "partly" else base
             attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
-            attempt = attempt.confirmed(lambda fit: _refuted(judge, beside, fit, unseen))
+            now = selection.final if word == "partly" else identified
+            attempt = attempt.confirmed(lambda fit: _refuted(judge, now, beside, fit, unseen))
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
             after = lack_of_fit(selection.final, least)
-        final = selection.final if word in CHANGED else base
-        shown = predict(final.evidence.model, final.values, fitted[0].record)
+        final = selection.final if word in CHANGED else identified
+        shown = predict(final.problem.model, final.values, fitted[0].record)
         return Diagnosis(
             campaign=campaign,
             quality=at.identification.quality if at.identification else gate.findings,
@@ -215,7 +215,7 @@ def diagnose(
             given=given,
             rig=at.rig,
             fitted=fitted,
-            base=base,
+            base=identified,
             noise=searcher.experiments[0].noise,
             selection=selection,
             verdict=word,
@@ -224,7 +224,8 @@ def diagnose(
             apart=apart,
             location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
             experiment=discriminating_experiment(_timed(at, final), seed, fitted[0].record.period),
-            held_before=judge.held(base),
+            final=final,
+            held_before=judge.held(identified),
             held_after=judge.held(final),
             unseen=unseen,
             refuted=refuted,
@@ -234,7 +235,7 @@ def diagnose(
 
 def _timed(at: Starting, final: Fit) -> Rig:
     """The rig with the time scale of the model that ships: what was missing may have bent the lags of the identification."""
-    return at.rig.timed(slowest(off_bounds(final.evidence.model, final.values, at.first), at.names))
+    return at.rig.timed(slowest(off_bounds(final.problem.model, final.values, at.first), at.names))
 
 
 def _with(selection: Selection, learned: Learned) -> Selection:
@@ -245,16 +246,28 @@ def _with(selection: Selection, learned: Learned) -> Selection:
     return replace(selection, final=learned.term.fit, judgements=judgements, family=family)
 
 
-def _refuted(judge: Judge, base: Fit, final: Fit, unseen: Unseen | None) -> str:
-    """Why a final model must not take the base's place: it predicts thrust worse where it was not fitted. Judged once."""
-    before, after = judge.held(base).rmse_thrust, judge.held(final).rmse_thrust
-    if after > before and judge.held(final).gain(judge.held(base))["thrust"] < 0.0:
-        return f"cross-validated thrust error rises from {before:.4g} to {after:.4g} N"
+def _refuted(judge: Judge, shipped: Fit, base: Fit, final: Fit, unseen: Unseen | None) -> str:
+    """Why a final model must not take the place of the one that would ship without it, in words: where it was not fitted it
+    predicts thrust worse than the same likelihood does without the effects (`base`), or for certain worse than what is
+    `shipped`. Judged once."""
+    found, before, after = final.problem, judge.held(base), judge.held(final)
+    if after.rmse_thrust > before.rmse_thrust and after.gain(before)["thrust"] < 0.0:
+        return _rises("cross-validated thrust error", before.rmse_thrust, after.rmse_thrust)
+    was = judge.held(shipped)
+    if rises([(e.record.time, *pair) for e, *pair in zip(found.experiments, was.thrust, after.thrust, strict=True)]):
+        return _rises("cross-validated thrust error", was.rmse_thrust, after.rmse_thrust)
     if unseen is not None:
-        shown = [predict(fit.evidence.model, fit.values, unseen.record).rmse_thrust for fit in (base, final)]
-        if shown[1] > shown[0]:
-            return f"thrust error on {unseen.name}.csv rises from {shown[0]:.4g} to {shown[1]:.4g} N"
+        name, record = f"thrust error on {unseen.name}.csv", unseen.record
+        of_base, of_shipped, of_final = (predict(fit.problem.model, fit.values, record) for fit in (base, shipped, final))
+        if of_final.rmse_thrust > of_base.rmse_thrust:
+            return _rises(name, of_base.rmse_thrust, of_final.rmse_thrust)
+        if rises([(record.time, *(p.thrust - record["thrust"] for p in (of_shipped, of_final)))]):
+            return _rises(name, of_shipped.rmse_thrust, of_final.rmse_thrust)
     return ""
+
+
+def _rises(what: str, before: float, after: float) -> str:
+    return f"{what} rises from {before:.4g} to {after:.4g} N"
 
 
 def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequence[Candidate], pool) -> tuple[Searcher, Fit]:
@@ -272,44 +285,29 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequenc
     best = min(fits, key=Fit.bic, default=base)
     if evidence_over(best, base) <= STRONG:
         return searcher, base
-    clearer = _noise(groups, best.evidence.model, best.values, at.rig)
+    clearer = _noise(groups, best.problem.model, best.values, at.rig)
     return _based(groups, at, clearer, base.values) if clearer.colour.innovation < noise.colour.innovation else (searcher, base)
 
 
 def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, values: Mapping[str, float]) -> tuple[Searcher, Fit]:
     """A searcher on experiments of this noise, and the base fitted to them; a run-in that was not settled gets no weight."""
-    settled = 5.0 * slowest(at.values, at.names)
     experiments = [Experiment(group, noise) for group in groups]
-    knowledge = at.knowledge and at.knowledge.loosened(LOOSEST)
+    knowledge = at.knowledge and at.knowledge.loosened(WIDEST)
 
     def fitted(values: Mapping[str, float]) -> tuple[Searcher, Fit]:
         searcher = Searcher(experiments, at.names, knowledge, at.first, at.library)
         return searcher, searcher.fit((), {}, (), values)
 
     searcher, base = fitted(values)
-    skips = [settled if _unsettled(base, k, settled) else 0.0 for k in range(len(experiments))]
+    skips = run_ins(base.problem, base.values)
     if any(skips):
-        experiments = [Experiment(group, noise, skip) for group, skip in zip(groups, skips, strict=True)]
+        experiments = [e.but(skip=skip) for e, skip in zip(experiments, skips, strict=True)]
         searcher, base = fitted(base.values)
     if at.knowledge:
-        knowledge = at.knowledge.loosened(disagreement(at.knowledge, base))
+        factor = disagreement(at.knowledge, base.doubt)
+        knowledge = at.knowledge.loosened(factor)
         searcher, base = fitted(base.values)
     return searcher, base
-
-
-RUN_IN = 4.0
-"""Times by which the mean square of the whitened residual must be larger in the run-in than behind it for the record not to
-have started settled; of its 50 or more rows, noise reaches 2 in less than one case in 10^5."""
-
-
-def _unsettled(base: Fit, number: int, settled: float) -> bool:
-    """Whether an experiment's thrust in its first `settled` s is far from the model, and behind it is not."""
-    e = base.evidence.experiments[number]
-    outputs = base.evidence.simulator.simulate(base.values, e.record.columns, e.record.steps)
-    residual, first = e.thrust_residual(outputs[:, 0]), e.thrust_time < settled
-    if first.sum() < 2 or (~first).sum() < 10 * first.sum() // 2:
-        return False
-    return bool(np.mean(residual[first] ** 2) > RUN_IN * np.mean(residual[~first] ** 2))
 
 
 def _noise(groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], rig: Rig) -> Noise:

@@ -59,7 +59,7 @@ def distinguishability(
         shown = about.rows(simulator, {**candidate.form, **on}) - about.rows(simulator, {**candidate.form, **off})
         return about.apart(shown)
 
-    traces = np.empty((len(options), base.evidence.size))
+    traces = np.empty((len(options), base.problem.size))
     for row, shown in zip(traces, spread(trace, options), strict=True):
         row[:] = shown
     gram = traces @ traces.T

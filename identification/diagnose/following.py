@@ -18,7 +18,7 @@ from scipy.stats import f as f_distribution
 
 from identification.diagnose.search.fits import Fit
 from identification.fit.bands import ORDINATES, banded, starts
-from identification.identify import slowest
+from identification.fit.coordinates import slowest
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.record import Record
 
@@ -70,7 +70,7 @@ def following(fit: Fit) -> Following:
     kept = power > DEPENDENT**2 * power[-1]
     turned = (directions[:, kept] / np.sqrt(power[kept])).T
     score = turned @ (followed / size)  # what the parameters follow has no share in the residual
-    if all(e.noise.verified for e in fit.evidence.experiments):
+    if all(e.noise.verified for e in fit.problem.experiments):
         return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
     left = residual - columns.T @ (turned.T @ score)
     covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at]) for at in parts])
@@ -79,7 +79,7 @@ def following(fit: Fit) -> Following:
 
 def _columns(fit: Fit) -> tuple[np.ndarray, list[slice]]:
     """((k, n) what the shapes would do to the whitened thrust of all experiments, the columns of each experiment)."""
-    experiments, simulator = fit.evidence.experiments, fit.evidence.simulator
+    experiments, simulator = fit.problem.experiments, fit.problem.simulator
     ends = np.cumsum([e.sizes["thrust"] for e in experiments]).tolist()
     parts, found = [slice(end - e.sizes["thrust"], end) for e, end in zip(experiments, ends, strict=True)], np.empty((0, 0))
     for e, at in zip(experiments, parts, strict=True):
@@ -90,7 +90,7 @@ def _columns(fit: Fit) -> tuple[np.ndarray, list[slice]]:
             found = np.empty((len(own), ends[-1]))
         while own:
             found[len(own) - 1, at] = own.pop()
-    found /= fit.evidence.scale["thrust"]
+    found /= fit.problem.scale["thrust"]
     return found, parts
 
 

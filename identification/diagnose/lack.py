@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.following import Following, following
 from identification.diagnose.judgement import CERTAIN, SLOW
 from identification.diagnose.search.fits import Fit
+from identification.fit.noise import blocks
 
 EDGES = (0.0, 0.1, 0.3, 1.0, 3.0, SLOW)
 """Hz: bands of half a decade."""
@@ -81,15 +81,15 @@ def lack_of_fit(fit: Fit, least: float) -> Lack:
 
 def _score_size(fit: Fit, score: Following) -> float:
     """N: what the generic shapes take up. A nat a slow sample is worth its noise's power; a second has 2 SLOW of them."""
-    seconds = sum(float(e.record.time[-1]) - e.skip for e in fit.evidence.experiments)
-    slow = max(e.noise.slow for e in fit.evidence.experiments)
+    seconds = sum(float(e.record.time[-1]) - e.skip for e in fit.problem.experiments)
+    slow = max(e.noise.slow for e in fit.problem.experiments)
     return float(np.sqrt(max(2.0 * score.gain, 0.0) / (2.0 * SLOW * seconds) * slow))
 
 
 def pure_error(fit: Fit) -> tuple[Band, ...]:
     """Pure error of the thrust in bands, over all experiments with a repeat."""
-    simulator, found = fit.evidence.simulator, {}
-    for e in fit.evidence.experiments:
+    simulator, found = fit.problem.simulator, {}
+    for e in fit.problem.experiments:
         if len(e.records) < 2:
             continue
         shown = e.converter.reads(simulator.simulate(fit.values, e.record.columns, e.record.steps)[:, 0])

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import csd
 
-from identification.diagnose.evidence.noise import blocks
+from identification.fit.noise import blocks
 from identification.worth.sections import sections
 from vpp_fmu.record import Record
 

@@ -10,7 +10,6 @@ from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement,
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import REACH, Tried, added, deeper, evidence_over, first_round, key, looks, refitted
-from identification.diagnose.uncertainty import leaves_open
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -54,7 +53,7 @@ class Judge:
         explained = 0.5 * (self.base.deviance - without.deviance)
         evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points, explained)
         gain = self.held(with_it).gain(self.held(without))
-        declared = next(e for e in with_it.evidence.model.effects if e.name == effect)
+        declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
         refused = refusals(fall, needed, evidence, gain, more, material)
         return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
@@ -85,7 +84,7 @@ class Judge:
 
 
 def _outputs(fit: Fit, experiment) -> np.ndarray:
-    return fit.evidence.simulator.simulate(fit.values, experiment.record.columns, experiment.record.steps)
+    return fit.problem.simulator.simulate(fit.values, experiment.record.columns, experiment.record.steps)
 
 
 def _rms(parts: Sequence[np.ndarray]) -> float:
@@ -194,7 +193,7 @@ def _narrow(searcher: Searcher, found: Selection, judge: Judge) -> None:
     """A special case takes the place of an effect that contains it where, beside the rest of the set, it fits as well: what
     made the wider one the better one may have been what was not there yet."""
     for effect in found.final.effects:
-        wide = next(e for e in found.final.evidence.model.effects if e.name == effect)
+        wide = next(e for e in found.final.problem.model.effects if e.name == effect)
         rest = without(searcher, found.base, found.final, effect)
         for tried in _near(found, effect):
             if tried.candidate.name not in wide.contains:
@@ -224,7 +223,7 @@ def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge, poo
     rest = without(searcher, found.base, final, effect)
     for candidate, refit in _rivals(searcher, found, effect, rest, pool):
         wider, other = effect in candidate.effect.contains, refit
-        if wider and leaves_open(whole := _all_on(searcher, candidate, refit), candidate.effect):
+        if wider and (whole := _all_on(searcher, candidate, refit)).leaves_open(candidate.effect):
             other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # the BIC charges for what no record tells
         else:
             behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * STRONG else evidence_over(final, refit)

@@ -27,7 +27,7 @@ LIMIT = 1000
 
 
 class AdjointProblem(Problem):
-    """The same problem, solved on the adjoint gradient. CompilerMissing where there is no C compiler."""
+    """The same problem, solved on the adjoint gradient, for white noise. CompilerMissing where there is no C compiler."""
 
     @cached_property
     def _adjoint(self) -> Adjoint:
@@ -37,15 +37,13 @@ class AdjointProblem(Problem):
         """Cost and its gradient (coordinates,) at `x`."""
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
         cost, gradient = 0.0, np.zeros(len(x))
-        for i, record in enumerate(self.records):
-            tape = self._adjoint.record(found, record.columns, record.steps)
-            cotangents = np.zeros_like(tape.outputs)
-            for block in self.blocks:
-                if block.record == i:
-                    error, _ = self._error(block, record, tape.outputs)
-                    cost += 0.5 * float(np.sum(error**2))
-                    self._pull_back(block, error, cotangents)
-            gradient += tape.pull_back(cotangents)
+        for e in self.experiments:
+            tape = self._adjoint.record(found, e.record.columns, e.record.steps)
+            errors = {"thrust": e.thrust_residual(tape.outputs[:, 0]) / self.scale["thrust"]}
+            if len(e.omega_time):
+                errors["omega"] = e.omega_residual(tape.outputs[:, 1]) / self.scale["omega"]
+            cost += 0.5 * sum(float(r @ r) for r in errors.values())
+            gradient += tape.pull_back(e.pull_back({c: r / self.scale[c] for c, r in errors.items()}, tape.outputs))
         if self.prior is not None:
             error, rows = self.prior.rows(found, self.coordinates.names)
             cost, gradient = cost + 0.5 * float(np.sum(error**2)), gradient + error @ rows
@@ -71,11 +69,3 @@ class AdjointProblem(Problem):
         residual, jacobian = self.evaluate(x)
         active = (x <= lower) | (x >= upper)
         return Solution(x, residual, jacobian, tuple(costs), evaluations, found.status == 0, active)
-
-    def _pull_back(self, block, error: np.ndarray, cotangents: np.ndarray) -> None:
-        """Add half the squared error's derivatives in the outputs (rows, outputs) to `cotangents`."""
-        if block.channel == "omega":
-            tachometer = self._tachometers[block.record]
-            cotangents[:, self._omega] += tachometer.transpose(error / (tachometer.std * self.std["omega"]))
-        else:
-            cotangents[block.rows, self._thrust] += error / self.std["thrust"]

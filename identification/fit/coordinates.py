@@ -5,7 +5,7 @@ crawls along that ridge or stops on it. In the sum s and the spread v = ((tau_1 
 through the double pole, and each response has one description.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,13 @@ from vpp_fmu.kernel.types import Model
 CHANNELS = ("omega", "beta")
 CLOSEST, WIDEST = 1e-6, 0.9999
 """Range of the spread. At the lower end the constants differ by 0.2 %: a double pole to any measurement."""
+
+
+def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
+    """s: the sum of the lags of the channel that takes longest, of those whose lags are `known`; of both where none is."""
+    sums = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in CHANNELS}
+    told = [total for u, total in sums.items() if f"tau_{u}_1" in set(known)]
+    return max(told or sums.values())
 
 
 class Coordinates:

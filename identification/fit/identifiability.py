@@ -57,9 +57,12 @@ def hardly_told(found: Uncertainty) -> dict[str, str]:
 def _columns(problem: Problem, x: np.ndarray) -> np.ndarray:
     """(n, n) in place of the data's rows (rows, n): the root of their normal matrix has the same lengths and angles."""
     _, jacobian = problem.evaluate(x)
-    power, axes = np.linalg.eigh(jacobian[: problem.size].T @ jacobian[: problem.size])
-    root = np.sqrt(np.maximum(power, 0.0))[:, None] * axes.T
-    return root @ np.linalg.pinv(problem.coordinates.jacobian(x))
+    normal, inner = jacobian[: problem.size].T @ jacobian[: problem.size], np.linalg.pinv(problem.coordinates.jacobian(x))
+    power, axes = np.linalg.eigh(normal)
+    root = np.sqrt(np.maximum(power, 0.0))[:, None] * axes.T @ inner
+    # The root of what is nothing is rounding's root: lengths are those of the normal matrix.
+    length, rounded = np.sqrt(np.maximum(np.diag(inner.T @ normal @ inner), 0.0)), np.linalg.norm(root, axis=0)
+    return root * np.divide(length, rounded, out=np.zeros(len(length)), where=rounded > 0.0)
 
 
 def _partners(column: np.ndarray, taken: Mapping[str, np.ndarray]) -> list[str]:

@@ -1,29 +1,30 @@
-"""The least-squares problem of a fit: records, what was measured in them, what is known beforehand.
+"""The least-squares problem of every fit: a model against experiments, and what is known beforehand.
 
-Residuals are in units of their standard deviation. Thrust is white as far as the fit is concerned; what colour it has is
-accounted for in the uncertainty. A channel's weight follows from what the fit leaves in it (maximum likelihood with unknown
-variances): a sensor that is far better than the model is would otherwise dictate all parameters. Records of the same commands
-share what the model lacks; they weigh as their mean does, not as so many independent ones.
+Residuals are whitened, and in units of their standard deviation. How large they are follows in each channel from what the fit
+leaves there (maximum likelihood with unknown variances): a sensor that is far better than the model is would otherwise dictate
+all parameters. What noise is supposed differs with the purpose. Estimates that ship suppose independent readings: they then
+predict best where the model lacks something, and what colour the residual has is accounted for in their uncertainty. Judgements
+whiten by the noise's own colour: evidence counts independent readings.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from identification.fit.coordinates import Coordinates
+from identification.fit.experiment import Experiment
 from identification.fit.least_squares import Solution, solve
-from identification.fit.tachometer import Tachometer
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
-from vpp_fmu.record import Record
 
-CHANNELS = ("thrust", "omega")
 REWEIGHTS = 3
 """Rounds of fit and weight; the third changes the weights by less than a per cent."""
 
-WEIGHED = 0.5
-"""Log-likelihood at which a fit may end that only weighs the channels."""
+WEIGHED, ENOUGH = 0.5, 1e-3
+"""Log-likelihood at which a fit may end that only weighs the channels, and one that is compared with others (a deviation of
+0.045 standard deviations of the estimate)."""
 
 EXACT = 1e-12
 """Share of the cost: as far as numbers go."""
@@ -50,149 +51,202 @@ class Prior:
                 chosen[k, names.index(name)] = 1.0
         return root @ (np.array([values[n] for n in self.names]) - self.mean), root @ chosen
 
+    def of(self, names: Sequence[str]) -> "Prior | None":
+        """What it tells of those in `names`; None where that is nothing."""
+        kept = [k for k, n in enumerate(self.names) if n in names]
+        chosen = tuple(self.names[k] for k in kept)
+        return Prior(chosen, self.mean[kept], self.covariance[np.ix_(kept, kept)]) if kept else None
+
     def loosened(self, factor: float) -> "Prior":
         """The same knowledge with standard deviations `factor` times as large."""
         return Prior(self.names, self.mean, self.covariance * factor**2)
 
 
 @dataclass(frozen=True)
-class Block:
-    """The rows of the residual that one channel of one record has, and the record's rows they belong to."""
+class Score:
+    """Sum of squares and number of whitened residuals in each channel."""
 
-    record: int
+    squares: Mapping[str, float]
+    counts: Mapping[str, int]
+
+    @property
+    def deviance(self) -> float:
+        """-2 log-likelihood, noise variances unknown, up to a constant."""
+        return float(sum(n * np.log(max(self.squares[c], 1e-300)) for c, n in self.counts.items()))
+
+
+@dataclass(frozen=True)
+class Block:
+    """The rows of the residual that one channel of one experiment has, at `time` [s]; of speed, each record has its own."""
+
+    experiment: int
     channel: str
-    rows: np.ndarray
+    time: np.ndarray
     at: slice
 
 
 def summed(group: Sequence[Block], residual: np.ndarray) -> np.ndarray:
-    """(m,) the residuals (rows,) of one channel in records of the same commands, added at the rows of the first."""
+    """(m,) the residuals (rows,) of one channel in records of the same commands, added at the times of the first."""
     first = group[0]
     total = residual[first.at].copy()
     for other in group[1:]:
-        total += np.interp(first.rows, other.rows, residual[other.at]) * (len(other.rows) / len(first.rows))
+        total += np.interp(first.time, other.time, residual[other.at]) * (len(other.time) / len(first.time))
     return total
 
 
 class Problem:
-    """The residual of `names` over `records`, as a function of coordinates.
+    """The residual of a model over experiments; `names` are free, `values` holds the rest.
 
-    `values`: all parameter values of the model, of which those in `names` are free. `channels`: what of "thrust", "omega"
-    counts where a record has it. `twin`: for each record the number of the first one with the same inputs; such records are
-    simulated once, and what the model lacks is the same in all of them.
+    Its rows: thrust by experiment, then speed by experiment, a prior's last. `scale` divides each channel's residual: what the
+    fit leaves there, so that neither channel dictates.
     """
 
     def __init__(
         self,
         model: Model,
-        records: Sequence[Record],
+        experiments: Sequence[Experiment],
         values: Mapping[str, float],
         names: Sequence[str],
         prior: Prior | None = None,
-        channels: Sequence[str] = CHANNELS,
         slow_first: Mapping[str, bool] | None = None,
     ):
-        self.model, self.records, self.values = model, tuple(records), dict(values)
+        self.model, self.experiments, self.values, self.prior = model, tuple(experiments), dict(values), prior
         self.coordinates = Coordinates(model, names, slow_first)
-        self.prior = prior
-        self._simulator = Simulator(model, names)
-        self._thrust, self._omega = (self._simulator.outputs.index(n) for n in CHANNELS)
-        inputs = [u.name for u in model.inputs]
-        self.twin = tuple(next(k for k, r in enumerate(self.records) if _same_run(r, own, inputs)) for own in self.records)
-        self._blocks: list[Block] = []
-        self._tachometers: dict[int, Tachometer] = {}
-        self.std: dict[str, float] = {}
-        size = 0
-        for i, record in enumerate(self.records):
-            for channel in channels:
-                rows = self._rows(i, record, channel)
-                if len(rows):
-                    self._blocks.append(Block(i, channel, rows, slice(size, size + len(rows))))
-                    self.std[channel] = 1.0 if channel == "omega" else values["thrust_scale"]
-                    size += len(rows)
-        self.size = size
+        self.scale = dict.fromkeys(("thrust", "omega"), 1.0)
+
+    def but(self, skips: Sequence[float]) -> "Problem":
+        """The same, weighed as it is, with other run-ins [s] of its experiments."""
+        experiments = [e if e.skip == s else e.but(skip=s) for e, s in zip(self.experiments, skips, strict=True)]
+        c = self.coordinates
+        found = type(self)(self.model, experiments, self.values, c.names, self.prior, c.slow_first)
+        found.scale = dict(self.scale)
+        return found
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """The model's, with sensitivities in what is free."""
+        return Simulator(self.model, self.coordinates.names)
 
     @property
+    def size(self) -> int:
+        """Rows of the residual without the prior's."""
+        return sum(sum(e.sizes.values()) for e in self.experiments)
+
+    @cached_property
     def blocks(self) -> tuple[Block, ...]:
-        """Where each channel of each record stands in the residual; a prior's rows come last."""
-        return tuple(self._blocks)
+        """Where each channel of each experiment stands in the residual."""
+        times = [(i, "thrust", e.thrust_time) for i, e in enumerate(self.experiments)]
+        times += [(i, "omega", time) for i, e in enumerate(self.experiments) for time in e.omega_times]
+        ends = np.cumsum([len(time) for _, _, time in times]).tolist()
+        return tuple(Block(i, c, t, slice(end - len(t), end)) for (i, c, t), end in zip(times, ends, strict=True) if len(t))
 
     @property
     def groups(self) -> tuple[tuple[Block, ...], ...]:
-        """The same, those of one channel in records with the same inputs together."""
+        """The same, those of one channel in records of the same commands together: what the model lacks is shared there."""
         together: dict[tuple[int, str], list[Block]] = {}
-        for block in self._blocks:
-            together.setdefault((self.twin[block.record], block.channel), []).append(block)
+        for block in self.blocks:
+            together.setdefault((block.experiment, block.channel), []).append(block)
         return tuple(map(tuple, together.values()))
 
+    @property
+    def times(self) -> list[tuple[np.ndarray, float]]:
+        """(time [s] of each row, length [s] of its record), in the residual's order."""
+        return [(b.time, float(self.experiments[b.experiment].record.time[-1])) for b in self.blocks]
+
+    def residuals(self, outputs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        """Each channel's residual (n,), unscaled, from the outputs (rows, 3) of each experiment."""
+        thrust = [e.thrust_residual(y[:, 0]) for e, y in zip(self.experiments, outputs, strict=True)]
+        found = {"thrust": np.concatenate(thrust)}
+        omega = [e.omega_residual(y[:, 1]) for e, y in zip(self.experiments, outputs, strict=True) if len(e.omega_time)]
+        if omega:
+            found["omega"] = np.concatenate(omega)
+        return found
+
+    def columns(self, tangents: Sequence[np.ndarray], outputs: Sequence[np.ndarray] | None = None) -> dict[str, np.ndarray]:
+        """Each channel's sensitivities (n, ...), unscaled, from those of the outputs (rows, 3, ...) of each experiment.
+
+        `outputs`: where they are taken, for what a coarse converter makes of them; None: as if it were fine.
+        """
+        pairs = list(zip(self.experiments, tangents, strict=True))
+        slopes = [e.converter.slope(y[:, 0]) for e, y in zip(self.experiments, outputs or (), strict=False)]
+        thrust = [d[:, 0] for d in tangents]
+        thrust = [(d.T * slope).T for d, slope in zip(thrust, slopes, strict=True)] if slopes else thrust
+        found = {"thrust": np.concatenate([e.thrust_columns(d) for e, d in zip(self.experiments, thrust, strict=True)])}
+        omega = [e.omega_columns(d[:, 1]) for e, d in pairs if len(e.omega_time)]
+        if omega:
+            found["omega"] = np.concatenate(omega)
+        return found
+
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual and Jacobian (rows, coordinates) at `x`."""
+        """Scaled residual, the prior's rows last, and Jacobian (rows, coordinates) at coordinates `x`."""
         return self.rows(self.coordinates.values(x), self.coordinates.jacobian(x))
 
     def rows(self, values: Mapping[str, float], inner: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian (rows, k) at the free parameters' `values` by name, in what these have the derivatives `inner`
-        (names, k) in; None: in the parameters themselves.
-
-        Records are run in pieces: of a long one, all sensitivities are larger than the Jacobian that is made of them.
-        """
+        (names, k) in; None: in the parameters themselves."""
         found, names = self.values | dict(values), self.coordinates.names
         inner = np.eye(len(names)) if inner is None else inner
         known = 0 if self.prior is None else len(self.prior.names)
-        residual, jacobian = np.empty(self.size + known), np.empty((self.size + known, inner.shape[1]))
-        for first in dict.fromkeys(self.twin):
-            record, blocks = self.records[first], [b for b in self._blocks if self.twin[b.record] == first]
-            outputs = np.empty((len(record), len(self._simulator.outputs)))
-            heard = any(b.channel == "omega" for b in blocks)
-            speed = np.empty((len(record) * heard, len(names)))
-            for at, shown, tangents in self._simulator.pieces(found, record.columns, record.steps):
-                outputs[at] = shown
-                if heard:
-                    speed[at] = tangents[:, self._omega]
-                for block in blocks:
-                    if block.channel == "thrust":
-                        part = slice(*np.searchsorted(block.rows, (at.start, at.stop)))
-                        own = tangents[block.rows[part] - at.start, self._thrust] / self.std["thrust"]
-                        jacobian[block.at][part] = own @ inner
-            for block in blocks:
-                residual[block.at], std = self._error(block, self.records[block.record], outputs)
-                if block.channel == "omega":
-                    jacobian[block.at] = self._tachometers[block.record].shows(speed) / std[:, None] @ inner
+        jacobian, outputs = np.empty((self.size + known, inner.shape[1])), []
+        place = {"thrust": 0, "omega": sum(e.sizes["thrust"] for e in self.experiments)}
+        for e in self.experiments:
+            shown, own = e.sensitivities(self.simulator, found)
+            outputs.append(shown)
+            for c, columns in own.items():
+                at = slice(place[c], place[c] + len(columns))
+                np.matmul(columns, inner / self.scale[c], out=jacobian[at])
+                place[c] = at.stop
+        residual = self._with_prior(found, outputs)
         if self.prior is not None:
-            residual[self.size :], own = self.prior.rows(found, names)
-            jacobian[self.size :] = own @ inner
+            jacobian[self.size :] = self.prior.rows(found, names)[1] @ inner
         return residual, jacobian
 
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+    def residual_at(self, values: Mapping[str, float]) -> np.ndarray:
         """The same residual alone, from a simulation without sensitivities."""
         found = self.values | dict(values)
-        residual = np.empty(self.size + (0 if self.prior is None else len(self.prior.names)))
-        for first in dict.fromkeys(self.twin):
-            record = self.records[first]
-            outputs = self._simulator.simulate(found, record.columns, record.steps)
-            for block in self._blocks:
-                if self.twin[block.record] == first:
-                    residual[block.at] = self._error(block, self.records[block.record], outputs)[0]
-        if self.prior is not None:
-            residual[self.size :], _ = self.prior.rows(found, self.coordinates.names)
-        return residual
+        return self._with_prior(found, self.outputs(found))
+
+    def outputs(self, values: Mapping[str, float]) -> list[np.ndarray]:
+        """Outputs (rows, 3) of the model in each experiment, at all its parameters' `values`."""
+        return [self.simulator.simulate(values, e.record.columns, e.record.steps) for e in self.experiments]
+
+    def _with_prior(self, found, outputs):
+        residual = np.concatenate([r / self.scale[c] for c, r in self.residuals(outputs).items()])
+        return residual if self.prior is None else np.append(residual, self.prior.rows(found, self.coordinates.names)[0])
+
+    def thrust_errors(self, values: Mapping[str, float]) -> list[np.ndarray]:
+        """Predicted less measured thrust [N] of every record, the rows (rows with thrust,) as they are."""
+        runs = zip(self.outputs(values), self.experiments, strict=True)
+        pairs = [(shown[:, 0], one.record["thrust"]) for shown, e in runs for one in e.records]
+        return [(predicted - measured)[np.isfinite(measured)] for predicted, measured in pairs]
+
+    def fit(self, start: Mapping[str, float]) -> Solution:
+        """Fit from `start`, then once more with the channels weighed by what the first fit left: to compare with other fits."""
+        found = self._solve(self.coordinates.vector(start), WEIGHED, 40)
+        self.weigh(found.residual)
+        return self.refit(found.value)
+
+    def refit(self, x: np.ndarray, limit: int = 12) -> Solution:
+        """The same from coordinates `x` under the present weights."""
+        return self._solve(x, ENOUGH, limit)
 
     def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
         """Fit from `start` under the present weights. `enough`: log-likelihood (of noise of unknown size) that a step must
         bring for the search to go on, and then the Jacobian need not be the solution's own; 0: as far as numbers go."""
-        c = self.coordinates
+        return self._solve(self.coordinates.vector(start), enough, 100)
 
-        def residual_at(x: np.ndarray) -> np.ndarray:
-            return self.residual(c.values(x))
-
-        tolerance = 2.0 * enough / self.size if enough else EXACT
-        return solve(self.evaluate, c.vector(start), c.lower, c.upper, tolerance, residual_at=residual_at, tangent=not enough)
+    def _solve(self, x, enough, limit):
+        c, tolerance = self.coordinates, 2.0 * enough / self.size if enough else EXACT
+        return solve(
+            self.evaluate, x, c.lower, c.upper, tolerance, limit, lambda x: self.residual_at(c.values(x)), tangent=not enough
+        )
 
     def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
         """Fit from `start`, and weigh the channels by what the fit leaves in them, until the two agree.
 
         All fits, the last is the result, the others are slim; each has its own weights, so their costs do not compare.
         """
-        rounds = REWEIGHTS if len(self.std) > 1 or self.prior is not None else 0
+        rounds = REWEIGHTS if len({b.channel for b in self.blocks}) > 1 or self.prior is not None else 0
         found = [self.solve(start, WEIGHED if rounds else 0.0)]
         for k in range(rounds):
             self.weigh(found[-1].residual)
@@ -205,42 +259,19 @@ class Problem:
         residual, jacobian = self.evaluate(found.value)
         return replace(found, residual=residual, jacobian=jacobian)
 
-    def thrust_error(self, record: int, values: Mapping[str, float]) -> np.ndarray:
-        """Predicted less measured thrust (rows with thrust,) N of one record."""
-        columns, steps = self.records[record].columns, self.records[record].steps
-        predicted = self._simulator.simulate(values, columns, steps)[:, self._thrust]
-        measured = columns["thrust"]
-        return (predicted - measured)[np.isfinite(measured)]
-
     def weigh(self, residual: np.ndarray) -> None:
-        """Set each channel's standard deviation from a residual under the present ones."""
-        for channel in self.std:
+        """Set the channels' scales from a residual under the present ones."""
+        for channel in self.scale:
             groups = [g for g in self.groups if g[0].channel == channel]
-            rows = [len(g) * len(g[0].rows) for g in groups]
-            # The mean of n independent records has a variance of 1 / n, that of what they share has none the less.
-            variances = [np.mean(summed(g, residual) ** 2) / len(g) for g in groups]
-            self.std[channel] *= float(np.sqrt(np.average(variances, weights=rows))) or 1.0
+            if groups:
+                rows = [len(g) * len(g[0].time) for g in groups]
+                # The mean of n independent records has a variance of 1 / n, that of what they share has none the less.
+                variances = [np.mean(summed(g, residual) ** 2) / len(g) for g in groups]
+                self.scale[channel] *= float(np.sqrt(np.average(variances, weights=rows))) or 1.0
 
-    def _rows(self, i, record, channel):
-        if channel not in record:
-            return np.zeros(0, int)
-        if channel == "omega":
-            self._tachometers[i] = Tachometer(record)
-            return self._tachometers[i].rows
-        return np.flatnonzero(np.isfinite(record[channel]))
-
-    def _error(self, block, record, outputs):
-        """(predicted less measured, in standard deviations; these)."""
-        if block.channel == "omega":
-            tachometer = self._tachometers[block.record]
-            std = tachometer.std * self.std["omega"]
-            return (tachometer.shows(outputs[:, self._omega]) - tachometer.measured) / std, std
-        std = self.std["thrust"]
-        return (outputs[block.rows, self._thrust] - record["thrust"][block.rows]) / std, std
-
-
-def _same_run(a: Record, b: Record, inputs: Sequence[str]) -> bool:
-    """Whether the model's response to both records is the same."""
-    if len(a) != len(b) or not np.array_equal(a.steps, b.steps):
-        return False
-    return all((name in a) == (name in b) and (name not in a or np.array_equal(a[name], b[name])) for name in inputs)
+    def score_of(self, residual: np.ndarray) -> Score:
+        """The score that a scaled residual, as `evaluate` gives it under the present scales, stands for."""
+        counts = {c: sum(e.sizes.get(c, 0) for e in self.experiments) for c in self.scale}
+        counts = {c: n for c, n in counts.items() if n}
+        parts = np.split(residual, np.cumsum(list(counts.values())))
+        return Score({c: self.scale[c] ** 2 * float(p @ p) for c, p in zip(counts, parts, strict=False)}, counts)

@@ -11,16 +11,24 @@ What a model lacks is the same in every record of the same commands: such record
 summed before the scores are, so what they share counts as shared, and what is noise averages out.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from identification.fit.bands import ORDINATES, banded
 from identification.fit.coordinates import Coordinates
 from identification.fit.least_squares import Solution
-from identification.fit.problem import Problem, summed
+from identification.fit.problem import Prior, Problem, summed
 
 NORMAL_95 = 1.959963984540054
+
+UNTOLD = 1e-10
+"""Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
+
+WIDEST = 100.0
+"""How much wider than its own scatter knowledge is taken at most: nothing is left of it then."""
 
 SINGULAR = 1e-15
 """Ratio of a covariance's least to its largest eigenvalue that is rounding."""
@@ -43,6 +51,12 @@ class Uncertainty:
     inflation: np.ndarray
     reach: np.ndarray | None = None
     profiled: tuple[str, ...] = ()
+    left_open: tuple[str, ...] = ()
+
+    def renamed(self, names: Mapping[str, str]) -> "Uncertainty":
+        """The same under other names, by the names it has."""
+        own, profiled, left_open = (tuple(names.get(n, n) for n in ns) for ns in (self.names, self.profiled, self.left_open))
+        return replace(self, names=own, profiled=profiled, left_open=left_open)
 
     @property
     def std(self) -> np.ndarray:
@@ -85,7 +99,7 @@ class Uncertainty:
 def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     """Covariance of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance."""
     coordinates = problem.coordinates
-    free, inverse = _free(problem, found)
+    free, inverse, blind = _free(problem, found)
     j, e = found.jacobian[:, free], found.residual
     prior = slice(problem.size, len(e))
     known = j[prior].T @ j[prior]
@@ -95,13 +109,39 @@ def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     std = np.zeros(len(found.value))
     std[free] = np.sqrt(np.diag(coloured))
     tangent = coordinates.jacobian(found.value)[:, free]
+    size = np.linalg.norm(found.jacobian[:, free], axis=0)
+    away = tangent / np.where(size > 0.0, size, 1.0)
+    unknown = np.linalg.norm(away @ blind, axis=1) > np.sqrt(UNTOLD) * np.linalg.norm(away, axis=1)
     covariance, plain = (tangent @ c @ tangent.T for c in (coloured, plain))
     with np.errstate(invalid="ignore", divide="ignore"):
         inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(plain)), nan=1.0, posinf=1.0)
     values = np.array(list(coordinates.values(found.value).values()))
     sides = (slope[:, free] for slope in _secants(coordinates, found.value, NORMAL_95 * std))
     reach = NORMAL_95 * np.column_stack([np.sqrt(np.diag(side @ coloured @ side.T)) for side in sides])
-    return Uncertainty(coordinates.names, values, covariance, inflation, reach)
+    left_open = tuple(n for n, is_open in zip(coordinates.names, unknown, strict=True) if is_open)
+    return Uncertainty(coordinates.names, values, covariance, inflation, reach, left_open=left_open)
+
+
+def disagreement(told: Prior, doubt: Uncertainty) -> float:
+    """How much wider knowledge must be for records to agree with it, from 1 to WIDEST. `doubt`: of a fit to the records that it
+    hardly held.
+
+    What is missing in a model bends records and steady points, and not alike. The factor f solves d' (C + f^2 S)^-1 d = k, d
+    (k,) the differences, C and S the covariances of records and knowledge (Birge, 1932; Mandel and Paule, 1970): where the
+    records tell little, knowledge keeps its word.
+    """
+    names = [n for n in told.names if n in doubt.names and n not in doubt.left_open]
+    own, its = [doubt.names.index(n) for n in names], [told.names.index(n) for n in names]
+    away = doubt.values[own] - told.mean[its]
+    records, known = doubt.covariance[np.ix_(own, own)], told.covariance[np.ix_(its, its)]
+
+    def excess(log_factor: float) -> float:
+        return float(away @ np.linalg.solve(records + np.exp(2.0 * log_factor) * known, away)) - len(names)
+
+    most = float(np.log(WIDEST))
+    if not names or excess(0.0) <= 0.0:
+        return 1.0
+    return WIDEST if excess(most) >= 0.0 else float(np.exp(brentq(excess, 0.0, most)))
 
 
 def _secants(coordinates: Coordinates, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,29 +186,31 @@ def restored(problem: Problem, found: Solution) -> np.ndarray:
     What a bootstrap should draw from: a fit of steady levels absorbs a good part of what is slow. It takes from the mean of
     records of the same commands, and nothing from their differences.
     """
-    free, inverse = _free(problem, found)
+    free, inverse, _ = _free(problem, found)
     residual = found.residual.copy()
     for group in problem.groups:
         first, count = group[0], len(group)
-        mean, m = summed(group, found.residual) / count, len(first.rows)
+        mean, m = summed(group, found.residual) / count, len(first.time)
         j = np.fft.rfft(found.jacobian[first.at][:, free], axis=0)
         taken = np.fft.irfft(np.fft.rfft(mean) / np.sqrt(_left(j, inverse * count, m)), m) - mean
         for block in group:
-            residual[block.at] += np.interp(block.rows, first.rows, taken)
+            residual[block.at] += np.interp(block.time, first.time, taken)
     return residual
 
 
 def _free(problem, found):
-    """(coordinates that vary, inverse of their normal matrix).
+    """(coordinates that vary, inverse of their normal matrix, directions (n, k) of which the records tell nothing, each column
+    in units of the coordinates' influence).
 
     A double pole is no bound to hold them: the response is smooth through it, only the constants' names end there.
     """
     coordinates, held = problem.coordinates, found.active.copy()
     held[[j for _, j in coordinates.pairs if found.value[j] <= coordinates.lower[j]]] = False
-    free = np.flatnonzero(~held & (np.linalg.norm(found.jacobian, axis=0) > 0))
-    return free, _inverse(found.jacobian[:, free].T @ found.jacobian[:, free])
-
-
-def _inverse(normal: np.ndarray) -> np.ndarray:
+    free = np.flatnonzero(~held)
+    normal = found.jacobian[:, free].T @ found.jacobian[:, free]
     size = np.sqrt(np.diag(normal))
-    return np.linalg.pinv(normal / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size)
+    size = np.where(size > 0.0, size, 1.0)
+    told, axes = np.linalg.eigh(normal / np.outer(size, size))
+    known = told > UNTOLD * told[-1] if len(told) else np.zeros(0, bool)
+    inverse = (axes[:, known] / told[known]) @ axes[:, known].T / np.outer(size, size)
+    return free, inverse, axes[:, ~known]

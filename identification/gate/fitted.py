@@ -163,25 +163,21 @@ def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Ite
     constant = np.zeros(len(solution.residual))
     blocks = [b for b in problem.blocks if b.channel == "thrust"]
     for block in blocks:
-        constant[block.at] = 1.0 / problem.std["thrust"]
+        e = problem.experiments[block.experiment]
+        constant[block.at] = e.thrust_columns(np.ones(len(e.record))) / problem.scale["thrust"]
     jacobian, free = solution.jacobian, np.ix_(~solution.active, ~solution.active)
     inverse = np.zeros((jacobian.shape[1], jacobian.shape[1]))
     inverse[free] = np.linalg.pinv((jacobian.T @ jacobian)[free], hermitian=True)
     own = constant - jacobian @ (inverse @ (jacobian.T @ constant))
-    information = float(own @ own)
-    if information < 1e-3 * float(constant @ constant):  # all of it goes as well with the map
+    information, whole = float(own @ own), float(constant @ constant)
+    if information < 1e-3 * whole:  # all of it goes as well with the map
         return
     score = own * solution.residual
-    parts = [p.sum() for b in blocks for p in np.array_split(score[b.at], _seconds(problem.records[b.record]))]
+    parts = [p.sum() for b in blocks for p in np.array_split(score[b.at], max(2, int(np.ptp(b.time) / SECOND)))]
     offset = -float(score.sum()) / information
     std = float(np.sqrt(np.sum(np.square(parts)))) / information
-    thrust = np.concatenate([solution.residual[b.at] for b in blocks]) * problem.std["thrust"]
-    above = float(np.sum(thrust**2)) - len(thrust) * (noise or 0.0) ** 2
-    taken = (problem.std["thrust"] * offset) ** 2 * information
+    left = np.mean(np.concatenate(problem.thrust_errors(found.values)) ** 2)  # N^2 a reading
+    above, taken = float(left) - (noise or 0.0) ** 2, offset**2 * information / whole
     if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and (noise is None or taken > MOST * above):
         told = f"the reading is {offset:+.3g} ± {std:.1g} N off the map, whatever is commanded"
         yield Finding("tare", where, "thrust", offset, "N", told, "the sensor was not tared")
-
-
-def _seconds(record) -> int:
-    return max(2, int((record.time[-1] - record.time[0]) / SECOND))

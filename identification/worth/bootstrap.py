@@ -16,13 +16,13 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
-from identification.fit.problem import Prior, Problem
+from identification.fit.problem import Block, Prior, Problem
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import restored
 from identification.workers import spread
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.record import Record
 
 BLOCK = 2.0
 """Length of a block, s: several times what the rig's residuals remember. Correlation at a lag l survives to 1 - l / BLOCK."""
@@ -62,25 +62,24 @@ class Bootstrap:
 class Fit:
     """A fitted problem as plain data that another process can be sent: the model by its effects' names.
 
-    `value` (n,): the optimum's coordinates; `std`: the channels' weights; `residual` (rows,): what is drawn from. The rest as
+    `value` (n,): the optimum's coordinates; `scale`: the channels' weights; `residual` (rows,): what is drawn from. The rest as
     `Problem` takes it.
     """
 
     effects: tuple[str, ...]
-    records: tuple[Record, ...]
+    experiments: tuple[Experiment, ...]
     values: Mapping[str, float]
     names: tuple[str, ...]
     prior: Prior | None
     slow_first: Mapping[str, bool]
-    std: Mapping[str, float]
+    scale: Mapping[str, float]
     value: np.ndarray
     residual: np.ndarray
 
     def problem(self) -> Problem:
         """The problem, under the weights that it was fitted with."""
-        model, channels = plant(self.effects), tuple(self.std)
-        problem = Problem(model, self.records, self.values, self.names, self.prior, channels, self.slow_first)
-        problem.std.update(self.std)
+        problem = Problem(plant(self.effects), self.experiments, self.values, self.names, self.prior, self.slow_first)
+        problem.scale.update(self.scale)
         return problem
 
 
@@ -105,12 +104,12 @@ def _fit(refinement: Refinement) -> Fit:
     problem = refinement.problem
     return Fit(
         effects=problem.model.optional,
-        records=problem.records,
+        experiments=problem.experiments,
         values=problem.values,
         names=problem.coordinates.names,
         prior=problem.prior,
         slow_first=problem.coordinates.slow_first,
-        std=dict(problem.std),
+        scale=dict(problem.scale),
         value=refinement.solution.value,
         residual=restored(problem, refinement.solution),
     )
@@ -122,7 +121,7 @@ def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
     problem = fit.problem()
     lower, upper = problem.coordinates.lower, problem.coordinates.upper
     optimum, _ = problem.evaluate(fit.value)
-    groups = [[(b.at, _rows(problem, b)) for b in group] for group in problem.groups]
+    groups = [[(b.at, _rows(b)) for b in group] for group in problem.groups]
     samples = []
     for seed in seeds:
         drawn = _drawn(np.random.default_rng(seed), fit.residual, groups)
@@ -154,9 +153,9 @@ def _drawn(rng: np.random.Generator, residual: np.ndarray, groups: Sequence[Sequ
     return drawn
 
 
-def _rows(problem: Problem, block) -> int:
-    """Rows of a channel of a record that span BLOCK; a quarter of them all where the record is short."""
-    time = problem.records[block.record].time[block.rows]
+def _rows(block: Block) -> int:
+    """Rows of a channel that span BLOCK; a quarter of them all where the record is short."""
+    time = block.time
     if len(time) < 2:
         return 1
     return max(1, min(len(time) // 4, round(BLOCK / float(np.median(np.diff(time))))))

@@ -168,7 +168,7 @@ class Profile:
         problem, held = self.optimum.problem, {self.name: self.at + away}
 
         def residual_at(x: np.ndarray) -> np.ndarray:
-            return problem.residual(self.coordinates.values(x) | held)
+            return problem.residual_at(self.coordinates.values(x) | held)
 
         return solve(lambda x: self._evaluate(x, away), start, lower, upper, enough, residual_at=residual_at, tangent=False)
 

@@ -106,7 +106,8 @@ def _theory(problem: Problem, std: float, memory: float) -> tuple[np.ndarray, np
     coordinates = problem.coordinates
     x = coordinates.vector(TRUTH)
     _, jacobian = problem.evaluate(x)
-    of_coordinates = covariance(jacobian * problem.std["thrust"], std, memory)
+    scale = problem.experiments[0].noise.colour.innovation * problem.scale["thrust"]
+    of_coordinates = covariance(jacobian * scale, std, memory)
     values = np.array([TRUTH[n] for n in coordinates.names])
     slopes = np.vstack([np.eye(len(values)), [_slope(form, values) for form in FORMS.values()]]) @ coordinates.jacobian(x)
     theory = np.sqrt(np.einsum("ij,jk,ik->i", slopes, of_coordinates, slopes))

@@ -115,7 +115,7 @@ def of_campaign(campaign: Campaign, look: bool) -> Row:
     twice = campaign.open_loop is not None and campaign.repeat is not None
     floor = noise_floor(campaign.open_loop, campaign.repeat) if twice else None
     told = f"{name}: noise floor {'not measured' if floor is None else f'{floor:.4g} N'}"
-    error = known.refinement.problem.std.get("thrust", float("nan"))
+    error = known.predictions[known.fitted[0]].rmse_thrust
     if campaign.validation is not None:
         error = in_fmpy(known.parameters, campaign)
         told += f"; rmse on validation.csv {error:.4g} N through the FMU in fmpy"
@@ -174,7 +174,7 @@ def map_of_the_day(parameters: ParameterSet, campaign: Campaign) -> float:
     """N on the other day, the steady map alone fitted to it."""
     record = campaign.validation
     there = refine(parameters.model, [record], parameters.values, MAP, channels=("thrust",))
-    return rmse(there.problem.thrust_error(0, there.values))
+    return rmse(there.problem.thrust_errors(there.values)[0])
 
 
 def in_fmpy(parameters: ParameterSet, campaign: Campaign) -> float:

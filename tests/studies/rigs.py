@@ -16,7 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from identification.fit.problem import Problem
-from identification.fit.refine import BASE_PARAMETERS
+from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.identify import identify
 from identification.static.static_map import TERMS, design
 from identification.workers import spread
@@ -136,9 +136,9 @@ def bound(measured: Campaign, rig: Rig) -> np.ndarray:
     truth, white noise."""
     model, truth, std = BASE.sized(measured.rig.scales), rig.truth(), float(np.sqrt(rig.noise.power(np.ones(1))[0]))
     records = [r for r in (measured.open_loop, measured.repeat) if r is not None]
-    problem = Problem(model, records, model.values(truth), BASE_PARAMETERS, channels=("thrust",))
-    _, jacobian = problem.rows(truth)
-    told = np.linalg.inv(covariance(jacobian * problem.std["thrust"], std))
+    experiments = [e for r in records for e in independent_readings([r], model.values(truth), ("thrust",))]
+    _, jacobian = Problem(model, experiments, model.values(truth), BASE_PARAMETERS).rows(truth)
+    told = np.linalg.inv(covariance(jacobian * model.values(truth)["thrust_scale"], std))
     static = measured.static
     terms = design(static.omega_ref, static.beta_ref, truth) * truth["thrust_scale"] * np.sqrt(static.samples)[:, None] / std
     places = [BASE_PARAMETERS.index(n) for n in TERMS]

@@ -84,7 +84,7 @@ def key_figures(done: Demo) -> list[tuple[str, str, str]]:
 def demo_page(done: Demo) -> Page:
     """The report of the whole job."""
     found, validation = done.diagnosis, done.validation
-    described = {e.name: e.description for e in found.final.evidence.model.effects}
+    described = {e.name: e.description for e in found.final.problem.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects) or "nothing"
     before, after = done.rmse["before"], done.rmse["after"]
     page = Page(

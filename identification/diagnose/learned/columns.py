@@ -12,8 +12,8 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
-from identification.diagnose.evidence.noise import blocks
-from identification.diagnose.evidence.whitened import Experiment
+from identification.fit.experiment import Experiment
+from identification.fit.noise import blocks
 from vpp_fmu.kernel.effects.stage import INNER
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.kernel.learned import DRIVERS, PORTS

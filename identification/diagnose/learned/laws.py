@@ -36,7 +36,7 @@ def curve_of(term: Term) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def covariance_of(fit: Fit, names: list[str]) -> np.ndarray:
     """(k, k) of parameters by full name; 0 for those that were not fitted."""
     _, jacobian = fit.tangent()
-    coordinates = fit.evidence.coordinates
+    coordinates = fit.problem.coordinates
     inner = coordinates.jacobian(fit.solution.value)
     whole = inner @ np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ inner.T
     places = [coordinates.names.index(n) if n in coordinates.names else -1 for n in names]

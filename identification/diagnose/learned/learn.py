@@ -10,10 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import ttest_1samp
 
-from identification.diagnose.crossval import Held, cross_validated, thirds
-from identification.diagnose.judgement import CARRIED, FOLD_BLOCK, LEVEL, RIVALS, STRONG, TERMS, Judgement
+from identification.diagnose.crossval import Held, cross_validated, fall, thirds
+from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, TERMS, Judgement
 from identification.diagnose.lack import lack_of_fit
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.look import Lead, forms_of, look
@@ -106,7 +105,7 @@ def learn(
         best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
         if not lack_of_fit(best.fit, judge.least()).found:
             break
-        base = {n: best.fit.values[n] for n in beside.evidence.coordinates.names}
+        base = {n: best.fit.values[n] for n in beside.problem.coordinates.names}
         again = short_list(look(beside, base), [t.lead for t in terms], AGAIN)
         simpler = [lead for t in (best, *others[:UNLAGGED]) for lead in unlagged(t, [*(u.lead for u in terms), *again])]
         stage(f"refit {len(again)} more of {looks} terms")
@@ -160,26 +159,15 @@ class Carried(Judge):
         return min(min(sum(g.values()), g["thrust"]) for g in gains)
 
     def falls(self, fit: Fit, beside: Fit) -> float:
-        """p-value of a thrust error that is no smaller with a fit than with another where it was not fitted.
-
-        The difference of their squares in each block of the left-out thirds, as long as those of the folds so that they hardly
-        share anything, and in each of the step runs, which no fit of a diagnosis takes; its mean against its own scatter
-        (Diebold and Mariano, 1995; Student's t, one-sided).
-        """
-        found = []
-        pairs = zip(fit.evidence.experiments, self.carried(fit).thrust, self.carried(beside).thrust, strict=True)
-        for e, new, old in pairs:
-            block = (e.record.time / FOLD_BLOCK).astype(int)
-            seen = np.isfinite(new) & np.isfinite(old)
-            count = np.bincount(block[seen])
-            sums = np.bincount(block[seen], weights=old[seen] ** 2 - new[seen] ** 2)
-            found += (sums[count > 0] / count[count > 0]).tolist()
-        found += [old - new for old, new in zip(self.errors(beside), self.errors(fit), strict=True)]
-        return float(ttest_1samp(found, 0.0, alternative="greater").pvalue) if np.std(found) > 0.0 else 1.0
+        """p-value of a thrust error that is no smaller with a fit than with another where it was not fitted: on the left-out
+        thirds, and in each of the step runs, which no fit of a diagnosis takes."""
+        triples = zip(fit.problem.experiments, self.carried(beside).thrust, self.carried(fit).thrust, strict=True)
+        further = [old - new for old, new in zip(self.errors(beside), self.errors(fit), strict=True)]
+        return fall([(e.record.time, old, new) for e, old, new in triples], further)
 
     def errors(self, fit: Fit) -> list[float]:
         """Mean square of the thrust's error in each of the step runs, N^2."""
-        simulator = fit.evidence.simulator
+        simulator = fit.problem.simulator
         shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self._runs]
         return [float(np.nanmean((y - r["thrust"]) ** 2)) for y, r in zip(shown, self._runs, strict=True)]
 

@@ -9,11 +9,11 @@ from itertools import product
 
 import numpy as np
 
-from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.judgement import needed_fall
 from identification.diagnose.learned.columns import Course, hats, holds, knots_of, lagged, plays, relay
 from identification.diagnose.learned.score import Scored, Scores
 from identification.diagnose.search.fits import Fit
+from identification.fit.linearised import Linearised
 from vpp_fmu.kernel.effects.stage import INNER, OUTER
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 
@@ -79,13 +79,13 @@ class Lead:
 
 def look(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
     """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands."""
-    evidence, simulator = fit.evidence, fit.evidence.simulator
-    x = fit.solution.value if values is None else evidence.coordinates.vector({**fit.values, **values})
-    at = {**fit.values, **evidence.coordinates.values(x)}
-    residual, jacobian = evidence.evaluate(x)
-    about = Linearised(evidence, x, residual, jacobian)
-    courses = [Course.of(e, at, simulator.simulate(at, e.record.columns, e.record.steps)) for e in evidence.experiments]
-    scores = Scores(about, jacobian[: evidence.size], courses, evidence.scale, evidence.times)
+    problem, simulator = fit.problem, fit.problem.simulator
+    x = fit.solution.value if values is None else problem.coordinates.vector({**fit.values, **values})
+    at = {**fit.values, **problem.coordinates.values(x)}
+    residual, jacobian = problem.evaluate(x)
+    about = Linearised(problem, x, residual, jacobian)
+    courses = [Course.of(e, at, simulator.simulate(at, e.record.columns, e.record.steps)) for e in problem.experiments]
+    scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times)
     leads = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
     found = [replace(lead, needed=needed_fall(lead.scored.rank, len(leads)), looks=len(leads)) for lead in leads]
     return sorted(found, key=lambda lead: -lead.scored.held)

@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 
 from identification.diagnose.crossval import informed_inverse, thirds
-from identification.diagnose.evidence.linearised import Linearised
 from identification.diagnose.learned.columns import Course
+from identification.fit.linearised import Linearised
 
 DEPENDENT = 1e-3
 """Size of a direction over that of the strongest below which columns count as the same one."""

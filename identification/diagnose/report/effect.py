@@ -3,8 +3,8 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.search.fits import Fit
+from identification.fit.noise import blocks
 from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, behind_against_before, reached_against_commanded, stacked
@@ -44,12 +44,12 @@ class Outputs(dict):
 
 
 def _simulated(fit: Fit, columns, steps, changes=()) -> Outputs:
-    outputs = fit.evidence.simulator.simulate({**fit.values, **dict(changes)}, columns, steps)
+    outputs = fit.problem.simulator.simulate({**fit.values, **dict(changes)}, columns, steps)
     return Outputs(zip(OUTPUTS, outputs.T, strict=True))
 
 
 def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Outputs]:
-    effect = next(e for e in fit.evidence.model.effects if e.name == name)
+    effect = next(e for e in fit.problem.model.effects if e.name == name)
     off = {effect.full(n): v for n, v in effect.off.items()}
     return _simulated(fit, record.columns, record.steps), _simulated(fit, record.columns, record.steps, off)
 
@@ -83,7 +83,7 @@ def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) ->
     """Outputs (stairs,) at the end of each stair of a command, everything else standing."""
     rows = round(HOLD / STEP)
     n = len(stairs) * rows
-    inputs = [u.name for u in fit.evidence.model.inputs if not u.clock]
+    inputs = [u.name for u in fit.problem.model.inputs if not u.clock]
     columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
     columns[command] = np.repeat(stairs, rows)
     outputs = _simulated(fit, columns, np.full(n - 1, STEP))

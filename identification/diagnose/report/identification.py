@@ -3,7 +3,6 @@ it."""
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.search.fits import Fit
-from identification.diagnose.uncertainty import uncertainty_of
 from identification.fit.uncertainty import NORMAL_95
 
 
@@ -12,7 +11,7 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
 
     Where the campaign was identified first, with what that told of the static map and the steps.
     """
-    doubt, left_open = uncertainty_of(fit, found.renamed(fit))
+    doubt = fit.doubt.renamed(found.renamed(fit))
     first = found.identification.summary() if found.identification is not None else {}
     condition, weakest, spread = doubt.directions()
     records = {one.name: one.record for one in found.fitted}
@@ -20,8 +19,9 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
     shown = {name: found.prediction(fit, record) for name, record in records.items()}
     rows = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
     parameters = {
-        name: {"value": value, "std": std, "interval": interval, "interval_from": "covariance"}
+        name: {"value": value, "std": std, "interval": interval, "interval_from": doubt.kind(name)}
         for name, value, std, interval in rows
+        if name not in doubt.left_open
     }
     for name, (low, high) in fit.thresholds.items():
         entry = {"value": fit.values[name], "std": (high - low) / (2.0 * NORMAL_95), "interval": [low, high]}
@@ -33,8 +33,8 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "correlation": {"names": list(doubt.names), "matrix": doubt.correlation.tolist()},
         "condition_number": condition,
         "weakest_direction": dict(zip(doubt.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
-        "inflation_by_coloured_residuals": {},  # the residuals were whitened first
-        "not_identifiable": dict.fromkeys(left_open, "the records leave open where it is"),
+        "inflation_by_coloured_residuals": dict(zip(doubt.names, doubt.inflation.tolist(), strict=True)),
+        "not_identifiable": dict.fromkeys(doubt.left_open, "the records leave open where it is"),
         "noise_floor_thrust": found.noise.floor,
         "fitted": [one.name for one in found.fitted],
         "records": {name: p.summary() for name, p in shown.items()},

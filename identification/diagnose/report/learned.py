@@ -66,8 +66,8 @@ def data(found: Diagnosis) -> np.ndarray:
     """The driver as the fitted records go through it."""
     term, fit = found.learned.term, found.final
     lead, parts = term.lead, []
-    for e in fit.evidence.experiments:
-        outputs = fit.evidence.simulator.simulate(fit.values, e.record.columns, e.record.steps)
+    for e in fit.problem.experiments:
+        outputs = fit.problem.simulator.simulate(fit.values, e.record.columns, e.record.steps)
         course = Course.of(e, fit.values, outputs)
         v = course.driver(lead.driver, lead.port, lead.form, False)
         parts.append(lagged(v, term.values.get("lag", 0.0), course.step))

@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.evidence.noise import blocks
 from identification.diagnose.learned.told import sentence
 from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.learned import add_learned
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import artefact, errors, summary
+from identification.fit.noise import blocks
 from identification.gate.report import add_quality, quality_tile
 from vpp_fmu.digits import interval, number, signed
 from vpp_fmu.record import Record
@@ -46,7 +46,7 @@ def headline(found: Diagnosis) -> str:
         return f"{told}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
-    described = {e.name: e.description for e in found.final.evidence.model.effects}
+    described = {e.name: e.description for e in found.final.problem.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
     return f"{effects}: thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
 

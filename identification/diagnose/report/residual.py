@@ -4,8 +4,8 @@ import numpy as np
 from scipy.signal import csd
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.evidence.noise import Noise, blocks
 from identification.diagnose.locate import RATE
+from identification.fit.noise import Noise, blocks
 from identification.worth.residual_tests import NORMAL_95
 from vpp_fmu.digits import number, signed
 from vpp_fmu.record import Record
@@ -33,7 +33,7 @@ def add_residual(page: Page, found: Diagnosis) -> None:
 
 def _records(found: Diagnosis) -> list[Record]:
     """The fitted records of the first one's commands."""
-    return [one.record for one in found.base.evidence.experiments[0].records]
+    return [one.record for one in found.base.problem.experiments[0].records]
 
 
 def _residuals(found: Diagnosis, record: Record) -> dict[str, np.ndarray]:

@@ -104,7 +104,7 @@ def errors(found: Diagnosis, fit: Fit) -> dict:
 
 def _effect(found: Diagnosis, name: str) -> dict:
     fit, judged = found.selection.final, found.selection.judgements[name]
-    units = {p.name: p.unit for p in fit.evidence.model.parameters}
+    units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
     values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.doubt.get(n), "unit": units[n]} for n in own}
     intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
@@ -119,12 +119,12 @@ def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
 
     A limit that is hardly reached is known from those moments alone; what it does beyond them is an extrapolation.
     """
-    effect, simulator, found = next(e for e in fit.evidence.model.effects if e.name == name), fit.evidence.simulator, {}
+    effect, simulator, found = next(e for e in fit.problem.model.effects if e.name == name), fit.problem.simulator, {}
     for p in effect.parameters:
         if p.unlimited is None or fit.values[effect.full(p.name)] == p.unlimited:
             continue
         seconds, times = 0.0, 0
-        for e in fit.evidence.experiments:
+        for e in fit.problem.experiments:
             columns, steps = e.record.columns, e.record.steps
             ways = ({}, {effect.full(p.name): p.unlimited})
             limited, free = (simulator.simulate(fit.values | change, columns, steps) for change in ways)
@@ -162,7 +162,7 @@ def artefact(found: Diagnosis, name: str) -> str:
     that is late.
     """
     fit = found.selection.final
-    effect = next(e for e in fit.evidence.model.effects if e.name == name)
+    effect = next(e for e in fit.problem.model.effects if e.name == name)
     if effect.reading:
         told = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
         if any(u.clock for u in effect.inputs):
@@ -183,7 +183,7 @@ def _given(found: Diagnosis) -> dict:
 def _shift(found: Diagnosis) -> dict:
     before, after = (found.parameters(fit).values for fit in (found.base, found.final))
     doubt = found.doubt
-    names = found.base.evidence.coordinates.names
+    names = found.base.problem.coordinates.names
     return {n: {"before": before[n], "after": after[n], "std": doubt.get(n)} for n in names}
 
 

@@ -5,15 +5,18 @@ already bent towards what is missing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from identification.diagnose.evidence.linearised import Linearised
-from identification.diagnose.evidence.whitened import Evidence, Experiment, Score
 from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
+from identification.fit.experiment import Experiment
 from identification.fit.least_squares import Solution
-from identification.fit.problem import Prior
+from identification.fit.linearised import Linearised
+from identification.fit.problem import Prior, Problem, Score
+from identification.fit.refine import Refinement
+from identification.fit.uncertainty import NORMAL_95, Uncertainty, uncertainty
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
@@ -21,9 +24,6 @@ from vpp_fmu.native import Simulator
 BENT = 0.15
 """Log-likelihood a row that generic shapes gain beside the base from which its fit counts as bent: they then take up more than
 a quarter of the residual's power, 1 - exp(-2 BENT)."""
-
-UNTOLD = 1e-10
-"""Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Fit:
 
     `thresholds`: parameters with a piecewise constant cost, found by scanning, with the interval in which the cost stays
     within the 95 % level. `idle`: some of the effects' parameters said nothing, so that a simpler effect would do the same.
+    `estimate`: the doubt of values that are an identification's estimates; None where they are those of most evidence.
     """
 
     effects: tuple[str, ...]
@@ -42,30 +43,50 @@ class Fit:
     free: tuple[str, ...]
     slow_first: Mapping[str, bool]
     values: Mapping[str, float]
-    evidence: Evidence
+    problem: Problem
     solution: Solution
     score: Score
     thresholds: Mapping[str, tuple[float, float]]
     idle: bool
+    estimate: Uncertainty | None = None
+
+    def estimated(self, found: Refinement, doubt: Uncertainty) -> "Fit":
+        """The same effects with a refinement's values, as it estimates them. The score stays that of the evidence."""
+        values = {**self.values, **found.values}
+        return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=doubt)
+
+    @cached_property
+    def doubt(self) -> Uncertainty:
+        """What the records tell of the smooth parameters, and which of them they leave open."""
+        return self.estimate or uncertainty(self.problem, self.problem.with_rows(self.solution))
+
+    def std(self) -> dict[str, float | None]:
+        """Of all fitted parameters; a threshold's from its interval; None where the records leave open where a parameter is."""
+        found = dict(zip(self.doubt.names, self.doubt.std.tolist(), strict=True)) | dict.fromkeys(self.doubt.left_open)
+        return found | {n: (high - low) / (2.0 * NORMAL_95) for n, (low, high) in self.thresholds.items()}
+
+    def leaves_open(self, effect: Effect) -> bool:
+        """Whether the records leave open how large any of an effect's fitted parameters is."""
+        return any(effect.full(p.name) in self.doubt.left_open for p in effect.parameters)
 
     def tangent(self) -> tuple[np.ndarray, np.ndarray]:
-        """(residual, Jacobian) at the solution, as `Evidence.evaluate`."""
-        return self.evidence.evaluate(self.solution.value)
+        """(residual, Jacobian) at the solution, as `Problem.evaluate`."""
+        return self.problem.evaluate(self.solution.value)
 
     def linearised(self) -> Linearised:
         """The model whose smooth parameters may move from the solution along straight lines."""
-        return Linearised(self.evidence, self.solution.value, *self.tangent())
+        return Linearised(self.problem, self.solution.value, *self.tangent())
 
     @property
     def at_limit(self) -> tuple[str, ...]:
         """Effects' parameters that ended on a bound."""
-        active = dict(zip(self.evidence.coordinates.names, self.solution.active, strict=True))
+        active = dict(zip(self.problem.coordinates.names, self.solution.active, strict=True))
         return tuple(n for n in self.free if active.get(n, False))
 
     @property
     def at_bound(self) -> tuple[str, ...]:
         """Of these, those whose bound is no form of its own."""
-        meant = {p.name for p in self.evidence.model.parameters if p.limit_form}
+        meant = {p.name for p in self.problem.model.parameters if p.limit_form}
         return tuple(n for n in self.at_limit if n not in meant)
 
     @property
@@ -116,15 +137,15 @@ class Searcher:
         idle = [n for n in free if n not in smooth and n not in stuck]
         # What these data don't reach, where a look left it, others might: it is off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
-        evidence = Evidence(model, self.experiments, values, [*self.names, *smooth], self.prior, slow_first)
-        solution, intervals = evidence.fit(values), {}
+        problem = Problem(model, self.experiments, values, [*self.names, *smooth], self.prior, slow_first)
+        solution, intervals = problem.fit(values), {}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
-            solution, intervals[name] = scan(evidence, solution, name, WHOLE if thorough else NEAR)
-        found = evidence.values | evidence.coordinates.values(solution.value)
-        score = evidence.score_of(solution.residual)
+            solution, intervals[name] = scan(problem, solution, name, WHOLE if thorough else NEAR)
+        found = problem.values | problem.coordinates.values(solution.value)
+        score = problem.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
         return Fit(
-            tuple(effects), dict(forms), told, slow_first or {}, found, evidence, solution.slim(), score, intervals, bool(idle)
+            tuple(effects), dict(forms), told, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
         )
 
     def bent(self, fit: Fit) -> bool:

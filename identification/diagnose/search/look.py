@@ -13,10 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from identification.diagnose.evidence.linearised import Linearised
-from identification.diagnose.evidence.whitened import Evidence
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit
+from identification.fit.linearised import Linearised
+from identification.fit.problem import Problem
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
@@ -51,15 +51,15 @@ class Looks:
     """The looks beside one fit. `start`: where the parameters stood before any fit; `bent`: look from there, too."""
 
     def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], bent: bool):
-        library, evidence = tuple(library), fit.evidence
+        library, problem = tuple(library), fit.problem
         about = fit.linearised()
         cost = 0.5 * float(about.residual @ about.residual)
         self._looks = [(_Look(about, cost, fit.effects, library), fit.slow_first)]
         if bent:
             for order in (True, False):
                 slow_first = {**fit.slow_first, "beta": order}
-                there = Evidence(evidence.model, evidence.experiments, fit.values, evidence.coordinates.names, None, slow_first)
-                there.scale = evidence.scale
+                there = Problem(problem.model, problem.experiments, fit.values, problem.coordinates.names, None, slow_first)
+                there.scale = problem.scale
                 x = there.coordinates.vector({**fit.values, **start})
                 self._looks.append((_Look(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first))
 

@@ -144,8 +144,8 @@ def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
     swapped = dict(fit.values)
     for u in channels:
         swapped |= {f"tau_{u}_1": fit.values[f"tau_{u}_2"], f"tau_{u}_2": fit.values[f"tau_{u}_1"]}
-    there = fit.evidence.residual_at(swapped) - fit.evidence.residual_at(fit.values)
-    return bool(np.max(np.abs(there[: fit.evidence.size]), initial=0.0) < SAME_RESPONSE)
+    there = fit.problem.residual_at(swapped) - fit.problem.residual_at(fit.values)
+    return bool(np.max(np.abs(there[: fit.problem.size]), initial=0.0) < SAME_RESPONSE)
 
 
 def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit]) -> Fit:
@@ -174,7 +174,7 @@ def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
     axes = {n: [candidate.off[n], *candidate.axis(n)] for n in candidate.sizes if fit.values[n] == candidate.off[n]}
     if not axes or len(candidate.sizes) == 1:
         return fit
-    about, simulator = fit.linearised(), fit.evidence.simulator
+    about, simulator = fit.linearised(), fit.problem.simulator
     points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
     costs = [about.cost(simulator, point) for point in points]
     if costs[0] - min(costs) < 1.0:  # the first is the fit as it is

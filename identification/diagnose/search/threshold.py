@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnose.evidence.linearised import Linearised
-from identification.diagnose.evidence.whitened import Evidence, Experiment
+from identification.fit.experiment import Experiment
 from identification.fit.least_squares import Solution
+from identification.fit.linearised import Linearised
+from identification.fit.problem import Problem
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 
@@ -52,27 +53,27 @@ def _grid(model: Model, name: str, count: int) -> np.ndarray:
 
 
 def scan(
-    evidence: Evidence, solution: Solution, name: str, grids: tuple[float | None, ...] = WHOLE
+    problem: Problem, solution: Solution, name: str, grids: tuple[float | None, ...] = WHOLE
 ) -> tuple[Solution, tuple[float, float]]:
     """Close in on the threshold `name`: (solution at its best value, which `evidence` then holds; 95 % interval).
 
     The interval is of the value itself: between the commands that bound it nothing can tell where it lies.
     """
-    simulator = evidence.simulator
+    simulator = problem.simulator
     for near in grids:
-        spread = near if evidence.values[name] > 0.0 else None  # nothing is near 0 by ratio
-        about = Linearised.of(evidence, solution)
-        whole = _grid(evidence.model, name, FINE)
-        ends = evidence.values[name] / (spread or 1.0), min(whole[-1], evidence.values[name] * (spread or 1.0))
+        spread = near if problem.values[name] > 0.0 else None  # nothing is near 0 by ratio
+        about = Linearised.of(problem, solution)
+        whole = _grid(problem.model, name, FINE)
+        ends = problem.values[name] / (spread or 1.0), min(whole[-1], problem.values[name] * (spread or 1.0))
         grid = (whole if spread is None else np.geomspace(*ends, 25)).tolist()
         costs = [about.cost(simulator, {name: value}) for value in grid]
         best = grid[int(np.argmin(costs))]
         # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
-        evidence.values[name] = 0.5 * sum(_edges(about, simulator, name, best, min(costs) * (1 + 1e-9), whole))
-        solution = evidence.refit(solution.value)
-    about = Linearised.of(evidence, solution)
+        problem.values[name] = 0.5 * sum(_edges(about, simulator, name, best, min(costs) * (1 + 1e-9), whole))
+        solution = problem.refit(solution.value)
+    about = Linearised.of(problem, solution)
     level = about.cost(simulator, {}) + 0.5 * CHI2_95
-    return solution, _edges(about, simulator, name, evidence.values[name], level, whole)
+    return solution, _edges(about, simulator, name, problem.values[name], level, whole)
 
 
 def _edges(

@@ -1,7 +1,7 @@
 """What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the
 end."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,15 +39,20 @@ def roles(campaign: Campaign, more: Mapping[str, Record]) -> tuple[list[list[Fit
         fitted, unseen = {"validation": unseen}, None
     if not fitted:
         raise BadInput(campaign.folder, "open_loop.csv", "no such file", "a record with time, omega_ref, beta_ref, thrust")
+    groups = together([Fitted(name, record) for name, record in fitted.items()])
+    return groups, None if unseen is None else Unseen("validation", unseen)
+
+
+def together(records: Iterable[Fitted]) -> list[list[Fitted]]:
+    """Records of the same commands together, in their order."""
     groups: list[list[Fitted]] = []
-    for name, record in fitted.items():
-        one = Fitted(name, record)
+    for one in records:
         same = next((g for g in groups if _same_commands(g[0].record, one.record)), None)
         if same is None:
             groups.append([one])
         else:
             same.append(one)
-    return groups, None if unseen is None else Unseen("validation", unseen)
+    return groups
 
 
 def _same_commands(a: Record, b: Record) -> bool:

@@ -4,26 +4,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnose.evidence.whitened import Evidence
 from identification.fit.least_squares import Solution
+from identification.fit.problem import Problem
 from vpp_fmu.native import Simulator
 
 
 class Linearised:
     """`evidence` about coordinates `x`; `residual` (rows,) is what the parameters can't follow, scaled, data rows only."""
 
-    def __init__(self, evidence: Evidence, x: np.ndarray, residual: np.ndarray, jacobian: np.ndarray):
-        self._evidence, self._x, self._values = evidence, x, evidence.values | evidence.coordinates.values(x)
-        size = evidence.size
+    def __init__(self, problem: Problem, x: np.ndarray, residual: np.ndarray, jacobian: np.ndarray):
+        self._problem, self._x, self._values = problem, x, problem.values | problem.coordinates.values(x)
+        size = problem.size
         self._columns = jacobian[:size]
         # pinv: at a double pole, or at a bound, columns may coincide or vanish.
         self._inverse = np.linalg.pinv(self._columns.T @ self._columns, rcond=1e-12, hermitian=True)
         self.residual = self.apart(residual[:size])
 
     @classmethod
-    def of(cls, evidence: Evidence, solution: Solution) -> "Linearised":
+    def of(cls, problem: Problem, solution: Solution) -> "Linearised":
         """About a fit's solution."""
-        return cls(evidence, solution.value, solution.residual, solution.jacobian)
+        return cls(problem, solution.value, solution.residual, solution.jacobian)
 
     def apart(self, rows: np.ndarray) -> np.ndarray:
         """What of `rows` the fitted parameters can't follow."""
@@ -42,32 +42,32 @@ class Linearised:
 
     def followed(self, rows: np.ndarray) -> dict[str, float]:
         """Values of the fitted parameters once they have followed residual `rows` as far as they can."""
-        coordinates = self._evidence.coordinates
+        coordinates = self._problem.coordinates
         x = self._x - self._inverse @ (self._columns.T @ rows)
         return coordinates.values(np.clip(x, coordinates.lower, coordinates.upper))
 
     def outputs(self, simulator: Simulator, changes: Mapping[str, float]) -> list[np.ndarray]:
         """Outputs (rows, 3) of a simulator's model for each experiment, with `changes` to the fitted values."""
         values = {**self._values, **changes}
-        return [simulator.simulate(values, e.record.columns, e.record.steps) for e in self._evidence.experiments]
+        return [simulator.simulate(values, e.record.columns, e.record.steps) for e in self._problem.experiments]
 
     def rows(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
         """Scaled residual (rows,) of a simulator's model with `changes` to the fitted values."""
-        evidence = self._evidence
-        residuals = evidence.residuals(self.outputs(simulator, changes))
-        return np.concatenate([r / evidence.scale[c] for c, r in residuals.items()])
+        problem = self._problem
+        residuals = problem.residuals(self.outputs(simulator, changes))
+        return np.concatenate([r / problem.scale[c] for c, r in residuals.items()])
 
     def change(self, outputs: Sequence[np.ndarray]) -> np.ndarray:
         """Scaled change of the residual (rows,) for a change of the outputs, (rows, 3) for each experiment."""
-        evidence = self._evidence
-        return np.concatenate([c / evidence.scale[k] for k, c in evidence.columns(outputs).items()])
+        problem = self._problem
+        return np.concatenate([c / problem.scale[k] for k, c in problem.columns(outputs).items()])
 
     def columns(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
         """Sensitivities (rows, wrt) of the scaled residual in the parameters that a simulator has tangents for."""
-        values, evidence = {**self._values, **changes}, self._evidence
-        runs = [simulator.sensitivities(values, e.record.columns, e.record.steps) for e in evidence.experiments]
-        columns = evidence.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
-        return np.vstack([c / evidence.scale[k] for k, c in columns.items()])
+        values, problem = {**self._values, **changes}, self._problem
+        runs = [simulator.sensitivities(values, e.record.columns, e.record.steps) for e in problem.experiments]
+        columns = problem.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
+        return np.vstack([c / problem.scale[k] for k, c in columns.items()])
 
     def cost(self, simulator: Simulator, changes: Mapping[str, float]) -> float:
         """Half sum of squares with `changes`, the fitted parameters following as far as they can."""

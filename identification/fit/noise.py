@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnose.evidence.converter import grid
+from identification.fit.converter import grid
 from vpp_fmu.record import Record
 
 BLOCKS_A_TIME = 30.0
@@ -51,14 +51,24 @@ class Blocks:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(seen, values, 0.0).sum(axis=1) / seen.sum(axis=1)
 
+    def spread(self, weights: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """The transpose of `mean`: (rows,) whose product with values is that of `weights` (blocks,) with their means. `there`
+        (rows,): whether a row has a value."""
+        rows = int(self.edges[1] - self.edges[0])
+        kept = there[: self.edges[-1]].reshape(-1, rows)
+        found = np.zeros(len(there))
+        found[: self.edges[-1]] = (kept * (weights / np.maximum(kept.sum(axis=1), 1))[:, None]).ravel()
+        return found
+
 
 def blocks(record: Record, length: float) -> Blocks:
     """Blocks of equal numbers of rows, about `length` seconds each; a rest at the end is left out.
 
-    Where thrust renews more slowly than that, blocks are long enough to hold a reading each.
+    Where thrust renews more slowly than that, blocks are long enough to hold a reading each. 0: the rows as they are.
     """
-    renewed = record.time[np.isfinite(record["thrust"])]
-    length = max(length, 1.5 * float(np.median(np.diff(renewed)))) if len(renewed) < len(record) else length
+    renewed = record.time[np.isfinite(record["thrust"])] if "thrust" in record else record.time
+    if length and 1 < len(renewed) < len(record):
+        length = max(length, 1.5 * float(np.median(np.diff(renewed))))
     rows = max(1, round(length / float(np.median(record.steps))))
     edges = np.arange(0, len(record) - rows + 1, rows)
     edges = np.append(edges, edges[-1] + rows)
@@ -169,6 +179,12 @@ class Noise:
     speed: Colour
     block: float
     verified: bool
+
+
+def independent(thrust: float, floor: float = np.inf) -> Noise:
+    """Readings that are independent of each other, of a standard deviation `thrust` [N], row by row: what a fit supposes that
+    must hold up where the model lacks something. `floor` [N]: as in `Noise`, where a converter's counts matter."""
+    return Noise(floor, Colour((), (), thrust), thrust**2, Colour((), (), 1.0), 0.0, False)
 
 
 def noise_from(
