@@ -12,7 +12,7 @@ from identification.diagnose.distinguish import Distinguishability, distinguisha
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
 from identification.diagnose.judgement import SLOW, STRONG
-from identification.diagnose.lack import Lack, lack_of_fit
+from identification.diagnose.lack import Lack, lack_of_fit, with_turning
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
@@ -185,27 +185,28 @@ def diagnose(
         searcher, base = _prepared(groups, at, options, pool)
         judge = Judge(searcher, base, smallest)
         least = judge.least()
-        before = lack_of_fit(base, least)
+        common = max((e.common for e in at.library), default=0.0)
+        before = with_turning(lack_of_fit(base, least), base, common)
         searcher.lacking = before.score.gain
         stage("what can be told apart")
         apart = distinguishability(base, options, at.library, pool.map)
         give_back()
         selection = select(searcher, base, options, judge, lambda fit: lack_of_fit(fit, least).found, pool, stage)
         give_back()
-        after = lack_of_fit(selection.final, least)
+        after = with_turning(lack_of_fit(selection.final, least), selection.final, common)
         word = verdict(base, selection.final, before, after, selection.family)
         identified = base.estimated(at.refinement, at.doubt)
         refuted = _refuted(judge, identified, base, selection.final, unseen) if word in CHANGED else ""
         word = "unexplained" if refuted else word  # what was found is not it
         attempt = Attempt()
-        if word in ("unexplained", "partly"):
+        if refuted or (word in ("unexplained", "partly") and after.found):
             beside = selection.final if word == "partly" else base
             attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
             now = selection.final if word == "partly" else identified
             attempt = attempt.confirmed(lambda fit: _refuted(judge, now, beside, fit, unseen))
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
-            after = lack_of_fit(selection.final, least)
+            after = with_turning(lack_of_fit(selection.final, least), selection.final, common)
         final = selection.final if word in CHANGED else identified
         shown = predict(final.problem.model, final.values, fitted[0].record)
         return Diagnosis(

@@ -1,12 +1,13 @@
-"""Lack of fit: whether a model leaves more than noise, tested in two ways that need no name for what is missing.
+"""Lack of fit: whether a model leaves more than noise, tested in three ways that need no name for what is missing.
 
 Pure error: what records of the same commands share beyond the model is the model's error, whatever the noise is. Their
 mean's power is held against that of their differences in bands below 10 Hz (analysis of variance). Score test: generic
 shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
-left is larger than the least size of interest.
+left is larger than the least size of interest. And a line that turns with the rotor (`turning`) is no noise, though no repeat
+shares its phase: every rig has a little of it, so it counts from the share of the noise on that its effect declares as common.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -14,6 +15,7 @@ from scipy.stats import f as f_distribution
 from identification.diagnose.following import Following, following
 from identification.diagnose.judgement import CERTAIN, SLOW
 from identification.diagnose.search.fits import Fit
+from identification.diagnose.turning import UNTURNED, Turning, turning
 from identification.fit.noise import blocks
 
 EDGES = (0.0, 0.1, 0.3, 1.0, 3.0, SLOW)
@@ -36,16 +38,18 @@ class Band:
 
 @dataclass(frozen=True)
 class Lack:
-    """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes, with its `p`.
+    """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes; `p` of both.
 
     `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
-    interest."""
+    interest. `turning`: a line at once a revolution, which is worth a word from `common` [N] rms on."""
 
     bands: tuple[Band, ...]
     score: Following
     p: float
     size: float
     least: float
+    turning: Turning = UNTURNED
+    common: float = 0.0
 
     @property
     def certain(self) -> bool:
@@ -57,12 +61,22 @@ class Lack:
         """Whether something is lacking that is worth a name."""
         return self.certain and self.size > self.least
 
+    @property
+    def turns(self) -> bool:
+        """Whether a line turns with the rotor that is larger than every rig's."""
+        return self.turning.p < CERTAIN and self.turning.size > self.common
+
     def summary(self) -> dict:
         """For diagnosis.json."""
         return {
             "p": self.p,
             "size": {"value": self.size, "unit": "N"},
             "least_size": {"value": self.least, "unit": "N"},
+            "turning": {
+                "p": self.turning.p,
+                "size": {"value": self.turning.size, "unit": "N"},
+                "least_size": {"value": self.common, "unit": "N"},
+            },
             "score_test": {"p": self.score.p, "log_likelihood": self.score.gain, "shapes": self.score.count},
             "pure_error": [
                 {"from": b.low, "to": b.high, "unit": "Hz", "power": b.power, "std": b.error, "p": b.p} for b in self.bands
@@ -77,6 +91,12 @@ def lack_of_fit(fit: Fit, least: float) -> Lack:
     p = min(1.0, len(tests) * min(tests, default=1.0))
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
     return Lack(bands, score, p, float(max(sizes)), least)
+
+
+def with_turning(lack: Lack, fit: Fit, common: float) -> Lack:
+    """The same with the test for a line. `common`: share of the noise's power that every rig's has at most."""
+    floor = max(e.noise.floor for e in fit.problem.experiments)
+    return replace(lack, turning=turning(fit), common=float(np.sqrt(common)) * floor)
 
 
 def _score_size(fit: Fit, score: Following) -> float:

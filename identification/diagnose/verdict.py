@@ -10,9 +10,11 @@ from identification.diagnose.search.fits import Fit
 def verdict(base: Fit, final: Fit, before: Lack, after: Lack, family: Mapping[str, Sequence[str]]) -> str:
     """What a search's outcome amounts to, by what the base and the final set lack."""
     if not final.effects:
-        return "unexplained" if before.found else "none"
+        return "unexplained" if before.found or before.turns else "none"
     if after.found:
         return "partly" if _gone(base, final, before, after) > HALF else "unexplained"
+    if after.turns:
+        return "partly"
     return "family" if any(family.values()) else "attributed"
 
 

@@ -44,6 +44,10 @@ def headline(found: Diagnosis) -> str:
         named = f"beside {' and '.join(found.learned.beside.effects)} " if found.learned.beside.effects else ""
         told = f"Something of no list {named}{sentence(found.learned.term)}"
         return f"{told}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
+    if found.verdict == "unexplained" and not found.before.found:
+        size, common = number(found.before.turning.size), number(found.before.common)
+        told = f"The rotor shakes the reading once a revolution: {size} N rms, where a rig has up to {common} N"
+        return f"{told}; nothing else is missing: the thrust error {where} is {number(before)} N, {noise}."
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
     described = {e.name: e.description for e in found.final.problem.model.effects}
@@ -213,9 +217,13 @@ def _add_lack(page: Page, found: Diagnosis) -> None:
     rows = [("generic shapes of the commands", "-", before.score.gain, before.score.p, after.score.gain, after.score.p)]
     for one, other in zip(before.bands, after.bands, strict=True):
         rows.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
+    one, other = before.turning, after.turning
+    rows.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))
     columns = ("test", "unit", "before", "p", "after", "p ")
     page.table(
-        columns, rows, "Lack of fit: the score test's log-likelihood, and what two records of the same commands share by band."
+        columns,
+        rows,
+        "Lack of fit: the score test's log-likelihood, what two records of the same commands share by band, and a vibration.",
     )
 
 
