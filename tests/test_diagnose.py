@@ -13,9 +13,11 @@ from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import CERTAIN
 from identification.diagnose.report.effect import at_rest
+from identification.diagnose.report.identification import identification_of
 from identification.diagnose.report.page import diagnosis_page, key_figures
 from identification.diagnose.report.residual import moves
 from identification.diagnose.report.summary import summary
+from identification.identify import identify
 from identification.worth.information import read_knowledge
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
@@ -160,6 +162,15 @@ def test_every_figure_of_the_page_has_a_title_of_its_own(example):
 def test_same_result_to_the_bit_with_another_number_of_workers(nothing_missing):
     again = diagnose(rig(), FEW, workers=1)
     assert json.dumps(summary(again)) == json.dumps(summary(nothing_missing))
+
+
+def test_a_model_to_which_nothing_is_added_is_the_identified_one_to_the_last_digit(nothing_missing):
+    """One least-squares problem: values, standard deviations and intervals are those of `vpp identify`."""
+    of_itself = identify(rig())
+    shipped = nothing_missing.parameters(nothing_missing.final)
+    assert shipped.estimates == of_itself.parameters.estimates
+    told = identification_of(nothing_missing, nothing_missing.final)["parameters"]
+    assert told == of_itself.summary()["parameters"]
 
 
 def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):

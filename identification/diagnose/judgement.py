@@ -48,8 +48,9 @@ RIVALS = 10.0
 STRONG, for the fits of both are as rough as their knots."""
 
 CARRIED = 0.05
-"""Level of the test that a term predicts thrust better where it was not fitted. What comes this far is beyond what
-chance finds among all looks; here it is asked whether it carries over, on a dozen blocks or two."""
+"""Level of the test that thrust is predicted better by a term, or worse by a set than by the identified base, where it was not
+fitted. What comes this far is beyond what chance finds among all looks; here it is asked whether it carries over, on a dozen
+blocks or two."""
 
 HALF = 0.5
 """Share of the lack of fit that a set must remove to be a part of the explanation."""
