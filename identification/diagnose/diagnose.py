@@ -185,15 +185,14 @@ def diagnose(
         searcher, base = _prepared(groups, at, options, pool)
         judge = Judge(searcher, base, smallest)
         least = judge.least()
-        common = max((e.common for e in at.library), default=0.0)
-        before = with_turning(lack_of_fit(base, least), base, common)
+        before = with_turning(lack_of_fit(base, least), base)
         searcher.lacking = before.score.gain
         stage("what can be told apart")
         apart = distinguishability(base, options, at.library, pool.map)
         give_back()
         selection = select(searcher, base, options, judge, lambda fit: lack_of_fit(fit, least).found, pool, stage)
         give_back()
-        after = with_turning(lack_of_fit(selection.final, least), selection.final, common)
+        after = with_turning(lack_of_fit(selection.final, least), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
         identified = base.estimated(at.refinement, at.doubt)
         refuted = _refuted(judge, identified, base, selection.final, unseen) if word in CHANGED else ""
@@ -206,7 +205,7 @@ def diagnose(
             attempt = attempt.confirmed(lambda fit: _refuted(judge, now, beside, fit, unseen))
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
-            after = with_turning(lack_of_fit(selection.final, least), selection.final, common)
+            after = with_turning(lack_of_fit(selection.final, least), selection.final)
         final = selection.final if word in CHANGED else identified
         shown = predict(final.problem.model, final.values, fitted[0].record)
         return Diagnosis(

@@ -53,7 +53,8 @@ fitted. What comes this far is beyond what chance finds among all looks; here it
 blocks or two."""
 
 HALF = 0.5
-"""Share of the lack of fit that a set must remove to be a part of the explanation."""
+"""Share of the lack of fit that a set must remove to be a part of the explanation; share of what passes for noise that must
+turn with the rotor to be none."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ Pure error: what records of the same commands share beyond the model is the mode
 mean's power is held against that of their differences in bands below 10 Hz (analysis of variance). Score test: generic
 shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
 left is larger than the least size of interest. And a line that turns with the rotor (`turning`) is no noise, though no repeat
-shares its phase: every rig has a little of it, so it counts from the share of the noise on that its effect declares as common.
+shares its phase: every rig has a little of it, so it counts where it is more than HALF of what passes for noise.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from identification.diagnose.following import Following, following
-from identification.diagnose.judgement import CERTAIN, SLOW
+from identification.diagnose.judgement import CERTAIN, HALF, SLOW
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.turning import UNTURNED, Turning, turning
 from identification.fit.noise import blocks
@@ -41,7 +41,7 @@ class Lack:
     """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes; `p` of both.
 
     `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
-    interest. `turning`: a line at once a revolution, which is worth a word from `common` [N] rms on."""
+    interest. `turning`: a line at once a revolution, which counts from `most` [N] rms on."""
 
     bands: tuple[Band, ...]
     score: Following
@@ -49,7 +49,7 @@ class Lack:
     size: float
     least: float
     turning: Turning = UNTURNED
-    common: float = 0.0
+    most: float = 0.0
 
     @property
     def certain(self) -> bool:
@@ -63,8 +63,8 @@ class Lack:
 
     @property
     def turns(self) -> bool:
-        """Whether a line turns with the rotor that is larger than every rig's."""
-        return self.turning.p < CERTAIN and self.turning.size > self.common
+        """Whether most of what passes for noise turns with the rotor."""
+        return self.turning.p < CERTAIN and self.turning.size > self.most
 
     def summary(self) -> dict:
         """For diagnosis.json."""
@@ -75,7 +75,7 @@ class Lack:
             "turning": {
                 "p": self.turning.p,
                 "size": {"value": self.turning.size, "unit": "N"},
-                "least_size": {"value": self.common, "unit": "N"},
+                "least_size": {"value": self.most, "unit": "N"},
             },
             "score_test": {"p": self.score.p, "log_likelihood": self.score.gain, "shapes": self.score.count},
             "pure_error": [
@@ -93,10 +93,10 @@ def lack_of_fit(fit: Fit, least: float) -> Lack:
     return Lack(bands, score, p, float(max(sizes)), least)
 
 
-def with_turning(lack: Lack, fit: Fit, common: float) -> Lack:
-    """The same with the test for a line. `common`: share of the noise's power that every rig's has at most."""
+def with_turning(lack: Lack, fit: Fit) -> Lack:
+    """The same with the test for a line."""
     floor = max(e.noise.floor for e in fit.problem.experiments)
-    return replace(lack, turning=turning(fit), common=float(np.sqrt(common)) * floor)
+    return replace(lack, turning=turning(fit), most=float(np.sqrt(HALF)) * floor)
 
 
 def _score_size(fit: Fit, score: Following) -> float:

@@ -67,9 +67,12 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a loop that swings up grows without end
             fit = own.fit(effects, forms, free, values, order, not beside.thresholds)
+            told = (
+                np.isfinite(fit.deviance) and np.isfinite(fit.tangent()[1]).all()
+            )  # a thrust may stand where its slopes burst
     except np.linalg.LinAlgError:
         return None
-    return Term(lead, effect, library, fit) if np.isfinite(fit.deviance) else None
+    return Term(lead, effect, library, fit) if told else None
 
 
 def _calmed(prior: Prior | None, sizes: Mapping[str, float]) -> Prior:

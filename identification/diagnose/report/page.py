@@ -45,9 +45,8 @@ def headline(found: Diagnosis) -> str:
         told = f"Something of no list {named}{sentence(found.learned.term)}"
         return f"{told}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
     if found.verdict == "unexplained" and not found.before.found:
-        size, common = number(found.before.turning.size), number(found.before.common)
-        told = f"The rotor shakes the reading once a revolution: {size} N rms, where a rig has up to {common} N"
-        return f"{told}; nothing else is missing: the thrust error {where} is {number(before)} N, {noise}."
+        told = f"The rotor shakes the reading once a revolution, by {number(found.before.turning.size)} N rms"
+        return f"{told}: most of what passes for noise ({number(found.noise.floor)} N). Nothing else is missing."
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
     described = {e.name: e.description for e in found.final.problem.model.effects}
