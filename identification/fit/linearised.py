@@ -10,7 +10,7 @@ from vpp_fmu.native import Simulator
 
 
 class Linearised:
-    """`evidence` about coordinates `x`; `residual` (rows,) is what the parameters can't follow, scaled, data rows only."""
+    """`problem` about coordinates `x`; `residual` (rows,) is what the parameters can't follow, scaled, data rows only."""
 
     def __init__(self, problem: Problem, x: np.ndarray, residual: np.ndarray, jacobian: np.ndarray):
         self._problem, self._x, self._values = problem, x, problem.values | problem.coordinates.values(x)

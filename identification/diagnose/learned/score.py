@@ -39,7 +39,7 @@ class Scores:
 
     def __init__(self, about: Linearised, columns: np.ndarray, courses: Sequence[Course], scale: Mapping[str, float], times):
         """`columns` (rows, n): the fitted parameters' sensitivities; `scale` divides each channel's; `times`: as of
-        Evidence."""
+        a Problem."""
         self.courses, self._scale = courses, scale
         fold = np.concatenate([thirds(time, seconds) for time, seconds in times])
         self._folds = range(int(fold.max()) + 1)
