@@ -110,7 +110,7 @@ def said(step: Step, name: str) -> str:
 
 def _row(name: str, step: Step) -> tuple:
     settled = "not before the next" if step.settling is None else step.settling
-    return name, step.time, step.before, step.after, settled, step.overshoot
+    return name, step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
 
 
 def _edge(seconds: float) -> str:

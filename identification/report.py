@@ -62,7 +62,7 @@ def _shown(found: Identification) -> list[str]:
 
 def identification_page(found: Identification) -> Page:
     """The page of one identification."""
-    page = Page("Identification", f"Campaign {found.campaign.folder.name}: from measured records to the plant's parameters.")
+    page = Page("Identification", "From measured records to the plant's parameters.", found.campaign.label)
     add_identification(page, found)
     return page
 

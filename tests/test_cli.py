@@ -104,7 +104,7 @@ def test_cosim_writes_the_paper_s_step(exported, tmp_path, capsys):
     assert 0.40 <= settled <= 0.50
     run = read_record(tmp_path / "out" / "run.csv", ("time", "thrust_set", "thrust", "omega_ref", "beta_ref", "omega", "beta"))
     assert run["thrust"][-1] == pytest.approx(12.0, abs=0.02 * 10.5)
-    assert (tmp_path / "out" / "report.html").stat().st_size > 1e6
+    assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_prediction_compares_equal_with_itself(exported, tmp_path, capsys):

@@ -6,9 +6,10 @@ import math
 
 import pytest
 
-from identification.diagnose.report.fleet import Entry, as_csv, fleet_page, measured_on
+from identification.diagnose.report.fleet import Entry, as_csv, fleet_page
 from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
+from vpp_fmu.campaign import measured_on
 from vpp_fmu.cli import main
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]

@@ -511,7 +511,7 @@ def test_semicolons_rad_and_gf_and_milliseconds_since_1970_to_a_diagnosis(tmp_pa
     assert code == 0
     assert "error" not in out
     assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
-    assert (tmp_path / "out" / "report.html").stat().st_size > 1e5
+    assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert found["verdict"] == "none"
     fitted = json.loads((tmp_path / "out" / "parameters.json").read_text())["parameters"]
@@ -526,7 +526,7 @@ def test_a_signal_without_pitch_to_a_report(tmp_path, vpp):
     assert main(["diagnose", str(tmp_path / "mine"), "-o", str(tmp_path / "out"), *words]) == 0
     fitted = json.loads((tmp_path / "out" / "parameters_base.json").read_text())["parameters"]
     assert fitted["tau_omega_1"]["value"] + fitted["tau_omega_2"]["value"] == pytest.approx(0.12, rel=0.05)
-    assert (tmp_path / "out" / "report.html").stat().st_size > 1e5
+    assert "<figure>" in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize("late", [False, True])

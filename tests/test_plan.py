@@ -287,7 +287,7 @@ def test_the_verb_writes_a_record_that_can_be_run(parameters, tmp_path, capsys):
             assert entry["interval"] == pytest.approx([entry["value"] + k * 1.959964 * entry["std"] for k in (-1, 1)])
     assert said["before"]["parameters"]["c11"]["std"] == pytest.approx(0.1 * 0.064)
     assert said["after"]["weakest_direction"]["relative_std"] < said["before"]["weakest_direction"]["relative_std"]
-    assert (out / "report.html").stat().st_size > 1e6
+    assert "The next experiment" in (out / "report.html").read_text()
     told = capsys.readouterr().out
     assert "gain over the paper's plan" in told
     assert "--noise 1.2" in told  # residuals were coloured, four times as wide

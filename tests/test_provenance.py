@@ -12,7 +12,8 @@ import vpp_fmu
 from identification.demo import example_folder
 from vpp_fmu.campaign import NEED
 from vpp_fmu.cli import main
-from vpp_fmu.cli.output import EPOCH, dated
+from vpp_fmu.cli.output import dated
+from vpp_fmu.date import EPOCH
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER

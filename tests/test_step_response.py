@@ -15,7 +15,8 @@ from vpp_fmu.campaign import read_steps
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED, plant
 from vpp_fmu.record import Record
-from vpp_fmu.report.steps import FIT, LEFT_OUT, step_responses
+from vpp_fmu.report.steps import step_responses
+from vpp_fmu.report.style import FAINT, FIT
 
 RIGS = Path(__file__).resolve().parents[2] / "shared" / "data"
 STEP = 0.004
@@ -342,7 +343,7 @@ def test_figure_has_a_panel_a_step_and_greys_what_was_left_out(pitch_runs):
         "10 → -5 deg",
     ]
     assert len({trace.xaxis for trace in fig.data}) == 8
-    grey = [trace for trace in fig.data if trace.line.color == LEFT_OUT]
+    grey = [trace for trace in fig.data if trace.line.color == FAINT]
     assert len(grey) == 1
     assert "noise is" in grey[0].hovertemplate
     assert len([trace for trace in fig.data if trace.line.color == FIT]) == 9

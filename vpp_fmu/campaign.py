@@ -1,9 +1,12 @@
 """A campaign: the folder of files that one rig was measured with."""
 
+import json
 import os
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +78,12 @@ class Campaign:
         return found + [(name, f"{record.time[-1]:.6g} s") for name, record in records if record is not None]
 
     @property
+    def label(self) -> str:
+        """Name and date of the campaign, for the head of a report."""
+        date = measured_on(self.folder)[:10]
+        return f"campaign {self.folder.resolve().name}, {f'measured on {date}' if date else 'no date of measurement'}"
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """Names of the files that are not there."""
         return tuple(f"{name}.csv" for name in NAMES if getattr(self, name) in (None, ()))
@@ -140,6 +149,21 @@ def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
     if not paths:
         raise BadInput(folder, "campaign folder", "none of a campaign's files", f"any of {_FILES} (or .csv.gz)")
     return paths
+
+
+def measured_on(folder: Path) -> str:
+    """When a campaign was measured, ISO 8601: as its hil.json says, else the date in its folder's name, else ""."""
+    try:
+        said = json.loads((folder / "hil.json").read_bytes())["begun"]
+        return datetime.fromisoformat(said).isoformat()
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    for year, month, day in re.findall(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?!\d)", folder.resolve().name):
+        try:
+            return datetime(int(year), int(month), int(day)).date().isoformat()
+        except ValueError:
+            continue
+    return ""
 
 
 def check_repeat(record: Record, repeat: Record) -> None:

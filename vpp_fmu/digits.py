@@ -15,6 +15,9 @@ DOUBT = 2
 MOST = 7
 """Digits of a value whose doubt is next to nothing, as in data without noise."""
 
+LEAST_CHANCE = 1e-6
+"""Below it a p-value rests on tails that no record has tested."""
+
 _MISSING = "–"
 
 
@@ -40,6 +43,11 @@ def number(value, digits: int = DIGITS) -> str:
 def signed(value, digits: int = DIGITS) -> str:
     """The same with a plus where it is one."""
     return f"{'+' if isinstance(value, Real) and value > 0 else ''}{number(value, digits)}"
+
+
+def chance(p: float, equals: str = "") -> str:
+    """A p-value: what lies far below anything that one would ask for says no more than that."""
+    return f"< {LEAST_CHANCE:.0e}".replace("e-0", "e-") if p < LEAST_CHANCE else f"{equals}{number(p, 2)}"
 
 
 def with_doubt(value: float, half: float, unit: str = "") -> str:

@@ -88,6 +88,13 @@ class ParameterSet:
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
 
     @property
+    def label(self) -> str:
+        """Campaign and date of the set, for the head of a report."""
+        campaign, date = self.source.get("campaign"), self.source.get("date")
+        said = [f"campaign {campaign}"] if isinstance(campaign, str) else []
+        return ", ".join([*said, f"parameters of {date[:10]}"] if isinstance(date, str) else said)
+
+    @property
     def rig(self) -> Rig:
         """The rig that the set is for: as `source` tells, else what the model's scales span."""
         return rig_of(_scales(self.source, self.values), self.source)

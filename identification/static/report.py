@@ -8,7 +8,7 @@ from identification.static.static_map import TERMS, StaticFit, coefficient_grid,
 from identification.static.steady import FEWEST, noise, resting, samples_needed
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import number
-from vpp_fmu.report import Page, map_residuals, map_section, map_surface
+from vpp_fmu.report import Page, map_lines, map_residuals, map_section
 from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
 
 MEAN_STD = 1.0 / 1500.0
@@ -21,7 +21,7 @@ def add_static(page: Page, found: Identification) -> None:
     page.section("The static map")
     speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
     if np.ptp(speeds) > 0.0 and np.ptp(pitches) > 0.0:
-        _add_surface(page, static, points, found.parameters.values)
+        _add_grid(page, static, points, found.parameters.values)
     elif static.used.sum() > 1:
         _add_line(page, static, points, found.parameters.values)
     else:
@@ -43,16 +43,20 @@ def _quality(static: StaticFit) -> str:
     return "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.6f})"
 
 
-def _add_surface(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
+def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     """The map over both commands."""
     omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
-    thrust = _mapped(static, scales, *np.meshgrid(omega, beta))
-    used = points.omega[static.used], points.beta_ref[static.used], points.thrust[static.used]
+    used = points.omega_ref[static.used], points.beta_ref[static.used], points.thrust[static.used]
+    levels = np.unique(used[0])
+    # A line a level, at the mean of the speeds that were measured there: command and speed may differ.
+    speeds = np.array([points.omega[static.used][used[0] == level].mean() for level in levels])
+    thrust = _mapped(static, scales, *np.meshgrid(speeds, beta, indexing="ij"))
     title = f"A cubic fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
-    page.figure(map_surface(omega, beta, thrust, used, title), "Surface: fitted; points: measured.")
+    page.figure(
+        map_lines(speeds, beta, thrust, (points.omega[static.used], *used[1:]), title), "Lines: fitted; points: measured."
+    )
     left = f"What the cubic leaves stays below {number(np.max(np.abs(static.residual)))} N"
-    commanded = points.omega_ref[static.used], used[1]
-    page.figure(map_residuals(*commanded, static.residual, left), "Measured less fitted.")
+    page.figure(map_residuals(*used[:2], static.residual, left), "Measured less fitted.")
     speeds, pitches, ct = coefficient_grid(points, 1.0, scales["thrust_scale"] / (scales["omega_scale"] / 60.0) ** 2)
     figure = thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch), _COEFFICIENT)
     page.figure(figure, "Normalised; blades in their linear range draw one line.")

@@ -34,6 +34,7 @@ def tuning_page(found: Tuning) -> Page:
         f"Nelder and Mead's search on the compiled loop; overshoot held to {100 * task.overshoot:g} %, the sensitivity around "
         f"the operating points to {task.sensitivity:g}; no step may settle later or ring more than under the gains that the "
         "search starts from." + (f" Assumed for the design: {assumed}." if assumed else ""),
+        task.parameters.label,
     )
     page.tiles(key_figures(found))
     for name, tuned in found.tuned.items():
@@ -68,7 +69,7 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     rows.append(("cost", *(tuned.cost(which) for which in tuned.gains)))
     page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
     rows = [
-        (names[which], s.time, s.before, s.after, settling(s.settling), s.overshoot, s.ringing)
+        (names[which], s.time, s.before, s.after, settling(s.settling), f"{s.overshoot:.1f}", f"{s.ringing:.1f}")
         for which, gains in tuned.gains.items()
         for s in objective.steps(gains)
     ]

@@ -118,7 +118,9 @@ class CheckResult(Result):
         return self.found.summary()
 
     def page(self) -> Page:
-        page = Page(f"Check of {self.found.campaign.folder.name}", "; ".join(self.found.campaign.rig.lines()))
+        page = Page(
+            f"Check of {self.found.campaign.folder.name}", "; ".join(self.found.campaign.rig.lines()), self.found.campaign.label
+        )
         page.tiles(self.key_figures())
         for line in self.findings:
             page.note(line)
@@ -228,7 +230,7 @@ class PlanResult(Result):
         return self.found.summary()
 
     def page(self) -> Page:
-        return plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation))
+        return plan_page(self.found, self._basis(), remarks_on(self.found, self._inflation), self._parameters.label)
 
     def _basis(self) -> list[str]:
         return [f"commands within {', '.join(self.found.rig.command_lines())}"]

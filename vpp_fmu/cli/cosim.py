@@ -59,7 +59,7 @@ STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot 
 def row(step: Step) -> tuple:
     """A step as cells of a table."""
     settled = "not before the next" if step.settling is None else step.settling
-    return step.time, step.before, step.after, settled, step.overshoot
+    return step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
 
 
 def told(step: Step) -> str:

@@ -92,6 +92,7 @@ def demo_page(done: Demo) -> Page:
         f"A measured campaign becomes a plant model; its residual tells what the model lacks: {effects}. The model before and "
         f"after is exported as FMUs, and fmpy runs them on a record that no fit has seen: {number(before)} N before, "
         f"{number(after)} N after; the noise alone is {number(found.noise.floor)} N.",
+        found.campaign.label,
     )
     page.tiles(key_figures(done))
     page.section("The plant FMUs against measurement")

@@ -20,7 +20,8 @@ from hil.session import Setup, session
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.hil_outcome import ENDED, ENDED_EARLY, RUNNING
 from vpp_fmu.cli.options import SEED, real, whole
-from vpp_fmu.cli.output import add_output, as_json, now, say_written
+from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.record import Record, read_record, write_record

@@ -20,7 +20,7 @@ from hil.safety.limits import Limits, limits_of, read_limits
 from hil.session import Setup, versions
 from vpp_fmu.cli.hil_outcome import RUNNING
 from vpp_fmu.cli.options import SEED, whole
-from vpp_fmu.cli.output import now
+from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant

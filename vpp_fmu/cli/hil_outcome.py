@@ -10,7 +10,8 @@ from hil.report import add_counts, add_difference, add_loops, add_timing, add_tw
 from hil.run import loop_part, write_run
 from hil.runs import alarm_of
 from hil.timing import Timing, timing
-from vpp_fmu.cli.output import as_json, now
+from vpp_fmu.cli.output import as_json
+from vpp_fmu.date import now
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -33,7 +34,9 @@ def finish(folder: OutputFolder, told: dict, log: Record | None, beside: tuple[s
         told["twin"] = _with_residual(told["twin"], log)
     real_time = log is not None and told.get("timing")
     found = timing(log["late"], log["busy"], log["missed"]) if real_time else None
-    page = Page("Hardware in the loop", _summary(told))
+    page = Page(
+        "Hardware in the loop", _summary(told), f"{told['rig']} rig, run of {told.get('begun', 'a date not known')[:10]}"
+    )
     _tiles(page, told, found)
     if told["ended"]:
         page.note(f"The run ended early. {told['ended']}.")

@@ -21,8 +21,9 @@ from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.hil_outcome import ENDED_EARLY, finish, say_steps
 from vpp_fmu.cli.options import Number
-from vpp_fmu.cli.output import add_output, as_json, now, say_written
+from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.commands import idle
+from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF

@@ -3,17 +3,13 @@
 import json
 import os
 from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 
 from vpp_fmu import __version__
-from vpp_fmu.errors import BadInput
+from vpp_fmu.date import now
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet
-
-EPOCH = "SOURCE_DATE_EPOCH"
-"""Seconds since 1970: the date that results then bear, so that two runs give the same bytes (reproducible-builds.org)."""
 
 
 def add_output(parser) -> None:
@@ -43,16 +39,6 @@ def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, Param
     came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
     own = {"version": __version__, "date": now(), "identity": parameters.identity}
     return replace(parameters, source={**parameters.source, **own, **came})
-
-
-def now() -> str:
-    """ISO 8601, UTC, to the second."""
-    wanted = os.environ.get(EPOCH)
-    try:
-        now = datetime.now(timezone.utc) if wanted is None else datetime.fromtimestamp(int(wanted), timezone.utc)
-    except (ValueError, OverflowError, OSError) as error:
-        raise BadInput("environment", EPOCH, repr(wanted), "whole seconds since 1970") from error
-    return now.replace(microsecond=0).isoformat()
 
 
 def say_written(folder: OutputFolder, parameters: ParameterSet | None = None) -> None:

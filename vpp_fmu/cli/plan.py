@@ -113,7 +113,7 @@ def run(options):
         step=basis.step,
     )
     remarks = remarks_on(found, inflation)
-    write_plan(folder, found, basis.lines(), remarks)
+    write_plan(folder, found, basis.lines(), remarks, parameters.label)
     for line in basis.lines():
         print(line)
     for label, value, note in key_figures(found):
@@ -128,11 +128,13 @@ def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
     return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
 
 
-def write_plan(folder: OutputFolder, found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = ()) -> None:
+def write_plan(
+    folder: OutputFolder, found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = ""
+) -> None:
     """All files of a plan."""
     write_record(folder, "plan.csv", found.commands)
     folder.write("plan.json", as_json(found.summary()))
-    folder.write("report.html", plan_page(found, basis, remarks).html())
+    folder.write("report.html", plan_page(found, basis, remarks, source).html())
 
 
 def _basis(options, parameters: ParameterSet) -> Basis:
@@ -228,14 +230,15 @@ def key_figures(found: Plan) -> list[tuple[str, str, str]]:
     return figures
 
 
-def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = ()) -> Page:
-    """The report of a plan; what it stands on (`basis`) and `remarks` stand above its figures."""
+def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = "") -> Page:
+    """The report of a plan; what it stands on (`basis`) and `remarks` stand above its figures; `source`: of the parameters."""
     after = found.after
     page = Page(
         "The next experiment",
         f"{_seconds(found)} s of commands, and what they would tell about the model, if a thrust reading every "
         f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
         "noise, widens all intervals.",
+        source,
     )
     page.tiles(key_figures(found))
     for line in basis:

@@ -11,32 +11,30 @@ from identification.steps.run import StepRun
 from vpp_fmu.paper.fine_tuning import FineTuning
 from vpp_fmu.paper.published import COST_END, COST_START, ITERATIONS
 from vpp_fmu.paper.static import OPERATING_PITCH, PAPER_UNITS, Statics, paper_thrust
-from vpp_fmu.report import map_surface, style
+from vpp_fmu.report import map_lines, style
 from vpp_fmu.report.coefficients import thrust_coefficients
 from vpp_fmu.report.steps import step_responses
 
-PAPER = "#b35806"
+PAPER = style.PUBLISHED
 """Colour of what the paper published."""
 
-_EVERY = 4
-"""Of the grid's lines, those of the paper's map that are drawn."""
+_EVERY = 2
+"""Of the speeds, those at which the paper's map is drawn."""
 
 
 def static_map(s: Statics, title: str) -> go.Figure:
-    """The rig's points, the surface fitted to them and the paper's."""
-    omega, beta = np.linspace(2000.0, 6000.0, 25), np.linspace(*OPERATING_PITCH, 25)
-    speeds, pitches = (grid.ravel() for grid in np.meshgrid(omega, beta))
-    fitted = design(speeds, pitches, PAPER_UNITS) @ np.array(list(s.rig.coefficients.values()))
+    """The rig's points, the map fitted to them at each speed, and the paper's at every other of these speeds."""
     used = s.rig.used
-    fig = map_surface(
-        omega, beta, fitted.reshape(25, 25), (s.points.omega[used], s.points.beta_ref[used], s.points.thrust[used]), title
-    )
-    papers = paper_thrust(speeds, pitches).reshape(25, 25)
-    lines = [(omega, np.full(25, beta[k]), papers[k]) for k in range(0, 25, _EVERY)]
-    lines += [(np.full(25, omega[k]), beta, papers[:, k]) for k in range(0, 25, _EVERY)]
-    x, y, z = (np.concatenate([[*line[axis], np.nan] for line in lines]) for axis in range(3))
-    line = {"color": PAPER, "width": 4}
-    fig.add_scatter3d(x=x, y=y, z=z, mode="lines", name="paper's map", line=line, showlegend=True, hoverinfo="skip")
+    points = s.points.omega[used], s.points.beta_ref[used], s.points.thrust[used]
+    speeds, beta = np.unique(s.points.omega_ref[used]), np.linspace(*OPERATING_PITCH, 25)
+    omega, pitches = (grid.ravel() for grid in np.meshgrid(speeds, beta, indexing="ij"))
+    fitted = design(omega, pitches, PAPER_UNITS) @ np.array(list(s.rig.coefficients.values()))
+    fig = map_lines(speeds, beta, fitted.reshape(-1, 25), points, title)
+    line = {"color": PAPER, "width": 2, "dash": "dot"}
+    for k, values in enumerate(paper_thrust(omega, pitches).reshape(-1, 25)[::_EVERY]):
+        fig.add_scatter(
+            x=beta, y=values, mode="lines", name="paper's map", legendgroup="paper's map", showlegend=k == 0, line=line
+        )
     return fig
 
 

@@ -77,7 +77,7 @@ def add_static(page: Page, study: Study) -> dict[str, int]:
         f"The cubic fits {len(s.apart)} points to {s.rig.rmse:.3f} N, adjusted R² {s.rig.r2_adjusted:.4f}; the paper's map "
         f"lies {s.apart_rms:.2f} N rms off"
     )
-    first = page.figure(figures.static_map(s, title), "Surface: fitted to the rig; brown lines: the paper's map, section 4.1.")
+    first = page.figure(figures.static_map(s, title), "Lines: fitted to the rig; dotted: the paper's map, section 4.1.")
     title = (
         f"The rig is within {largest:.2f} N of the paper's map; the paper's points scatter by {s.scatter:.2f} N rms around it"
     )

@@ -4,7 +4,7 @@ from vpp_fmu.report.curves import behind_against_before, reached_against_command
 from vpp_fmu.report.evidence import evidence_bars
 from vpp_fmu.report.fits import correlation_heatmap, learning_curve, parameter_change
 from vpp_fmu.report.learned import learned_curve
-from vpp_fmu.report.maps import map_residuals, map_section, map_surface
+from vpp_fmu.report.maps import map_lines, map_residuals, map_section
 from vpp_fmu.report.page import Page
 from vpp_fmu.report.records import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.report.remainders import correlations, overlap_heatmap, residual_by_move, residual_spectrum
@@ -22,9 +22,9 @@ __all__ = [
     "evidence_bars",
     "learned_curve",
     "learning_curve",
+    "map_lines",
     "map_residuals",
     "map_section",
-    "map_surface",
     "measured_against_predicted",
     "overlap_heatmap",
     "parameter_change",

@@ -2,7 +2,6 @@
 
 import numpy as np
 from plotly import graph_objects as go
-from plotly.colors import sample_colorscale
 
 from vpp_fmu.digits import number as digits
 from vpp_fmu.report import style
@@ -16,8 +15,7 @@ def thrust_coefficients(
     NaN where not measured. Colours go from slow to fast. `label`: of its axis.
     """
     fig = style.figure(title, 460)
-    shades = sample_colorscale("Viridis", np.linspace(0.0, 0.92, len(speeds)).tolist())
-    for speed, line, shade in zip(speeds, ct, shades, strict=True):
+    for speed, line, shade in zip(speeds, ct, style.shades(len(speeds)), strict=True):
         fig.add_scatter(
             x=pitches,
             y=line,
@@ -27,9 +25,6 @@ def thrust_coefficients(
             marker={"size": 5},
             hovertemplate=f"%{{y:{style.SHOWN}}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>",
         )
-    # Ten speeds are more than a row of a legend holds.
-    side = {"orientation": "v", "x": 1.01, "xref": "paper", "y": 1.0, "yref": "paper", "traceorder": "reversed"}
-    fig.update_layout(legend=side, margin_r=120, margin_t=fig.layout.margin.t - 24)
     fig.update_xaxes(title_text="blade pitch [deg]")
     fig.update_yaxes(title_text=label)
     return fig
@@ -70,8 +65,8 @@ def map_uncertainty(omega: np.ndarray, beta: np.ndarray, std_grid: np.ndarray, t
         z=std_grid,
         zmin=0.0,
         zmax=float(np.max(std_grid)),  # plotly heeds the one with the other only
-        colorscale="Viridis",
-        colorbar={"title": {"text": "standard deviation [N]", "side": "right"}},
+        colorscale=style.sequence(),
+        colorbar={"title": {"text": "standard deviation [N]"}},
         hovertemplate=f"%{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
     )
     fig.update_xaxes(title_text="speed [rpm]", showgrid=False)

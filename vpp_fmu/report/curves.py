@@ -36,14 +36,14 @@ def behind_against_before(before: np.ndarray, change: np.ndarray, time: np.ndarr
         marker={
             "size": 4,
             "color": time,
-            "colorscale": "Viridis",
+            "colorscale": style.sequence(),
             "showscale": True,
-            "colorbar": {"title": {"text": "time [s]", "side": "right"}, "thickness": 14},
+            "colorbar": {"title": {"text": "time [s]"}},
         },
         hovertemplate=f"%{{y:+{style.SHOWN}}} N at %{{x:{style.SHOWN}}} N<extra></extra>",
     )
     fig.update_xaxes(title_text="thrust without the effect [N]")
-    fig.update_yaxes(title_text="change by the effect [N]", zeroline=True, zerolinecolor="#9aa5b1")
+    fig.update_yaxes(title_text="change by the effect [N]", zeroline=True)
     return fig
 
 

@@ -9,7 +9,7 @@ from plotly import graph_objects as go
 from vpp_fmu.report import style
 
 TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
-COLOURS = {TAKEN: style.AFTER, PASSED: "#56b4e9", FAILED: "#c4cad0"}
+COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
 
 _LEAST = 1.0
 """Where bars begin: on a logarithmic axis there is no zero."""

@@ -39,7 +39,7 @@ def parameter_change(
         },
         hovertemplate=f"%{{x:+{style.SHOWN}}} %<extra></extra>",
     )
-    fig.update_xaxes(title_text="change from the start [%]", ticksuffix=" ", range=_reach(change, (high - low) / scale))
+    fig.update_xaxes(title_text="change from the start [%]", range=_reach(change, (high - low) / scale))
     fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
     return fig
 
@@ -62,7 +62,7 @@ def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) ->
         ygap=1,
         hovertemplate="%{y}, %{x}: %{z:.3f}<extra></extra>",
     )
-    fig.update_xaxes(title_text="parameter [-]", type="category", showgrid=False, tickangle=-40)
+    fig.update_xaxes(title_text="parameter [-]", type="category", showgrid=False)
     fig.update_yaxes(title_text="parameter [-]", type="category", showgrid=False, autorange="reversed")
     return fig
 

@@ -3,43 +3,29 @@
 import numpy as np
 from plotly import graph_objects as go
 
+from vpp_fmu.digits import number
 from vpp_fmu.report import style
 
 
-def map_surface(
-    omega: np.ndarray, beta: np.ndarray, thrust_grid: np.ndarray, points: tuple[np.ndarray, np.ndarray, np.ndarray], title: str
+def map_lines(
+    speeds: np.ndarray, pitches: np.ndarray, thrust: np.ndarray, points: tuple[np.ndarray, np.ndarray, np.ndarray], title: str
 ) -> go.Figure:
-    """The map as a surface, thrust_grid (n, m) [N] over beta (n,) [deg] and omega (m,) [rpm], and the measured points on it.
+    """The map over pitch, a line a speed: thrust (m, n) [N] over speeds (m,) [rpm] and pitches (n,) [deg].
 
-    `points` are (omega [rpm], beta [deg], thrust [N]), each (k,).
+    `points`, measured: (speed [rpm], pitch [deg], thrust [N]), each (k,), in the colour of the nearest of the speeds.
     """
-    fig = style.figure(title, 620)
-    fig.add_surface(
-        x=omega,
-        y=beta,
-        z=thrust_grid,
-        colorscale="Viridis",
-        opacity=0.85,
-        colorbar={"title": {"text": "thrust [N]"}, "len": 0.7},
-        contours={"z": {"show": True, "color": "rgba(255,255,255,0.6)", "width": 1}},
-        hovertemplate=f"model %{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
-    )
-    x, y, z = points
-    fig.add_scatter3d(
-        x=x,
-        y=y,
-        z=z,
-        mode="markers",
-        marker={"size": 3.5, "color": "#111111"},
-        hovertemplate=f"measured %{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
-        name="measured",
-        showlegend=True,
-    )
-    axes = {"xaxis": "speed [rpm]", "yaxis": "pitch [deg]", "zaxis": "thrust [N]"}
-    scene = {axis: {"title": {"text": text}} for axis, text in axes.items()}
-    camera = {"eye": {"x": -1.4, "y": -1.4, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.2}}
-    fig.update_layout(scene=scene | {"camera": camera, "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8}})
-    fig.update_layout(margin={"l": 0, "r": 0, "b": 0})
+    fig = style.figure(title, 520)
+    omega, beta, measured = points
+    nearest = np.argmin(np.abs(np.asarray(omega)[:, None] - speeds), axis=1)
+    for k, (speed, line, shade) in enumerate(zip(speeds, thrust, style.shades(len(speeds)), strict=True)):
+        name, own = f"{number(speed)} rpm", nearest == k
+        shared = {"legendgroup": name, "name": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:.1f}} deg"}
+        fig.add_scatter(x=pitches, y=line, mode="lines", line={"color": shade, "width": 1.6}, **shared)
+        fig.add_scatter(
+            x=beta[own], y=measured[own], mode="markers", marker={"color": shade, "size": 6}, showlegend=False, **shared
+        )
+    fig.update_xaxes(title_text="pitch [deg]")
+    fig.update_yaxes(title_text="thrust [N]")
     return fig
 
 

@@ -6,33 +6,41 @@ from importlib.metadata import version
 from textwrap import dedent
 
 from plotly import graph_objects as go
-from plotly.offline import get_plotlyjs
 
+from vpp_fmu.date import now
 from vpp_fmu.digits import number
-from vpp_fmu.report.sheet import DRAW, SHEET
+from vpp_fmu.report.drawing import SCRIPT, Arrays, drawing, heading
+from vpp_fmu.report.sheet import SHEET
 from vpp_fmu.report.table import table
 
-_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-"""Forbids the browser to fetch anything; images may be made by the page itself."""
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
+"""Forbids the browser to fetch anything."""
+
+_HINT = "Figures: point at a line to read it, drag to zoom, double-click to go back, click on a name to hide it."
 
 
 class Page:
-    """A report, built from top to bottom; `tiles` always stand above everything else."""
+    """A report, built from top to bottom; `tiles` always stand above everything else.
 
-    def __init__(self, title: str, summary: str):
+    `source`: what was measured and when; it stands above the title, with the date of the report.
+    """
+
+    def __init__(self, title: str, summary: str, source: str = ""):
         self.title = title
+        self.source = source
         self.summary = summary
         self._tiles: list[str] = []
         self._parts: list[str] = []
         self._sections: list[str] = []
         self.figures: list[go.Figure] = []
+        self._arrays = Arrays()
         self._tables = 0
 
     def tiles(self, tiles: Sequence[tuple[str, object, str]]) -> None:
         """Key figures (label, value, note): what the reader of the first screen must know."""
         for label, value, note in tiles:
             self._tiles.append(
-                f'<div class="tile"><div class="label">{escape(label)}</div>'
+                f'<div class="tile"><div class="label">{escape(label).replace("_", "_<wbr>")}</div>'
                 f'<div class="value">{escape(number(value))}</div><div class="small">{escape(note)}</div></div>'
             )
 
@@ -45,11 +53,10 @@ class Page:
         """A figure, as wide as the page; returns its number."""
         self.figures.append(fig)
         name = f"figure-{len(self.figures)}"
-        # "</script>" in a label would end the script; the json engine keeps the bytes the same wherever orjson is about.
-        drawing = fig.to_json(engine="json").replace("<", "\\u003c")
+        title = heading(fig)
         self._parts.append(
-            f'<figure><div id="{name}" class="plot" style="height:{fig.layout.height or 450}px"></div>\n'
-            f"<script>draw({name!r},{drawing})</script>\n"
+            f'<figure><h3>{escape(title)}</h3>\n<div id="{name}" class="plot" data-title="{escape(title)}"></div>\n'
+            f"<script>draw({name!r},{drawing(fig, self._arrays)})</script>\n"
             f"<figcaption><b>Figure {len(self.figures)}.</b> {escape(caption)}</figcaption></figure>"
         )
         return len(self.figures)
@@ -65,14 +72,17 @@ class Page:
 
     def html(self) -> str:
         """The page, the same bytes for the same input."""
-        scripts = f"<script>{get_plotlyjs()}</script>\n<script>{DRAW}</script>\n" if self.figures else ""
+        script = f"<script>\n{SCRIPT}</script>\n" if self.figures else ""
+        hint = f'<p class="hint">{_HINT}</p>\n' if self.figures else ""
+        source = " · ".join(filter(None, (self.source, f"report of {now()[:10]}")))
         tiles = f'<div class="tiles">{"".join(self._tiles)}</div>\n' if self._tiles else ""
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{SHEET}</style>\n{scripts}</head>\n<body>\n<main>\n"
-            f"<header><h1>{escape(self.title)}</h1>\n{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}"
+            f"<title>{escape(self.title)}</title>\n<style>{SHEET}</style>\n{script}</head>\n<body>\n<main>\n"
+            f'<header><p class="source">{escape(source)}</p>\n<h1>{escape(self.title)}</h1>\n'
+            f"{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}{hint}"
             + "\n".join(self._parts)
             + f"\n</main>\n<footer>Made by vpp-fmu {escape(version('vpp-fmu'))}.</footer>\n</body>\n</html>\n"
         )

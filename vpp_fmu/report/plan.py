@@ -37,7 +37,7 @@ def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], titl
     last = list(shown.values())[-1]
     widest = np.max(list(shown.values()), axis=0)
     for label, low, high in zip(labels, last, widest, strict=True):
-        line = {"color": "#d5dade", "width": 3}
+        line = {"color": style.FAINT, "width": 3}
         fig.add_scatter(x=[low, high], y=[label, label], mode="lines", line=line, showlegend=False, hoverinfo="skip")
     colours = style.colours(shown)
     for name, values in shown.items():

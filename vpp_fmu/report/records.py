@@ -12,9 +12,6 @@ from vpp_fmu.report.thinning import places
 
 _NORMAL_95 = 1.959963984540054
 
-_BAND = "rgba(86,180,233,0.32)"
-"""Lighter than the model's own blue, so that its residual stands out."""
-
 _HELD = "hv"
 """Commands are held until the next one."""
 
@@ -47,7 +44,7 @@ def measured_against_predicted(
     if band is not None:
         reach, middle = _NORMAL_95 * np.asarray(band)[kept], np.asarray(next(iter(predictions.values())))[kept]
         for panel, centre in ((0, middle), (1, 0.0 * middle)):
-            add_envelope(fig, panel, time, centre - reach, centre + reach, "95 % of readings expected", _BAND)
+            add_envelope(fig, panel, time, centre - reach, centre + reach, "95 % of readings expected", style.BAND)
     add_line(fig, 0, time, measured[kept], "measured", {"color": style.MEASURED, "width": 1})
     if noise is not None:
         add_band(fig, 1, 2 * noise, f"± 2 noise ({number(2 * noise)} {unit})")
@@ -66,7 +63,7 @@ def measured_against_predicted(
 
 
 def closed_loop(runs: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.Figure:
-    """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted and lighter.
+    """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted.
 
     A run holds arrays (n,) by column name: time, thrust_set, thrust, omega_ref, omega, beta_ref, beta. What a rig doesn't
     measure may be missing. The set-point is drawn once if all runs share it.
@@ -89,7 +86,7 @@ def closed_loop(runs: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.
 def _add_run(fig: go.Figure, name: str, run: Mapping[str, np.ndarray], colour: str) -> None:
     """The lines of one run in the panels thrust, speed, pitch."""
     solid = {"color": colour, "width": 1.5}
-    dotted = {"color": _lighter(colour), "width": 1.4, "dash": "dot", "shape": _HELD}
+    dotted = {"color": colour, "width": 1.2, "dash": "dot", "shape": _HELD}
     time, commands = run["time"], f"{name}, commands"
     add_line(fig, 0, time, run["thrust"], name, solid)
     add_line(fig, 1, time, run["omega_ref"], commands, dotted)
@@ -125,8 +122,3 @@ def two_records(
     line = {"color": style.MEASURED, "width": 1}
     add_line(fig, 1, time_a[kept_a], difference[kept_a], f"{name_b} − {name_a}", line)
     return fig
-
-
-def _lighter(colour: str) -> str:
-    """The colour (#rrggbb) half way to white."""
-    return "#" + "".join(f"{(int(colour[k : k + 2], 16) + 255) // 2:02x}" for k in (1, 3, 5))

@@ -76,8 +76,8 @@ def residual_by_move(
     if noise is not None:
         shape = {"fillcolor": style.NOISE, "line_width": 0, "layer": "below", "showlegend": True}
         fig.add_hrect(-2 * noise, 2 * noise, name=f"± 2 noise ({number(2 * noise)} N)", **shape)
-    fig.update_xaxes(title_text=label, zeroline=True, zerolinecolor="#9aa5b1")
-    fig.update_yaxes(title_text="mean residual after it [N]", zeroline=True, zerolinecolor="#9aa5b1")
+    fig.update_xaxes(title_text=label, zeroline=True)
+    fig.update_yaxes(title_text="mean residual after it [N]", zeroline=True)
     fig.update_layout(hovermode="closest")
     return fig
 
@@ -94,8 +94,8 @@ def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, told: 
         z=shown,
         zmin=0,
         zmax=1,
-        colorscale=((0.0, "#fbfbfb"), (1.0, style.BEFORE)),
-        colorbar={"title": {"text": "squared cosine [-]", "side": "right"}},
+        colorscale=((0.0, style.ZERO), (1.0, style.BEFORE)),
+        colorbar={"title": {"text": "squared cosine [-]"}},
         text=texts,
         texttemplate="%{text}",
         textfont={"size": 11},
@@ -103,6 +103,6 @@ def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, told: 
         ygap=1,
         hovertemplate="%{y}, %{x}: %{z:.2f}<extra></extra>",
     )
-    fig.update_xaxes(title_text="effect [-]", type="category", showgrid=False, tickangle=-40)
+    fig.update_xaxes(title_text="effect [-]", type="category", showgrid=False)
     fig.update_yaxes(title_text="effect [-]", type="category", showgrid=False, autorange="reversed")
     return fig

@@ -77,7 +77,7 @@ def residual_histogram(
 def autocorrelation(lags_s: np.ndarray, values: np.ndarray, band: float, title: str) -> go.Figure:
     """The residual's autocorrelation (n,) over the lag [s]; within +-band it can't be told from white noise."""
     fig = _correlation({"residual": values}, lags_s, band, title, "autocorrelation [-]")
-    fig.update_traces(fill="tozeroy", fillcolor="rgba(0,114,178,0.15)", selector={"name": "residual"})
+    fig.update_traces(fill="tozeroy", fillcolor=style.VEIL, selector={"name": "residual"})
     return fig
 
 
@@ -95,7 +95,7 @@ def _correlation(lines: Mapping[str, np.ndarray], lags_s: np.ndarray, band: floa
     colours = style.colours(lines)
     for name, values in lines.items():
         fig.add_scatter(x=lags_s, y=values, mode="lines", name=style.label(name), line={"color": colours[name], "width": 1.6})
-    fig.update_xaxes(title_text="lag [s]", zeroline=True, zerolinecolor="#9aa5b1")
-    fig.update_yaxes(title_text=label, zeroline=True, zerolinecolor="#9aa5b1")
+    fig.update_xaxes(title_text="lag [s]", zeroline=True)
+    fig.update_yaxes(title_text=label, zeroline=True)
     fig.update_layout(hovermode="x unified")
     return fig

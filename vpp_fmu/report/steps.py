@@ -9,9 +9,6 @@ from plotly import graph_objects as go
 from vpp_fmu.report import style
 from vpp_fmu.report.thinning import places, to_the_eye
 
-FIT = "#111111"
-LEFT_OUT = "#b4bcc4"
-
 _COLUMNS = 5
 _PANEL, _GAP, _HEADING = 150, 52, 22
 """Pixels: height of a panel, from one row to the next, and of the headings above the first."""
@@ -124,10 +121,10 @@ def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit, after) 
         text=f"{step[1]:g} → {step[2]:g} {unit}",
         font={"size": 12},
         showarrow=False,
-        x=left + width / 2,
-        y=top,
-        xref="paper",
-        yref="paper",
+        x=0.5,
+        y=1.0,
+        xref=f"{_axis('x', panel)} domain",
+        yref=f"{_axis('y', panel)} domain",
         xanchor="center",
         yanchor="bottom",
     )
@@ -138,9 +135,9 @@ def _add_run(fig, panel, run, name, colour, delayed, named, after) -> None:
     measured, fitted = run.normalised(delayed)
     near = np.flatnonzero((run.time >= -_BEFORE * after) & (run.time <= after) & np.isfinite(measured))
     kept = near[places([measured[near]], most=_POINTS)]
-    lines = [(name, measured, {"color": LEFT_OUT if run.reason else colour, "width": 1})]
+    lines = [(name, measured, {"color": style.FAINT if run.reason else colour, "width": 1})]
     if not run.reason:
-        lines.append(("fitted", fitted, {"color": FIT, "width": 1.6}))
+        lines.append(("fitted", fitted, {"color": style.FIT, "width": 1.6}))
     for label, values, line in lines:
         fig.add_scatter(
             x=to_the_eye(run.time[kept]),

@@ -8,18 +8,49 @@ import re
 import textwrap
 from collections.abc import Iterable
 
+import numpy as np
 from plotly import graph_objects as go
+from plotly.colors import sample_colorscale
 
 MEASURED = "#4d4d4d"
 BEFORE = "#e08214"
 AFTER = "#0072b2"
 SET_POINT = "#8c8c8c"
+FIT = "#111111"
+PUBLISHED = "#b35806"
+FAINT = "#c4cad0"
+LIGHT_BLUE = "#56b4e9"
 NOISE = "rgba(77,77,77,0.14)"
-OTHERS = (AFTER, "#009e73", "#cc79a7", "#56b4e9", "#882255", BEFORE)
+VEIL = "rgba(0,114,178,0.16)"
+BAND = "rgba(86,180,233,0.32)"
+ZERO = "#fbfbfb"
+OTHERS = (AFTER, "#009e73", "#cc79a7", LIGHT_BLUE, "#882255", BEFORE)
 """Colours of what has no fixed meaning, in the order they are given out."""
 
-DIVERGING = ((0.0, AFTER), (0.25, "#8fc1dd"), (0.5, "#fbfbfb"), (0.75, "#f0c08c"), (1.0, "#b35806"))
-"""Negative to positive, white at zero."""
+DIVERGING = ((0.0, AFTER), (0.5, ZERO), (1.0, PUBLISHED))
+"""Negative to positive, the page's own colour at zero."""
+
+SCHEME = {
+    MEASURED: ("measured", "#c9d1d9"),
+    BEFORE: ("before", "#f0a24d"),
+    AFTER: ("after", "#4fb0ea"),
+    SET_POINT: ("set-point", "#8f9aa6"),
+    FIT: ("fit", "#f3f5f7"),
+    PUBLISHED: ("published", "#e58d4b"),
+    FAINT: ("faint", "#4b5762"),
+    LIGHT_BLUE: ("light-blue", "#a3d5f5"),
+    NOISE: ("noise", "rgba(201,209,217,0.16)"),
+    VEIL: ("veil", "rgba(79,176,234,0.22)"),
+    BAND: ("band", "rgba(79,176,234,0.28)"),
+    ZERO: ("zero", "#1b222a"),
+    "#009e73": ("green", "#33c79d"),
+    "#cc79a7": ("pink", "#e09cc4"),
+    "#882255": ("wine", "#d8689f"),
+}
+"""Every colour of the figures, by what it is on white: its name in the page's style, and what it is on dark."""
+
+_SEQUENCE = "Viridis", (0.25, 0.85)
+"""Colours of what is ordered, and the part of them that shows on white and on dark."""
 
 ROLES = {
     "measured": MEASURED,
@@ -62,6 +93,7 @@ _AXIS = {
     "automargin": True,
     "title": {"standoff": 8, "font": {"size": 13}},
     "hoverformat": ".5~g",
+    "zerolinecolor": "#9aa5b1",
     "exponentformat": "none",  # else 20000 rpm are "20k", and a tenth of a millinewton "100μ"
 }
 
@@ -71,13 +103,6 @@ SHOWN = ".4~r"
 _WIDEST = 80
 """Letters in a line of a title: what A4 holds at its size."""
 
-_SPATIAL_AXIS = {
-    "title": {"font": {"size": 13}},
-    "tickfont": {"size": 11},
-    "backgroundcolor": "white",
-    "gridcolor": "#dde3e8",
-    "exponentformat": "none",
-}
 _COLOUR_BAR = {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}
 
 TEMPLATE = go.layout.Template(
@@ -90,11 +115,30 @@ TEMPLATE = go.layout.Template(
         "xaxis": _AXIS,
         "yaxis": _AXIS,
         "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)", "bordercolor": "#9aa5b1", "font": {"size": 12}, "namelength": -1},
-        "scene": dict.fromkeys(("xaxis", "yaxis", "zaxis"), _SPATIAL_AXIS),
         "modebar": {"bgcolor": "rgba(255,255,255,0.9)", "color": "#9aa5b1", "activecolor": AFTER},
     },
-    data={kind: [{"colorbar": _COLOUR_BAR}] for kind in ("heatmap", "surface")},
+    data={kind: [{"colorbar": _COLOUR_BAR}] for kind in ("heatmap",)},
 )
+
+
+def ink(colour: str) -> str:
+    """A figure's colour as the page's style has it, light or dark; those of an ordered sequence are the same on both."""
+    if colour.startswith("rgb("):
+        return colour
+    if colour not in SCHEME:
+        raise ValueError(f"{colour} stands in no scheme: it may not show on dark")
+    return f"var(--{SCHEME[colour][0]})"
+
+
+def shades(count: int) -> list[str]:
+    """So many colours in an order, from low to high."""
+    name, (low, high) = _SEQUENCE
+    return sample_colorscale(name, np.linspace(low, high, count).tolist())
+
+
+def sequence() -> list[list]:
+    """The scale of colours from low to high, for a heat map."""
+    return [[float(at), colour] for at, colour in zip(np.linspace(0.0, 1.0, 9), shades(9), strict=True)]
 
 
 def label(name: str) -> str:

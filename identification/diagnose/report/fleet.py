@@ -2,16 +2,14 @@
 
 import csv
 import io
-import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.report.page import headline
 from identification.diagnose.report.summary import summary
+from vpp_fmu.campaign import measured_on
 from vpp_fmu.digits import number
 from vpp_fmu.report import Page, style
 
@@ -72,21 +70,6 @@ def entry(name: str, found: Diagnosis) -> Entry:
 def refusal(name: str, campaign: str, why: str) -> Entry:
     """The line of a campaign that can't be diagnosed."""
     return Entry(name, campaign, measured_on(Path(campaign)), refused=why)
-
-
-def measured_on(folder: Path) -> str:
-    """When a campaign was measured, ISO 8601: as its hil.json says, else the date in its folder's name, else ""."""
-    try:
-        said = json.loads((folder / "hil.json").read_bytes())["begun"]
-        return datetime.fromisoformat(said).isoformat()
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    for year, month, day in re.findall(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?!\d)", folder.resolve().name):
-        try:
-            return datetime(int(year), int(month), int(day)).date().isoformat()
-        except ValueError:
-            continue
-    return ""
 
 
 def columns(entries: Sequence[Entry]) -> dict[str, list]:

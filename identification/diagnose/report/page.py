@@ -13,7 +13,7 @@ from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import artefact, errors, summary
 from identification.fit.noise import blocks
 from identification.gate.report import add_quality, quality_tile
-from vpp_fmu.digits import interval, number, signed
+from vpp_fmu.digits import chance, interval, number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -95,7 +95,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
 def _lack(found: Diagnosis) -> tuple[str, str, str]:
     """What the tests of lack of fit say."""
     lack = found.after
-    said = f"p = {number(lack.p, 2)}; from {number(lack.least, 2)} N below 10 Hz on it is of interest"
+    said = f"p {chance(lack.p, '= ')}; from {number(lack.least, 2)} N below 10 Hz on it is of interest"
     return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "none seen", said
 
 
@@ -124,7 +124,7 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
 
 def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
-    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found))
+    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
     page.tiles(key_figures(found))
     for effect in found.final.effects:
         if text := artefact(found, effect):
@@ -213,11 +213,13 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
 def _add_lack(page: Page, found: Diagnosis) -> None:
     """Pure error by band, before and after, where a repeat tells it; and the score test."""
     before, after = found.before, found.after
-    rows = [("generic shapes of the commands", "-", before.score.gain, before.score.p, after.score.gain, after.score.p)]
+    old, new = before.score, after.score
+    tests = [("generic shapes of the commands", "-", old.gain, old.p, new.gain, new.p)]
     for one, other in zip(before.bands, after.bands, strict=True):
-        rows.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
+        tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
     one, other = before.turning, after.turning
-    rows.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))
+    tests.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))
+    rows = [(what, unit, first, chance(p), last, chance(now)) for what, unit, first, p, last, now in tests]
     columns = ("test", "unit", "before", "p", "after", "p ")
     page.table(
         columns,

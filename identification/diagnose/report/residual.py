@@ -7,7 +7,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.locate import RATE
 from identification.fit.noise import Noise, blocks
 from identification.worth.residual_tests import NORMAL_95
-from vpp_fmu.digits import number, signed
+from vpp_fmu.digits import chance, number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, correlations, residual_by_move, residual_spectrum
 
@@ -86,8 +86,8 @@ def _add_spectrum(page: Page, found: Diagnosis) -> None:
     power = {name: _binned(at.mean(first[name]), at.mean(second[name]), float(np.median(np.diff(at.time)))) for name in first}
     centres = np.sqrt(BINS[1:] * BINS[:-1])
     before, after = found.before, found.after
-    now = f", now of {number(after.size, 2)} N (p = {number(after.p, 2)})" if len(first) > 1 else ""
-    title = f"Below 10 Hz the model lacked {number(before.size, 2)} N rms (p = {number(before.p, 2)}){now}"
+    now = f", now of {number(after.size, 2)} N (p {chance(after.p, '= ')})" if len(first) > 1 else ""
+    title = f"Below 10 Hz the model lacked {number(before.size, 2)} N rms (p {chance(before.p, '= ')}){now}"
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
     page.figure(residual_spectrum(centres, power, noise, title), f"{how}, averaged over bins; gaps: nothing there.")

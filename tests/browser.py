@@ -1,0 +1,111 @@
+"""A headless Chromium, driven over its debugging pipe: pages as a reader has them, at any width, light or dark."""
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+_FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe", "--no-first-run")
+
+
+class Browser:
+    """One tab. Messages are JSON that a NUL ends, on descriptors 3 (to the browser) and 4 (from it)."""
+
+    def __init__(self, profile: Path):
+        to_browser, self._out = os.pipe()
+        self._in, from_browser = os.pipe()
+
+        def place() -> None:  # both first out of the way of 3 and 4
+            reading, writing = os.dup(to_browser), os.dup(from_browser)
+            os.dup2(reading, 3)
+            os.dup2(writing, 4)
+
+        self._process = subprocess.Popen(
+            [CHROMIUM, *_FLAGS, f"--user-data-dir={profile}", "about:blank"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=place,  # noqa: PLW1509 (two system calls, no lock)
+            close_fds=False,
+        )
+        os.close(to_browser)
+        os.close(from_browser)
+        self._rest, self._count, self._session = b"", 0, None
+        self.problems: list[str] = []
+        targets = self.ask("Target.getTargets")["targetInfos"]
+        page = next(target for target in targets if target["type"] == "page")
+        self._session = self.ask("Target.attachToTarget", targetId=page["targetId"], flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self.ask(f"{domain}.enable")
+
+    def ask(self, method: str, **parameters) -> dict:
+        """The answer to a command of the DevTools protocol."""
+        self._count += 1
+        message = {"id": self._count, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        answer = self._until(lambda told: told.get("id") == self._count)
+        if "error" in answer:
+            raise RuntimeError(f"{method}: {answer['error']}")
+        return answer["result"]
+
+    def show(self, page: Path, width: int, height: int, dark: bool) -> None:
+        """Opens a page; `problems` then lists what its scripts threw and what the browser refused."""
+        self.problems = []
+        self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
+        self.scheme(dark)
+        self.ask("Page.navigate", url=page.resolve().as_uri())
+        self._until(lambda told: told.get("method") == "Page.loadEventFired")
+        self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def scheme(self, dark: bool) -> None:
+        """Light or dark, as the reader's system prefers."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.ask("Emulation.setEmulatedMedia", features=[scheme])
+
+    def drag(self, start: float, end: float, y: float) -> None:
+        """The mouse pressed at one place of the window, moved, and let go at another, all in pixels."""
+        for kind, x in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end), ("mouseMoved", end - 5)):
+            button = "none" if x == end - 5 else "left"
+            self.ask(
+                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=int(button == "left"), clickCount=1
+            )
+
+    def run(self, script: str):
+        """The value of an expression in the page, waited for if it is a promise."""
+        answer = self.ask("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(answer["exceptionDetails"]["exception"].get("description"))
+        return answer["result"].get("value")
+
+    def picture(self) -> bytes:
+        """The whole page as PNG."""
+        return base64.b64decode(self.ask("Page.captureScreenshot", captureBeyondViewport=True)["data"])
+
+    def close(self) -> None:
+        os.close(self._out)  # it ends when nobody speaks to it
+        self._process.wait()
+        os.close(self._in)
+
+    def _until(self, wanted: Callable[[dict], bool]) -> dict:
+        while True:
+            while b"\0" not in self._rest:
+                read = os.read(self._in, 1 << 16)
+                if not read:
+                    raise RuntimeError("the browser has ended")
+                self._rest += read
+            message, self._rest = self._rest.split(b"\0", 1)
+            told = json.loads(message)
+            if told.get("method") == "Runtime.exceptionThrown":
+                details = told["params"]["exceptionDetails"]
+                self.problems.append(details.get("exception", {}).get("description", details["text"]))
+            if told.get("method") == "Log.entryAdded":
+                self.problems.append(told["params"]["entry"]["text"])
+            if wanted(told):
+                return told

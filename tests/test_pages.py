@@ -1,0 +1,259 @@
+"""Every kind of report as a reader has it: on a phone and on a desk, light and dark; nothing overlaps, nothing is empty."""
+
+from datetime import date, timedelta
+
+import numpy as np
+import pytest
+
+import vpp_fmu as vpp
+from hil.report import add_counts, add_loops, add_timing, add_twin
+from hil.timing import timing
+from identification.diagnose.report.fleet import Entry, fleet_page
+from tests import test_report, test_report_diagnosis
+from tests.browser import CHROMIUM, Browser
+from vpp_fmu.cli.effects import effects_page
+from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.record import Record
+from vpp_fmu.report import Page, map_section, style
+from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
+from vpp_fmu.report.drawing import Arrays, drawing
+from vpp_fmu.report.learned import learned_curve
+from vpp_fmu.report.plan import interval_widths, planned_commands
+from vpp_fmu.report.tuning import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
+
+BOUND = 1.5e6
+"""Bytes of a report."""
+
+READERS = {"phone": (390, 844), "desk": (1100, 900)}
+
+FAULTS = """(() => {
+  const slack = 2; // pixels: the box of a text is higher than its letters
+  const faults = [];
+  const told = (element) => `${element.closest(".plot")?.id ?? element.tagName} "${element.textContent.slice(0, 40)}"`;
+  const room = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > room) faults.push(`the page is ${document.documentElement.scrollWidth} wide`);
+  for (const element of document.querySelectorAll("main *")) {
+    if (element.closest(".table, .sheet, .tip, pre")) continue;
+    if (element.getBoundingClientRect().right > room + 1) faults.push(`beyond the page: ${told(element)}`);
+  }
+  // Turned labels stand side by side in their own direction: there they are compared.
+  const box = (text) => {
+    const turn = /translate\\(([-.\\d]+) ([-.\\d]+)\\) rotate\\(-40\\)/.exec(text.getAttribute("transform") ?? "");
+    if (!turn) return { turned: false, ...text.getBoundingClientRect().toJSON() };
+    const [x, y, c, s] = [+turn[1], +turn[2], Math.cos((40 * Math.PI) / 180), Math.sin((40 * Math.PI) / 180)];
+    const [own, left, top] = [text.getBBox(), x * c - y * s, x * s + y * c];
+    return { turned: true, left: left + own.x, right: left + own.x + own.width, top: top + own.y,
+      bottom: top + own.y + own.height };
+  };
+  const share = (a, b) =>
+    Math.min(Math.min(a.right, b.right) - Math.max(a.left, b.left), Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top));
+  for (const plot of document.querySelectorAll(".plot")) {
+    const sheet = plot.querySelector(".sheet svg");
+    if (!sheet) { faults.push(`not drawn: ${plot.id}`); continue; }
+    for (const panel of sheet.querySelectorAll("g[clip-path]")) {
+      const marks = [...panel.querySelectorAll(".mark")].map((mark) => mark.getBBox());
+      if (!marks.some((one) => one.width > 1 || one.height > 1)) faults.push(`empty panel: ${plot.id}`);
+    }
+    const texts = [...sheet.querySelectorAll("text")].filter((text) => text.textContent);
+    const [frame, boxes] = [sheet.getBoundingClientRect(), texts.map(box)];
+    texts.forEach((text, k) => {
+      const own = text.getBoundingClientRect();
+      if (own.left < frame.left - 1 || own.right > frame.right + 1 || own.bottom > frame.bottom + 1 || own.top < frame.top - 1)
+        faults.push(`cut off: ${told(text)} of ${plot.id}`);
+      for (let j = 0; j < k; j += 1)
+        if (boxes[j].turned === boxes[k].turned && share(boxes[j], boxes[k]) > slack)
+          faults.push(`overlap in ${plot.id}: "${texts[j].textContent}" and "${text.textContent}"`);
+    });
+    const keys = plot.querySelector(".keys").getBoundingClientRect();
+    if (keys.bottom > frame.top + 1) faults.push(`the legend covers ${plot.id}`);
+  }
+  return [...new Set(faults)];
+})()"""
+"""What is wrong with how a page stands, a line each."""
+
+CONTRAST = """(() => {
+  const light = (colour) => {
+    const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    const [r, g, b] = colour.match(/[\\d.]+/g).slice(0, 3).map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const ground = light(getComputedStyle(document.body).backgroundColor);
+  const ratio = (colour) => (Math.max(light(colour), ground) + 0.05) / (Math.min(light(colour), ground) + 0.05);
+  const least = (selector, property) =>
+    Math.min(...[...document.querySelectorAll(selector)].map((one) => ratio(getComputedStyle(one)[property])));
+  return { ground, text: least("p, td, figcaption, h3, .key", "color"), labels: least(".sheet .tick, .sheet .title", "fill"),
+    lines: least(".sheet .line.mark", "stroke") };
+})()"""
+"""Contrast of text, labels and lines to the page's own colour, as WCAG 2 has it."""
+
+
+def other_figures() -> dict:
+    """Figures that test_report and test_report_diagnosis don't have, by name."""
+    x, rng = np.linspace(0.1, 20.0, 60), np.random.default_rng(1)
+    speeds, pitches = np.linspace(2000.0, 6000.0, 10), np.linspace(-10.0, 10.0, 9)
+    loops = {"published": 3.0 / (1j * x * (1.0 + 0.1j * x)), "tuned": 5.0 / (1j * x * (1.0 + 0.1j * x))}
+    names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
+    widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
+    cloud = Cloud("1.5 → 12 N", "tuned", np.full(60, 12.0), 12.0 - 10.0 * np.exp(-x) * rng.uniform(0.9, 1.1, (20, 1)))
+    return {
+        "coefficients": thrust_coefficients(speeds, pitches, 0.01 * pitches + 0.001 * speeds[:, None] / 6000.0, "One line"),
+        "convergence": mean_convergence(x, 0.1 / x**0.4, 0.1 / x**0.5, "Readings share noise", (1000, 0.01)),
+        "uncertainty": map_uncertainty(speeds, pitches, np.outer(pitches**2, speeds) * 1e-6, "Known best in the middle"),
+        "section": map_section(x, x**2, (x[::10], x[::10] ** 2), "At 4 deg", "speed [rpm]", 1.0 + 0.0 * x),
+        "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, "A curve", ("speed", "rpm"), ("thrust", "N")),
+        "commands": planned_commands(x, 3000.0 + 100.0 * np.round(x), np.round(x), x, "Commands change at 20 rows"),
+        "widths": interval_widths(names, {k: np.array(v) for k, v in widths.items()}, "Widths fall to a tenth"),
+        "nyquist": nyquist(loops, 2.0, "Both stay outside"),
+        "bode": bode(x, loops, "Gain and phase"),
+        "margins": margins_over_thrust(
+            {"tuned": x}, {"gain margin [-]": {"tuned": 2.0 + 0.1 * x}, "delay margin [s]": {"tuned": 0.1 / x}}, {}, "Margins"
+        ),
+        "clouds": response_clouds(x, [cloud], "Plants"),
+        "ranks": cost_ranks({"tuned": rng.uniform(size=30), "published": rng.uniform(1, 2, 30)}, "Tuned costs less"),
+    }
+
+
+def figures_page() -> Page:
+    """All kinds of figures that the page of an identification has not."""
+    page = Page("Figures", "One of each kind.", "campaign made up, no date of measurement")
+    page.tiles([("pitch_command_deadband.half_width", "1.70 deg", "95 %: 1.69 to 1.71 deg")] * 3)
+    for name, fig in (test_report.figures() | test_report_diagnosis.figures() | other_figures()).items():
+        page.section(name)
+        page.figure(fig, "What it shows.")
+    return page
+
+
+def rig_page() -> Page:
+    """The page of a run on the rig."""
+    page = Page("Hardware in the loop", "A run.")
+    run = test_report.record(2000)
+    rng = np.random.default_rng(2)
+    add_loops(page, {"rig": Record(run, "run")}, "")
+    add_twin(page, run["time"], 0.1 * rng.normal(size=2000), (run["time"] > 6.0).astype(float), 0.1, "The rig less its twin.")
+    add_timing(page, timing(rng.exponential(2e-4, 2000), rng.exponential(1e-4, 2000), np.zeros(2000)), "No real-time kernel.")
+    add_counts(page, {"adc": {"repeated": 3}}, [(0.0, "safe", "start"), (0.1, "running", "all devices answer")])
+    return page
+
+
+def campaigns_page() -> Page:
+    """Sixty campaigns over half a year."""
+
+    def entry(k: int) -> Entry:
+        day = (date(2026, 1, 1) + timedelta(days=3 * k)).isoformat()
+        sizes = {"sensor_drift.rate": (1.0 + 0.01 * k, 0.1, "N/s")}
+        return Entry(f"{day}_bench", f"{day}_bench", day, "attributed", ("sensor_drift",), 0.3, 0.2, 0.1, sizes)
+
+    return fleet_page([entry(k) for k in range(60)])
+
+
+def effect_page() -> Page:
+    chosen = [e for e in LIBRARY if e.name in ("pitch_backlash", "sensor_lag", "rotor_vibration")]
+    return effects_page(chosen, LIBRARY)
+
+
+PAGES = {
+    "identification": lambda: vpp.identify(vpp.example_campaign(), starts=1).page(),
+    "figures": figures_page,
+    "rig": rig_page,
+    "campaigns": campaigns_page,
+    "effects": effect_page,
+}
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Paths of one page of each kind."""
+    folder = tmp_path_factory.mktemp("pages")
+    for name, make in PAGES.items():
+        (folder / f"{name}.html").write_text(make().html(), encoding="utf-8")
+    return {name: folder / f"{name}.html" for name in PAGES}
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine: pages are not rendered")
+    opened = Browser(tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_small(pages, name):
+    assert pages[name].stat().st_size < BOUND
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("name", PAGES)
+def test_nothing_overlaps_is_cut_off_or_empty_and_all_can_be_read(pages, browser, name, reader):
+    browser.show(pages[name], *READERS[reader], dark=False)
+    assert browser.run(FAULTS) == []
+    light = browser.run(CONTRAST)
+    browser.scheme(dark=True)
+    dark = browser.run(CONTRAST)
+    assert (light["ground"] > 0.9, dark["ground"] < 0.05) == (True, True)
+    for seen in (light, dark):
+        assert seen["text"] > 4.5
+        assert seen["labels"] > 4.5
+        assert seen["lines"] > 1.5  # what is faint on purpose is still there
+    assert browser.problems == []
+
+
+def test_faults_that_are_planted_are_found(pages, browser):
+    browser.show(pages["rig"], *READERS["phone"], dark=False)
+    browser.run("document.querySelector('.sheet .tick').after(document.querySelector('.sheet .tick').cloneNode(true))")
+    browser.run("document.querySelectorAll('#figure-2 .mark').forEach((mark) => mark.remove())")
+    browser.run("document.querySelector('h1').style.width = '500px'")
+    faults = " / ".join(browser.run(FAULTS))
+    for wanted in ("overlap in figure-1", "empty panel: figure-2", "beyond the page: H1", "the page is"):
+        assert wanted in faults
+
+
+def test_lines_stand_where_their_values_are(pages, browser):
+    """Between two ticks of an axis a value's place is theirs in proportion: checked on the drawn path, by its own labels."""
+    browser.show(pages["figures"], *READERS["desk"], dark=False)
+    ticks, path = browser.run("""(() => {
+      const sheet = document.querySelector("#figure-1 .sheet svg");
+      const middle = (text) => [+text.textContent.replace("−", "-"), (+text.getAttribute("y")) - 4];
+      const first = sheet.querySelector("g[clip-path]");
+      const own = [...sheet.querySelectorAll("text.tick[text-anchor=end]")].map(middle);
+      return [own.slice(0, 5), first.querySelector("path.mark").getAttribute("d")];
+    })()""")
+    (low, low_at), (high, high_at) = ticks[0], ticks[4]
+    heights = [float(point.split(" ")[1]) for point in path[1:].split("L")]
+    values = [low + (at - low_at) / (high_at - low_at) * (high - low) for at in heights]
+    drawn = test_report.figures()["prediction"].data[0].y
+    np.testing.assert_allclose(values, drawn, atol=0.02)
+
+
+def test_a_name_of_the_legend_hides_its_line_and_dragging_zooms(pages, browser):
+    browser.show(pages["rig"], *READERS["desk"], dark=False)
+    count = "document.querySelectorAll('#figure-1 .mark').length"
+    before = browser.run(count)
+    browser.run("document.querySelector('#figure-1 .key').click()")
+    assert browser.run(count) < before
+    browser.run("document.querySelector('#figure-2').scrollIntoView()")
+    box = browser.run("document.querySelector('#figure-2 .ground').getBoundingClientRect().toJSON()")
+    ticks = "[...document.querySelectorAll('#figure-2 .tick[text-anchor=middle]')].map((text) => +text.textContent)"
+    whole = browser.run(ticks)
+    across = [box["x"] + share * box["width"] for share in (0.25, 0.5)]
+    browser.drag(across[0], across[1], box["y"] + 30)
+    zoomed = browser.run(ticks)
+    assert (min(whole), max(whole)) == (0.0, pytest.approx(7.0, abs=1.1))
+    assert 1.9 < min(zoomed) < max(zoomed) < 4.1  # a quarter to a half of 8 s
+    assert "N" in browser.run("document.querySelector('#figure-2 .tip').textContent")
+
+
+def test_what_cannot_be_drawn_is_refused():
+    fig = test_report.prediction()
+    fig.data[0].line.simplify = False
+    with pytest.raises(ValueError, match=r"scatter.line.simplify can't be drawn"):
+        drawing(fig, Arrays())
+    fig = style.figure("Title", 300)
+    fig.add_pie(values=[1, 2])
+    with pytest.raises(ValueError, match="a pie can't be drawn"):
+        drawing(fig, Arrays())
+    fig = test_report.prediction()
+    fig.data[0].line.color = "#123456"
+    with pytest.raises(ValueError, match="#123456 stands in no scheme"):
+        drawing(fig, Arrays())
