@@ -94,7 +94,7 @@ function raised(power) {
 
 class Axis {
   constructor(given, range) {
-    Object.assign(this, given);
+    Object.assign(this, { title: "" }, given);
     [this.low, this.high] = range;
   }
 
@@ -125,7 +125,7 @@ class Axis {
         return room * pixels >= (apart(text) + apart(found[k - 1][1])) / 2;
       });
     const choices = [...this.choices()];
-    return choices.find(fits) ?? choices[choices.length - 1];
+    return choices.find(fits) ?? choices[choices.length - 1] ?? [];
   }
 
   *choices() {
@@ -144,22 +144,24 @@ class Axis {
         const seen = found.filter(inside);
         if (seen.length > 1 && seen.length < 14) yield seen.map((value) => [value, logarithmic(value)]);
       }
-      yield [this.low, this.high].map((power) => [10 ** power, digits(10 ** power, ".2~r")]);
-    } else {
-      const span = this.high - this.low;
-      const finest = this.step ?? 10 ** Math.floor(Math.log10(span / 12));
-      for (let decade = 1; decade <= 1e4; decade *= 10)
-        for (const digit of [1, 2, 5]) {
-          const step = finest * decade * digit;
-          const first = Math.ceil(this.low / step - 1e-9);
-          const count = Math.floor(this.high / step + 1e-9) - first + 1;
-          if (count > 13) continue;
-          if (count < 2) return;
-          const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-          const text = (value) => (this.kind === "date" ? day(value) : digits(value, `.${decimals}f`));
-          yield Array.from({ length: count }, (_, k) => (first + k) * step).map((value) => [value, text(value)]);
-        }
-    }
+      yield* this.even(10 ** this.low, 10 ** this.high); // less than a decade
+    } else yield* this.even(this.low, this.high);
+  }
+
+  // 1, 2 or 5 of a power of ten apart, the finest first
+  *even(low, high) {
+    const finest = this.step ?? 10 ** Math.floor(Math.log10((high - low) / 12));
+    for (let decade = 1; decade <= 1e4; decade *= 10)
+      for (const digit of [1, 2, 5]) {
+        const step = finest * decade * digit;
+        const first = Math.ceil(low / step - 1e-9);
+        const count = Math.floor(high / step + 1e-9) - first + 1;
+        if (count > 13) continue;
+        if (count < 2) return;
+        const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+        const text = (value) => (this.kind === "date" ? day(value) : digits(value, `.${decimals}f`));
+        yield Array.from({ length: count }, (_, k) => (first + k) * step).map((value) => [value, text(value)]);
+      }
   }
 }
 
@@ -261,9 +263,17 @@ function paint(figure, forced) {
     const lines = folded(axis.title, panel.tall, FONT.title).length;
     titled = Math.max(titled, 17 * lines + 4);
   }
-  const left = room + titled;
+  let left = room + titled;
   const heat = spec.marks.find((mark) => mark.kind === "heatmap" && axes[mark.axes.x].kind === "category");
   let width = Math.max(full, heat ? left + 40 * axes[heat.axes.x].names.length + 20 : 0);
+  for (const { x } of placed) {
+    // Labels that would not stand side by side are turned, and reach out to the left.
+    const { kind, names } = axes[x];
+    if (kind !== "category") continue;
+    const step = (width - left - 12) / names.length;
+    const reach = names.map((name, k) => 0.77 * wide(name, FONT.tick) - (k + 0.5) * step);
+    if (names.some((name) => wide(name, FONT.tick) + 14 > step)) left = Math.max(left, ...reach.map((each) => each + 8));
+  }
   if (spec.equal) width = Math.min(width, left + placed[0].tall + 12);
   const right = width - (placed.length > 1 && placed[0].gap ? 0 : 12);
   let bottom = 0;
@@ -285,7 +295,7 @@ function paint(figure, forced) {
     panel.axes = { x, y };
     const clip = svg("clipPath", { id: `${host.id}-${k}` }, clips);
     svg("rect", { x: panel.x0, y: panel.y0 - 1, width: panel.x1 - panel.x0, height: panel.tall + 2 }, clip);
-    const under = frame(root, panel, xs[panel.x] === panel, labels[panel.y], panel.first);
+    const under = frame(root, panel, xs[panel.x] === panel, labels[panel.y], width);
     bottom = Math.max(bottom, under);
     const inner = svg("g", { "clip-path": `url(#${host.id}-${k})` }, root);
     const own = spec.marks.filter((mark) => mark.axes.x === panel.x && mark.axes.y === panel.y && !figure.hidden.has(mark.key));
@@ -318,7 +328,7 @@ function belongs(shape, panel) {
 }
 
 // Grid, axes and labels of a panel; returns how far down the labels reach.
-function frame(root, panel, labelled, yLabels, first) {
+function frame(root, panel, labelled, yLabels, edge) {
   const { x, y } = panel.axes;
   const { x0, x1, y0, y1 } = panel;
   const back = svg("g", { class: "frame" }, root);
@@ -337,12 +347,13 @@ function frame(root, panel, labelled, yLabels, first) {
   if (y.zeroline && y.low < 0 && y.high > 0) horizontal(back, y.at(0), panel, "zero");
   vertical(back, x0, panel, "axis");
   horizontal(back, y1, panel, "axis");
-  if (first)
+  if (panel.first)
     for (const [value, text] of rows) {
       const lines = text.split("\n");
       const height = y.at(value);
       if (panel.above) {
         const half = Math.abs(y.to - y.from) / y.names.length / 2;
+        while (lines.length > 1 && x0 + 6 + wide(lines.join(" · "), FONT.tick) > edge) lines.pop(); // the table has it
         svg("text", { x: x0 + 4, y: height - half + 12, class: "tick row" }, root, lines.join(" · "));
         continue;
       }
@@ -359,7 +370,7 @@ function frame(root, panel, labelled, yLabels, first) {
       const angle = { transform: `translate(${place + 4} ${y1 + 12}) rotate(-40)`, "text-anchor": "end", class: "tick turned" };
       svg("text", angle, root, text);
       reach = Math.max(reach, 14 + 0.65 * wide(text, FONT.tick));
-    } else svg("text", { x: place, y: y1 + 18, "text-anchor": "middle", class: "tick" }, root, text);
+    } else svg("text", { x: Math.min(place, edge - wide(text, FONT.tick) / 2 - 1), y: y1 + 18, "text-anchor": "middle", class: "tick" }, root, text);
   }
   return y1 + Math.max(BELOW, reach);
 }
