@@ -9,6 +9,7 @@ from identification.tune.objective import closed_loop
 from identification.tune.operating import open_loop
 from identification.tune.summary import NAMES, against, change_rows, key_figures, labels, margin_rows, settling
 from identification.tune.tune import JUDGED, Tuned, Tuning
+from vpp_fmu.digits import number
 from vpp_fmu.report import Page, learning_curve
 from vpp_fmu.report import closed_loop as loop_figure
 from vpp_fmu.report.tuning import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
@@ -140,7 +141,7 @@ def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
         (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
         rows,
         f"Margins of the {label} gains; a dash: the loop never gets there. Linearised by moves of "
-        f"{MOVE * scales['omega_scale']:.3g} rpm and {MOVE * scales['beta_scale']:.3g} deg.",
+        f"{number(MOVE * scales['omega_scale'])} rpm and {number(MOVE * scales['beta_scale'])} deg.",
     )
 
 

@@ -104,24 +104,19 @@ def _origin(model: Model, parameter, values: Mapping[str, float], origins: Mappi
 
 
 def _equations(model: Model) -> list[str]:
-    """One part for each module that brings effects, with what its docstring says."""
-    parts: dict[str | None, list[Effect]] = {}
+    """One part for each file that brings effects, with what its docstring says."""
+    parts: dict[str, list[str]] = {}
     for effect in model.effects:
-        parts.setdefault(_module(effect), []).append(effect)
-    found = []
-    for module, effects in parts.items():
-        names = ", ".join(e.name for e in effects)
-        text = (importlib.import_module(module).__doc__ or "") if module else effects[0].description
-        found.append(f"<h3>{escape(names)}</h3>{_prose(text)}")
-    return found
+        parts.setdefault(_theory(effect), []).append(effect.name)
+    return [f"<h3>{escape(', '.join(names))}</h3>{_prose(text)}" for text, names in parts.items()]
 
 
-def _module(effect: Effect) -> str | None:
-    """The module that an effect's equation stands in; what only delays an input has no step of its own to tell."""
+def _theory(effect: Effect) -> str:
+    """What the file that an effect's equation stands in says, be it of the library or of one's own; a delay has no equation."""
     if effect.step is not no_step:
-        return effect.step.__module__
+        return effect.step.__globals__.get("__doc__") or effect.description
     own = f"{EFFECTS}.{effect.name}"
-    return own if find_spec(own) else None
+    return (find_spec(own) and importlib.import_module(own).__doc__) or effect.description
 
 
 def _prose(text: str) -> str:

@@ -1,0 +1,75 @@
+"""The notebooks run from top to bottom in a kernel of their own, and their numbers make sense."""
+
+import ast
+import os
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = ROOT / "identification" / "notebooks"
+
+
+def run(name: str, folder: Path, asked: str, **replaced: str):
+    """The value of an expression after the last cell of a notebook that ran in `folder`, some lines replaced."""
+    notebook = nbformat.read(NOTEBOOKS / name, as_version=4)
+    for old, new in replaced.items():
+        cell = next(cell for cell in notebook.cells if cell.source.startswith(f"{old} = "))
+        cell.source = f"{old} = {new}"
+    notebook.cells.append(nbformat.v4.new_code_cell(f"print(repr({asked}))"))
+    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
+    return ast.literal_eval(notebook.cells[-1].outputs[0].text)
+
+
+@pytest.fixture(autouse=True)
+def kernel(monkeypatch, tmp_path):
+    """This checkout is what the kernel imports; it leaves nothing in the home."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))))
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    monkeypatch.setenv("JUPYTER_PLATFORM_DIRS", "1")
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_is_valid_and_bears_no_outputs(path):
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        assert not cell.get("outputs")
+        assert cell.get("execution_count") is None
+
+
+def test_the_main_job(tmp_path):
+    found = run(
+        "campaign_to_fmu.ipynb",
+        tmp_path,
+        "(found.verdict, found.effects, before, after, diagnosis['noise_floor_thrust'], diagnosis['before']['rmse_thrust'],"
+        " diagnosis['after']['rmse_thrust'], float(np.std(record['thrust'])))",
+        EFFECTS='["pitch_command_deadband", "pitch_delay"]',
+    )
+    verdict, effects, before, after, noise, said_before, said_after, spread = found
+    assert (verdict, effects) == ("attributed", ("pitch_command_deadband",))
+    assert noise < after < 1.1 * noise < 1.3 * noise < before < 0.2 * spread
+    assert (before, after) == (pytest.approx(said_before, rel=0.02), pytest.approx(said_after, rel=0.02))
+
+
+def test_an_effect_of_ones_own(tmp_path):
+    found = run(
+        "effect_of_your_own.ipynb",
+        tmp_path,
+        "(checked, found.effects, [values[f'load_cell_creep.{n}'] for n in ('share', 'time_constant')],"
+        " [found.parameters.estimates[f'load_cell_creep.{n}'].std for n in ('share', 'time_constant')],"
+        " variables['load_cell_creep.share'][1], list(settled.values()))",
+    )
+    checked, effects, values, stds, start, (before, stepped, crept) = found
+    assert (checked, effects) == (0, ("load_cell_creep",))
+    for value, std, truth in zip(values, stds, (0.06, 4.0), strict=True):
+        assert abs(value - truth) < 5.0 * std
+        assert std < 0.1 * truth
+    assert float(start) == pytest.approx(values[0], rel=1e-6)
+    share, time_constant = values  # a step of thrust: at once all but the share, which comes with its time constant
+    assert before < stepped < crept
+    shown, whole = 1.0 + share * (1.0 - 2.718281828 ** (-1.0 / time_constant)), 1.0 + share
+    whole_step, seen_step = (crept - before) / whole, stepped - before
+    assert seen_step / whole_step == pytest.approx(shown, rel=0.02)
