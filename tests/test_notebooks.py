@@ -2,11 +2,16 @@
 
 import ast
 import os
+import re
 from pathlib import Path
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
+
+import vpp_fmu as vpp
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.record import write_record
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "identification" / "notebooks"
@@ -16,8 +21,8 @@ def run(name: str, folder: Path, asked: str, **replaced: str):
     """The value of an expression after the last cell of a notebook that ran in `folder`, some lines replaced."""
     notebook = nbformat.read(NOTEBOOKS / name, as_version=4)
     for old, new in replaced.items():
-        cell = next(cell for cell in notebook.cells if cell.source.startswith(f"{old} = "))
-        cell.source = f"{old} = {new}"
+        cell = next(cell for cell in notebook.cells if re.search(rf"^{old} = .*$", cell.source, re.MULTILINE))
+        cell.source = re.sub(rf"^{old} = .*$", lambda _, new=new, old=old: f"{old} = {new}", cell.source, flags=re.MULTILINE)
     notebook.cells.append(nbformat.v4.new_code_cell(f"print(repr({asked}))"))
     NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
     return ast.literal_eval(notebook.cells[-1].outputs[0].text)
@@ -40,12 +45,22 @@ def test_a_notebook_is_valid_and_bears_no_outputs(path):
         assert cell.get("execution_count") is None
 
 
-def test_the_main_job(tmp_path):
+@pytest.fixture
+def short(tmp_path):
+    """The first minute of the example's long records, and nothing else: all is done sooner."""
+    campaign, folder = vpp.read_campaign(vpp.example_campaign()), OutputFolder(tmp_path / "short")
+    for name in ("open_loop", "repeat", "validation"):
+        write_record(folder, f"{name}.csv", getattr(campaign, name).part(slice(15_000)))
+    return folder.path
+
+
+def test_the_main_job(short, tmp_path):
     found = run(
         "campaign_to_fmu.ipynb",
         tmp_path,
         "(found.verdict, found.effects, before, after, diagnosis['noise_floor_thrust'], diagnosis['before']['rmse_thrust'],"
         " diagnosis['after']['rmse_thrust'], float(np.std(record['thrust'])))",
+        campaign=f"vpp.read_campaign({str(short)!r})",
         EFFECTS='["pitch_command_deadband", "pitch_delay"]',
     )
     verdict, effects, before, after, noise, said_before, said_after, spread = found
