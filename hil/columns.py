@@ -45,8 +45,9 @@ SHOWN = (
     ("twin", "s", ""),
     ("missed", "3.0f", ""),
     ("done", "3.0f", "%"),
+    ("page", "s", ""),
 )
 """What the live view shows of it: name, format, unit."""
 
-WORDS = {"state": STATES, "twin": ("", "ALARM: not as its model")}
+WORDS = {"state": STATES, "twin": ("", "ALARM: not as its model"), "page": ("", "the page is gone")}
 """For the numbers of SHOWN that stand for words."""

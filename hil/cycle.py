@@ -2,12 +2,13 @@
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from hil.bench import Bench
 from hil.columns import STATES
 from hil.live import View
 from hil.log import Log
+from hil.page.operator_page import OperatorPage
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 from hil.safety.limits import Cut, Limits
 from hil.safety.plausibility import Plausibility, Reading
@@ -20,6 +21,9 @@ from hil.ticks import Tick, Ticks
 PERIOD = 0.004
 """s, of the loop (paper: 250 Hz)."""
 
+COUNTED = 250
+"""Ticks between two looks at what the devices have counted."""
+
 NOBODY = (math.nan, math.nan)
 """What a controller wants while there is none."""
 
@@ -29,6 +33,7 @@ class Cycle:
 
     `wanted`: what the controller follows [N]. `throttle` [1] and `commands` [rpm, deg] stand on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
+    `page`: the operator's, whose end is told and ends nothing.
     """
 
     def __init__(
@@ -39,6 +44,7 @@ class Cycle:
         signals: StopSignals | None,
         view: View,
         plausibility: Callable[[], Plausibility],
+        page: OperatorPage | None = None,
     ):
         self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
         self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
@@ -46,6 +52,7 @@ class Cycle:
         self.done = math.nan  # % of a record or a campaign's part, for the view
         self.wanted, self.zero = math.nan, bench.calibration.zero
         self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
+        self._page, self._page_gone, self._counted = page, False, {}
         self._known: set[tuple[str, FaultKind]] = set()
         self.supervisor: Supervisor | None = None
         self.begin()
@@ -148,8 +155,17 @@ class Cycle:
         )
         self._view.show(
             *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.alarm, self.ticks.missed, self.done),
+            *(self.throttle, self.residual, self.alarm, self.ticks.missed, self.done, self._page_gone),
         )
+        if self.ticks.ticks % COUNTED == 0:
+            self._keep_counters()
+
+    def _keep_counters(self) -> None:
+        """What was healed so far, beside the log, where that is more than before."""
+        counted = healed(self.bench.counters)
+        if counted != self._counted:
+            self._counted = counted
+            self.keep(counters=counted)
 
     def _sense(self) -> None:
         for fault in self.senses.read(self.passed):
@@ -171,6 +187,9 @@ class Cycle:
                 self.fault(fault)
         if self._log.broken:
             self.fault(Fault("log", FaultKind.LOG_LOST, self._log.broken))
+        if self._page and not self._page_gone and self._page.broken:
+            self._page_gone = True
+            self.note(f"page: {self._page.broken}; the run goes on without it")
         overdue = self._overdue()
         if overdue:
             self.fault(overdue)
@@ -193,3 +212,9 @@ class Cycle:
         elif self.ticks.time - self._driven_since > limits.run_time:
             return Fault("loop", FaultKind.RUN_TIME, f"{limits.run_time:g} s")
         return None
+
+
+def healed(counters: Mapping[str, Mapping[str, int]]) -> dict[str, dict[str, int]]:
+    """Of what the devices counted, what went wrong and was borne; pulses are no trouble."""
+    found = {device: {what: n for what, n in counts.items() if n and what != "pulses"} for device, counts in counters.items()}
+    return {device: counts for device, counts in found.items() if counts}

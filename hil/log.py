@@ -108,7 +108,8 @@ class MemoryLog:
 class ProcessLog:
     """A log for real time. The memory holds as many rows as a pipe holds bytes, 65536 as a rule: four minutes at 250 Hz.
 
-    `after`: the command that the writer becomes where the loop ends without `close`.
+    `after`: the command that the writer becomes where the loop ends without `close`. Whoever is given the descriptor `shared`
+    may read along (`Reader`): the loop does nothing for that.
     """
 
     def __init__(self, path: str | os.PathLike, columns: Sequence[Column], after: Sequence[str] = ()):
@@ -117,13 +118,14 @@ class ProcessLog:
         read, self._pipe = os.pipe()
         hear, self._notes = os.pipe()
         # What was taken from the pipe is not yet taken from the memory: one batch more must have room.
-        self._slots = fcntl.fcntl(self._pipe, _GET_PIPE_SIZE) + _BATCH
+        self.slots = fcntl.fcntl(self._pipe, _GET_PIPE_SIZE) + _BATCH
         shared = os.memfd_create("hil-log")
-        os.ftruncate(shared, self._slots * self._row.size)
-        self._memory = mmap.mmap(shared, self._slots * self._row.size)
+        os.ftruncate(shared, self.slots * self._row.size)
+        self._memory = mmap.mmap(shared, self.slots * self._row.size)
         os.set_blocking(self._pipe, False)
         os.set_blocking(self._notes, False)
-        task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self._slots, shared, read, hear])
+        self.path, self.columns, self.shared = Path(path), tuple(columns), shared
+        task = json.dumps([str(path), [astuple(c) for c in columns], list(after), self.slots, shared, read, hear])
         self._writer = subprocess.Popen(
             [sys.executable, "-m", "hil.log", task],
             pass_fds=(shared, read, hear),
@@ -131,7 +133,7 @@ class ProcessLog:
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is not for it
         )
-        for descriptor in (shared, read, hear):
+        for descriptor in (read, hear):
             os.close(descriptor)
 
     @property
@@ -140,7 +142,7 @@ class ProcessLog:
         return self._writer.pid
 
     def put(self, *row):
-        self._row.pack_into(self._memory, self._head % self._slots * self._row.size, *row)
+        self._row.pack_into(self._memory, self._head % self.slots * self._row.size, *row)
         try:
             os.write(self._pipe, b"x")
         except (BlockingIOError, BrokenPipeError) as error:
@@ -161,11 +163,38 @@ class ProcessLog:
         os.close(self._notes)
         told, _ = self._writer.communicate()
         self._memory.close()
+        os.close(self.shared)
         try:
             rows, failure = json.loads(told)
         except ValueError:
             rows, failure = 0, f"the log's writer has died (exit code {self._writer.returncode})"
         return Logged(rows, self._lost + self._head - rows, failure)
+
+
+class Reader:
+    """Reads a ProcessLog's memory from another process, while the loop writes to it: `width` numbers a row in `slots` places.
+
+    A row is whole once the next one stands in its place, later in its first column, the time.
+    """
+
+    def __init__(self, shared: int, slots: int, width: int):
+        self._row, self._slots, self._next = struct.Struct(f"{width}d"), slots, 0
+        self._memory = mmap.mmap(shared, slots * self._row.size, access=mmap.ACCESS_READ)
+
+    def rows(self) -> list[tuple[float, ...]]:
+        """Those that became whole since the last call."""
+        found = []
+        while len(found) < _BATCH and self._at(self._next + 1)[0] > self._at(self._next)[0]:
+            found.append(self._at(self._next))
+            self._next += 1
+        return found
+
+    def close(self) -> None:
+        """Let go of the memory."""
+        self._memory.close()
+
+    def _at(self, place: int) -> tuple[float, ...]:
+        return self._row.unpack_from(self._memory, place % self._slots * self._row.size)
 
 
 class _Events:

@@ -11,6 +11,7 @@ from hil.bench import Bench
 from hil.cycle import NOBODY, PERIOD, Cycle
 from hil.live import NoView, View
 from hil.log import Log
+from hil.page.operator_page import OperatorPage
 from hil.physics.speed_pi import SpeedPi
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 from hil.safety.limits import Cut, Limiter, Limits
@@ -80,10 +81,11 @@ class Rig:
         gate: TareGate | None = None,
         polarity: Polarity | None = None,
         on_alarm: FaultKind | None = None,
+        page: OperatorPage | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
-        self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility)
+        self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility, page)
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
         self._supervise, self._twin, self._polarity = supervise, twin, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)

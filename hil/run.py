@@ -11,6 +11,7 @@ import numpy as np
 from hil.columns import RUN
 from hil.cycle import PERIOD
 from hil.log import Column, cell
+from hil.page.operator_page import OperatorPage
 from hil.rig import ENDINGS, Rig
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
@@ -88,13 +89,14 @@ def run_on_rig(
     progress: Callable[[float], None] = lambda share: None,
     after: Sequence[str] = (),
     on_alarm: FaultKind | None = None,
+    page: OperatorPage | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder` and keeps what was measured, however it ended; `after` and `on_alarm` as in `session`."""
+    log to `folder` and keeps what was measured, however it ended; `after`, `on_alarm` and `page` as in `session`."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
-    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm) as one:
+    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm, page=page) as one:
         try:
 
             def shown(share: float) -> None:

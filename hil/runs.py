@@ -78,7 +78,7 @@ def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
         **begun,
         "tares": [event["tare"] for event in events if "tare" in event],
         "transitions": [{"time": 0.0, "state": "safe", "why": "start"}, *states],
-        "counters": {},
+        "counters": next((event["counters"] for event in reversed(events) if "counters" in event), {}),
         "supervisor": supervisor,
         "log": {"ticks": rows, "rows": rows, "lost": 0, "failure": ""},
         "timing": timing(record["late"], record["busy"], record["missed"]).summary() if real_time else None,

@@ -25,6 +25,7 @@ from hil.emulator.rig import Rig as Emulated
 from hil.emulator.rig import virtual_bench
 from hil.live import NoView, view
 from hil.log import Logged, MemoryLog, ProcessLog
+from hil.page.operator_page import OperatorPage
 from hil.realtime import real_time
 from hil.rig import Rig
 from hil.safety.faults import FaultKind
@@ -128,23 +129,26 @@ def session(
     watch: bool = True,
     after: Sequence[str] = (),
     on_alarm: FaultKind | None = None,
+    page: OperatorPage | None = None,
 ) -> Iterator[Session]:
     """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
 
     `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
-    makes a report of the log if this process can't. `on_alarm` as `Rig` has it.
+    makes a report of the log if this process can't. `on_alarm` as `Rig` has it. `page`: in real time, the operator's.
     """
     with contextlib.ExitStack() as ends:
         bench = setup.bench()
         ends.callback(bench.close)
         in_virtual_time = isinstance(bench.clock, VirtualClock)
         log = MemoryLog(folder / log_name, COLUMNS) if in_virtual_time else ProcessLog(folder / log_name, COLUMNS, after)
+        if page:
+            page.follow(log)
         shown = NoView() if in_virtual_time or not watch else view(SHOWN, WORDS)
         ends.callback(shown.close)
         report = folder / REPORT
         report.unlink(missing_ok=True)
         supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report, keep=(bench.lock,))
-        with StopSignals() as signals, contextlib.nullcontext("virtual time") if in_virtual_time else real_time() as granted:
+        with StopSignals(lambda: bool(page and page.pressed)) as signals, contextlib.nullcontext("virtual time") if in_virtual_time else real_time() as granted:
             rig = Rig(
                 bench,
                 setup.limits,
@@ -157,6 +161,7 @@ def session(
                 gate_of(setup.allowed),
                 setup.polarity(),
                 on_alarm,
+                page,
             )
             one = Session(rig, setup, str(granted), folder)
             try:

@@ -1,6 +1,7 @@
 """The operator's signals: Ctrl-C once ramps down, twice stops at once; SIGTERM and a lost terminal stop at once."""
 
 import signal
+from collections.abc import Callable
 
 from hil.safety.faults import Fault, FaultKind
 
@@ -8,13 +9,14 @@ from hil.safety.faults import Fault, FaultKind
 class StopSignals:
     """While entered, signals only leave a mark that the loop reads between ticks: nothing is torn out of a bus transfer.
 
-    Enter it in the main thread. The handlers that stood before come back at the end.
+    Enter it in the main thread. The handlers that stood before come back at the end. `pressed`: whether an interrupt was STOP
+    on the operator's page, which sends the same signal.
     """
 
     HANDLED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-    def __init__(self):
-        self._interrupts, self._ended, self._before = 0, None, {}
+    def __init__(self, pressed: Callable[[], bool] = lambda: False):
+        self._interrupts, self._ended, self._before, self._pressed = 0, None, {}, pressed
 
     def __enter__(self):
         self._before = {number: signal.signal(number, self._note) for number in self.HANDLED}
@@ -35,6 +37,9 @@ class StopSignals:
         """What was asked for so far, the hardest of it. INTERRUPTED is no fault of the rig: it ends the run in order."""
         if self._ended:
             return Fault("operator", FaultKind.TERMINATED, self._ended)
+        if not self._interrupts:
+            return None
+        how = "STOP on the page" if self._pressed() else "Ctrl-C"
         if self._interrupts > 1:
-            return Fault("operator", FaultKind.INTERRUPTED_TWICE, f"Ctrl-C {self._interrupts} times")
-        return Fault("operator", FaultKind.INTERRUPTED, "Ctrl-C") if self._interrupts else None
+            return Fault("operator", FaultKind.INTERRUPTED_TWICE, f"{how} {self._interrupts} times")
+        return Fault("operator", FaultKind.INTERRUPTED, how)

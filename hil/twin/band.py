@@ -32,6 +32,16 @@ class Band:
     slow_time: float
     model_error: float
 
+    @property
+    def noise(self) -> float:
+        """Of one reading [N], standard deviation."""
+        return sqrt(self.white**2 + self.slow**2)
+
+    @property
+    def width(self) -> float:
+        """N about the model's thrust within which 19 of 20 readings lie while nothing new happens."""
+        return self.model_error + 1.96 * self.noise
+
 
 def read_band(path: str | os.PathLike) -> Band:
     """The band from what `vpp identify` wrote (identification.json): noise floor, and the largest rmse of its records.

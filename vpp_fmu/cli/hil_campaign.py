@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from hil.campaign import PARTS, Plan, follow, measure, parts_for, plan_for, same_commands, seconds
-from hil.commands import resampled
+from hil.commands import grid, resampled, steps
 from hil.cycle import PERIOD
 from hil.entries import read_json
 from hil.resume import attempts, forget, log_name, measured_so_far, partial
@@ -59,6 +59,7 @@ def configure(parser):
         shown = f"{text} (default: {default:g} {kind.unit}{longer})".replace(" )", ")")
         parser.add_argument(option, type=kind, metavar="N", help=shown)
     parser.add_argument("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
+    hil_options.add_watch(parser)
     add_output(parser)
 
 
@@ -69,7 +70,13 @@ def run(options):
     folder = OutputFolder(options.output)
     told = _told(options, setup, plan, folder)
     hil_options.say_allowed(setup.allowed)
-    hil_options.confirm(setup)
+    with hil_options.watched(options, told) as page:
+        hil_options.confirm(setup)
+        _measure(options, setup, plan, commands, folder, told, page)
+
+
+def _measure(options, setup: Setup, plan: Plan, commands: Record | None, folder: OutputFolder, told: dict, page) -> None:
+    """The parts that are wanted and not there yet, one after the other. What ended one before its time is raised."""
     parts = ("record",) if commands else tuple(part for part in options.parts if part in parts_for(setup.allowed))
     if not commands and len(parts) < len(options.parts):
         print("steps: speed and pitch both stand, so there are none")
@@ -85,8 +92,10 @@ def run(options):
             found[part] = read_record(folder.path / f"{part}.csv") if part in ("open_loop", "repeat") else None
             continue
         have = measured_so_far(folder.path, part) if part in ("static", "steps") else []
-        one, record, ended = _measured(_again(setup, part), folder, part, plan, commands, have)
-        told["parts"][part] = one.told() | {"ended": str(ended or ""), "whole": not ended, "attempts": len(_logs(folder, part))}
+        if page:
+            page.part(part, **_extent(part, plan, setup, commands), parts=parts, before=attempts(folder.path, part))
+        one, record, ended = _measured(_again(setup, part), folder, part, plan, commands, have, page)
+        told["parts"][part] = one.told() | {"ended": str(ended or ""), "whole": not ended, "attempts": len(attempts(folder.path, part))}
         if ended:
             told |= {"status": ENDED_EARLY, "completed": now()}
         folder.write("hil.json", as_json(told))
@@ -100,10 +109,6 @@ def run(options):
         print(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost", flush=True)
     folder.write("hil.json", as_json(told | {"status": ENDED, "completed": now()}))
     say_written(folder)
-
-
-def _logs(folder: OutputFolder, part: str) -> list:
-    return attempts(folder.path, part)
 
 
 def _told(options, setup: Setup, plan: Plan, folder: OutputFolder) -> dict:
@@ -140,13 +145,13 @@ def _keep(folder: OutputFolder, part: str) -> None:
         print(f"{part}: {count} {what} kept in {part}{PARTIAL}; --resume goes on", flush=True)
 
 
-def _measured(setup: Setup, folder: OutputFolder, part: str, plan: Plan, commands: Record | None, have: list):
+def _measured(setup: Setup, folder: OutputFolder, part: str, plan: Plan, commands: Record | None, have: list, page):
     """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
     record = ended = None
     in_view = sys.stderr.isatty() and not setup.virtual  # it shows how much is done
     with (
         tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
-        session(setup, folder.path, log_name(folder.path, part)) as one,
+        session(setup, folder.path, log_name(folder.path, part), page=page) as one,
     ):
 
         def progress(share):
@@ -163,6 +168,14 @@ def _measured(setup: Setup, folder: OutputFolder, part: str, plan: Plan, command
         except ENDINGS as reason:
             ended = reason
     return one, record, ended
+
+
+def _extent(part: str, plan: Plan, setup: Setup, commands: Record | None) -> dict:
+    """How much a part is, as the operator's page wants to know it; a record's own length stands in its events."""
+    if part == "static" and not commands:
+        speeds, pitches = zip(*grid(plan.points, setup.allowed), strict=True)
+        return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
+    return {"steps": len(steps(plan.levels, setup.allowed))} if part == "steps" else {}
 
 
 def _again(setup: Setup, part: str) -> Setup:

@@ -5,6 +5,7 @@ import getpass
 import os
 import platform
 import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +15,7 @@ from hil.calibration import read_calibration
 from hil.campaign import steep, within
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
+from hil.page.operator_page import OperatorPage
 from hil.physics.rig_model import library
 from hil.runs import sha256_of
 from hil.safety.limits import Limits, limits_of, read_limits
@@ -21,12 +23,13 @@ from hil.session import Setup, versions
 from vpp_fmu.cli.hil_outcome import RUNNING
 from vpp_fmu.cli.options import SEED, whole
 from vpp_fmu.date import now
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.plants import Controller, FmuController, KernelController
 from vpp_fmu.rig import Rig, declared_rig
+from vpp_fmu.stopping import Stopped
 
 EMULATED = files("hil.emulator") / "calibration.json"
 WORD = "spin"
@@ -53,6 +56,36 @@ def add_rig(parser, fmu: bool = False) -> None:
         "--pwm-channels", nargs=2, type=whole(0, 15), default=wiring.channels, metavar=("ESC", "LAC"), help=text
     )
     parser.add_argument("--operator", metavar="NAME", help="who runs it, for hil.json (default: the user)")
+
+
+def add_watch(parser) -> None:
+    """The option that serves the operator's page."""
+    text = "serve a page with what the rig does, and STOP, on this machine's own address, which is printed (default: a free port)"
+    parser.add_argument("--watch", nargs="?", type=whole(1024, 65535), const=0, metavar="PORT", help=text)
+
+
+@contextlib.contextmanager
+def watched(options, told: Mapping) -> Iterator[OperatorPage | None]:
+    """The operator's page, where it is wanted, for as long as the context lasts; its address is printed. BadInput."""
+    if options.watch is None:
+        yield None
+        return
+    if options.virtual:
+        raise BadInput("command line", "--watch", "given with --virtual", "a run in real time: a virtual one is over in seconds")
+    page, ended = OperatorPage(told, options.watch), "ended as planned"
+    print(f"operator's page: {page.address}", flush=True)
+    try:
+        yield page
+    except (VppError, Stopped) as error:
+        ended = " ".join(str(error).split())
+        raise
+    except BaseException as error:
+        ended = type(error).__name__
+        raise
+    finally:
+        page.close(ended)
+        if page.broken:
+            print(f"vpp hil: page: {page.broken}; the rig went on without it", file=sys.stderr)
 
 
 def add_controller(parser) -> None:

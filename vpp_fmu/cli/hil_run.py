@@ -4,12 +4,14 @@ Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second on
 
 import contextlib
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
+from hil.cycle import PERIOD
+from hil.page.operator_page import OperatorPage
 from hil.report import add_loops
 from hil.rig import RunEnded
 from hil.run import LOG, ON_ALARM, LimitedPlant, Run, run_on_rig, write_run
@@ -43,6 +45,20 @@ class TwinAlarm(VppError):
     code = 3
 
 
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A run as the options have it: the rig, what drives it over which profile and from which commands on, and what is held
+    beside it."""
+
+    setup: Setup
+    controller: Controller
+    profile: Record
+    start: tuple[float, float]
+    twin: Twin | None
+    band: Band | None
+    beside: Record | None
+
+
 EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
 """What either number of --start may be; which of the two is looked at when both are known."""
 
@@ -57,6 +73,7 @@ def configure(parser):
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
+    hil_options.add_watch(parser)
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
@@ -66,6 +83,8 @@ def configure(parser):
 def run(options):
     profile = read_profile(options.profile)
     if hil_options.which(options, fmu=True).kind == "fmu":
+        if options.watch is not None:
+            raise BadInput("command line", "--watch", "given with --rig fmu", "a rig: a loop of FMUs is over in seconds")
         _on_fmu(options, profile)
         return
     setup, controller = hil_options.setup_of(options), hil_options.controller_of(options)
@@ -77,21 +96,34 @@ def run(options):
     beside = _beside(options.beside, options, profile) if options.beside else None
     parent = OutputFolder(options.output)
     hil_options.say_allowed(setup.allowed)
-    hil_options.confirm(setup)
     begun = hil_options.begun(options, setup) | _of_twin(twin, band)
+    task = _Task(setup, controller, profile, start, twin, band, beside)
+    with hil_options.watched(options, begun) as page:
+        hil_options.confirm(setup)
+        _on_rig(options, task, begun | {"begun": now()}, parent, page)
+
+
+def _on_rig(options, task: _Task, begun: dict, parent: OutputFolder, page: OperatorPage | None) -> None:
+    """The run, and what it leaves. What ended it before its time is raised."""
+    twin, profile = task.twin, task.profile
+    if page:
+        rows = round((profile.time[-1] - profile.time[0]) / PERIOD)
+        page.part("run", rows=rows, band=task.band and task.band.width)
     folder = OutputFolder(run_folder(parent.path, begun["begun"]))
     folder.write("hil.json", as_json(begun))
     print(f"this run's files: {folder.path}", flush=True)
     try:
-        done = _run(options, setup, controller, profile, folder.path, start, twin)
+        done = _run(options, task, folder.path, page)
     except BaseException as error:
         _ended(folder, begun, error)
         raise
-    controller.close()
+    if page:
+        page.end(done.ended or "as planned")
+    task.controller.close()
     told = done.session.told() | begun | {"ended": done.ended}
     if twin is not None:
         told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
-    finish(folder, told, done.log, beside and (Path(options.beside).name, beside))
+    finish(folder, told, done.log, task.beside and (Path(options.beside).name, task.beside))
     say_written(folder)
     if done.session.rig.alarms:
         raise TwinAlarm(f"twin: {done.session.rig.alarms[0][1]}{f'; the run ended: {done.ended}' if done.ended else ''}")
@@ -99,14 +131,15 @@ def run(options):
         raise RunEnded(done.ended)
 
 
-def _run(options, setup: Setup, controller: Controller, profile: Record, folder: Path, start, twin: Twin | None) -> Run:
+def _run(options, task: _Task, folder: Path, page: OperatorPage | None) -> Run:
     report = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.absolute())]
-    with tqdm(total=100, unit="%", disable=None if setup.virtual else True, leave=False) as bar:
+    with tqdm(total=100, unit="%", disable=None if task.setup.virtual else True, leave=False) as bar:
 
         def progress(share):
             bar.update(round(100 * share) - bar.n)
 
-        return run_on_rig(setup, controller, profile, folder, start, twin, progress, report, ON_ALARM[options.on_alarm])
+        own = task.setup, task.controller, task.profile, folder, task.start, task.twin
+        return run_on_rig(*own, progress, report, ON_ALARM[options.on_alarm], page)
 
 
 def _ended(folder: OutputFolder, begun: dict, error: BaseException) -> None:
@@ -127,7 +160,7 @@ def _of_twin(twin: Twin | None, band: Band | None) -> dict:
     if twin is None:
         return {}
     told = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
-    return {"twin": told | {"noise": (band.white**2 + band.slow**2) ** 0.5}}
+    return {"twin": told | {"noise": band.noise}}
 
 
 def _on_fmu(options, profile: Record) -> None:

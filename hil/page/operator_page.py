@@ -1,0 +1,120 @@
+"""The loop's side of the operator's page: start its process, tell it what is measured, hear that it has gone.
+
+The page reads the log's memory and the events beside the log by itself, so a tick does nothing for it; what is told over the
+socket is told between the runs. Back comes a byte for each STOP, and the same signal as from Ctrl-C.
+"""
+
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+from hil.log import ProcessLog, events_of
+from vpp_fmu.errors import BadInput
+
+STOP = b"stop"
+STARTED = 20.0
+"""s; a page that hasn't started by then won't."""
+PATIENCE = 1.0
+"""s that a message may take: a page that takes nothing is given up, and the rig does not wait."""
+LOOKS = 64
+"""Ticks between two looks at whether the page's process lives: a quarter of a second."""
+
+
+class OperatorPage:
+    """A page on the loopback address, at `address`, whose token nobody can guess. `told`: what hil.json says at the start.
+
+    `broken`: why it is no longer there, empty while it is. BadInput where the extra is missing or the port is taken.
+    """
+
+    def __init__(self, told: Mapping, port: int = 0):
+        if find_spec("tornado") is None:
+            raise BadInput("command line", "--watch", "no tornado", "pip install 'vpp-fmu[watch]'")
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(STARTED)
+        self._broken, self._looks, self._stops = "", 0, 0
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "hil.page.server", str(theirs.fileno()), str(port)],
+            pass_fds=(theirs.fileno(),),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is not for it
+        )
+        theirs.close()
+        try:
+            said = json.loads(self._socket.recv(4096) or b"{}")
+        except TimeoutError:
+            said = {}
+        self._socket.settimeout(PATIENCE)
+        if "address" not in said:
+            self._process.kill()
+            self._process.wait()
+            found = said.get("refused", f"a page that did not start (exit code {self._process.returncode})")
+            raise BadInput("command line", "--watch", found, "a port of 127.0.0.1 that is free")
+        self.address = said["address"]
+        self._tell({"told": dict(told)})
+
+    @property
+    def pid(self) -> int:
+        """Its process."""
+        return self._process.pid
+
+    @property
+    def broken(self) -> str:
+        """Asked at every tick; it looks now and then."""
+        self._looks += 1
+        if not self._broken and self._looks % LOOKS == 0 and self._process.poll() is not None:
+            self._broken = f"its process {self.pid} has died (exit code {self._process.returncode})"
+        return self._broken
+
+    @property
+    def pressed(self) -> bool:
+        """Whether STOP was pressed so far."""
+        with contextlib.suppress(OSError):  # of a socket with a timeout os.read waits for nothing, and recv does
+            while os.read(self._socket.fileno(), 64) == STOP:
+                self._stops += 1
+        return self._stops > 0
+
+    def part(self, name: str, **what) -> None:
+        """What is measured from now on. `rows`: ticks that it takes; or `grid`: the `speeds` [rpm] and `pitches` [deg] of a
+        static map; or `steps`: how many. `parts`: names of all, in order, `done`: those that are; `before`: logs of earlier
+        attempts; `band` [N]: about the thrust of the twin."""
+        before = [str(events_of(Path(log))) for log in what.pop("before", ())]
+        self._tell({"part": name, "before": before, **what})
+
+    def follow(self, log: ProcessLog) -> None:
+        """Read along with this log."""
+        columns = [[column.name, list(column.words)] for column in log.columns]
+        told = {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}
+        self._tell({"log": told}, log.shared)
+
+    def end(self, how: str) -> None:
+        """Nothing turns any more, and this is how it ended: STOP does nothing from now on."""
+        self._looks = LOOKS - 1
+        if not self.broken:
+            self._tell({"ended": how})
+
+    def close(self, how: str) -> None:
+        """The end: the page shows it to whoever looks, and goes."""
+        self.end(how)
+        self._socket.close()
+        try:
+            self._process.wait(PATIENCE + 1.0)
+        except subprocess.TimeoutExpired:  # stopped: it can't harm, but it mustn't stay
+            self._process.kill()
+            self._process.wait()
+
+    def _tell(self, message: dict, *descriptors: int) -> None:
+        if self._broken:
+            return
+        try:
+            socket.send_fds(self._socket, [json.dumps(message).encode()], descriptors)
+        except OSError as error:
+            self._broken = f"its process {self.pid} takes nothing ({(error.strerror or str(error)).lower()})"
+
+

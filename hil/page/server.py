@@ -1,0 +1,187 @@
+"""Serves the operator's page: `python -m hil.page.server SOCKET PORT`, the socket being `operator_page`'s other end.
+
+Whoever reads must name the token, by the loopback address: a name that someone else's server resolves to 127.0.0.1 is
+refused by its Host, and a page of another origin can't press STOP. Standard error stays the terminal's.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import json
+import logging
+import os
+import re
+import secrets
+import signal
+import socket
+import sys
+from importlib.resources import files
+
+from plotly.offline import get_plotlyjs
+from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler
+
+from hil.page.operator_page import STOP
+from hil.page.story import Story
+
+EVERY = 0.1
+"""s between two looks at the log's memory, and between two messages to a browser."""
+LINGER = 1.0
+"""s that the end is still told."""
+HOSTS = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?")
+"""The port may be another one: an SSH tunnel's."""
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src data: blob:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""Forbids the browser to fetch from anywhere else and to show the page in a frame; plotly sets styles."""
+KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+
+
+class Guarded(RequestHandler):
+    """Answers nobody who does not know the token or comes by another name. `token`: of the address; the rest by `own`."""
+
+    def initialize(self, token: str, **own):
+        self._token = token
+        self.__dict__.update(own)
+
+    def prepare(self):
+        """Before any method, also one that does not exist."""
+        if not HOSTS.fullmatch(self.request.headers.get("Host", "")):
+            raise HTTPError(403)
+        if not hmac.compare_digest(self.path_args[0].encode(), self._token.encode()):
+            raise HTTPError(404)
+
+    def set_default_headers(self):
+        headers = {
+            "Server": "vpp",
+            "Content-Security-Policy": POLICY,
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "same-origin",  # the address holds the token
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cache-Control": "no-store",
+        }
+        for name, value in headers.items():
+            self.set_header(name, value)
+
+    def write_error(self, status_code, **_):
+        self.finish(f"{status_code}\n")
+
+
+class Files(Guarded):
+    """The page and what belongs to it."""
+
+    def get(self, _token, name):
+        if (name or "page.html") not in self.texts:
+            raise HTTPError(404)
+        name = name or "page.html"
+        self.set_header("Content-Type", f"{KINDS[name.rpartition('.')[2]]}; charset=utf-8")
+        self.write(self.texts[name])
+
+
+class Stream(Guarded):
+    """What happens, as server-sent events (HTML standard, 9.2): one way by their nature."""
+
+    async def get(self, _token):
+        self.set_header("Content-Type", "text/event-stream")
+        number, seen = -1, (0, 0, 0)
+        with contextlib.suppress(StreamClosedError):
+            while True:
+                told = self.story.since(number, *seen)
+                number, seen = told["number"], told.pop("seen")
+                self.write(f"data: {json.dumps(told, allow_nan=False)}\n\n")
+                await self.flush()  # a browser that takes nothing holds up itself alone
+                await asyncio.sleep(EVERY)
+
+
+class Stop(Guarded):
+    """STOP: what Ctrl-C does, and as often."""
+
+    def post(self, _token):
+        origin, site = (self.request.headers.get(name) for name in ("Origin", "Sec-Fetch-Site"))
+        if origin not in (None, f"http://{self.request.headers['Host']}") or site not in (None, "same-origin"):
+            raise HTTPError(403)
+        if self.story.ended:
+            raise HTTPError(409)
+        self.press()
+        self.write({"stop": True})
+
+
+def application(story: Story, token: str, press) -> Application:
+    """The page of a story; `press`: what STOP does."""
+    texts = {name: (files("hil.page") / name).read_text() for name in ("page.html", "page.css", "page.js")}
+    texts["plotly.js"] = get_plotlyjs()
+    routes = [
+        (r"/([^/]+)/stream", Stream, {"token": token, "story": story}),
+        (r"/([^/]+)/stop", Stop, {"token": token, "story": story, "press": press}),
+        (r"/([^/]+)/(.*)", Files, {"token": token, "texts": texts}),
+        (r"/(.*)", Guarded, {"token": token}),
+    ]
+    return Application(routes, log_function=lambda handler: None)
+
+
+class Ear:
+    """The loop's process: what it says, that it is gone, and STOP to it."""
+
+    def __init__(self, end: socket.socket, story: Story):
+        self._end, self._story, self.gone = end, story, False
+        self._loop = os.pidfd_open(os.getppid())
+
+    def hear(self) -> None:
+        """What it has said."""
+        with contextlib.suppress(BlockingIOError):
+            while not self.gone:
+                data, descriptors, _, _ = socket.recv_fds(self._end, 1 << 20, 1)
+                if not data:
+                    self.gone = True
+                    self._story.ended = self._story.ended or "the loop's process is gone without a word"
+                    return
+                self._story.tell(json.loads(data), descriptors)
+                for descriptor in descriptors:
+                    os.close(descriptor)  # the memory stays mapped
+
+    def press(self) -> None:
+        """The byte first: whoever hears the signal looks for it."""
+        with contextlib.suppress(OSError):
+            self._end.send(STOP)
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self._loop, signal.SIGINT)
+
+
+async def serve(end: socket.socket, port: int) -> None:
+    """Until the loop's process has said goodbye, or is gone."""
+    story, token = Story(), secrets.token_urlsafe(24)
+    ear = Ear(end, story)
+    try:
+        listening = bind_sockets(port, "127.0.0.1")
+    except OSError as error:
+        end.send(json.dumps({"refused": f"port {port}, {os.strerror(error.errno).lower()}"}).encode())
+        return
+    server = HTTPServer(application(story, token, ear.press), max_header_size=1 << 14, max_body_size=1 << 10)
+    server.add_sockets(listening)
+    end.setblocking(False)
+    end.send(json.dumps({"address": f"http://127.0.0.1:{listening[0].getsockname()[1]}/{token}/"}).encode())
+    asyncio.get_running_loop().add_reader(end, ear.hear)
+    while not ear.gone:
+        story.look()
+        await asyncio.sleep(EVERY)
+    asyncio.get_running_loop().remove_reader(end)
+    await asyncio.sleep(LINGER)
+
+
+def main() -> None:
+    """See the module."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN if number != signal.SIGTERM else signal.SIG_DFL)
+    with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
+        file.write("900")  # memory that runs short takes the page before the rig
+    logging.getLogger("tornado").addHandler(logging.NullHandler())
+    logging.getLogger("tornado").propagate = False  # refused requests are nobody's trouble
+    asyncio.run(serve(socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])))
+
+
+if __name__ == "__main__":
+    main()

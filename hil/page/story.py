@@ -1,0 +1,164 @@
+"""What the page shows, gathered from the log's memory and the events beside the log: the last minutes in short, what
+happened, how far it is."""
+
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from hil.cycle import PERIOD
+from hil.log import Reader
+
+BIN = 25
+"""Ticks that make a point of a curve: the mean over 0.1 s."""
+KEPT = 1800
+"""Points that are kept for a browser that comes late: three minutes."""
+
+MEANS = ("thrust", "omega", "residual")
+LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
+CURVES = ("time", *MEANS, *LATEST)
+"""Of a point: s, N, rpm, N above the twin; the commands as they stood last: N, rpm, deg."""
+VALUES = (*CURVES, "throttle", "thrust_age", "omega_age", "late")
+
+
+class Story:
+    """Of one command: its parts one after the other. `told`: what hil.json said at the start; `now`: the newest values."""
+
+    def __init__(self):
+        self.told: dict = {}
+        self.part: dict = {}
+        self.number = 0
+        self.now: dict = {}
+        self.points: list[list] = []  # of the curves
+        self.first = 0  # number of the oldest of them
+        self.events: list[dict] = []
+        self.map: list[list[float]] = []
+        self.counters: dict = {}
+        self.ended = ""
+        self._reader: Reader | None = None
+        self._events: _Tail | None = None
+
+    def tell(self, message: Mapping, descriptors: Sequence[int]) -> None:
+        """What the loop's process says between the runs."""
+        if "told" in message:
+            self.told = message["told"]
+        if "part" in message:
+            self._begin(message)
+        if "log" in message:
+            log = message["log"]
+            self._names = [name for name, _ in log["columns"]]
+            self._words = {name: words for name, words in log["columns"] if words}
+            self._reader = Reader(descriptors[0], log["slots"], len(self._names))
+            self._events = _Tail(Path(log["events"]))
+            self._bin: list[Sequence[float]] = []
+        if "ended" in message:
+            self.look()
+            self.ended = message["ended"]
+
+    def look(self) -> None:
+        """Take what has come since the last look."""
+        if self._reader is None:
+            return
+        rows = self._reader.rows()
+        for row in rows:
+            self._take(row)
+        for event in self._events.new():
+            self._hear(event)
+        if rows:
+            self._show(dict(zip(self._names, rows[-1], strict=True)))
+
+    def since(self, number: int, point: int, event: int, mapped: int) -> dict:
+        """What a browser lacks that has seen these so far; all of the part where it has seen another one."""
+        told: dict = {"now": {**self.now, "age": self._age(), "done": self._done()}, "counters": self.counters}
+        if number != self.number:
+            point = event = mapped = 0
+            told |= {"told": self.told, "part": self.part}
+        told |= {"number": self.number, "curves": self.points[max(0, point - self.first) :], "events": self.events[event:]}
+        told |= {"map": self.map[mapped:], "seen": [self.first + len(self.points), len(self.events), len(self.map)]}
+        return told | ({"ended": self.ended} if self.ended else {})
+
+    def _begin(self, message: Mapping) -> None:
+        self.look()
+        self.part, self.number = {k: v for k, v in message.items() if k != "before"}, self.number + 1
+        self.points, self.first, self.events, self.map, self.counters = [], 0, [], [], {}
+        self._reader, self._loop, self._whole, self._span, self._heard = None, 0, 0, None, time.monotonic()
+        for path in message["before"]:
+            for event in _Tail(Path(path)).new():
+                if "point" in event or "recorded" in event:
+                    self._hear(event)
+        self._span = None
+
+    def _take(self, row: Sequence[float]) -> None:
+        self._bin.append(row)
+        self._loop += math.isfinite(row[self._names.index("omega_wanted")])
+        slot = round(row[0] / PERIOD)
+        if slot // BIN == (slot + 1) // BIN:
+            return
+        columns = dict(zip(self._names, zip(*self._bin, strict=True), strict=True))
+        point = [_known(row[0])]
+        point += [_known(sum(columns[name]) / len(self._bin)) for name in MEANS]
+        self.points.append(point + [_known(columns[name][-1]) for name in LATEST])
+        self._bin = []
+        if len(self.points) > 2 * KEPT:
+            self.first += len(self.points) - KEPT
+            del self.points[:-KEPT]
+
+    def _hear(self, event: Mapping) -> None:
+        if "point" in event:
+            self.map.append(event["point"][:4])
+        elif "recorded" in event:
+            self._whole += 1
+        elif "record" in event:
+            self._span = event["record"]
+        elif "counters" in event:
+            self.counters = event["counters"]
+        elif "state" in event:
+            self.events.append(dict(event))
+
+    def _show(self, row: Mapping[str, float]) -> None:
+        self._heard = time.monotonic()
+        self.now = {name: _known(row[name]) for name in VALUES}
+        self.now["state"] = self._words["state"][int(row["state"])]
+        self.now["alarm"] = bool(row["alarm"])
+
+    def _age(self) -> float | None:
+        """s since the last tick."""
+        return time.monotonic() - self._heard if self.now and self._reader else None
+
+    def _done(self) -> float | None:
+        """Share of the part."""
+        if self.part.get("grid"):
+            return len(self.map) / (len(self.part["grid"]["speeds"]) * len(self.part["grid"]["pitches"]))
+        if self.part.get("steps"):
+            return min(self._whole / self.part["steps"], 1.0)
+        if self._span and self.now:
+            return min(max(self.now["time"] / PERIOD - self._span["first"], 0.0) / self._span["count"], 1.0)
+        if self.part.get("rows"):
+            return min(self._loop / self.part["rows"], 1.0)
+        return None
+
+
+class _Tail:
+    """The whole lines of a file that grows."""
+
+    def __init__(self, path: Path):
+        self._path, self._read = path, 0
+
+    def new(self) -> list[dict]:
+        """Those that came since the last call."""
+        try:
+            with open(self._path, "rb") as file:
+                file.seek(self._read)
+                data = file.read()
+        except OSError:  # made with the first event
+            return []
+        whole = data[: data.rfind(b"\n") + 1]
+        self._read += len(whole)
+        return [json.loads(line) for line in whole.splitlines()]
+
+
+def _known(value: float) -> float | None:
+    """JSON has no NaN."""
+    return value if math.isfinite(value) else None
