@@ -244,7 +244,7 @@ class _File:
         """Write what waits, and give the file its name."""
         if self._pack:
             self._waiting += self._pack.flush()
-        self._flush()
+        self._flush(packing=False)
         whole = self._rows if self._pack else min(self._rows, self._waiting.count(b"\n"))
         lost = whole if self._waiting else 0
         with contextlib.suppress(OSError):
@@ -258,7 +258,7 @@ class _File:
     def _queue(self, text: str) -> None:
         self._waiting += self._pack.compress(text.encode()) if self._pack else text.encode()
 
-    def _flush(self) -> None:
+    def _flush(self, packing: bool = True) -> None:
         try:
             while self._waiting:
                 count = os.write(self._file, self._waiting)
@@ -266,7 +266,7 @@ class _File:
                 self._written += count
             if time.monotonic() - self._synced > _SYNC_EVERY:
                 os.fsync(self._file)
-                if self._pack:  # what was packed so far can be unpacked, whatever happens to the rest
+                if self._pack and packing:  # what was packed so far can be unpacked, whatever happens to the rest
                     self._waiting += self._pack.flush(zlib.Z_SYNC_FLUSH)
                 self._synced = time.monotonic()
         except OSError as error:

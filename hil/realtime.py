@@ -11,9 +11,17 @@ import os
 import resource
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 PRIORITY = 80
 """Above the kernel's interrupt threads (50), which the loop doesn't wait for; below its migration and watchdog threads (99)."""
+
+WORKERS = "kworker/u"
+"""Names of the kernel's threads that carry what a serial line or a pty has received to its reader (flush_to_ldisc). At their
+ordinary priority they wait like any program: measured up to 217 ms while a browser starts, with both ends of the line in real
+time and no processor taken away."""
+LIFTED = 60
+"""Their priority instead: below the loop's, which they must not delay, and above all that is not in real time."""
 
 _CURRENT, _FUTURE = 1, 2  # flags of mlockall
 
@@ -24,11 +32,13 @@ class Granted:
 
     fifo: bool
     locked: bool
+    hurried: bool
     frozen: int
     refusals: tuple[str, ...]
 
     def __str__(self) -> str:
-        granted = ["SCHED_FIFO"] * self.fifo + ["locked memory"] * self.locked + [f"{self.frozen} objects frozen"]
+        granted = ["SCHED_FIFO"] * self.fifo + ["locked memory"] * self.locked
+        granted += ["serial lines hurried"] * self.hurried + [f"{self.frozen} objects frozen"]
         return "; ".join([", ".join(granted), *self.refusals])
 
 
@@ -42,8 +52,8 @@ def real_time(priority: int = PRIORITY) -> Iterator[Granted]:
     gc.freeze()
     gc.disable()
     try:
-        with _fifo(priority, refusals) as fifo, _locked(refusals) as locked:
-            yield Granted(fifo, locked, gc.get_freeze_count(), tuple(refusals))
+        with _fifo(priority, refusals) as fifo, _locked(refusals) as locked, _hurried(refusals) as hurried:
+            yield Granted(fifo, locked, hurried, gc.get_freeze_count(), tuple(refusals))
     finally:
         gc.unfreeze()
         if was_on:
@@ -79,3 +89,35 @@ def _locked(refusals: list[str]) -> Iterator[bool]:
         yield True
     finally:
         libc.munlockall()
+
+
+@contextlib.contextmanager
+def _hurried(refusals: list[str]) -> Iterator[bool]:
+    """The kernel's workers in real time, too; those that others have lifted are theirs."""
+    lifted = []
+    try:
+        for worker in _workers():
+            with contextlib.suppress(ProcessLookupError):  # they come and go
+                if os.sched_getscheduler(worker) == os.SCHED_OTHER:
+                    os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(LIFTED))
+                    lifted.append(worker)
+    except PermissionError:
+        refusals.append("serial lines not hurried: a program that starts may delay them by 0.1 s (see hil/README.md)")
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        for worker in lifted:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
+
+
+def _workers() -> list[int]:
+    """Processes by the name of WORKERS; a container may see none."""
+    found = []
+    for name in Path("/proc").glob("[0-9]*/comm"):
+        with contextlib.suppress(OSError):
+            if name.read_text().startswith(WORKERS):
+                found.append(int(name.parent.name))
+    return found

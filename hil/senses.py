@@ -8,6 +8,9 @@ from hil.clock import Clock
 from hil.devices.tachometer import Revolution
 from hil.safety.faults import DeviceFault, Fault
 
+PATIENCE = 25
+"""Times that the tachometer is asked after a break before its silence counts: 0.1 s."""
+
 
 class Senses:
     """The last readings: `counts` of the ADC and whether `saturated`; `thrust` [N] over the tare's `zero` [counts] and its age
@@ -21,12 +24,19 @@ class Senses:
         self.revolution: Revolution | None = None
 
     def wake(self, clock: Clock, pause: float) -> None:
-        """Ask the tachometer again after a break, with `pause` s for its answer: from here on silence is a fault."""
-        for _ in range(3):
+        """Ask the tachometer again after a break, with `pause` s for each answer: from here on silence is a fault.
+
+        A machine that stands still for a moment right then has the same patience as in a run: its last answer is as old as
+        the break is long.
+        """
+        answer = None
+        for k in range(PATIENCE):
             with contextlib.suppress(DeviceFault):
                 self._bench.tachometer.request()
                 clock.wait_until(clock.now() + pause)
-                self._bench.tachometer.poll()
+                answer = self._bench.tachometer.poll() or answer
+            if answer is not None and k >= 2:
+                return
 
     def read(self, passed: float) -> list[Fault]:
         """Read all, `passed` s after the last time."""

@@ -148,7 +148,9 @@ def session(
         report = folder / REPORT
         report.unlink(missing_ok=True)
         supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report, keep=(bench.lock,))
-        with StopSignals(lambda: bool(page and page.pressed)) as signals, contextlib.nullcontext("virtual time") if in_virtual_time else real_time() as granted:
+        pressed = (lambda: page.pressed) if page else (lambda: False)
+        quick = contextlib.nullcontext("virtual time") if in_virtual_time else real_time()
+        with StopSignals(pressed) as signals, quick as granted:
             rig = Rig(
                 bench,
                 setup.limits,

@@ -52,6 +52,7 @@ class OperatorPage:
             said = {}
         self._socket.settimeout(PATIENCE)
         if "address" not in said:
+            self._socket.close()
             self._process.kill()
             self._process.wait()
             found = said.get("refused", f"a page that did not start (exit code {self._process.returncode})")
@@ -116,5 +117,3 @@ class OperatorPage:
             socket.send_fds(self._socket, [json.dumps(message).encode()], descriptors)
         except OSError as error:
             self._broken = f"its process {self.pid} takes nothing ({(error.strerror or str(error)).lower()})"
-
-

@@ -5,7 +5,7 @@ const SHOWN = 60; // s of the curves
 const COLUMNS = ["time", "thrust", "omega", "residual", "thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted"];
 const curves = Object.fromEntries(COLUMNS.map((name) => [name, []]));
 const dark = matchMedia("(prefers-color-scheme: dark)");
-let told = {}, part = {}, number = -1, now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0;
+let told = {}, part = {}, number = -1, now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false;
 
 function text(value, digits, unit) {
   return value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`.trim();
@@ -57,6 +57,7 @@ stream.onmessage = (event) => {
   const old = curves.time.findIndex((t) => t > curves.time[curves.time.length - 1] - SHOWN - 5);
   if (old > 200) for (const name of COLUMNS) curves[name].splice(0, old);
   now = message.now;
+  news ||= message.curves.length > 0;
   for (const one of message.events) {
     const alarm = /alarm/.test(one.why) || one.state === "fault" || /^page:/.test(one.why);
     at("events").prepend(row([text(one.time, 2, ""), one.state, one.why], alarm ? "alarm" : ""));
@@ -111,7 +112,7 @@ function values() {
   at("clock").textContent = now.time === undefined ? "" : `${now.time.toFixed(1)} s`;
   document.title = `${state} – rig`;
   at("stop").disabled = Boolean(ended);
-  if (ended) at("stop-does").textContent = "nothing turns";
+  if (ended) [at("stop").querySelector("b").textContent, at("stop-does").textContent] = ["STOP", "nothing turns"];
   const tiles = [
     ["thrust", text(now.thrust, 2, "N"), `set-point ${text(now.thrust_set, 2, "N")}`],
     ["speed", text(now.omega, 0, "rpm"), `command ${text(now.omega_ref, 0, "rpm")}`],
@@ -166,7 +167,8 @@ function layout(own, c) {
 const settings = {responsive: true, displayModeBar: false};
 
 function draw() {
-  if (document.hidden || !curves.time.length) return;
+  if (document.hidden || !news) return;
+  news = false;
   const c = colours(), x = curves.time, last = x[x.length - 1];
   const twin = x.map((_, k) => (curves.residual[k] === null ? null : curves.thrust[k] - curves.residual[k]));
   const line = (y, name, color, axes, more) => ({x, y, name, type: "scatter", mode: "lines", line: {color, width: 1.8}, yaxis: axes, hoverinfo: "name+y", ...more});
@@ -178,9 +180,9 @@ function draw() {
     traces.push(line(edge(1), "twin's band", c.band, "y", {line: {width: 0}, fill: "tonexty", fillcolor: c.band, hoverinfo: "skip"}));
     traces.push(line(twin, "twin", c.twin, "y", {line: {color: c.twin, width: 1.4}}));
   }
-  traces.push(line(curves.thrust, "measured", c.measured, "y"), line(curves.thrust_set, "set-point", c.set, "y", dashed(c.set)));
+  traces.push(line(curves.thrust, "measured", c.measured, "y"), line(curves.thrust_set, "set-point, command", c.set, "y", dashed(c.set)));
   traces.push(line(curves.omega, "speed", c.measured, "y2", {showlegend: false}), line(curves.omega_ref, "command", c.set, "y2", {...dashed(c.set), showlegend: false}));
-  traces.push(line(curves.beta_wanted, "wanted", c.measured, "y3", {showlegend: false, line: {color: c.measured, width: 1.2, dash: "dot"}}));
+  traces.push(line(curves.beta_wanted, "wanted by the controller", c.axis, "y3", {line: {color: c.axis, width: 1.2, dash: "dot", shape: "hv"}}));
   traces.push(line(curves.beta_ref, "command", c.set, "y3", {showlegend: false, line: {color: c.set, width: 1.8, shape: "hv"}}));
   drawn += 1;
   Plotly.react("curves", traces, layout({
@@ -192,7 +194,12 @@ function draw() {
   }, c), settings);
 }
 setInterval(draw, 250);
-dark.addEventListener("change", () => { draw(); drawMap(); });
+function drawAnew() { news = curves.time.length > 0; draw(); drawMap(); }
+dark.addEventListener("change", drawAnew);
+document.addEventListener("visibilitychange", drawAnew);
+new ResizeObserver(() => {
+  for (const name of ["curves", "map"]) if (at(name).layout && at(name).clientWidth) Plotly.Plots.resize(name);
+}).observe(at("curves"));
 
 function drawMap() {
   if (!part.grid) return;

@@ -4,7 +4,6 @@ happened, how far it is."""
 import json
 import math
 import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -28,7 +28,7 @@ def test_what_is_not_known_is_left_out_and_a_narrow_terminal_is_not_broken():
 
 def test_every_label_of_the_rig_can_be_shown():
     told = line(SHOWN, SHOWN_WORDS, [0.0] * len(SHOWN), 500)
-    assert told.count("|") == len(SHOWN) - 2  # the twin has nothing to say
+    assert told.count("|") == len(SHOWN) - 3  # the twin and the page have nothing to say
     alarmed = line(SHOWN, SHOWN_WORDS, [1.0 if name == "twin" else 0.0 for name, *_ in SHOWN], 500)
     assert "| ALARM: not as its model |" in alarmed
 

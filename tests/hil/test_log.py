@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.log import Column, Logged, MemoryLog, ProcessLog
+from hil.log import Column, Logged, MemoryLog, ProcessLog, Reader
 
 COLUMNS = (Column("time"), Column("exact", exact=True), Column("short"), Column("state", words=("safe", "run")))
 ROWS = [(0.004 * k, math.pi / (k + 1), math.e * k if k % 3 else math.nan, float(k % 2)) for k in range(5000)]
@@ -39,6 +39,31 @@ def test_every_row_is_in_the_file(tmp_path, log, name):
     assert os.listdir(tmp_path) == [name]
 
 
+def test_a_packed_log_that_waited_before_its_end_is_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.log._SYNC_EVERY", 0.0)  # as if more than that had passed since the last row
+    made = MemoryLog(tmp_path / "run.csv.gz", COLUMNS)
+    for row in ROWS[:10]:
+        made.put(*row)
+    assert made.close() == Logged(10, 0)
+    assert len(read(tmp_path / "run.csv.gz")) == 10
+
+
+def test_another_reads_along_and_gets_every_row_but_the_newest(tmp_path):
+    log = ProcessLog(tmp_path / "run.csv", COLUMNS)
+    reader = Reader(log.shared, log.slots, len(COLUMNS))
+    found = []
+    for k, row in enumerate(ROWS):
+        log.put(*row)
+        if k % 700 == 0:
+            found += reader.rows()
+            assert len(found) == k  # the newest may still be being written
+    while rows := reader.rows():
+        found += rows
+    assert [row[:2] for row in found] == [row[:2] for row in ROWS[:-1]]
+    reader.close()
+    log.close()
+
+
 def test_a_row_that_finds_no_room_is_counted_and_the_loop_does_not_wait(tmp_path):
     log = ProcessLog(tmp_path / "run.csv", COLUMNS)
     os.kill(log._writer.pid, signal.SIGSTOP)
@@ -48,7 +73,7 @@ def test_a_row_that_finds_no_room_is_counted_and_the_loop_does_not_wait(tmp_path
     assert time.monotonic() - began < 5.0
     os.kill(log._writer.pid, signal.SIGCONT)
     done = log.close()
-    assert done.lost >= 80_000 - log._slots
+    assert done.lost >= 80_000 - log.slots
     assert done.rows + done.lost == 80_000
     times = np.array([float(c["time"]) for c in read(tmp_path / "run.csv")])
     assert len(times) == done.rows

@@ -40,6 +40,16 @@ def test_locked_memory_shows_in_the_process_status():
     assert locked() == 0
 
 
+def test_the_kernels_carriers_of_serial_bytes_are_hurried_and_go_back():
+    def ordinary():
+        return {w for w in realtime._workers() if os.sched_getscheduler(w) == os.SCHED_OTHER}
+
+    before = ordinary()
+    with real_time() as granted:
+        assert not granted.hurried or not before & ordinary()
+    assert before & set(realtime._workers()) <= ordinary()
+
+
 def test_what_is_not_granted_is_said(monkeypatch):
     def refuse(*_):
         raise PermissionError
@@ -49,6 +59,7 @@ def test_what_is_not_granted_is_said(monkeypatch):
         assert not granted.fifo
         assert any("SCHED_FIFO" in text for text in granted.refusals)
         assert "no SCHED_FIFO" in str(granted)
+        assert granted.hurried == ("serial lines not hurried" not in str(granted))
 
 
 def test_tests_in_real_time_share_one_worker(request):

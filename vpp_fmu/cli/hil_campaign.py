@@ -95,7 +95,11 @@ def _measure(options, setup: Setup, plan: Plan, commands: Record | None, folder:
         if page:
             page.part(part, **_extent(part, plan, setup, commands), parts=parts, before=attempts(folder.path, part))
         one, record, ended = _measured(_again(setup, part), folder, part, plan, commands, have, page)
-        told["parts"][part] = one.told() | {"ended": str(ended or ""), "whole": not ended, "attempts": len(attempts(folder.path, part))}
+        told["parts"][part] = one.told() | {
+            "ended": str(ended or ""),
+            "whole": not ended,
+            "attempts": len(attempts(folder.path, part)),
+        }
         if ended:
             told |= {"status": ENDED_EARLY, "completed": now()}
         folder.write("hil.json", as_json(told))

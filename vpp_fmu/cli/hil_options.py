@@ -60,7 +60,9 @@ def add_rig(parser, fmu: bool = False) -> None:
 
 def add_watch(parser) -> None:
     """The option that serves the operator's page."""
-    text = "serve a page with what the rig does, and STOP, on this machine's own address, which is printed (default: a free port)"
+    text = (
+        "serve a page with what the rig does, and STOP, on this machine's own address, which is printed (default: a free port)"
+    )
     parser.add_argument("--watch", nargs="?", type=whole(1024, 65535), const=0, metavar="PORT", help=text)
 
 
@@ -71,7 +73,9 @@ def watched(options, told: Mapping) -> Iterator[OperatorPage | None]:
         yield None
         return
     if options.virtual:
-        raise BadInput("command line", "--watch", "given with --virtual", "a run in real time: a virtual one is over in seconds")
+        raise BadInput(
+            "command line", "--watch", "given with --virtual", "a run in real time: a virtual one is over in seconds"
+        )
     page, ended = OperatorPage(told, options.watch), "ended as planned"
     print(f"operator's page: {page.address}", flush=True)
     try:

@@ -1,0 +1,278 @@
+"""The operator's page: who may look, what is shown, that STOP is Ctrl-C, and that the rig never needs it."""
+
+import contextlib
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from browser import browser
+from rigs import step_profile, virtual_rig
+
+from hil.columns import COLUMNS
+from hil.log import Column, ProcessLog
+from hil.page.operator_page import OperatorPage
+from hil.safety.faults import FaultKind
+from hil.safety.states import SafetyState
+from hil.safety.stop import StopSignals
+from hil.session import read_log
+from tests.hil.faults import CUT, RAMP
+from vpp_fmu.cli import main
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.record import write_record
+
+ROOT = Path(__file__).parents[2]
+PATIENCE = 60.0
+
+pytest.importorskip("tornado", reason="needs the extra 'watch': tornado")
+
+
+@pytest.fixture
+def page():
+    one = OperatorPage({"rig": "emulated", "calibration": {}})
+    yield one
+    one.close("as planned")
+
+
+def asked(address: str, method: str = "GET", **headers) -> int:
+    """The status that a request gets; `Host` and others as given."""
+    to = urlsplit(address)
+    connection = http.client.HTTPConnection(to.hostname, to.port, timeout=10.0)
+    try:
+        connection.request(method, to.path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def told(address: str, enough) -> dict:
+    """What the page streams from the beginning, put together, once `enough(that)`."""
+    whole = {"curves": [], "events": [], "map": []}
+    to = urlsplit(address)
+    connection = http.client.HTTPConnection(to.hostname, to.port, timeout=PATIENCE)
+    connection.request("GET", f"{to.path}stream")
+    lines, line = connection.getresponse(), b""
+    try:
+        while not enough(whole):
+            line += (got := lines.readline())
+            assert got, f"the page has gone; the last it said: {whole.get('ended')}, {whole['events'][-2:]}"
+            if line.endswith(b"\n\n"):  # else it goes on in the next chunk
+                message, line = json.loads(line.removeprefix(b"data: ")), b""
+                whole = {**whole, **message, **{k: whole[k] + message[k] for k in ("curves", "events", "map")}}
+    finally:
+        connection.close()
+    return whole
+
+
+def test_nobody_looks_or_stops_without_the_token_and_the_loopback_name(page):
+    base, _, token = page.address.rstrip("/").rpartition("/")
+    port = urlsplit(page.address).port
+    assert len(token) >= 32  # 192 bits
+    with StopSignals(lambda: page.pressed) as signals:
+        statuses = {
+            "the page": asked(page.address),
+            "through a tunnel": asked(page.address, Host="localhost:9000"),
+            "no token": asked(f"{base}/"),
+            "wrong token": asked(f"{base}/{'x' * len(token)}/"),
+            "a file of this machine": asked(f"{page.address}../../../etc/passwd"),
+            "a name that is rebound": asked(page.address, Host=f"rig.example:{port}"),
+            "a name that only looks so": asked(page.address, Host=f"127.0.0.1.example:{port}"),
+            "STOP by a link": asked(f"{page.address}stop"),
+            "another method": asked(page.address, "DELETE"),
+            "writing to the page": asked(page.address, "POST"),
+            "STOP without the token": asked(f"{base}/{'x' * len(token)}/stop", "POST"),
+            "STOP by a rebound name": asked(f"{page.address}stop", "POST", Host=f"rig.example:{port}"),
+            "STOP from another page": asked(f"{page.address}stop", "POST", Origin="http://rig.example"),
+            "STOP from another port": asked(f"{page.address}stop", "POST", Origin="http://127.0.0.1:1"),
+            "STOP from a frame": asked(f"{page.address}stop", "POST", Sec_Fetch_Site="cross-site"),
+        }
+        assert signals.asked is None
+        assert not page.pressed
+        own = f"http://127.0.0.1:{port}"
+        assert asked(f"{page.address}stop", "POST", Origin=own, Sec_Fetch_Site="same-origin") == 200
+        assert (signals.asked.kind, signals.asked.detail) == (FaultKind.INTERRUPTED, "STOP on the page")
+        assert asked(f"{page.address}stop", "POST", Origin=own) == 200
+        assert signals.asked.kind is FaultKind.INTERRUPTED_TWICE  # as Ctrl-C twice: idle at once
+        page.end("as planned")
+        while asked(f"{page.address}stop", "POST", Origin=own) != 409:  # nothing turns any more
+            pass
+    refused = {name: status for name, status in statuses.items() if status != 200}
+    assert set(statuses) - set(refused) == {"the page", "through a tunnel"}
+    assert set(refused.values()) == {403, 404, 405}
+
+
+def test_it_listens_on_the_loopback_address_alone(page):
+    port = f"{urlsplit(page.address).port:04X}"
+    listening = [line.split() for file in ("tcp", "tcp6") for line in Path(f"/proc/net/{file}").read_text().splitlines()[1:]]
+    assert [cells[1] for cells in listening if cells[3] == "0A" and cells[1].endswith(f":{port}")] == [f"0100007F:{port}"]
+
+
+def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, capsys):
+    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile())
+    words = ["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out")]
+    assert main([*words, "--watch", str(urlsplit(page.address).port)]) == 2
+    assert "allowed is a port of 127.0.0.1 that is free" in capsys.readouterr().err
+    assert main([*words, "--watch", "--virtual"]) == 2
+    assert "--watch: found given with --virtual" in capsys.readouterr().err
+
+
+def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_path):
+    columns = [Column("time"), Column("state", words=("safe", "run"))]
+    columns += [Column(name) for name in COLUMNS_SHOWN]
+    log = ProcessLog(tmp_path / "log.csv", columns)
+    page.part("static", grid={"speeds": [1.0, 2.0], "pitches": [0.0]}, parts=["static", "steps"])
+    page.follow(log)
+    for k in range(1001):
+        thrust = 0.01 * k
+        log.put(0.004 * k, 1.0, *(thrust if name == "thrust" else float("nan") for name in COLUMNS_SHOWN[:-1]), k > 600)
+    log.note({"time": 1.0, "state": "run", "why": "twin: alarm: off"})
+    log.note({"time": 2.0, "point": [1.0, 0.0, 3000.0, 4.5, 0.1, 10]})
+    found = told(page.address, lambda whole: len(whole["curves"]) == 40 and whole["map"] and whole["events"])
+    log.close()
+    means = [point[1] for point in found["curves"]]
+    assert means == pytest.approx([0.01 * (25 * k + 12) for k in range(40)])  # of 25 rows each
+    assert [point[0] for point in found["curves"]] == pytest.approx([0.004 * (25 * k + 24) for k in range(40)])
+    assert found["curves"][0][2] is None
+    assert found["now"]["state"] == "run"
+    assert found["now"]["alarm"]
+    assert found["now"]["done"] == 0.5
+    assert found["map"] == [[1.0, 0.0, 3000.0, 4.5]]
+    assert found["events"] == [{"time": 1.0, "state": "run", "why": "twin: alarm: off"}]
+
+
+COLUMNS_SHOWN = [column.name for column in COLUMNS if column.name not in ("time", "state", "alarm")] + ["alarm"]
+
+
+def test_a_run_goes_on_without_its_page_and_says_so(page):
+    rig, _ = virtual_rig(COLUMNS, page=page)
+    try:
+        rig.start(3000.0, 2.0)
+        os.kill(page.pid, signal.SIGKILL)
+        for _ in range(2000):
+            rig.step(3000.0, 2.0)
+            time.sleep(0.0 if page._broken else 0.0005)
+        assert rig.states.state is SafetyState.RUN
+        noted = [(state, why) for _, state, why in rig.transitions if why.startswith("page: ")]
+        assert len(noted) == 1
+        assert f"process {page.pid} has died (exit code -9); the run goes on without it" in noted[0][1]
+    finally:
+        rig.close()
+
+
+def test_the_page_goes_with_whoever_started_it():
+    text = "from hil.page.operator_page import OperatorPage; p = OperatorPage({}); print(p.pid, flush=True); input()"
+    parent = subprocess.Popen([sys.executable, "-c", text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    process = int(parent.stdout.readline())
+    parent.kill()
+    parent.communicate()
+    end = time.monotonic() + PATIENCE
+    while (state := _state(process)) not in ("", "Z") and time.monotonic() < end:
+        time.sleep(0.05)
+    assert state in ("", "Z")
+
+
+def _state(process: int) -> str:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(") ")[2][0]
+    except OSError:
+        return ""
+
+
+@contextlib.contextmanager
+def running(folder: Path, *words):
+    """`vpp hil run --watch` in real time, in a process of its own: (process, the page's address)."""
+    profile = write_record(OutputFolder(folder), "step.csv", step_profile(hold=20.0))
+    command = [sys.executable, "-m", "vpp_fmu", "hil", "run", "--profile", str(profile), "--watch", "-o", str(folder / "out")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen([*command, *words], env=environment, text=True, **pipes)
+    try:
+        said = next(line for line in process.stdout if "http://" in line)
+        yield process, re.search(r"http://\S+", said)[0]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def esc_of(process: subprocess.Popen) -> int:
+    """The file of the ESC's pulse, open for reading: what stands on the output."""
+    links = Path(f"/proc/{process.pid}/fd").iterdir()
+    path = next(Path(os.readlink(link)) for link in links if os.readlink(link).endswith("pwm0/duty_cycle"))
+    return os.open(path, os.O_RDONLY)
+
+
+def until_idle(esc: int, began: float) -> float:
+    """ms from `began` until the idle pulse stood."""
+    end = time.monotonic() + PATIENCE
+    while os.pread(esc, 32, 0).split(b"\n")[0] != b"1000000" and time.monotonic() < end:
+        time.sleep(0.0005)
+    return 1e3 * (time.monotonic() - began)
+
+
+def causes(out: Path) -> list[str]:
+    """What took the run down, in order, and its last state."""
+    facts = json.loads((out / "hil.json").read_text())
+    assert facts["status"] == "ended early"
+    states = [(each["state"], each["why"]) for each in facts["transitions"]]
+    return [f"{state}: {why}" for state, why in states if "operator" in why] + [states[-1][0]]
+
+
+def test_stop_pressed_twice_is_idle_at_once(tmp_path, capsys):
+    with running(tmp_path) as (process, address):
+        told(address, lambda whole: whole.get("now", {}).get("state") == "run" and whole["now"]["throttle"] > 0.1)
+        esc, own = esc_of(process), f"http://{urlsplit(address).netloc}"
+        assert os.pread(esc, 32, 0).split(b"\n")[0] != b"1000000"
+        assert asked(f"{address}stop", "POST", Origin=own) == 200
+        began = time.monotonic()
+        assert asked(f"{address}stop", "POST", Origin=own) == 200
+        took = until_idle(esc, began)
+        os.close(esc)
+        _, error = process.communicate(timeout=PATIENCE)
+    with capsys.disabled():
+        print(f"\nSTOP twice, without a browser: idle pulse {took:.1f} ms after the second")
+    assert process.returncode == 2
+    assert "vpp hil: operator: interrupted" in error
+    *_, at_once, state = causes(tmp_path / "out")  # where both came within a tick the first is not noted
+    assert at_once.startswith("fault: operator: interrupted twice: STOP on the page 2 times")
+    assert state == "fault"
+    assert took < 10.0 * CUT  # the machine may have others to serve
+
+
+def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
+    with browser(tmp_path / "browser") as seen, running(tmp_path) as (process, address):
+        seen.window(1100, 1400)
+        seen.open(address)
+        seen.wait_for("document.getElementById('state').textContent === 'run'")
+        seen.wait_for("document.getElementById('curves').data[0].y.length > 20")
+        points = seen.evaluate("document.getElementById('curves').data[0].y.length")
+        seen.wait_for(f"document.getElementById('curves').data[0].y.length > {points + 10}")
+        speed = "document.getElementById('curves').data.find((line) => line.name === 'speed').y.at(-1)"
+        seen.wait_for(f"{speed} > 1500")
+        assert seen.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor") == "rgb(198, 40, 40)"
+        for name, *window in (("light", 1100, 1400, False), ("dark", 1100, 1400, True), ("phone", 390, 800, True)):
+            seen.window(*window)
+            seen.wait_for("new Promise(requestAnimationFrame).then(() => document.fonts.ready).then(() => true)")
+            seen.picture(tmp_path / f"{name}.png")
+            assert seen.evaluate("document.documentElement.scrollWidth <= innerWidth")  # nothing to the right of the window
+        esc = esc_of(process)
+        took = until_idle(esc, seen.press("#stop"))
+        os.close(esc)
+        seen.wait_for("document.getElementById('banner').textContent.includes('It is over')")
+        assert seen.evaluate("document.getElementById('stop').disabled")
+        assert "STOP on the page" in seen.evaluate("document.getElementById('events').textContent")
+        seen.picture(tmp_path / "ended.png")
+        process.communicate(timeout=PATIENCE)
+    with capsys.disabled():
+        print(f"\nSTOP in Chromium: idle pulse {took:.0f} ms after the press; pictures in {tmp_path}")
+    assert process.returncode == 2
+    assert causes(tmp_path / "out") == ["ramp down: operator: interrupted: STOP on the page", "safe"]
+    assert took < RAMP + 10.0 * CUT
+    rows = read_log(tmp_path / "out" / "log.csv")
+    assert rows["missed"].sum() < 0.02 * len(rows)  # the browser costs the loop nothing that counts
