@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from hil.calibration import Calibration
@@ -23,7 +23,8 @@ ESC_BOOT = 4.0
 @dataclass
 class Bench:
     """Devices that are ready to use. `emulated` in whatever way; `lock`: the descriptor of the rig's lock; `ends`: what has to
-    end with them, in reverse order; `esc_boot` [s]: from the ESC's supply to its readiness."""
+    end with them, in reverse order; `esc_boot` [s]: from the ESC's supply to its readiness; `hand`: pulls an emulated stand
+    by so many N, thrust positive."""
 
     clock: Clock
     calibration: Calibration
@@ -35,6 +36,7 @@ class Bench:
     ends: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     lock: int = -1
     esc_boot: float = 0.0
+    hand: Callable[[float], None] | None = None
 
     def open(self) -> "Bench":
         """Set the devices up: the lock before anything, then the outputs, so that the idle pulse stands. DeviceFault NOT_READY

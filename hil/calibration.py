@@ -124,9 +124,22 @@ def read_calibration(path: str | os.PathLike) -> Calibration:
     for name, (attribute, number) in _TABLE.items():
         values[attribute] = table.numbers(name, number)
     calibration = Calibration(**values, source=file.free("source"))
-    _check_table(path, calibration.pulses, calibration.pitches)
-    _check(path, calibration)
+    check(path, calibration)
     return calibration
+
+
+SECTIONS = ("load_cell", "esc", "pitch")
+"""What has to be measured."""
+
+
+def never_measured(calibration: Calibration) -> list[str]:
+    """Of SECTIONS those of which `source` doesn't say who measured them, and when: for itself, or for the whole file."""
+
+    def told(entry: object) -> bool:
+        return isinstance(entry, Mapping) and bool(entry.get("who")) and bool(entry.get("when"))
+
+    source = calibration.source
+    return [] if told(source) else [section for section in SECTIONS if not told(source.get(section))]
 
 
 def to_json(calibration: Calibration) -> str:
@@ -161,8 +174,9 @@ def _rises(values: Sequence[float]) -> bool:
     return all(a < b for a, b in pairwise(values))
 
 
-def _check(path: str | os.PathLike, c: Calibration) -> None:
-    """What holds between fields."""
+def check(path: str | os.PathLike, c: Calibration) -> None:
+    """What holds between fields. BadInput names the first that does not."""
+    _check_table(path, c.pulses, c.pitches)
     low, high, longest = min(c.pitches), max(c.pitches), c.pulses[-1]
     rules = (
         (abs(c.newton_per_count) >= 1e-6, "load_cell, force_per_count", c.newton_per_count, "1e-06 N or more, of either sign"),

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from plotly import graph_objects as go
 
+from hil.calibrate import LoadCell, PitchTable
 from hil.timing import EDGES, Timing
 from vpp_fmu.comparison import compare
 from vpp_fmu.digits import number, signed
@@ -86,6 +87,38 @@ def add_counts(page: Page, counters: Mapping[str, Mapping[str, int]], transition
     page.table(("at [s]", "state", "why"), transitions, "States of the rig.")
     rows = [(device, name, count) for device, counts in counters.items() for name, count in counts.items()]
     page.table(("device", "what", "times"), rows, "What the devices counted.")
+
+
+def add_cell(page: Page, cell: LoadCell) -> None:
+    """The load cell's residuals, with rising and with falling weights."""
+    top = int(np.argmax(np.abs(cell.forces)))
+    worst = max(map(abs, cell.residuals))
+    fig = style.figure(f"The load cell is straight within {number(worst)} N", 340)
+    for rows, name, colour in ((slice(0, top + 1), "rising", style.AFTER), (slice(top, None), "falling", style.BEFORE)):
+        force, residual = cell.forces[rows], [1e3 * value for value in cell.residuals[rows]]
+        fig.add_scatter(x=force, y=residual, mode="lines+markers", name=name, line={"color": colour})
+    fig.update_xaxes(title_text="force of the weights, thrust positive [N]")
+    fig.update_yaxes(title_text="line − weight [mN]")
+    page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
+    page.table(
+        ("force [N]", "counts", "residual [N]"),
+        list(zip(cell.forces, cell.counts, cell.residuals, strict=True)),
+        "Means over 4 s each.",
+    )
+
+
+def add_pitch_table(page: Page, found: PitchTable) -> None:
+    """Pitch over the pulses, from both sides."""
+    low, high = min(found.pitches), max(found.pitches)
+    fig = style.figure(f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play", 380)
+    pulses = [1e6 * pulse for pulse in found.pulses]
+    for pitches, name, colour in ((found.up, "rising pulses", style.AFTER), (found.down, "falling pulses", style.BEFORE)):
+        fig.add_scatter(x=pulses, y=pitches, mode="lines+markers", name=name, line={"color": colour})
+    fig.update_xaxes(title_text="pulse [us]")
+    fig.update_yaxes(title_text="blade pitch [deg]")
+    page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")
+    rows = list(zip(pulses, found.up, found.down, found.pitches, strict=True))
+    page.table(("pulse [us]", "rising [deg]", "falling [deg]", "table [deg]"), rows, "The pitch table.")
 
 
 def judged_steps(run: Record) -> list[Step]:

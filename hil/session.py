@@ -51,7 +51,8 @@ class Setup:
     """Which rig: `emulated`, in virtual time or not, or the real one by its `wiring`; how it is calibrated, what it may do.
 
     `plant`: what is known of it, parameters by the kernel's names (default: the paper's). `allowed`: the ranges, slews and
-    scales that were measured or declared, from which the limits followed.
+    scales that were measured or declared, from which the limits followed. `truth`: how the emulated rig really is, where its
+    calibration is still to be found.
     """
 
     calibration: Calibration
@@ -62,6 +63,7 @@ class Setup:
     plant: Mapping[str, float] | None = None
     map_is_known: bool = True
     allowed: Ranges = PAPERS
+    truth: Calibration | None = None
 
     def plausibility(self) -> Plausibility:
         """The checks of a run's readings. Where the map is not known yet, thrust can't tell whether the blades follow."""
@@ -78,7 +80,7 @@ class Setup:
         """Its devices, ready to use. DeviceFault NOT_READY."""
         if self.emulated is None:
             return real_bench(self.calibration, self.wiring or Wiring())
-        return (virtual_bench if self.virtual else real_time_bench)(self.emulated, self.calibration)
+        return (virtual_bench if self.virtual else real_time_bench)(self.emulated, self.calibration, self.truth)
 
     def told(self) -> dict:
         """For `hil.json`."""

@@ -18,7 +18,7 @@ from hil.clock import MonotonicClock
 from hil.devices.pwm import PwmChannel
 from hil.devices.tachometer import Tachometer
 from hil.emulator import i2c, pwm_tree
-from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder
+from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder, hand
 from hil.emulator.serial_line import PtyLine
 from hil.realtime import real_time
 from hil.safety.faults import DeviceFault, FaultKind
@@ -31,13 +31,14 @@ PRIORITY = 70
 CALIBRATION = "calibration.json"
 
 
-def real_time_bench(rig: Rig, calibration: Calibration) -> Bench:
-    """An emulated rig in a process of its own. DeviceFault NOT_READY where it does not start."""
+def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
+    """An emulated rig in a process of its own; `truth` as `virtual_bench` has it. DeviceFault NOT_READY where it does not
+    start."""
     ends, clock = contextlib.ExitStack(), MonotonicClock()
     with contextlib.ExitStack() as undo:
         undo.callback(ends.close)
         at = ends.enter_context(folder())
-        (at / CALIBRATION).write_text(to_json(calibration))
+        (at / CALIBRATION).write_text(to_json(truth or calibration))
         _start(rig, at, ends)
         ends.enter_context(i2c.attached(at / BUS, clock))
         chip = at / PULSES / "pwmchip0"
@@ -51,6 +52,7 @@ def real_time_bench(rig: Rig, calibration: Calibration) -> Bench:
                 PwmChannel(chip, LAC, "lac", clock),
                 f"in real time, in {at}",
                 ends,
+                hand=hand(at, ends),
             ).open()
         undo.pop_all()
     return bench

@@ -3,7 +3,7 @@
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,10 +24,10 @@ from hil.physics.rig_model import powertrain
 ZERO_SHIFT = 120.0
 """Counts by which the load cell's zero has moved since the calibration: only a tare finds it."""
 
-BUS, LINE, PORT, PULSES, SHOWN = "i2c", "line", "tty", "pwm", "shown"
+BUS, LINE, PORT, PULSES, SHOWN, HAND = "i2c", "line", "tty", "pwm", "shown", "hand"
 """Names in the folder."""
 
-BYSTANDER = ("relay", "omega", "thrust")
+BYSTANDER, PULLED = ("relay", "omega", "thrust"), ("force",)
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Emulation:
     """The far side of every bus. `serve(t)` does what is due up to time t [s]; `line` carries the tachometer's bytes.
 
     `shown`: what a bystander sees, for any process: whether the relay is closed, speed [rpm], thrust [N]; no device reads it.
+    Likewise what a hand or a weight pulls at the stand [N]. `calibration`: what is true of the rig.
     """
 
     def __init__(self, rig: Rig, calibration: Calibration, folder: Path, start: float):
@@ -61,10 +62,12 @@ class Emulation:
         self.board = Uno(self.world.pulses)
         self.line: SerialLine | None = None
         self.shown = SharedNumbers(folder / SHOWN, BYSTANDER, create=True)
+        self._hand = SharedNumbers(folder / HAND, PULLED, create=True)
 
     def serve(self, t: float) -> None:
         """Go on to time t [s]."""
         self._powered = self.board.watch(t)
+        self.world.pulled = self._hand["force"]
         self.world.advance(t)
         self.shown["relay"], self.shown["omega"], self.shown["thrust"] = self._powered, self.world.omega, self.world.thrust
         self._chip.serve(t)
@@ -74,6 +77,7 @@ class Emulation:
         """Let go of the files."""
         self.line.close()
         self.shown.close()
+        self._hand.close()
         self._bus.close()
         self._esc.close()
         self._lac.close()
@@ -118,11 +122,19 @@ def folder() -> Iterable[Path]:
         yield Path(name)
 
 
-def virtual_bench(rig: Rig, calibration: Calibration) -> Bench:
-    """An emulated rig in this process on a clock of its own: the same every time, and as fast as it can be computed."""
+def hand(at: Path, ends: contextlib.ExitStack) -> Callable[[float], None]:
+    """Pulls the emulated stand in the folder `at`."""
+    shared = SharedNumbers(at / HAND, PULLED)
+    ends.callback(shared.close)
+    return lambda force: shared.__setitem__("force", force)
+
+
+def virtual_bench(rig: Rig, calibration: Calibration, truth: Calibration | None = None) -> Bench:
+    """An emulated rig in this process on a clock of its own: the same every time, and as fast as it can be computed. `truth`:
+    how it really is, where that is not what its driver takes it for."""
     ends, clock = contextlib.ExitStack(), VirtualClock()
     at = ends.enter_context(folder())
-    emulation = Emulation(rig, calibration, at, clock.now())
+    emulation = Emulation(rig, truth or calibration, at, clock.now())
     line = emulation.line = MemoryLine(emulation.board, at / LINE, clock, rig.seed)
     ends.callback(emulation.close)
     ends.enter_context(i2c.attached(at / BUS, clock))
@@ -138,4 +150,5 @@ def virtual_bench(rig: Rig, calibration: Calibration) -> Bench:
             PwmChannel(chip, LAC, "lac", clock),
             "in virtual time",
             ends,
+            hand=hand(at, ends),
         ).open()

@@ -63,6 +63,7 @@ class World:
         self._normal = _Normal(seed)
         self._drift, self._drifted_at = cell.slow * next(self._normal), start
         self.omega = self.beta = self.thrust = 0.0
+        self.pulled = 0.0  # N on the load cell, beside the thrust
 
     def advance(self, t: float) -> None:
         """Go on to time t [s], or as near as whole steps come."""
@@ -91,7 +92,7 @@ class World:
         kept = exp(-max(t - self._drifted_at, 0.0) / cell.memory)
         self._drift = kept * self._drift + cell.slow * sqrt(1.0 - kept * kept) * next(self._normal)
         self._drifted_at = t
-        return cell.zero + cell.volts_per_newton * (thrust + self._drift + cell.white * next(self._normal))
+        return cell.zero + cell.volts_per_newton * (thrust + self.pulled + self._drift + cell.white * next(self._normal))
 
     def pulses(self, t: float) -> tuple[int, float, float]:
         """Passes of the mark up to time t [s], the time of the last [s], and the period of the last whole revolution [s]."""

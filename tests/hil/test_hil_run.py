@@ -1,10 +1,12 @@
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rigs import CALIBRATION, LIMITS, setup, step_profile
 
+from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
@@ -213,8 +215,11 @@ def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tm
 
 def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path):
     calibration = tmp_path / "calibration.json"
-    calibration.write_text((__import__("pathlib").Path("hil/emulator/calibration.json")).read_text())
+    calibration.write_text(to_json(CALIBRATION))
     words = ["hil", "run", "--calibration", str(calibration), "--profile", str(profile), "--rig", "real"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    assert "source: found nobody who measured load_cell, esc, pitch" in capsys.readouterr().err
+    calibration.write_text(to_json(replace(CALIBRATION, source={"who": "Ada", "when": "2026-03-07"})))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
     assert "without a range of speed and pitch" in capsys.readouterr().err  # nobody has said how fast it may turn
     rig = {"format": "vpp-rig/1", "speed": {"min": 2000, "max": 5000}, "pitch": {"min": -5, "max": 8}}

@@ -11,6 +11,7 @@ EXAMPLE = "vpp hil run --profile step.csv --virtual -o out"
 VERBS = {
     "run": "a closed loop over a profile of wanted thrust",
     "campaign": "static map, steps, open loop, its repeat, validation: what `vpp identify` reads",
+    "calibrate": "weights, pitch table, polarity and the throttle's idle, step by step",
     "selftest": "jitter, buses, calibration, pulse outputs",
     "report": "report and record of a run from its log, where the run could not make them itself",
     "replay": "a recorded run once more through a controller FMU",

@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from hil.bench import Wiring, check_limits
-from hil.calibration import read_calibration
+from hil.calibration import never_measured, read_calibration
 from hil.campaign import steep, within
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
@@ -153,6 +153,9 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
     if real and not options.calibration:
         raise BadInput("command line", "--calibration", "none", "the real rig's own calibration (see hil/README.md)")
     calibration = read_calibration(options.calibration or str(EMULATED))
+    if real and turning and (unknown := never_measured(calibration)):
+        allowed = "who and when, as vpp hil calibrate writes them where it has measured"
+        raise BadInput(options.calibration, "source", f"nobody who measured {', '.join(unknown)}", allowed)
     limits, allowed = limits_for(options, allowed_of(options, turning), steps)
     check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
     if real:
@@ -220,7 +223,7 @@ def begun(options, setup: Setup) -> dict:
         "status": RUNNING,
         "begun": now(),
         "host": platform.node(),
-        "operator": options.operator or _user(),
+        "operator": options.operator or user(),
         "command": ["vpp", *sys.argv[1:]],
         **setup.told(),
         "calibration": {**_file(calibration), "sha256": setup.calibration.sha256, "source": dict(setup.calibration.source)},
@@ -242,7 +245,8 @@ def _file(path: str | os.PathLike) -> dict:
     return {"file": Path(path).name, "file_sha256": sha256_of(path)}
 
 
-def _user() -> str:
+def user() -> str:
+    """Who runs this."""
     with contextlib.suppress(KeyError, OSError):  # a process may belong to a number that nobody has named
         return getpass.getuser()
     return str(os.getuid())

@@ -1,0 +1,254 @@
+"""Measuring a rig's calibration: weights on the load cell, pulses to the pitch, the pulse at which the motor starts.
+
+Nothing but the last turns anything, and that without a propeller. What a person does or reads is asked of a `Guide`; where the
+rig is emulated, its emulated hand does it.
+"""
+
+import contextlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from hil.bench import Bench
+from hil.calibration import Calibration
+from hil.cycle import PERIOD
+from hil.safety.faults import DeviceFault
+from hil.safety.supervisor import Supervisor
+from hil.safety.tare import TareGate, TareRefused, tare
+from vpp_fmu.errors import VppError
+
+G = 9.80665
+"""m/s^2, standard gravity; on the ground it is 0.26 % less to 0.27 % more."""
+READINGS = 1000
+"""Of the load cell at each weight: 4 s."""
+TRIES = 3
+PUSH = 2.0
+"""N of an emulated hand, where a person presses lightly."""
+SURE = 10.0
+"""Standard errors by which a push must show."""
+SETTLES = 2.0
+"""s that the pitch's rod is given at each pulse."""
+STEP, HOLD, HIGHEST = 5e-6, 0.4, 200e-6
+"""s: the throttle's pulse rises by so much, every so often, by so much at most: an eighth of the usual range."""
+MARGIN = 20e-6
+"""s by which the idle pulse lies below the one at which the motor started."""
+TURNS = 2
+"""Passes of the mark that count as turning."""
+
+
+class CalibrationRefused(VppError):
+    """What was measured is no calibration: the message says what speaks against it."""
+
+
+class Guide(Protocol):
+    """The person at the rig. Both return when it is done."""
+
+    def do(self, what: str) -> None:
+        """Something to be done."""
+
+    def read(self, what: str) -> float:
+        """A number to be read off."""
+
+
+@dataclass(frozen=True)
+class LoadCell:
+    """The line of `counts` (n,) over `forces` (n,) [N], thrust positive: `newton_per_count` with its standard deviation,
+    `zero` [counts]; `residuals` (n,) [N]; `hysteresis` [N], the largest difference of two readings under the same weight."""
+
+    forces: tuple[float, ...]
+    counts: tuple[float, ...]
+    newton_per_count: float
+    std: float
+    zero: float
+    residuals: tuple[float, ...]
+    hysteresis: float
+
+
+@dataclass(frozen=True)
+class PitchTable:
+    """Blade pitch [deg] at `pulses` (n,) [s]: `up` (n,) with rising pulses, `down` (n,) with falling ones, `pitches` (n,) their
+    mean, which the table takes; `play` [deg], the largest difference."""
+
+    pulses: tuple[float, ...]
+    up: tuple[float, ...]
+    down: tuple[float, ...]
+
+    @property
+    def pitches(self) -> tuple[float, ...]:
+        return tuple((a + b) / 2.0 for a, b in zip(self.up, self.down, strict=True))
+
+    @property
+    def play(self) -> float:
+        return max(abs(a - b) for a, b in zip(self.up, self.down, strict=True))
+
+
+def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
+    """The load cell's line by least squares: counts = zero + force / newton_per_count; forces (n,) [N] are known, counts (n,)
+    are read. CalibrationRefused where it has no slope, or fewer than two forces."""
+    x, y = np.asarray(forces, float), np.asarray(counts, float)
+    if np.ptp(x) == 0.0 or len(x) < 3:
+        found = f"{len(x)} readings under {len(set(x.tolist()))} weights"
+        raise CalibrationRefused(f"load cell: {found}, needed are 3 under 2 at least")
+    spread = x - x.mean()
+    slope = float(spread @ y / (spread @ spread))
+    zero = float(y.mean() - slope * x.mean())
+    error = float(np.sqrt(np.sum((y - zero - slope * x) ** 2) / (len(x) - 2) / (spread @ spread)))
+    if abs(slope) <= 3.0 * error or slope == 0.0:
+        raise CalibrationRefused(f"load cell: {slope:.4g} ± {error:.2g} counts per N: the weights do not show")
+    found = (y - zero) / slope - x
+    same = [np.ptp(y[x == force]) for force in set(x.tolist())]
+    hysteresis = float(max(same) / abs(slope))
+    return LoadCell(tuple(x), tuple(y), 1.0 / slope, error / slope**2, zero, tuple(found), hysteresis)
+
+
+def weighed(bench: Bench, guide: Guide, masses: Sequence[float], with_thrust: bool) -> LoadCell:
+    """The load cell's line from `masses` (n,) [kg], hung rising and then falling; they pull with the thrust or against it. A
+    push the way the thrust pushes must then read as thrust. CalibrationRefused, TareRefused."""
+    sign, forces, counts = 1.0 if with_thrust else -1.0, [], []
+    for mass in (*masses, *reversed(masses[:-1])):
+        guide.do(f"hang {mass:g} kg on the thrust's axis and wait until it is still" if mass else "take all weights off")
+        force = sign * mass * G
+        _hand(bench, force)
+        forces.append(force)
+        counts.append(_mean(bench)[0])
+    found = line(forces, counts)
+    _check_sign(bench, guide, found)
+    return found
+
+
+def _check_sign(bench: Bench, guide: Guide, found: LoadCell) -> None:
+    guide.do("take all weights off and let go")
+    _hand(bench, 0.0)
+    free, error = _mean(bench)
+    guide.do("press lightly on the stand, the way that thrust pushes, and keep pressing")
+    _hand(bench, PUSH)
+    pressed = np.array([bench.adc.read().counts for _ in _ticks(bench, READINGS // 4)], float).mean()
+    _hand(bench, 0.0)
+    push = found.newton_per_count * (pressed - free)
+    if abs(push) < SURE * error * abs(found.newton_per_count):
+        raise CalibrationRefused(f"load cell: the push does not show, {push:+.3f} N")
+    if push < 0.0:
+        found = f"a push the way of the thrust reads {push:+.2f} N"
+        raise CalibrationRefused(f"load cell: wrong polarity: {found}: do the weights pull the other way?")
+
+
+def pitched(bench: Bench, guide: Guide, pulses: Sequence[float]) -> PitchTable:
+    """Blade pitch at `pulses` (n,) [s], approached from below and then from above. CalibrationRefused where it does not rise or
+    fall throughout."""
+
+    def at(pulse: float) -> float:
+        bench.lac.set(pulse)
+        _wait(bench, SETTLES)
+        return guide.read(f"pulse of {1e6 * pulse:g} us: blade pitch at 75 % of the radius [deg]")
+
+    low, high = pulses[0], pulses[-1]
+    bench.lac.set(low)
+    _wait(bench, SETTLES)
+    up = [at(pulse) for pulse in pulses]
+    bench.lac.set(high)
+    down = [at(pulse) for pulse in reversed(pulses)][::-1]
+    bench.lac.set(bench.calibration.lac_idle)
+    found = PitchTable(tuple(pulses), tuple(up), tuple(down))
+    moves = np.diff(found.pitches)
+    if not (np.all(moves > 0.0) or np.all(moves < 0.0)):
+        shown = ", ".join(f"{pitch:g}" for pitch in found.pitches)
+        raise CalibrationRefused(f"pitch: {shown} deg over rising pulses: they must only rise or only fall")
+    return found
+
+
+def started(bench: Bench, report: Path, supervised: bool) -> float:
+    """The ESC's pulse [s] at which the bare motor begins to turn, as it rises slowly from the idle pulse; then the idle pulse.
+
+    `supervised`: in real time, a process of its own stops the motor if this one is gone or silent. CalibrationRefused where
+    the motor turns at once, or not at all. DeviceFault."""
+    supervisor = Supervisor(bench.outputs, report, keep=(bench.lock,)) if supervised else None
+    idle = bench.calibration.esc_idle
+
+    def held(pulse: float, seconds: float) -> int:
+        """Passes of the mark so far, after a time at a pulse."""
+        passes = 0
+        for _ in _ticks(bench, round(seconds / PERIOD)):
+            fault = supervisor.beat() if supervisor else None
+            if fault:
+                raise DeviceFault(fault.device, fault.kind, fault.detail)
+            bench.esc.set(pulse)
+            answer = bench.tachometer.poll()
+            bench.tachometer.request()
+            passes = answer.pulses if answer else passes
+        return passes
+
+    try:
+        bench.tachometer.request()
+        held(idle, 0.1)
+        bench.tachometer.arm()
+        before = held(idle, 1.0 + bench.esc_boot)
+        if held(idle, 1.0) > before:
+            raise CalibrationRefused(f"throttle: the motor turns at {1e6 * idle:g} us, its idle pulse: teach the ESC its range")
+        for k in range(1, round(HIGHEST / STEP) + 1):
+            pulse = idle + k * STEP
+            if held(pulse, HOLD) - before >= TURNS:
+                return pulse
+        raise CalibrationRefused(f"throttle: the motor does not start up to {1e6 * pulse:g} us: has the ESC its supply?")
+    finally:
+        bench.esc.set(idle)
+        with contextlib.suppress(DeviceFault):
+            bench.tachometer.stop()
+        if supervisor:
+            supervisor.close()
+
+
+def adopted(
+    before: Calibration, cell: LoadCell | None, pitch: PitchTable | None, throttle: tuple[float, float] | None
+) -> Calibration:
+    """The calibration with what was measured; `throttle`: the pulses at which the motor starts and that the ESC was taught as its
+    longest [s]. Pitches that a run may command stay where the new table lets them."""
+    changes: dict = {}
+    if cell:
+        changes |= {"newton_per_count": cell.newton_per_count, "zero": cell.zero}
+    if pitch:
+        low, high = min(pitch.pitches), max(pitch.pitches)
+        least, most = max(before.pitch_min, low), min(before.pitch_max, high)
+        changes |= {"pulses": pitch.pulses, "pitches": pitch.pitches, "pitch_min": least, "pitch_max": most}
+        changes["rest_pitch"] = min(max(before.rest_pitch, least), most)
+    if throttle:
+        start, longest = throttle
+        changes |= {"esc_idle": round(start - MARGIN, 9), "esc_max": longest}
+    return replace(before, **changes)
+
+
+def _mean(bench: Bench) -> tuple[float, float]:
+    """(mean, its standard error) of the load cell's counts at rest. TareRefused where it does not rest, three times over."""
+    for left in reversed(range(TRIES)):
+        counts = [bench.adc.read().counts for _ in _ticks(bench, READINGS)]
+        try:
+            found = tare(counts, bench.calibration.newton_per_count, float(np.mean(counts)), TareGate())
+        except TareRefused:
+            if not left:
+                raise
+        else:
+            return found.zero, found.error
+    raise AssertionError("unreachable")
+
+
+def _hand(bench: Bench, force: float) -> None:
+    """What a person's hand does, where the rig is emulated [N]."""
+    if bench.hand:
+        bench.hand(force)
+        _wait(bench, 0.1)
+
+
+def _ticks(bench: Bench, count: int):
+    """Pauses of a tick, `count` times."""
+    begun = bench.clock.now()
+    for k in range(1, count + 1):
+        bench.clock.wait_until(begun + k * PERIOD)
+        yield k
+
+
+def _wait(bench: Bench, seconds: float) -> None:
+    for _ in _ticks(bench, math.ceil(seconds / PERIOD)):
+        pass
