@@ -201,11 +201,19 @@ def started(bench: Bench, report: Path, supervised: bool) -> float:
             supervisor.close()
 
 
-def adopted(
-    before: Calibration, cell: LoadCell | None, pitch: PitchTable | None, throttle: tuple[float, float] | None
-) -> Calibration:
-    """The calibration with what was measured; `throttle`: the pulses at which the motor starts and that the ESC was taught as its
-    longest [s]. Pitches that a run may command stay where the new table lets them."""
+@dataclass(frozen=True)
+class Measured:
+    """What was measured; None: nothing. `throttle`: pulses [s] at which the motor starts, and
+    the longest that the ESC was taught."""
+
+    cell: LoadCell | None = None
+    pitch: PitchTable | None = None
+    throttle: tuple[float, float] | None = None
+
+
+def adopted(before: Calibration, measured: Measured) -> Calibration:
+    """The calibration with what was measured. Pitches that a run may command stay where the new table lets them."""
+    cell, pitch = measured.cell, measured.pitch
     changes: dict = {}
     if cell:
         changes |= {"newton_per_count": cell.newton_per_count, "zero": cell.zero}
@@ -214,8 +222,8 @@ def adopted(
         least, most = max(before.pitch_min, low), min(before.pitch_max, high)
         changes |= {"pulses": pitch.pulses, "pitches": pitch.pitches, "pitch_min": least, "pitch_max": most}
         changes["rest_pitch"] = min(max(before.rest_pitch, least), most)
-    if throttle:
-        start, longest = throttle
+    if measured.throttle:
+        start, longest = measured.throttle
         changes |= {"esc_idle": round(start - MARGIN, 9), "esc_max": longest}
     return replace(before, **changes)
 

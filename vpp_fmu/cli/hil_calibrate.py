@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from hil.calibrate import LoadCell, PitchTable, adopted, pitched, started, weighed
+from hil.calibrate import LoadCell, Measured, adopted, pitched, started, weighed
 from hil.calibration import Calibration, check, never_measured, to_json
 from hil.report import add_cell, add_pitch_table
 from hil.session import REPORT
@@ -69,10 +69,11 @@ def run(options):
             print(f"throttle: the motor starts at {1e6 * start:g} us")
     finally:
         bench.close()
-    found = _sourced(adopted(before, cell, pitch, throttle), options, (cell, pitch, throttle))
+    measured = Measured(cell, pitch, throttle)
+    found = _sourced(adopted(before, measured), options, measured)
     check(folder.path / "calibration.json", found)
     folder.write("calibration.json", to_json(found))
-    folder.write("report.html", _page(before, found, cell, pitch, throttle).html())
+    folder.write("report.html", _page(before, found, measured).html())
     if unknown := never_measured(found):
         print(f"not measured yet: {', '.join(unknown)}; --rig real wants all")
     say_written(folder)
@@ -96,11 +97,9 @@ def said_of_cell(cell: LoadCell) -> str:
     )
 
 
-def _sourced(
-    found: Calibration, options, measured: tuple[LoadCell | None, PitchTable | None, tuple[float, float] | None]
-) -> Calibration:
+def _sourced(found: Calibration, options, measured: Measured) -> Calibration:
     """With who measured what, when, and what was read, in its source."""
-    cell, pitch, throttle = measured
+    cell, pitch, throttle = measured.cell, measured.pitch, measured.throttle
     own = {"who": options.operator or hil_options.user(), "when": now(), "how": "vpp hil calibrate"}
     source = {key: value for key, value in found.source.items() if key not in ("who", "when")}
     if cell:
@@ -113,13 +112,8 @@ def _sourced(
     return replace(found, source=source)
 
 
-def _page(
-    before: Calibration,
-    found: Calibration,
-    cell: LoadCell | None,
-    pitch: PitchTable | None,
-    throttle: tuple[float, float] | None,
-):
+def _page(before: Calibration, found: Calibration, measured: Measured) -> Page:
+    cell, pitch, throttle = measured.cell, measured.pitch, measured.throttle
     hashes = f"Sha256 {found.sha256[:12]}; it was {before.sha256[:12]}."
     page = Page("Calibration", f"{hashes} What was not measured stays as it was.")
     rows = []
