@@ -241,7 +241,8 @@ class _File:
         self._flush()
 
     def close(self) -> Logged:
-        """Write what waits, and give the file its name."""
+        """Write what waits, and give the file its name; a packed one that a full disk has cut off keeps the other, by which
+        `hil.session.found_log` knows that it has to be mended."""
         if self._pack:
             self._waiting += self._pack.flush()
         self._flush(packing=False)
@@ -252,7 +253,8 @@ class _File:
                 os.ftruncate(self._file, self._last_line())
             os.fsync(self._file)
         os.close(self._file)
-        os.replace(self._part, self._path)
+        if not (lost and self._pack):
+            os.replace(self._part, self._path)
         return Logged(self._rows - lost, lost, self.failure if lost else "")
 
     def _queue(self, text: str) -> None:

@@ -38,7 +38,7 @@ from hil.safety.tare import gate_of
 from hil.timing import Timing, timing
 from hil.twin.twin import Twin
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_table
+from vpp_fmu.files import read_table, write_whole
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig as Ranges
 
@@ -173,7 +173,7 @@ def session(
             finally:
                 rig.close()
                 one.logged = log.close()
-        if not in_virtual_time:
+        if not in_virtual_time and not one.logged.failure:
             ticks = read_log(found_log(folder / log_name))
             one.timing = timing(ticks["late"], ticks["busy"], ticks["missed"])
 
@@ -200,7 +200,7 @@ def found_log(path: Path) -> Path:
     if log.suffix == ".gz":
         pack = zlib.compressobj(1, wbits=31)
         whole = pack.compress(whole) + pack.flush()
-    part.write_bytes(whole)
+    write_whole(part, whole, log)  # a full disk must not cost what there is
     os.replace(part, log)
     return log
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.hil.disk import full
 from tests.hil.injection import (
     STUCK_AFTER,
     Injected,
@@ -74,6 +75,8 @@ class Row:
     load: bool = False
     relay: bool = False
     """Watched is the relay in the ESC's supply: nobody is left to write a pulse."""
+    alone: Callable[[], "Outcome"] | None = None
+    """A row that is tried in a way of its own."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,17 @@ class Outcome:
     state: str
     seen: Watched | None
     wrong: str
+
+
+def disk_full(phase: str, name: str, must: str) -> Row:
+    """The command itself, on a disk that is full from a phase on."""
+
+    def alone() -> Outcome:
+        became = full(phase)
+        idle = "nothing opened" if became.pulse is None else f"pulse {int(became.pulse) / 1000:g} us at the end"
+        return Outcome(f"{became.said}; {became.kept}; {idle}", f"exit {became.code}", None, became.wrong)
+
+    return Row(name, must, nothing, within=None, alone=alone)
 
 
 def goes_on(name: str, must: str, inject, **more) -> Row:
@@ -140,6 +154,10 @@ ROWS = (
     goes_on("supervisor: SIGINT", "nothing", to_supervisor(signal.SIGINT)),
     goes_on("supervisor: SIGTERM", "nothing", to_supervisor(signal.SIGTERM)),
     goes_on("disk full", "goes on, says what was lost", nothing, task={"full": True}),
+    disk_full("start", "disk full: before the start", "nothing turns, one line"),
+    disk_full("run", "disk full: in a run", "idle at its end, one line, rows kept"),
+    disk_full("end", "disk full: at the end", "idle, one line, report made later"),
+    disk_full("campaign", "disk full: in a campaign", "idle, one line, goes on by --resume"),
     goes_on("clock set back by 1 h", "nothing", sends(signal.SIGUSR1), task={"sabotage": "clock back"}),
     Row("killed together", "the board opens the relay", to_all, "gone", within=OPEN, task=LINGERS, relay=True),
     Row(
@@ -180,6 +198,8 @@ ROWS = (
 
 def tried(row: Row) -> Outcome:
     """Inject a row's fault and judge what came of it."""
+    if row.alone:
+        return row.alone()
     for _ in range(TRIES):
         outcome = once(row)
         if isinstance(outcome, Outcome):

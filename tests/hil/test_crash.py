@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rigs import step_profile
 
@@ -124,6 +125,50 @@ def test_a_report_of_nothing_or_of_a_log_that_grows_is_refused(tmp_path):
             found_log(tmp_path)
     finally:
         held.communicate(b"\n")
+
+
+@pytest.mark.parametrize(("size", "rows"), [(0, 0), (300_000, 1000)], ids=["from the start", "at the end"])
+def test_a_disk_that_is_full_costs_no_row_that_was_written(tmp_path, size, rows):
+    profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
+    words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
+    text = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)\n"
+    text += "from vpp_fmu.cli import main; sys.exit(main(sys.argv[2:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", text, str(size), *words], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert done.returncode == 2
+    (said,) = done.stderr.splitlines()
+    assert "not writable (file too large)" in said
+    (folder,) = (tmp_path / "out" / "runs").iterdir()
+    if rows:
+        log = read_log(found_log(folder))
+        assert rows < len(log) < 3500  # of about 4000
+        assert main(["hil", "report", str(folder)]) == 0  # once there is room again
+        assert json.loads((folder / "hil.json").read_text())["status"] != "running"
+    else:
+        assert not list(folder.iterdir())
+
+
+def test_a_packed_log_that_was_cut_off_is_mended_once_there_is_room(tmp_path):
+    log = tmp_path / "log_steps.csv.gz"
+    text = f"""
+import resource
+from hil.log import MemoryLog
+from hil.columns import COLUMNS
+made = MemoryLog({str(log)!r}, COLUMNS)
+for k in range(20000):
+    made.put(0.004 * k, 2.0, *[0.1 * k + j for j in range(len(COLUMNS) - 2)])
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+print(made.close().failure)
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert "file too large" in done.stdout
+    assert not log.exists()
+    before = (tmp_path / ".log_steps.csv.gz.part").read_bytes()
+    assert len(before) == 100_000
+    rows = read_log(found_log(log))
+    assert len(rows) > 500
+    np.testing.assert_allclose(rows.time, 0.004 * np.arange(len(rows)))
 
 
 def test_every_run_has_its_own_folder(tmp_path):

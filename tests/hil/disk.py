@@ -1,0 +1,176 @@
+"""A disk that is full before a run, in it, at its end, or in a campaign: the commands themselves, in real time, on a small disk.
+
+Where mounting is allowed the disk is a tmpfs of its own in a namespace, and the refusal the kernel's ENOSPC; elsewhere no file
+of the processes may grow any more (RLIMIT_FSIZE), which is refused as EFBIG.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.log import events_of, read_events
+from hil.resume import measured_so_far
+from hil.session import found_log, read_log
+from tests.processes import group
+
+ROOT = Path(__file__).parents[2]
+SIZE = "8m"
+IDLE = b"1000000"
+PATIENCE = 120.0
+PROFILE = "time,thrust_set\n0,4\n1,8\n4,8\n"
+SMALL = ["--points", "2", "--samples", "250", "--settle", "0.5", "--parts", "static"]
+
+
+@dataclass
+class Disk:
+    """`folder`: what a command is given as its output; `seen`: the same, from outside; `words`: what goes before a command."""
+
+    folder: Path
+    seen: Path
+    words: list[str]
+
+    def fill(self, process: subprocess.Popen) -> None:
+        """No byte more."""
+        if not self.words:
+            for pid in group(process.pid) or (process.pid,):
+                limit(pid)
+            return
+        with contextlib.suppress(OSError), open(self.seen / "filler", "ab", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+
+    def free(self) -> None:
+        """Room again."""
+        (self.seen / "filler").unlink(missing_ok=True)
+
+
+def limit(pid: int) -> None:
+    """A process, and those that it has started in sessions of their own, let no file grow."""
+    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+        limit(int(child))
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0))
+
+
+@contextlib.contextmanager
+def small_disk() -> Iterator[Disk]:
+    """A disk of SIZE, else one whose processes are to be limited."""
+    with tempfile.TemporaryDirectory() as name:
+        mount = ["unshare", "-m", "sh", "-c", f'mount -t tmpfs -o size={SIZE} none "$0" && echo ready && exec cat', name]
+        holder = subprocess.Popen(mount, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        try:
+            mounted = holder.stdout.readline() == b"ready\n"
+            words = ["nsenter", f"--target={holder.pid}", "--mount"] if mounted else []
+            yield Disk(Path(name), Path(f"/proc/{holder.pid}/root{name}") if mounted else Path(name), words)
+        finally:
+            holder.communicate()
+
+
+def command(disk: Disk, *words: str) -> subprocess.Popen:
+    """`vpp hil ...` on the disk."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    own = [*disk.words, sys.executable, "-m", "vpp_fmu", "hil", *words, "-o", str(disk.folder / "out")]
+    return subprocess.Popen(own, env=environment, text=True, cwd=ROOT, start_new_session=True, **pipes)
+
+
+@dataclass(frozen=True)
+class Became:
+    """`code` and `said` (standard error) of the command; `pulse`: what stood on the ESC's output last, None where nothing ever
+    opened it; `kept`: what can still be read; `wrong`: why that is not as it must be."""
+
+    code: int
+    said: str
+    pulse: bytes | None
+    kept: str
+    wrong: str
+
+
+def full(phase: str) -> Became:
+    """Fill the disk in a phase: "start", "run", "end" or "campaign"."""
+    with small_disk() as disk:
+        (disk.seen / "step.csv").write_text(PROFILE)
+        run = ["run", "--profile", str(disk.folder / "step.csv")]
+        words = ["campaign", *SMALL] if phase == "campaign" else run
+        if phase == "start":
+            disk.fill(subprocess.Popen(["true"]))
+        process = command(disk, *words)
+        pulse = None
+        if phase != "start":
+            reached = {
+                "run": lambda event: event.get("state") == "run",
+                "end": lambda event: event.get("why") == "end of the run",
+                "campaign": lambda event: "point" in event,
+            }[phase]
+            esc = _until(process, disk.seen / "out", reached)
+            disk.fill(process)
+        _, said = process.communicate(timeout=PATIENCE)
+        if phase != "start" and esc is not None:
+            pulse = os.pread(esc, 32, 0).split(b"\n")[0]
+            os.close(esc)
+        disk.free()
+        kept, wrong = _kept(disk, phase)
+        lines = [line for line in said.splitlines() if line.startswith("vpp")]
+        wrong = [
+            *wrong,
+            *["no line or more than one says so"] * (len(lines) != 1 or "Traceback" in said),
+            *["the ESC is not at idle"] * (pulse not in (IDLE, None) or (phase != "start" and pulse is None)),
+            *[f"exit code {process.returncode}, must be 2"] * (process.returncode != 2),
+        ]
+        return Became(process.returncode, lines[0] if lines else said.strip(), pulse, kept, "; ".join(wrong))
+
+
+def _kept(disk: Disk, phase: str) -> tuple[str, list[str]]:
+    """What is there once there is room again, and what of it should be and is not."""
+    out = disk.seen / "out"
+    if phase == "start":
+        turned = any("run" in path.read_text() for path in out.rglob("*.events.jsonl"))
+        return "nothing was begun", ["it turned"] * turned
+    if phase == "campaign":
+        points = len(measured_so_far(out, "static"))
+        again = command(disk, "campaign", *SMALL, "--resume")
+        _, said = again.communicate(timeout=PATIENCE)
+        rows = (out / "static.csv").read_text().count("\n") - 1 if (out / "static.csv").exists() else 0
+        wrong = [f"resumed: {said.strip()}"] * (again.returncode != 0) + ["no point was kept"] * (points < 1)
+        return f"{points} points; resumed: {rows}", wrong + ["not 4 points"] * (rows != 4)
+    (folder,) = (out / "runs").iterdir()
+    rows = len(read_log(found_log(folder)))
+    again = subprocess.run(
+        [*disk.words, sys.executable, "-m", "vpp_fmu", "hil", "report", str(disk.folder / "out" / "runs" / folder.name)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    told = json.loads((folder / "hil.json").read_text())
+    wrong = [f"report: {again.stderr.strip()}"] * (again.returncode != 0) + ["hil.json says running"] * (
+        told["status"] == "running"
+    )
+    return f"{rows} rows in the log, of which a report was made", wrong + ["no rows"] * (rows < 1000)
+
+
+def _until(process: subprocess.Popen, out: Path, reached: Callable[[dict], bool]) -> int | None:
+    """Wait for an event beside a log; the file of the ESC's pulse, which stays open."""
+    end, esc = time.monotonic() + PATIENCE, None
+    while time.monotonic() < end and process.poll() is None:
+        if esc is None:
+            esc = _esc(process.pid)
+        if any(reached(event) for log in out.rglob("*.events.jsonl") for event in read_events(events_of(log))):
+            return esc
+        time.sleep(0.02)
+    return esc
+
+
+def _esc(pid: int) -> int | None:
+    with contextlib.suppress(OSError):
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            if os.readlink(link).endswith("pwm0/duty_cycle"):
+                return os.open(link, os.O_RDONLY)
+    return None
