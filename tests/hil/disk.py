@@ -1,7 +1,8 @@
-"""A disk that is full before a run, in it, at its end, or in a campaign: the commands themselves, in real time, on a small disk.
+"""A disk that is full before a run, in it, at its end, or in a campaign: the commands themselves, in real time.
 
-Where mounting is allowed the disk is a tmpfs of its own in a namespace, and the refusal the kernel's ENOSPC; elsewhere no file
-of the processes may grow any more (RLIMIT_FSIZE), which is refused as EFBIG.
+Where mounting is allowed it is a tmpfs of its own in a namespace, and the refusal the kernel's ENOSPC. Elsewhere the processes'
+files may grow no further than ROOM (RLIMIT_FSIZE, refused as EFBIG): what is small can still be written, as the emulated
+outputs must, so a campaign is not tried there.
 """
 
 import contextlib
@@ -19,10 +20,9 @@ from pathlib import Path
 from hil.log import events_of, read_events
 from hil.resume import measured_so_far
 from hil.session import found_log, read_log
-from tests.processes import group
 
 ROOT = Path(__file__).parents[2]
-SIZE = "8m"
+SIZE, ROOM = "8m", 65536
 IDLE = b"1000000"
 PATIENCE = 120.0
 PROFILE = "time,thrust_set\n0,4\n1,8\n4,8\n"
@@ -36,12 +36,15 @@ class Disk:
     folder: Path
     seen: Path
     words: list[str]
+    mounted: bool
 
-    def fill(self, process: subprocess.Popen) -> None:
-        """No byte more."""
-        if not self.words:
-            for pid in group(process.pid) or (process.pid,):
-                limit(pid)
+    def fill(self, process: subprocess.Popen | None) -> None:
+        """No byte more, for a process that runs or the next one."""
+        if not self.mounted:
+            if process:
+                limit(process.pid)
+            else:
+                self.words = ["sh", "-c", 'ulimit -f 0; exec "$@"', "sh"]
             return
         with contextlib.suppress(OSError), open(self.seen / "filler", "ab", buffering=0) as file:
             while True:
@@ -50,13 +53,14 @@ class Disk:
     def free(self) -> None:
         """Room again."""
         (self.seen / "filler").unlink(missing_ok=True)
+        self.words = self.words if self.mounted else []
 
 
 def limit(pid: int) -> None:
     """A process, and those that it has started in sessions of their own, let no file grow."""
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         limit(int(child))
-    resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0))
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (ROOM, ROOM))
 
 
 @contextlib.contextmanager
@@ -68,7 +72,7 @@ def small_disk() -> Iterator[Disk]:
         try:
             mounted = holder.stdout.readline() == b"ready\n"
             words = ["nsenter", f"--target={holder.pid}", "--mount"] if mounted else []
-            yield Disk(Path(name), Path(f"/proc/{holder.pid}/root{name}") if mounted else Path(name), words)
+            yield Disk(Path(name), Path(f"/proc/{holder.pid}/root{name}") if mounted else Path(name), words, mounted)
         finally:
             holder.communicate()
 
@@ -96,11 +100,13 @@ class Became:
 def full(phase: str) -> Became:
     """Fill the disk in a phase: "start", "run", "end" or "campaign"."""
     with small_disk() as disk:
+        if phase == "campaign" and not disk.mounted:
+            return Became(0, "not tried: no tmpfs can be mounted here", None, "", "")
         (disk.seen / "step.csv").write_text(PROFILE)
         run = ["run", "--profile", str(disk.folder / "step.csv")]
         words = ["campaign", *SMALL] if phase == "campaign" else run
         if phase == "start":
-            disk.fill(subprocess.Popen(["true"]))
+            disk.fill(None)
         process = command(disk, *words)
         pulse = None
         if phase != "start":
@@ -150,10 +156,8 @@ def _kept(disk: Disk, phase: str) -> tuple[str, list[str]]:
         check=False,
     )
     told = json.loads((folder / "hil.json").read_text())
-    wrong = [f"report: {again.stderr.strip()}"] * (again.returncode != 0) + ["hil.json says running"] * (
-        told["status"] == "running"
-    )
-    return f"{rows} rows in the log, of which a report was made", wrong + ["no rows"] * (rows < 1000)
+    wrong = [f"report: {again.stderr.strip()}"] * (again.returncode != 0) + ["no rows"] * (rows < 500)
+    return f"{rows} rows in the log, of which a report was made", wrong + ["it still runs"] * (told["status"] == "running")
 
 
 def _until(process: subprocess.Popen, out: Path, reached: Callable[[dict], bool]) -> int | None:

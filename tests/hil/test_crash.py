@@ -133,9 +133,8 @@ def test_a_disk_that_is_full_costs_no_row_that_was_written(tmp_path, size, rows)
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
     text = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)\n"
     text += "from vpp_fmu.cli import main; sys.exit(main(sys.argv[2:]))"
-    done = subprocess.run(
-        [sys.executable, "-c", text, str(size), *words], capture_output=True, text=True, cwd=ROOT, check=False
-    )
+    command = [sys.executable, "-c", text, str(size), *words]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 2
     (said,) = done.stderr.splitlines()
     assert "not writable (file too large)" in said

@@ -45,6 +45,10 @@ class TwinAlarm(VppError):
     code = 3
 
 
+class LogLost(VppError):
+    """The run came to its end, and its record did not."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Task:
     """A run as the options have it: the rig, what drives it over which profile and from which commands on, and what is held
@@ -129,6 +133,8 @@ def _on_rig(options, task: _Task, begun: dict, parent: OutputFolder, page: Opera
         raise TwinAlarm(f"twin: {done.session.rig.alarms[0][1]}{f'; the run ended: {done.ended}' if done.ended else ''}")
     if done.ended:
         raise RunEnded(done.ended)
+    if (logged := done.session.logged).failure:
+        raise LogLost(f"log: {logged.lost} of {logged.rows + logged.lost} rows lost: {logged.failure}")
 
 
 def _run(options, task: _Task, folder: Path, page: OperatorPage | None) -> Run:

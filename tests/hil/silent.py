@@ -1,0 +1,128 @@
+"""python -m tests.hil.silent [--runs N] [--seconds S]: how often is a board silent that answers, and why?
+
+Runs of the closed loop on the emulated rig in real time, idle and then beside `--load` busy processes and programs that start
+and end. Counted are runs that end with "silent" or "stale" of the tachometer; beside each stand the longest time that a core
+stood still meanwhile (`tests/stalls.py`: the host has taken it away), and how long bytes took through a pseudo-terminal of
+their own with both ends in real time. The kernel carries these by workers of ordinary priority: where they are not hurried
+(`hil/realtime.py`), a program that starts holds them up although no core stands still.
+"""
+
+import argparse
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import threading
+import time
+import tty
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from tests.hil.faults import told_by
+from tests.hil.injection import started, wait_for
+from tests.stalls import Stalls
+
+AIM = 0
+"""Of the runs in which no core stood still, so many may end for a silent board."""
+PATIENCE = 0.05
+"""s of silence that end a run."""
+BYTES = 20
+"""About an answer of the board."""
+
+
+def carried(seconds: float) -> None:
+    """Print the longest time [s] that bytes took through a pseudo-terminal within `seconds`: run as a process of its own."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(80))
+    longest, end = 0.0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        began = time.monotonic()
+        os.write(ours, bytes(BYTES))
+        while not struct.unpack("i", fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)))[0]:
+            time.sleep(0.0002)
+        longest = max(longest, time.monotonic() - began)
+        os.read(theirs, 4 * BYTES)
+        time.sleep(0.004)
+    print(longest)
+
+
+@contextmanager
+def busy(count: int):
+    """`count` processes that compute, and one program after the other that starts and ends, as on a machine that is used."""
+    stop = threading.Event()
+
+    def programs():
+        while not stop.is_set():
+            subprocess.run([sys.executable, "-c", "import numpy, scipy.optimize"], check=False)
+
+    hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    thread = threading.Thread(target=programs, daemon=True)
+    if count:
+        thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+        if count:
+            thread.join()
+
+
+def once(seconds: float, load: int, stalls: Stalls) -> tuple[str, float, float]:
+    """(why the run ended early, "" if it did not; the longest stall [s]; the longest that a pseudo-terminal took [s])."""
+    with ExitStack() as ends:
+        ends.enter_context(busy(load))
+        folder = Path(ends.enter_context(tempfile.TemporaryDirectory()))
+        command = [sys.executable, "-m", "tests.hil.silent", "--carried", str(seconds)]
+        probe = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        began = time.monotonic()
+        process, told = ends.enter_context(started({"seconds": seconds}, folder))
+        end = wait_for(told, "ended", process)
+        stood = stalls.longest(since=began)
+        took = float(probe.communicate()[0] or "nan")
+        return (told_by(end) if end is None or end["ended"] else ""), stood, took
+
+
+def main(arguments: list[str]) -> int:
+    """Run and print; 1 where more than AIM runs ended for a silent board while no core stood still."""
+    parser = argparse.ArgumentParser(prog="python -m tests.hil.silent", description=__doc__)
+    parser.add_argument("--runs", type=int, default=200, metavar="N", help="idle, and as many loaded (default: 200)")
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each (default: 20)")
+    parser.add_argument("--load", type=int, default=2, metavar="N", help="busy processes (default: 2)")
+    parser.add_argument("--carried", type=float, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.carried:
+        carried(options.carried)
+        return 0
+    stalls, bad = Stalls(), 0
+    try:
+        for load in (0, options.load):
+            bad += _series(options, load, stalls)
+    finally:
+        stalls.close()
+    return int(bad > AIM)
+
+
+def _series(options, load: int, stalls: Stalls) -> int:
+    silent = alone = stood_still = other = 0
+    for k in range(1, options.runs + 1):
+        why, stood, took = once(options.seconds, load, stalls)
+        of_board = "tachometer: silent" in why or "tachometer: stale" in why
+        silent, other = silent + of_board, other + (bool(why) and not of_board)
+        alone, stood_still = alone + (of_board and not stood), stood_still + bool(stood)
+        said = f"stall {1e3 * stood:3.0f} ms, pseudo-terminal {1e3 * took:5.1f} ms, {why or 'ran to its end'}"
+        print(f"load {load}, run {k} of {options.runs}: {said}", flush=True)
+    told = f"{silent} of {options.runs} ended for a silent board, {alone} of them while no core stood still (aim: {AIM})"
+    print(f"load {load}: {told}; {other} ended for something else; in {stood_still} runs a core stood still\n", flush=True)
+    return alone
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
