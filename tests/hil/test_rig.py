@@ -185,6 +185,20 @@ def test_the_same_seed_gives_the_same_run_to_the_bit():
     assert not np.array_equal(rows(3), rows(4), equal_nan=True)
 
 
+@pytest.mark.parametrize(("lost", "borne"), [(6, True), (1000, False)])
+def test_a_board_that_answers_late_behind_a_break_has_a_runs_patience(lost, borne):
+    rig, _ = virtual_rig(COLUMNS)
+    clock, faults = rig.bench.clock, serial_faults(rig)
+    clock.wait_until(clock.now() + 1.0)  # the last answer is as old as the break is long
+    faults["silent"] = lost
+    try:
+        rig.idle(5)
+        assert [fault.kind for fault in rig.states.faults][:1] == ([] if borne else [FaultKind.SILENT])
+    finally:
+        faults.close()
+        rig.close()
+
+
 def test_in_real_time_the_same_rig_lives_in_a_process_of_its_own():
     bench = real_time_bench(Emulated(seed=1), CALIBRATION)
     log, folder = Rows(COLUMNS), bench.esc.duty_file.parents[3]
