@@ -13,8 +13,9 @@ from hil.calibration import Calibration, check, never_measured, to_json
 from hil.report import add_cell, add_pitch_table
 from hil.session import REPORT
 from vpp_fmu.cli import hil_options
-from vpp_fmu.cli.output import add_output, now, say_written
+from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.cli.prompts import Prompts
+from vpp_fmu.date import now
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.report import Page
