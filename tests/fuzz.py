@@ -39,5 +39,5 @@ def fuzzer(folder: Path, model: Model, values: Mapping[str, float], version: str
 def fuzz(program: Path, seed: int, calls: int) -> subprocess.CompletedProcess:
     """What came of `calls` random calls: exit code 0, and what was done; or why it ended."""
     once, each = CPU_SECONDS
-    command = f"ulimit -t {once + each * calls:.0f}; exec {program} {seed} {calls}"
-    return subprocess.run(["sh", "-c", command], check=False, capture_output=True, text=True)
+    limited = ["sh", "-c", 'ulimit -t "$0"; exec "$@"', f"{once + each * calls:.0f}"]
+    return subprocess.run([*limited, str(program), str(seed), str(calls)], check=False, capture_output=True, text=True)
