@@ -9,6 +9,7 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiler
 
 SOURCE = Path(__file__).parent / "interop" / "fuzz.c"
+FLAGS = ("-std=c99", "-w", "-O1", "-ffp-contract=off")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CPU_SECONDS = 60.0, 0.01
 """What a run may take at most, and each of its calls besides: whatever takes longer never ends."""
@@ -18,18 +19,7 @@ def fuzzer(folder: Path, model: Model, values: Mapping[str, float], version: str
     """The program for a model's FMU of this version of FMI, and whether sanitizers watch: not every compiler has them."""
     name = f"{model.name}{len(model.effects)}_{version[0]}"
     (folder / f"{name}.c").write_text(c_text(model, model.values(values), "{}", version) + SOURCE.read_text())
-    build = [
-        compiler(),
-        "-std=c99",
-        "-w",
-        "-O1",
-        "-ffp-contract=off",
-        f"-DVERSION={version[0]}",
-        f"{name}.c",
-        "-o",
-        name,
-        "-lm",
-    ]
+    build = [compiler(), *FLAGS, f"-DVERSION={version[0]}", f"{name}.c", "-o", name, "-lm"]
     watched = not subprocess.run([*build, *SANITIZERS], cwd=folder, check=False, capture_output=True).returncode
     if not watched:
         subprocess.run(build, cwd=folder, check=True)
