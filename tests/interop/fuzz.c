@@ -1,7 +1,8 @@
 /* Random sequences of calls on an FMU's source, legal or not: what may come of them is a status, and a message where a call is
  * refused; never a crash, a leak, an endless loop, a number that is none.
  *
- * Compiled behind the FMU's one C file with -DVERSION=2 or 3, with the sanitizers where there are any. Usage: fuzz SEED CALLS. */
+ * Compiled behind the FMU's one C file with -DVERSION=2 or 3, with the sanitizers where there are any.
+ * Usage: fuzz SEED CALLS. */
 
 #include <stdint.h>
 
@@ -127,11 +128,14 @@ static void *instance(void) {
     case 0: return fmi3InstantiateModelExchange(name, token, NULL, 0, 1, NULL, logger);
     case 1: return fmi3InstantiateScheduledExecution(name, token, NULL, 0, 1, NULL, logger, NULL, NULL, NULL);
     default:
-      return fmi3InstantiateCoSimulation(name, token, NULL, 0, 1, below(2), below(2), required, !below(18), NULL, logger, NULL);
+      return fmi3InstantiateCoSimulation(name, token, NULL, 0, 1, below(2), below(2), required, !below(18), NULL, logger,
+                                         NULL);
   }
 }
 
-static int enter_at(void *c, double time) { return fmi3EnterInitializationMode(c, below(2), value(), time, below(2), value()); }
+static int enter_at(void *c, double time) {
+  return fmi3EnterInitializationMode(c, below(2), value(), time, below(2), value());
+}
 
 static int go_on(void *c, double time, double size) {
   bool event, end, early;
@@ -215,7 +219,8 @@ static int special(void *c, const unsigned *r, size_t n, double *x) {
     case 26: return fmi3CompletedIntegratorStep(c, below(2), truth, truth);
     case 27: return sets ? fmi3SetShiftDecimal(c, r, n, reals) : fmi3GetShiftDecimal(c, r, n, reals);
     case 28: return sets ? fmi3SetIntervalDecimal(c, r, n, reals) : fmi3GetIntervalDecimal(c, r, n, reals, qualifiers);
-    case 29: return sets ? fmi3SetShiftFraction(c, r, n, counter, resolution) : fmi3GetShiftFraction(c, r, n, counter, resolution);
+    case 29:
+      return sets ? fmi3SetShiftFraction(c, r, n, counter, resolution) : fmi3GetShiftFraction(c, r, n, counter, resolution);
     case 30:
       return sets ? fmi3SetIntervalFraction(c, r, n, counter, resolution)
                   : fmi3GetIntervalFraction(c, r, n, counter, resolution, qualifiers);
