@@ -13,6 +13,7 @@ import pytest
 from builders import ALL_ON, PROBES, random_steps
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from fuzz import fuzz, fuzzer
 
 from fmu_src.two_masses import MODEL
 from vpp_fmu.cli import main
@@ -151,6 +152,14 @@ def test_time_is_a_variable_and_states_are_kept(slave):
     assert shown[0] == shown[1] == shown[2]
     instance.setBoolean([references["speed_only"]], [True])
     assert instance.getBoolean([references["speed_only"]]) == [True]
+
+
+@pytest.mark.parametrize("name", ["controller", "two masses"])  # which have variables of all types
+def test_no_sequence_of_calls_crashes_it(name, tmp_path):
+    program, _ = fuzzer(tmp_path, *MODELS[name], "3.0")  # where there are no sanitizers, a crash still shows
+    for seed in (1, 2, 3):
+        done = fuzz(program, seed, 10_000)
+        assert done.returncode == 0, done.stderr[-2000:]
 
 
 def test_its_source_draws_no_warning(tmp_path):

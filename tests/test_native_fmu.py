@@ -23,6 +23,7 @@ import test_fmu
 from builders import ALL_ON, PROBES, Slave, random_steps, reference, simulator
 from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
+from fuzz import fuzz, fuzzer
 
 from vpp_fmu.cli import main
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
@@ -45,7 +46,6 @@ zig = pytest.mark.skipif(not find_spec("ziglang"), reason="ziglang is not instal
 MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 each_fmu = pytest.mark.parametrize("name", MODELS)
 OUTPUTS = test_fmu.OUTPUTS
-FUZZ = Path(__file__).parent / "interop" / "fuzz.c"
 
 
 @pytest.fixture(scope="module")
@@ -513,19 +513,11 @@ def test_threads_with_instances_of_their_own_do_not_mix(fmus):
         assert shown[i] == exact[-1].tolist()
 
 
-SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_no_sequence_of_calls_crashes_it(name, tmp_path):
-    model, values = MODELS[name]
-    source = tmp_path / "fuzz.c"
-    source.write_text(c_text(model, model.values(values), "{}") + FUZZ.read_text())
-    build = [CC, "-std=c99", "-w", "-ffp-contract=off", "fuzz.c", "-o", "fuzz", "-lm"]
-    if subprocess.run([*build, *SANITIZED], cwd=tmp_path, check=False, capture_output=True).returncode:
-        subprocess.run([*build, "-O1"], cwd=tmp_path, check=True)  # no sanitizers here: a crash still shows
+    program, _ = fuzzer(tmp_path, *MODELS[name], "2.0")  # where there are no sanitizers, a crash still shows
     for seed in (1, 2, 3):
-        done = subprocess.run(["./fuzz", str(seed), "3000"], cwd=tmp_path, check=False, capture_output=True, text=True)
+        done = fuzz(program, seed, 3000)
         assert done.returncode == 0, done.stderr[-2000:]
 
 

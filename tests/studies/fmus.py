@@ -2,12 +2,11 @@
 
 Every effect of the library is on. The functions as they stand are the reference; the Python FMU, the native FMU and, where
 qemu-aarch64 and ziglang are installed, the native FMU built for 64-bit ARM are held against them. Then the table of calls out
-of order and with bad arguments (`tests/misuse.py`) on both flavours, and random calls under the sanitizers of addresses and of
-undefined behaviour.
+of order and with bad arguments (`tests/misuse.py`) on both flavours, the native FMU as FMI 3.0 against the one as FMI 2.0 in
+fmpy, and random calls on both under the sanitizers of addresses and of undefined behaviour.
 """
 
 import argparse
-import subprocess
 import sys
 import tempfile
 import time
@@ -16,22 +15,21 @@ from pathlib import Path
 import numpy as np
 from fmpy.validation import validate_fmu
 
+from fmu_src.two_masses import MODEL
 from vpp_fmu.export import native_fmu, python_fmu
-from vpp_fmu.export.c_text import c_text
-from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.fmu import Fmu, FmuInstance, steps_in_fmpy
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
-from vpp_fmu.native.compiler import compiler
 
 sys.path.append(str(Path(__file__).parents[1]))
 import misuse
 from arm import missing, outputs_on_arm
 from builders import ALL_ON, PROBES, random_steps, reference
+from fuzz import fuzz, fuzzer
 
-FUZZ = Path(__file__).parents[1] / "interop" / "fuzz.c"
-SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 STEP, MEMORY_STEPS, LIVES = 0.004, 1_000_000, 1000
 OUTPUTS = tuple(s.name for s in ALL_ON.outputs)
+MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
 
 
 def main(arguments: list[str]) -> None:
@@ -46,6 +44,7 @@ def main(arguments: list[str]) -> None:
             problems = validate_fmu(str(path))
             print(f"{path.name}: fmpy validate: {len(problems)} problems", flush=True)
         bits(paths, options.steps)
+        versions(Path(folder), options.steps)
         memory(paths["native"])
         misused(Path(folder))
         fuzzed(Path(folder), options.calls)
@@ -93,6 +92,24 @@ def stepped(path: Path, names: list[str], rows: np.ndarray) -> np.ndarray:
     return np.array(shown)
 
 
+def versions(folder: Path, steps: int) -> None:
+    """Whether FMI 3.0's FMU is valid, and gives FMI 2.0's outputs to the bit in fmpy over `steps` communication steps."""
+    for name, (model, values) in MODELS.items():
+        inputs = random_steps(steps + 1, 100, seed=2, model=model)
+        held = [dict(zip(inputs, row, strict=True)) for row in zip(*(c.tolist() for c in inputs.values()), strict=True)]
+        shown = []
+        for version in ("2.0", "3.0"):
+            path = folder / f"{name}.fmi{version[0]}.fmu"
+            path.write_bytes(native_fmu(model, values, version=version))
+            shown.append(steps_in_fmpy(path, held, STEP, [s.name for s in model.outputs]))
+        equal = int(np.sum(np.all(shown[0] == shown[1], axis=1)))
+        moved = ", ".join(
+            f"{s.name} over {np.ptp(column):.4g} {s.unit}" for s, column in zip(model.outputs, shown[1].T, strict=True)
+        )
+        print(f"{path.name}: fmpy validate: {len(validate_fmu(str(path)))} problems")
+        print(f"{path.name}: {equal - 1} of {steps} steps in fmpy are FMI 2.0's to the bit; {moved}", flush=True)
+
+
 def memory(path: Path) -> None:
     """Growth of the process over many steps and over many lives of an instance."""
     fmu = Fmu(path)
@@ -120,9 +137,6 @@ def memory(path: Path) -> None:
     fmu.close()
 
 
-MODELS = {"plain": (BASE, {}), "all_on": (ALL_ON, PROBES), "controller": (CONTROLLER, {})}
-
-
 def misused(folder: Path) -> None:
     """The table of misuse, a line a case."""
     outcomes = {}
@@ -142,15 +156,16 @@ def misused(folder: Path) -> None:
 
 
 def fuzzed(folder: Path, calls: int) -> None:
-    """Random calls on each model's source, shared out among the models."""
-    for name, (model, values) in MODELS.items():
-        source = folder / f"{name}.c"
-        source.write_text(c_text(model, model.values(values), "{}") + FUZZ.read_text())
-        command = [compiler(), "-std=c99", "-w", "-ffp-contract=off", *SANITIZED, source.name, "-o", name, "-lm"]
-        subprocess.run(command, cwd=folder, check=True)
-        done = subprocess.run([f"./{name}", "1", str(calls)], cwd=folder, check=False, capture_output=True, text=True)
-        said = done.stdout.strip() or done.stderr.strip().splitlines()[-1]
-        print(f"{name}: {calls} random calls under ASan and UBSan: exit code {done.returncode}; {said}", flush=True)
+    """Random calls on each model's source in each version of FMI."""
+    for name, (model, values) in (MODELS | {"two masses": (MODEL, {})}).items():
+        for version in ("2.0", "3.0"):
+            program, watched = fuzzer(folder, model, values, version)
+            done = fuzz(program, 1, calls)
+            said = (done.stdout or done.stderr).strip().splitlines()[-1:]
+            under = "under ASan and UBSan" if watched else "WITHOUT sanitizers, which this compiler lacks"
+            print(
+                f"{name}, FMI {version}: {calls} random calls {under}: exit code {done.returncode}; {''.join(said)}", flush=True
+            )
 
 
 def resident() -> int:
