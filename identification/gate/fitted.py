@@ -175,7 +175,7 @@ def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Ite
     score = own * solution.residual
     parts = [p.sum() for b in blocks for p in np.array_split(score[b.at], max(2, int(np.ptp(b.time) / SECOND)))]
     offset = -float(score.sum()) / information
-    std = float(np.sqrt(np.sum(np.square(parts)))) / information
+    std = float(np.sqrt(len(parts)) * np.std(parts, ddof=1)) / information  # an offset itself does not scatter
     left = np.mean(np.concatenate(problem.thrust_errors(found.values)) ** 2)  # N^2 a reading
     above, taken = float(left) - (noise or 0.0) ** 2, offset**2 * information / whole
     if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and (noise is None or taken > MOST * above):
