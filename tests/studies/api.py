@@ -1,14 +1,37 @@
-"""What `import vpp_fmu` costs, and every public name of it: seconds of a fresh interpreter beyond those of an empty one."""
+"""What `import vpp_fmu` costs, and every public name of it: seconds of a fresh interpreter beyond those of an empty one. Then
+the package as a wheel, installed in an environment outside the checkout: the example of every public docstring runs there."""
 
 import argparse
+import os
 import subprocess
 import sys
+import sysconfig
+import tempfile
 import time
+import venv
+from pathlib import Path
 
 import vpp_fmu
 
 AIM = 0.2
 """s for the import of the package; names are paid for when they are used."""
+
+ROOT = Path(__file__).parents[2]
+
+EXAMPLES = """
+import doctest, vpp_fmu as vpp
+print(vpp.__file__)
+flags, run, names = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE, 0, 0
+for name in vpp.__all__:
+    found = [t for t in doctest.DocTestFinder().find(getattr(vpp, name), name, globs={"vpp": vpp}) if t.examples]
+    names += bool(found)
+    for test in found:
+        failed, tried = doctest.DocTestRunner(optionflags=flags).run(test)
+        run += tried
+        if failed:
+            raise SystemExit(f"{name}: {failed} of {tried} examples fail")
+print(f"{run} examples of {names} names of {len(vpp.__all__)} run, none fails")
+"""
 
 
 def seconds(code: str, times: int) -> float:
@@ -22,6 +45,22 @@ def _once(code: str) -> float:
     return time.perf_counter() - began
 
 
+def from_wheel(folder: Path) -> list[str]:
+    """What the examples say, run from a wheel of the checkout in an environment in `folder`. The package comes from there, what
+    it needs from this environment. CalledProcessError where an example fails."""
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)], check=True)
+    (wheel,) = folder.glob("*.whl")
+    home, empty = folder / "environment", folder / "empty"
+    venv.create(home, symlinks=True)
+    empty.mkdir()
+    subprocess.run([*pip, "--python", str(home / "bin" / "python"), "install", "--no-deps", str(wheel)], check=True)
+    needed = {"PYTHONPATH": sysconfig.get_path("purelib"), "PATH": os.environ["PATH"]}  # its .pth files do not count there
+    told = [home / "bin" / "python", "-c", EXAMPLES]
+    done = subprocess.run(told, cwd=empty, env=needed, check=True, capture_output=True, text=True)
+    return done.stdout.splitlines()
+
+
 def main(options: list[str]) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies api", description=__doc__)
@@ -30,4 +69,7 @@ def main(options: list[str]) -> None:
     nothing = seconds("pass", times)
     print(f"import vpp_fmu        {seconds('import vpp_fmu', times) - nothing:6.3f} s (aim: below {AIM:g} s)")
     for name in ("__version__", *vpp_fmu.__all__):
-        print(f"vpp.{name:17} {seconds(f'import vpp_fmu; vpp_fmu.{name}', times) - nothing:6.3f} s")
+        print(f"vpp.{name:17} {seconds(f'import vpp_fmu; vpp_fmu.{name}', times) - nothing:6.3f} s", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        place, said = from_wheel(Path(folder))
+        print(f"as a wheel, in {Path(place).relative_to(folder)}: {said}")
