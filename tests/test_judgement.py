@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
-from identification.diagnose import crossval, selection
-from identification.diagnose.crossval import Held, cross_validated, folds
+from identification.diagnose import crossval, diagnose, selection
+from identification.diagnose.crossval import Held, cross_validated, folds, rises
 from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
 from identification.diagnose.lack import spectra
@@ -202,6 +202,27 @@ def test_a_special_case_takes_the_place_of_what_contains_it_once_the_set_stands(
         found = selection.Selection(final, final)
         selection._narrow(None, found, lambda *_: SimpleNamespace(refused=()))
         assert found.final.effects == (name, "wake")
+
+
+@pytest.mark.parametrize(("after", "worse"), [(0.2, True), (0.1, False), (0.05, False)])
+def test_an_error_rises_where_blocks_that_were_not_fitted_agree_on_it(after, worse):
+    """Twelve blocks of noise, 0.1 before: Student's test of their differences."""
+    rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.05)
+    assert rises([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
+
+
+@pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error rises from 0.1 to 0.11 N"), (False, "")])
+def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(monkeypatch, partly, told):
+    """Left-out thirds are worse by a tenth, in one of three blocks alone: no certainty."""
+    time = np.arange(0.0, 15.0, 0.05)
+    old = np.full(len(time), 0.1)
+    new = np.where(time < 5.0, np.sqrt(3.0 * 0.11**2 - 2.0 * 0.1**2), 0.1)
+    held = {n: Held({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in {"was": old, "now": new}.items()}
+    fit = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
+    shipped = SimpleNamespace()
+    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
+    judge = SimpleNamespace(held=lambda one: held["was"])
+    assert diagnose._refuted(judge, shipped, shipped, fit, None, partly) == told
 
 
 def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may_leave():

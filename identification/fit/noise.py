@@ -181,10 +181,10 @@ class Noise:
     verified: bool
 
 
-def independent(thrust: float, floor: float = np.inf) -> Noise:
+def independent(thrust: float) -> Noise:
     """Readings that are independent of each other, of a standard deviation `thrust` [N], row by row: what a fit supposes that
-    must hold up where the model lacks something. `floor` [N]: as in `Noise`, where a converter's counts matter."""
-    return Noise(floor, Colour((), (), thrust), thrust**2, Colour((), (), 1.0), 0.0, False)
+    must hold up where the model lacks something. Its floor is without end: no converter is too coarse beside it."""
+    return Noise(np.inf, Colour((), (), thrust), thrust**2, Colour((), (), 1.0), 0.0, False)
 
 
 def noise_from(

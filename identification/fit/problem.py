@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from identification.fit.coordinates import Coordinates
-from identification.fit.experiment import Experiment
+from identification.fit.experiment import CHANNELS, Experiment
 from identification.fit.least_squares import Solution, solve
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
@@ -112,7 +112,7 @@ class Problem:
     ):
         self.model, self.experiments, self.values, self.prior = model, tuple(experiments), dict(values), prior
         self.coordinates = Coordinates(model, names, slow_first)
-        self.scale = dict.fromkeys(("thrust", "omega"), 1.0)
+        self.scale = dict.fromkeys(CHANNELS, 1.0)
 
     def but(self, skips: Sequence[float]) -> "Problem":
         """The same, weighed as it is, with other run-ins [s] of its experiments."""

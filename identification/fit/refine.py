@@ -88,30 +88,28 @@ def refine(
     method: str = "levenberg-marquardt",
     starts: int = 1,
     seed: int = 0,
-    slow_first: Mapping[str, bool] | None = None,
 ) -> Refinement:
     """Fit the parameters `names` of `model` to `records`, from the values `start` and from `starts` - 1 random ones.
 
     `start`: changes to the model's defaults, by name. A run-in at a record's start that was not settled gets no weight.
     Gradient descent uses thrust alone, one start and no prior, as the paper does. The random starts repeat with the `seed`.
-    `slow_first` as in `Coordinates`.
     """
     # Threads of a numerical library cost more than they bring on matrices this narrow, and much more on a busy machine.
     with _BLAS.limit(limits=1):
-        return _refine(model, records, start, names, prior, channels, method, starts, seed, slow_first)
+        return _refine(model, records, start, names, prior, channels, method, starts, seed)
 
 
 _BLAS = ThreadpoolController()
 
 
-def _refine(model, records, start, names, prior, channels, method, starts, seed, slow_first) -> Refinement:
+def _refine(model, records, start, names, prior, channels, method, starts, seed) -> Refinement:
     began = time.perf_counter()
     values = model.values(start)
     if method == "gradient-descent":
         prior, channels, starts = None, ("thrust",), 1
     kind = AdjointProblem if method == "adjoint" else Problem
     experiments = independent_readings(records, values, channels)
-    trial = kind(model, experiments, values, names, prior, slow_first)
+    trial = kind(model, experiments, values, names, prior)
     why = undetermined(trial, trial.coordinates.vector(values), names)
     free = [n for n in names if n not in why]
     if not free:
@@ -119,7 +117,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed,
         raise BadInput(
             records[0].source, "thrust", f"nothing that tells a parameter ({told})", "what follows a command that moves"
         )
-    problem = kind(model, experiments, values, free, prior, slow_first) if why else trial
+    problem = kind(model, experiments, values, free, prior) if why else trial
     cost_start = paper_cost(problem, values)
     if method == "gradient-descent":
         rounds = [descend(problem, problem.coordinates.vector(values))]
@@ -128,6 +126,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed,
         skips = run_ins(problem, values | problem.coordinates.values(rounds[-1].value))
         if any(skips):
             problem = problem.but(skips)
+            rounds[-1] = rounds[-1].slim()
             rounds += problem.solve_and_weigh(problem.coordinates.values(rounds[-1].value))
     best, found = rounds[-1], [rounds[-1].slim()]
     if starts > 1:  # while others are sought, there is no room for the first one's rows
