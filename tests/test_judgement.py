@@ -242,19 +242,41 @@ def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
     assert disagreement(told, doubt) == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5])
-def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho):
-    """Slow shapes in noise whose colour nobody took out: rejected at 1 % in 1 % of 1000 draws, within 3 standard errors."""
+@pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
+def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters):
+    """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected at
+    1 % in 1 % of 1000 draws, within 3 standard errors."""
     rng, rows, count = np.random.default_rng(7), 1200, 12
     rejected = 0
     for _ in range(1000):
-        shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
+        slow = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count + parameters)), axis=0))[0].T
+        fitted, shapes = slow[:parameters], slow[parameters:]
         noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
-        score = shapes @ noise
-        covariance, degrees = scores_covariance([(shapes, noise - shapes.T @ score)])
+        residual, score = noise - fitted.T @ (fitted @ noise), shapes @ noise
+        covariance, degrees = scores_covariance([(shapes, residual - shapes.T @ score, fitted)])
         statistic = float(score @ np.linalg.solve(covariance, score))
         rejected += Following(0.5 * (statistic - count), count, degrees).p < 0.01
     assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_a_filter_gives_back_what_a_fit_has_taken(rho):
+    """600 rows of an autoregression less their share in 30 slow directions: power at rest, 1 / (1 - rho)^2, and innovation, 1,
+    come back in the mean of 60 draws; what is left by itself has lost most of that power."""
+    rng, rows = np.random.default_rng(9), 600
+    slow = np.linalg.qr(np.cos(np.pi * np.arange(30) * (np.arange(rows)[:, None] + 0.5) / rows))[0]
+    at_rest: dict[bool, list[float]] = {False: [], True: []}
+    innovations = []
+    for _ in range(60):
+        noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
+        for back in at_rest:
+            colour = colour_of([noise - slow @ (slow.T @ noise)], slow if back else None)
+            at_rest[back].append(np.log(colour.innovation**2 / colour.weights.sum() ** 2))
+            if back:
+                innovations.append(colour.innovation)
+    assert np.mean(at_rest[True]) == pytest.approx(np.log(1.0 / (1.0 - rho) ** 2), abs=0.15)
+    assert np.mean(at_rest[False]) < np.mean(at_rest[True]) - 0.3
+    assert np.mean(innovations) == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_score_test_sees_what_follows_a_shape():
@@ -263,5 +285,5 @@ def test_the_score_test_sees_what_follows_a_shape():
     shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
     residual = rng.standard_normal(rows) + 20.0 * shapes[3]
     score = shapes @ residual
-    covariance, degrees = scores_covariance([(shapes, residual - shapes.T @ score)])
+    covariance, degrees = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
     assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, degrees).p < 1e-6

@@ -23,7 +23,7 @@ from identification.diagnose.starting import Starting, exportable, from_given, f
 from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
-from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, noise_from
+from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
 from identification.fit.refine import run_ins
 from identification.fit.tachometer import Tachometer
 from identification.fit.uncertainty import WIDEST, disagreement
@@ -280,7 +280,7 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequenc
     Where no repeat tells the noise, its colour is estimated anew from what the most promising candidate leaves: in the base's
     own residual what is missing passes for noise, and hides.
     """
-    noise = _noise(groups, plant((), at.library), at.values, at.rig)
+    noise = _noise(groups, plant((), at.library), at.values, at.names, at.rig)
     searcher, base = _based(groups, at, noise, at.values)
     if noise.verified:
         return searcher, base
@@ -289,7 +289,7 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequenc
     best = min(fits, key=Fit.bic, default=base)
     if evidence_over(best, base) <= STRONG:
         return searcher, base
-    clearer = _noise(groups, best.problem.model, best.values, at.rig)
+    clearer = _noise(groups, best.problem.model, best.values, best.problem.coordinates.names, at.rig)
     return _based(groups, at, clearer, base.values) if clearer.colour.innovation < noise.colour.innovation else (searcher, base)
 
 
@@ -314,30 +314,43 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
     return searcher, base
 
 
-def _noise(groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], rig: Rig) -> Noise:
-    """From the differences of records of the same commands, where there are any; else from what a model leaves, less what of it
-    follows the commands or is a trend: that is not noise, and a filter that took it for noise would hide it."""
+def _noise(
+    groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], rig: Rig
+) -> Noise:
+    """From the differences of records of the same commands, where there are any; else from what a model, of which the parameters
+    `names` were fitted, leaves, less what of it follows the commands or is a trend: that is not noise, and a filter that took
+    it for noise would hide it."""
     block = rig.scales.time_scale / BLOCKS_A_TIME
     group = max(groups, key=len)
+    if len(group) < 2:
+        return _noise_left(group[0], model, values, names, block)
     outputs = Simulator(model).simulate(values, group[0].record.columns, group[0].record.steps)
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
-    heard = [_heard(one.record, outputs[:, 1]) for one in group]
-    if len(group) < 2:
-        record = group[0].record
-        errors = [beyond(lambda: thrust_shapes(values, record, outputs), blocks(record, block).mean, errors[0])]
-        sensor, residual = heard[0]
-        if len(residual):
-
-            def heard_shapes() -> Iterator[np.ndarray]:
-                return (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
-
-            residual = beyond(heard_shapes, lambda readings: readings, residual)
-        return noise_from(group[0].record, errors, [residual], block, SLOW, verified=False)
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]
-    (first, one), *others = heard
+    (first, one), *others = [_heard(one.record, outputs[:, 1]) for one in group]
     between = [(one - np.interp(_times(first), _times(sensor), other)) / np.sqrt(2.0) for sensor, other in others if len(other)]
     return noise_from(group[0].record, errors, between if len(one) else [], block, SLOW, verified=True)
+
+
+def _noise_left(one: Fitted, model: Model, values: Mapping[str, float], names: Sequence[str], block: float) -> Noise:
+    """Of a single record."""
+    record, mean = one.record, blocks(one.record, block).mean
+    white = replace(independent(1.0), block=block)
+    outputs, fitted = Experiment([one], white).sensitivities(Simulator(model, names), values)
+    error = outputs[:, 0] - record["thrust"]
+    moved = np.zeros((len(mean(error)), len(names)))
+    moved[np.isfinite(mean(error))] = fitted["thrust"]
+    error, taken = beyond(lambda: thrust_shapes(values, record, outputs), mean, error, moved)
+    sensor, residual = _heard(record, outputs[:, 1])
+    heard = None
+    if len(residual):
+
+        def heard_shapes() -> Iterator[np.ndarray]:
+            return (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
+
+        residual, heard = beyond(heard_shapes, lambda readings: readings, residual, fitted["omega"])
+    return noise_from(record, [error], [residual], block, SLOW, verified=False, taken=(taken, heard))
 
 
 def _heard(record: Record, omega: np.ndarray) -> tuple[Tachometer | None, np.ndarray]:

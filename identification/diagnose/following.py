@@ -73,7 +73,8 @@ def following(fit: Fit) -> Following:
     if all(e.noise.verified for e in fit.problem.experiments):
         return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
     left = residual - columns.T @ (turned.T @ score)
-    covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at]) for at in parts])
+    fitted = about.thrust_directions(columns.shape[1])
+    covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at], fitted[:, at]) for at in parts])
     return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), int(kept.sum()), degrees)
 
 
@@ -94,22 +95,23 @@ def _columns(fit: Fit) -> tuple[np.ndarray, list[slice]]:
     return found, parts
 
 
-def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
+def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
     """(covariance (k, k) of the products of directions with noise, degrees of freedom with which it is known).
 
-    `parts`: directions (k, n), rows orthonormal over all parts, and what they leave of the noise (n,). Where the noise has
-    been whitened by a colour that was estimated from it, its power is not 1 where the colour fits badly, and slow noise most
+    `parts`: directions (k, n), rows orthonormal over all parts, what they and a fit leave of the noise (n,), and the directions
+    that the fit had taken before (m, n). Where the noise has been whitened by a colour that was estimated from it, its power is not 1 where the colour fits badly, and slow noise most
     of all: it is taken from what is left, in bands of a third of an octave, for the share of a band that can be left.
     """
     count = len(parts[0][0])
     covariance, shares, degrees = np.zeros((count, count)), [], []
-    for directions, left in parts:
+    for directions, left, fitted in parts:
         n = len(left)
         spectrum, shapes = np.abs(np.fft.rfft(left)) ** 2 / n, np.fft.rfft(directions, axis=1)
         twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal but for the ends
         twice[0], twice[-1] = 1.0, 2.0 if n % 2 else 1.0
         taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
-        free = np.maximum(1.0 - banded(taken), 1.0 / ORDINATES)
+        before = np.sum(np.abs(np.fft.rfft(fitted, axis=1)) ** 2, axis=0) / n
+        free = np.maximum(1.0 - banded(taken + before), 1.0 / ORDINATES)
         level = banded(spectrum) / free
         shapes *= np.sqrt(twice * level)  # in place: it is large
         covariance += (shapes @ shapes.conj().T).real / n
@@ -152,19 +154,31 @@ def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarra
 
 
 def beyond(
-    shapes: Callable[[], Iterator[np.ndarray]], mean: Callable[[np.ndarray], np.ndarray], residual: np.ndarray
-) -> np.ndarray:
-    """What of a residual (rows,) shapes, each (rows,), do not take up; NaN where it was not measured.
+    shapes: Callable[[], Iterator[np.ndarray]],
+    mean: Callable[[np.ndarray], np.ndarray],
+    residual: np.ndarray,
+    others: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(what of a residual (rows,) shapes, each (rows,), do not take up, NaN where it was not measured; directions (n, k),
+    orthonormal, in which shapes and `others` (n, m), which have been fitted before, leave nothing).
 
-    Their shares are fitted to what `mean` makes of rows: block means, in which a long record's shapes are small.
+    Their shares are fitted to what `mean` makes of rows: block means (n,), in which a long record's shapes are small.
     """
     target = mean(residual)
     seen = np.isfinite(target)
-    columns = np.stack([mean(shape)[seen] for shape in shapes()])
-    size = np.linalg.norm(columns, axis=1)
-    size = np.where(size > 0.0, size, 1.0)
-    shares, *_ = np.linalg.lstsq((columns / size[:, None]).T, target[seen], rcond=1e-6)
-    return residual - sum(share * shape for share, shape in zip(shares / size, shapes(), strict=True))
+    columns = np.stack([mean(shape)[seen] for shape in shapes()], axis=1)
+    size = _lengths(columns)
+    shares, *_ = np.linalg.lstsq(columns / size, target[seen], rcond=1e-6)
+    left = residual - sum(share * shape for share, shape in zip(shares / size, shapes(), strict=True))
+    gone = np.zeros((len(target), columns.shape[1] + others.shape[1] + 1))
+    gone[seen] = np.hstack([columns / size, others[seen] / _lengths(others[seen]), np.ones((len(columns), 1))])
+    turned, power, _ = np.linalg.svd(gone, full_matrices=False)
+    return left, turned[:, power > 1e-6 * power[0]]
+
+
+def _lengths(columns: np.ndarray) -> np.ndarray:
+    size = np.linalg.norm(columns, axis=0)
+    return np.where(size > 0.0, size, 1.0)
 
 
 def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.ndarray]:

@@ -40,6 +40,12 @@ class Linearised:
             np.subtract(row, thrust @ share, out=row)
         return rows @ rows.T + shares.T @ (speed.T @ speed) @ shares
 
+    def thrust_directions(self, count: int) -> np.ndarray:
+        """(parameters, count): rows whose squares sum to the share of noise in the first `count` rows, thrust's, that the fit
+        has taken up."""
+        power, turned = np.linalg.eigh(self._inverse)
+        return (self._columns[:count] @ (turned * np.sqrt(np.maximum(power, 0.0)))).T
+
     def followed(self, rows: np.ndarray) -> dict[str, float]:
         """Values of the fitted parameters once they have followed residual `rows` as far as they can."""
         coordinates = self._problem.coordinates

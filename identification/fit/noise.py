@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import toeplitz
 
 from identification.fit.converter import grid
 from vpp_fmu.record import Record
@@ -21,6 +22,9 @@ BLOCKS_A_TIME = 30.0
 LAGS = (0, 1, 2, 4, 6)
 PASTS = ((7, 12), (13, 24), (25, 48), (49, 96))
 """Orders of the filter that are tried, and the longer pasts, one after the other, whose means join the longest of them."""
+
+RESTORED, ALIKE = 10, 0.002
+"""Rounds in which what a fit took out is put back, at most, and the change of the innovation's logarithm that ends them."""
 
 LOST = 0.1
 """Share of the rows that a filter's memory may cost: each gap in a record costs it once."""
@@ -124,23 +128,84 @@ class Colour:
         return np.where(gone[order + 1 :] > gone[: n - order], np.nan, left)
 
 
-def colour_of(parts: Sequence[np.ndarray]) -> Colour:
-    """The filter for evenly spaced noise in `parts`, each (rows,), NaN where it is not known; what it is by the BIC."""
-    best, least, count = Colour((), (), _spread(parts)), np.inf, sum(map(np.size, parts))
+def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> Colour:
+    """The filter for evenly spaced noise in `parts`, each (rows,), NaN where it is not known; what it is by the BIC.
+
+    `taken` (rows, k): directions that a fit has taken out of the only part, orthonormal. A residual lacks the noise that its
+    fit took up, which is slow, and passes for bluer than the noise is: so what is gone is put back as it is to be expected,
+    until both agree (expectation and maximisation of the restricted likelihood; Patterson and Thompson, Biometrika, 1971).
+    """
+    if taken is None or not taken.size:
+        return _best(parts, None)
+    colour = Colour((), (), _spread(parts, None))  # not the residual's own: far from the noise's, it would not come back
+    for _ in range(RESTORED):
+        before = colour
+        colour = _best(*_restored(parts[0], taken, before))
+        if abs(np.log(colour.innovation / before.innovation)) < ALIKE and colour.spans == before.spans:
+            break
+    return colour
+
+
+def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list[np.ndarray], np.ndarray]:
+    """([the part with what its directions hold in all likelihood], autocovariance (lags,) of how uncertain that is)."""
+    known = np.isfinite(part)
+    columns = np.where(known[:, None], taken, 0.0)
+    white, target = colour.whiten(columns), colour.whiten(part)
+    seen = np.isfinite(target)
+    covariance = np.linalg.pinv(white[seen].T @ white[seen], hermitian=True)
+    found = part - columns @ (covariance @ (white[seen].T @ target[seen]))
+    size, turned = np.linalg.eigh(covariance)
+    spectrum = np.abs(np.fft.rfft(columns @ (turned * np.sqrt(np.maximum(size, 0.0))), 2 * len(part), axis=0)) ** 2
+    return [found], np.fft.irfft(spectrum.sum(axis=1))[: _reach(_spans(LAGS[-1], PASTS)) + 1]
+
+
+def _best(parts: Sequence[np.ndarray], more: np.ndarray | None) -> Colour:
+    """The filter of the least BIC; `more` (lags,): autocovariance, summed over rows, to add to that of the parts."""
+    count = sum(map(np.size, parts))
+    best, least = Colour((), (), _spread(parts, more)), np.inf
     options = [(n, ()) for n in LAGS] + [(LAGS[-1], PASTS[:k]) for k in range(1, len(PASTS) + 1)]
     whole = max(1, sum(int(np.isfinite(p).sum()) for p in parts))
-    for lags, pasts in options:
-        spans = [(k, k) for k in range(1, lags + 1)] + list(pasts)
+    for lags, pasts in reversed(options):
+        spans = _spans(lags, pasts)
         rows = [_lagged(p, spans) for p in parts if len(p) > _reach(spans)]
         table = np.concatenate([r[np.isfinite(r).all(axis=1)] for r in rows]) if rows else np.zeros((0, 1))
         if len(table) < max((1.0 - LOST) * whole, 20 * (len(spans) + 1)):
             continue
-        shares, *_ = np.linalg.lstsq(table[:, 1:], table[:, 0], rcond=None)
-        left = float(np.mean((table[:, 0] - table[:, 1:] @ shares) ** 2))
-        criterion = count * np.log(max(left, 1e-300)) + len(spans) * np.log(count)
-        if criterion < least:
-            best, least = Colour(tuple(spans), tuple(shares.tolist()), float(np.sqrt(left)) or 1.0), criterion
+        # One triangle holds the products of the longest filter's columns, of which the shorter ones have the first.
+        triangle = np.linalg.qr(table, mode="r")
+        if more is not None:
+            triangle = np.linalg.qr(np.vstack([triangle, _root(_products(more, spans))]), mode="r")
+        for shorter, fewer in options:
+            taps = len(_spans(shorter, fewer))
+            if taps > len(spans):
+                continue
+            shares, *_ = np.linalg.lstsq(triangle[:, 1 : taps + 1], triangle[:, 0], rcond=None)
+            left = float(np.sum((triangle[:, 0] - triangle[:, 1 : taps + 1] @ shares) ** 2)) / len(table)
+            criterion = count * np.log(max(left, 1e-300)) + taps * np.log(count)
+            if criterion < least:
+                best = Colour(tuple(spans[:taps]), tuple(shares.tolist()), float(np.sqrt(left)) or 1.0)
+                least = criterion
+        break
     return best
+
+
+def _spans(lags: int, pasts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    return [(k, k) for k in range(1, lags + 1)] + list(pasts)
+
+
+def _products(autocovariance: np.ndarray, spans: Sequence[tuple[int, int]]) -> np.ndarray:
+    """(1 + spans, 1 + spans): products, summed over rows, of the columns of `_lagged` of noise of an autocovariance (lags,)."""
+    means = np.zeros((len(spans) + 1, _reach(spans) + 1))
+    means[0, 0] = 1.0
+    for row, (first, last) in zip(means[1:], spans, strict=True):
+        row[first : last + 1] = 1.0 / (last - first + 1)
+    return means @ toeplitz(autocovariance[: means.shape[1]]) @ means.T
+
+
+def _root(products: np.ndarray) -> np.ndarray:
+    """R with R.T @ R the products."""
+    size, turned = np.linalg.eigh(products)
+    return (turned * np.sqrt(np.maximum(size, 0.0))).T
 
 
 def _reach(spans: Sequence[tuple[int, int]]) -> int:
@@ -160,9 +225,10 @@ def _lagged(values: np.ndarray, spans: Sequence[tuple[int, int]]) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def _spread(parts: Sequence[np.ndarray]) -> float:
+def _spread(parts: Sequence[np.ndarray], more: np.ndarray | None) -> float:
     seen = np.concatenate([np.asarray(p, float)[np.isfinite(p)] for p in parts]) if parts else np.zeros(0)
-    return (float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0) or 1.0
+    added = 0.0 if more is None else float(more[0])
+    return (float(np.sqrt((np.sum(seen**2) + added) / len(seen))) if len(seen) else 0.0) or 1.0
 
 
 @dataclass(frozen=True)
@@ -188,19 +254,34 @@ def independent(thrust: float) -> Noise:
 
 
 def noise_from(
-    record: Record, error: Sequence[np.ndarray], speed: Sequence[np.ndarray], block: float, slow: float, verified: bool
+    record: Record,
+    error: Sequence[np.ndarray],
+    speed: Sequence[np.ndarray],
+    block: float,
+    slow: float,
+    verified: bool,
+    taken: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
 ) -> Noise:
     """From samples of thrust's noise, each (rows,) N on the record's rows, and of speed's (readings,) as the tachometer's
     residual.
 
-    `slow` [Hz]: what is below it counts as slow.
+    `slow` [Hz]: what is below it counts as slow. `taken`: directions, orthonormal, that are gone from the only sample of
+    thrust's block means (blocks, k), and of speed (readings, k): all of them slow.
     """
     means = [blocks(record, block).mean(e) for e in error]
     means = [m - np.nanmean(m) for m in means]
     rows = np.concatenate([e - np.nanmean(e) for e in error])
     below = np.concatenate([blocks(record, 0.5 / slow).mean(e - np.nanmean(e)) for e in error])
+    gone = 0 if taken[0] is None else taken[0].shape[1]
     least = grid(record["thrust"])[0] / np.sqrt(12.0)  # what rounding leaves uncertain: noise is never less
-    floor, power = max(float(np.sqrt(np.nanmean(rows**2))), least), max(float(np.nanmean(below**2)), least**2)
-    colour = colour_of(means)
+    floor, power = max(float(np.sqrt(_power(rows, gone))), least), max(_power(below, gone), least**2)
+    colour = colour_of(means, taken[0])
     colour = replace(colour, innovation=max(colour.innovation, least))
-    return Noise(floor, colour, power, colour_of([s - s.mean() for s in speed if len(s)]), block, verified)
+    heard = colour_of([s - s.mean() for s in speed if len(s)], taken[1])
+    return Noise(floor, colour, power, heard, block, verified)
+
+
+def _power(values: np.ndarray, gone: int) -> float:
+    """Mean square of values, NaN left out, from which `gone` degrees of freedom are gone."""
+    seen = values[np.isfinite(values)]
+    return float(np.sum(seen**2)) / max(len(seen) - gone, 1)
