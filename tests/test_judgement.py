@@ -244,8 +244,8 @@ def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
 
 @pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
 def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters):
-    """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected at
-    1 % in 1 % of 1000 draws, within 3 standard errors."""
+    """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected
+    at 1 % in 1 % of 1000 draws, within 3 standard errors."""
     rng, rows, count = np.random.default_rng(7), 1200, 12
     rejected = 0
     for _ in range(1000):
@@ -265,18 +265,13 @@ def test_a_filter_gives_back_what_a_fit_has_taken(rho):
     come back in the mean of 60 draws; what is left by itself has lost most of that power."""
     rng, rows = np.random.default_rng(9), 600
     slow = np.linalg.qr(np.cos(np.pi * np.arange(30) * (np.arange(rows)[:, None] + 0.5) / rows))[0]
-    at_rest: dict[bool, list[float]] = {False: [], True: []}
-    innovations = []
-    for _ in range(60):
-        noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
-        for back in at_rest:
-            colour = colour_of([noise - slow @ (slow.T @ noise)], slow if back else None)
-            at_rest[back].append(np.log(colour.innovation**2 / colour.weights.sum() ** 2))
-            if back:
-                innovations.append(colour.innovation)
-    assert np.mean(at_rest[True]) == pytest.approx(np.log(1.0 / (1.0 - rho) ** 2), abs=0.15)
-    assert np.mean(at_rest[False]) < np.mean(at_rest[True]) - 0.3
-    assert np.mean(innovations) == pytest.approx(1.0, abs=0.01)
+    noises = [lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:] for _ in range(60)]
+    left = [noise - slow @ (slow.T @ noise) for noise in noises]
+    back, bare = [colour_of([part], slow) for part in left], [colour_of([part]) for part in left]
+    at_rest, lost = (np.mean([np.log(c.innovation**2 / c.weights.sum() ** 2) for c in each]) for each in (back, bare))
+    assert at_rest == pytest.approx(np.log(1.0 / (1.0 - rho) ** 2), abs=0.15)
+    assert lost < at_rest - 0.3
+    assert np.mean([c.innovation for c in back]) == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_score_test_sees_what_follows_a_shape():

@@ -317,9 +317,9 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
 def _noise(
     groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], rig: Rig
 ) -> Noise:
-    """From the differences of records of the same commands, where there are any; else from what a model, of which the parameters
-    `names` were fitted, leaves, less what of it follows the commands or is a trend: that is not noise, and a filter that took
-    it for noise would hide it."""
+    """From the differences of records of the same commands, where there are any; else from what a model leaves, whose `names`
+    were fitted, less what of it follows the commands or is a trend: that is not noise, and a filter that took it for noise
+    would hide it."""
     block = rig.scales.time_scale / BLOCKS_A_TIME
     group = max(groups, key=len)
     if len(group) < 2:

@@ -99,8 +99,9 @@ def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
     """(covariance (k, k) of the products of directions with noise, degrees of freedom with which it is known).
 
     `parts`: directions (k, n), rows orthonormal over all parts, what they and a fit leave of the noise (n,), and the directions
-    that the fit had taken before (m, n). Where the noise has been whitened by a colour that was estimated from it, its power is not 1 where the colour fits badly, and slow noise most
-    of all: it is taken from what is left, in bands of a third of an octave, for the share of a band that can be left.
+    (m, n) that the fit had taken before. Where the noise has been whitened by a colour that was estimated from it, its power is
+    not 1 where the colour fits badly, and slow noise most of all: it is taken from what is left, in bands of a third of an
+    octave, for the share of a band that can be left.
     """
     count = len(parts[0][0])
     covariance, shares, degrees = np.zeros((count, count)), [], []
