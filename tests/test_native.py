@@ -20,14 +20,14 @@ MODELS = {"plain": (BASE, {}), "all on": (ALL_ON, PROBES), "two delays": (TWO_DE
 LATE = {"reading_delay": "delay", "speed_reading_delay": "delay", "row_clock": "age"}
 
 
-def test_10_000_compiled_steps_are_the_functions_to_the_bit(long_run):
+def test_4000_compiled_steps_are_the_functions_to_the_bit(long_run):
     commands, steps, exact = long_run
     np.testing.assert_array_equal(simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
     assert np.isfinite(exact).all()
     assert np.ptp(exact, axis=0).min() > 5.0
 
 
-def test_10_000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
+def test_4000_generated_steps_are_the_functions_to_the_bit(long_run, no_compiler, recwarn):
     commands, steps, exact = long_run
     np.testing.assert_array_equal(Simulator(ALL_ON).simulate(PROBES, commands, steps), exact)
 

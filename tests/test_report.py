@@ -166,10 +166,13 @@ def test_key_figures_come_before_everything_else():
 
 def test_numbers_stand_flush_right_and_texts_left():
     report = Page("A", "B")
-    report.table(["name", "value [N]", "interval [N]"], [["thrust", 0.5, "0.4 … 0.6"], ["2nd", None, "-"]], "C")
+    columns = ["name", "value [N]", "interval [N]", "campaign"]
+    rows = [["thrust", 0.5, "0.4 … 0.6", "2026-03-01_rig"], ["2nd", None, "-", "2026-03-08_rig"]]
+    report.table(columns, rows, "C")
     html = report.html()
     assert '<th class="number">value [N]</th>' in html
-    assert "<th>name</th>" in html
+    assert '<th class="name">name</th>' in html
+    assert '<th class="name">campaign</th>' in html
     assert '<td class="number">0.5</td>' in html
 
 

@@ -34,8 +34,8 @@ def library(commanded: bool) -> tuple[Effect, ...]:
     return (
         pitch.COMMAND_DELAY,
         pitch.PULSE_AVERAGE,
-        pitch.COMMAND_DEADBAND,
         ACTUATOR,
+        pitch.COMMAND_DEADBAND,
         LAC,
         pitch.ROD_SPEED_LIMIT,
         pitch.STOP_BAND,

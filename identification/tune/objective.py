@@ -214,5 +214,6 @@ class Objective:
 
 def _holds(loop: np.ndarray) -> bool:
     """Whether all of the loops (points, m) are stable once they are closed; see `margins`."""
-    turned = np.unwrap(np.angle(1.0 + loop), axis=-1)
-    return bool((np.abs(turned[:, -1] - turned[:, 0] - np.pi / 2.0) < np.pi / 2.0).all())
+    from_critical = 1.0 + loop
+    turned = np.angle(from_critical[:, 1:] * from_critical[:, :-1].conj()).sum(axis=-1)
+    return bool((np.abs(turned - np.pi / 2.0) < np.pi / 2.0).all())

@@ -22,7 +22,11 @@ DERIVATIVE = 0.06
 """Of the rig's time scale: a derivative gain's size as a share of the proportional gain beside it."""
 
 CLOSE = 1e-4
-"""Share of the cost, and size of a simplex, at which it has ended."""
+"""Share of the cost over a simplex at which it has ended, if it is small."""
+
+SMALL = 0.01
+"""Size of a simplex that is small, in the units of WIDTH: a per cent of a gain. At a minimum that costs less than CLOSE; in a
+narrow valley it may cost more, and the simplex goes on."""
 
 RESOLVED = 10.0 * CLOSE
 """Share of the cost that another simplex must bring for the search to go on: less is no gain."""
@@ -79,7 +83,7 @@ def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative
     gained = np.inf
     while gained > RESOLVED * best:
         simplex = np.vstack([x, x + WIDTH * np.eye(len(x))])
-        options = {"initial_simplex": simplex, "xatol": CLOSE, "fatol": CLOSE * best, "adaptive": True, "maxfev": 200 * len(x)}
+        options = {"initial_simplex": simplex, "xatol": SMALL, "fatol": CLOSE * best, "adaptive": True, "maxfev": 200 * len(x)}
         found = minimize(cost_at, x, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)), options=options)
         gained = best - found.fun
         if gained > 0.0:

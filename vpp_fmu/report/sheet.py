@@ -70,7 +70,9 @@ footer { margin-top: 56px; padding-top: 12px; padding-bottom: 32px; font-size: 1
 .sheet { overflow-x: auto; overflow-y: hidden; }
 .sheet svg { display: block; font-size: 12px; touch-action: pan-x pan-y; user-select: none; -webkit-user-select: none; }
 .sheet text { fill: var(--ink); white-space: pre; }
-.words { min-width: 22ch; }
+.words { min-width: 18ch; }
+.prose { min-width: 30ch; }
+.name { white-space: nowrap; }
 .sheet .tick { fill: var(--quiet); font-variant-numeric: tabular-nums; }
 .sheet .row { fill: var(--ink); }
 .sheet .row, .sheet .tick { paint-order: stroke; stroke: var(--paper); stroke-width: 3px; stroke-linejoin: round; }

@@ -6,10 +6,11 @@ from html import escape
 
 from vpp_fmu.digits import number
 
-_STARTS_AS_NUMBER = re.compile(r"[<>≈~±+\-−]?\s*\d")
+_STARTS_AS_NUMBER = re.compile(r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d")  # a date is none, nor a name that begins with one
 
-_WORDS = 24
-"""Letters from which on a text may wrap: it then keeps a width that can be read."""
+_WORDS, _PROSE = 20, 90
+"""Letters from which on a text may wrap, and keeps a width that can be read; and from which on a column of such texts gets a
+wider one, if no other asks for it."""
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:
@@ -18,11 +19,17 @@ def table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str
     right = [
         all(_STARTS_AS_NUMBER.match(row[k]) or row[k] in {"", "–", "∞", "−∞"} for row in cells) for k in range(len(columns))
     ]
+    longest = [0 if right[k] else max((len(row[k]) for row in cells), default=0) for k in range(len(columns))]
+    prose = sum(letters > _PROSE for letters in longest) == 1
     kinds = [
         ' class="number"'
         if right[k]
+        else ' class="prose"'
+        if prose and longest[k] > _PROSE
         else ' class="words"'
-        if max(map(len, (row[k] for row in cells)), default=0) > _WORDS
+        if longest[k] > _WORDS
+        else ' class="name"'
+        if not any(" " in row[k] for row in cells)
         else ""
         for k in range(len(columns))
     ]

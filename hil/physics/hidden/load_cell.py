@@ -1,4 +1,7 @@
-"""Hidden effects between thrust and the load cell's reading."""
+"""Hidden effects between thrust and the load cell's reading.
+
+The amplifier is a resistor and a capacitor, taken by the trapezoidal rule; drift is a function of time.
+"""
 
 from math import pi
 
@@ -55,9 +58,8 @@ IMBALANCE = Effect(
 
 
 def _smooth(ops, s, x, p, dt):
-    slow = p.time_constant > 0.0
-    tau = ops.where(slow, p.time_constant, 1.0)
-    reading = ops.where(slow, ops.lag_ramp(x.reading, x.before, s.thrust, tau, dt), s.thrust)
+    moved = (s.thrust - x.reading + x.before - x.reading) * dt / (2.0 * p.time_constant + dt)
+    reading = ops.where(p.time_constant > 0.0, x.reading + moved, s.thrust)
     return {"thrust": reading}, {"reading": reading, "before": s.thrust}
 
 
@@ -90,8 +92,8 @@ GAIN = Effect(
 
 
 def _drift(ops, s, x, p, dt):
-    warm = ops.lag(x.warm, 1.0, p.time_constant, dt)
-    return {"thrust": s.thrust + p.final * warm}, {"warm": warm}
+    clock = x.clock + dt
+    return {"thrust": s.thrust - p.final * ops.expm1(-clock / p.time_constant)}, {"clock": clock}
 
 
 DRIFT = Effect(
@@ -102,7 +104,7 @@ DRIFT = Effect(
         Parameter("final", "N", 0.0, -3.0, 3.0, "drift when warm"),
         Parameter("time_constant", "s", 100.0, 1.0, 10000.0, "time constant of warming up", 100.0),
     ),
-    states=(State("warm", "1", "share of the warming up that is done; none at the start", _nothing),),
+    states=(State("clock", "s", "time since the start, at which the load cell is cold", _nothing),),
     off={"final": 0.0},
     probe={"final": 0.5, "time_constant": 30.0},
 )

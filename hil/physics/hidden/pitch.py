@@ -1,4 +1,8 @@
-"""Hidden effects between the pitch command and the blades."""
+"""Hidden effects between the pitch command and the blades.
+
+The LAC hears its command in counts of its converter, and obeys a change of more than `half_width`. Play is a spring with a
+dead zone between rod and blades, which damping holds (Nordin and Gutman, Automatica 38, 2002).
+"""
 
 from math import pi
 
@@ -9,6 +13,15 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 NEVER = 1e6  # s
 UNLIMITED = 1000.0  # deg/s
 NOW = 1e-9  # s
+
+COUNTS = 1024
+"""Of the LAC's converter, over the actuator's travel."""
+
+WHOLE = 1.5 * 2.0**52
+"""Added and taken away again it leaves a whole number."""
+
+CONTACT = 0.002
+"""s in which a linkage that is pushed takes the blades along, for their damping: the linkage is no rigid body."""
 
 
 def _nothing(ops, s, p):
@@ -52,7 +65,10 @@ PULSE_AVERAGE = Effect(
 
 
 def _ignore(ops, s, x, p, dt):
-    heard = ops.where(ops.abs(s.beta_ref - x.heard) > p.half_width, s.beta_ref, x.heard)
+    count = (s.actuator.beta_high - s.actuator.beta_low) / COUNTS
+    counts = (s.beta_ref - x.heard) / count + WHOLE - WHOLE
+    obeyed = ops.where(ops.abs(counts) * count > p.half_width, counts, 0.0)
+    heard = ops.where(p.half_width > 0.0, x.heard + obeyed * count, s.beta_ref)
     return {"beta_ref": heard}, {"heard": heard}
 
 
@@ -114,7 +130,9 @@ ROD_STUCK = Effect(
 
 
 def _play(ops, s, x, p, dt):
-    driven = ops.clip(x.driven, s.beta - p.half_gap, s.beta + p.half_gap)
+    ahead = s.beta - x.driven
+    pressed = ahead - ops.clip(ahead, -p.half_gap, p.half_gap)
+    driven = ops.where(p.half_gap > 0.0, x.driven + ops.gain(CONTACT, dt) * pressed, s.beta)
     return {"beta": driven}, {"driven": driven}
 
 

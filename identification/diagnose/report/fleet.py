@@ -13,6 +13,9 @@ from vpp_fmu.campaign import measured_on
 from vpp_fmu.digits import number
 from vpp_fmu.report import Page, style
 
+WIDE = 20.0
+"""Largest error over the least from which on they are drawn by their logarithm: rigs of several sizes."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -20,7 +23,8 @@ class Entry:
 
     `date`: ISO 8601 or "" where nothing tells it. `error_before`, `error_after`, `noise` [N]: thrust error of the base and of
     the model that ships, where neither was fitted, and the noise of one reading. `sizes`: (value, standard deviation or None,
-    unit) of each parameter found, by full name. `refused`: why there is no diagnosis, else "".
+    unit) of each parameter found, by full name; none of a learned term, which is another one in each campaign. `refused`: why
+    there is no diagnosis, else "".
     """
 
     name: str
@@ -50,7 +54,7 @@ def entry(name: str, found: Diagnosis) -> Entry:
         f"{effect['name']}.{parameter}": (p["value"], p["std"], p["unit"])
         for effect in told["effects"]
         for parameter, p in effect["parameters"].items()
-        if parameter != "form"
+        if parameter != "form" and not (found.learned and effect["name"] == found.learned.term.effect.name)
     }
     return Entry(
         name,
@@ -135,14 +139,17 @@ def fleet_page(entries: Sequence[Entry]) -> Page:
     if done:
         page.section("Errors", "Thrust error of the base and of the model that ships, on records that neither was fitted to.")
         page.figure(_errors(done), "Where the two are one, nothing was added to the model.")
-    for name in parameters(done):
-        _add_size(page, name, [e for e in done if name in e.sizes])
+    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
+    if several:
+        page.section("Sizes", "What was found in more than one campaign.")
+    for name, own in several.items():
+        _add_size(page, name, own)
     page.section("All campaigns")
     rows = [
         (e.name, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings) for e in entries
     ]
-    heads = ("campaign", "date", "verdict", "effects", "error before [N]", "error after [N]", "noise [N]", "warnings")
-    page.table(heads, rows, "One line a campaign; fleet.csv has the parameters too.")
+    heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
+    page.table(heads, rows, "One line a campaign, thrust error before and after; fleet.csv has the parameters too.")
     return page
 
 
@@ -161,17 +168,17 @@ def _errors(done: Sequence[Entry]):
     )
     for label, values, colour, symbol in marks:
         fig.add_scatter(x=names, y=values, mode="markers", name=label, marker={"color": colour, "size": 10, "symbol": symbol})
+    errors = [error for e in done for error in (e.error_before, e.error_after) if error]
+    wide = bool(errors) and max(errors) > WIDE * min(errors)
     fig.update_layout(
         xaxis={"title": {"text": "campaign"}, "type": "category"},
-        yaxis={"title": {"text": "thrust error [N]"}, "rangemode": "tozero"},
+        yaxis={"title": {"text": "thrust error [N]"}} | ({"type": "log"} if wide else {"rangemode": "tozero"}),
     )
     return fig
 
 
 def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     """A parameter over the dates it was measured on, or over the campaigns where not all dates are known."""
-    if len(having) < 2:
-        return
     unit = having[0].sizes[name][2]
     dated = all(e.date for e in having) and len({e.date for e in having}) > 1
     own = sorted(having, key=lambda e: e.date) if dated else list(having)
@@ -193,5 +200,4 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
         xaxis={"title": {"text": "date" if dated else "campaign"}, "type": "date" if dated else "category"},
         yaxis={"title": {"text": label if unit == "1" else f"{label} [{unit}]"}},
     )
-    page.section(name)
     page.figure(fig, "Bars are 95 % intervals.")

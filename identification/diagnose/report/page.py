@@ -62,6 +62,9 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     """(label, value, note) of what a reader must know first."""
     figures = []
     for effect in summary(found)["effects"]:
+        if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
+            figures.append(("learned", "a curve", f"{sentence(found.learned.term)}; it stands below, with its band"))
+            continue
         for name, p in effect["parameters"].items():
             if name == "form":
                 continue

@@ -1,0 +1,144 @@
+"""python -m tests.studies fleet: do two processes and a Dask cluster of two workers write the same of many campaigns?
+
+Short campaigns of the studies' emulator, which shares no code with the project's kernel: rigs of three sizes in turn, logged at
+100 Hz, that hide nothing, one effect, two, or one in no list. `vpp diagnose` judges all of them twice, by `--workers` and by
+`--scheduler`, each time into an empty folder and with an empty cache of compiled models. Aim: every file that both write is the
+same byte for byte. Nothing is left out of the comparison; that results bear the date of their run is met by SOURCE_DATE_EPOCH,
+which is the same for both. Seconds stand in no file.
+"""
+
+import argparse
+import contextlib
+import csv
+import filecmp
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import date, timedelta
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from vpp_fmu.date import EPOCH
+
+from .apart import ROOT
+from .cases import Case, draw
+from .rig import SIZES, save
+
+KINDS = ("none", "single", "pair", "outside")
+
+RATE = 100
+"""Hz."""
+
+SECONDS = (15.0, 20.0)
+"""Of the open-loop record."""
+
+FIRST = date(2026, 1, 1)
+"""Of the campaigns' days, one a campaign: the day stands in the folder's name, and the table reads it there."""
+
+
+def main(arguments: list[str]) -> None:
+    """Draw, diagnose twice, compare."""
+    parser = argparse.ArgumentParser(prog="python -m tests.studies fleet", description=__doc__)
+    parser.add_argument("--campaigns", type=int, default=100, metavar="N", help="(default: %(default)s)")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of these (default: %(default)s)")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="of each kind (default: %(default)s)")
+    parser.add_argument("-o", "--output", metavar="DIR", help="keep campaigns and results there (default: nothing is kept)")
+    options = parser.parse_args(arguments)
+    with contextlib.ExitStack() as stack:
+        folder = Path(options.output or stack.enter_context(tempfile.TemporaryDirectory())).resolve()
+        seeds = range(options.first_seed, options.first_seed + options.campaigns)
+        campaigns = measured([case(seed) for seed in seeds], folder / "campaigns")
+        processes, cluster = folder / "processes", folder / "cluster"
+        with environment(), timed(f"{options.workers} processes", len(campaigns)):
+            diagnose(campaigns, ["--workers", str(options.workers)], processes)
+        with environment(), timed(f"Dask, {options.workers} workers", len(campaigns)), dask(options.workers) as address:
+            diagnose(campaigns, ["--scheduler", address], cluster)
+        show(processes, cluster)
+
+
+def case(seed: int) -> Case:
+    """A short campaign; of the seed's turn are its kind, its rig's size and what it hides."""
+    kind, turn = KINDS[seed % len(KINDS)], seed // len(KINDS)
+    size = list(SIZES)[turn % len(SIZES)]
+    seconds = float(np.round(np.random.default_rng(seed).uniform(*SECONDS), 1))
+    return draw(turn, kind, size=size, rate=RATE, seconds=seconds, steps=False)
+
+
+def measured(cases: Sequence[Case], folder: Path) -> list[Path]:
+    """Folders of the cases' campaigns; what they hide does not stand in them."""
+    found = []
+    for k, one in enumerate(tqdm(cases, desc="campaigns", disable=None, leave=False)):
+        found.append(folder / f"{FIRST + timedelta(days=k)}_{one.factors.size}")
+        save(one.measured(), one.rig.size, found[-1])
+    return found
+
+
+@contextlib.contextmanager
+def dask(workers: int) -> Iterator[str]:
+    """The address of a cluster of processes of one thread each, on this machine."""
+    from dask.distributed import LocalCluster
+
+    with LocalCluster(workers, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
+@contextlib.contextmanager
+def environment() -> Iterator[None]:
+    """For what is started meanwhile: an empty cache, and one date for all results."""
+    before = dict(os.environ)
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ.update({"XDG_CACHE_HOME": cache, EPOCH: "0"})
+        try:
+            yield
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+
+
+def diagnose(campaigns: Sequence[Path], words: Sequence[str], out: Path) -> None:
+    """`vpp diagnose` of all of them, as a user runs it."""
+    command = [sys.executable, "-m", "vpp_fmu", "diagnose", *map(str, campaigns), *words, "-o", str(out)]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    if done.returncode not in (0, 2):  # 2: some were refused, and the table says which
+        raise SystemExit(done.stderr)
+
+
+@contextlib.contextmanager
+def timed(name: str, campaigns: int) -> Iterator[None]:
+    """Print what is done within costs: seconds, and those of all processors (of processes that have ended)."""
+    began, worked = time.perf_counter(), _processors()
+    yield
+    seconds, work = time.perf_counter() - began, _processors() - worked
+    each = f"{seconds / campaigns:.1f} s and {work / campaigns:.1f} CPU s a campaign"
+    print(f"{name}: {seconds:.0f} s, {work:.0f} CPU s; {each}", flush=True)
+
+
+def _processors() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def compared(one: Path, other: Path) -> dict[str, tuple[int, int]]:
+    """Of each name of a file: (how many stand in either folder, how many of them are not the same in both)."""
+    files = {p.relative_to(root) for root in (one, other) for p in root.rglob("*") if p.is_file()}
+    _, *unlike = filecmp.cmpfiles(one, other, sorted(map(str, files)), shallow=False)
+    bad = {Path(name) for names in unlike for name in names}
+    kinds = Counter(str(f) if f.parent == Path() else f"*/{f.name}" for f in files)
+    wrong = Counter(str(f) if f.parent == Path() else f"*/{f.name}" for f in bad)
+    return {kind: (count, wrong[kind]) for kind, count in sorted(kinds.items())}
+
+
+def show(one: Path, other: Path) -> None:
+    """Print what was found, and whether both folders hold the same."""
+    rows = list(csv.DictReader((one / "fleet.csv").read_text().splitlines()))
+    verdicts = Counter(row["verdict"] for row in rows)
+    print(f"{len(rows)} campaigns: {', '.join(f'{word} {count}' for word, count in verdicts.most_common())}")
+    for kind, (count, unlike) in compared(one, other).items():
+        print(f"{kind:28} {'same' if not unlike else f'{unlike} NOT THE SAME'}, {count} {'file' if count == 1 else 'files'}")
