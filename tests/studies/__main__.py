@@ -21,6 +21,7 @@ from . import (
     refusals,
     rigs,
     tuning,
+    twin,
 )
 
 STUDIES = {
@@ -39,6 +40,7 @@ STUDIES = {
     "refusals": refusals.main,
     "rigs": rigs.main,
     "tuning": tuning.main,
+    "twin": twin.main,
 }
 
 

@@ -96,7 +96,7 @@ def run(options):
     start = _start(options, setup.limits, setup.allowed)
     if options.parameters:
         setup = replace(setup, plant=hil_options.plant_of(options).values)
-    twin, band = _twin(options)
+    twin, band = _twin(options, setup.allowed)
     beside = _beside(options.beside, options, profile) if options.beside else None
     parent = OutputFolder(options.output)
     hil_options.say_allowed(setup.allowed)
@@ -215,7 +215,7 @@ def _check_profile(profile: Record, limits: Limits) -> None:
         raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")
 
 
-def _twin(options) -> tuple[Twin | None, Band | None]:
+def _twin(options, allowed: Rig) -> tuple[Twin | None, Band | None]:
     if options.twin is None:
         return None, None
     if not options.twin and not options.parameters:
@@ -227,4 +227,4 @@ def _twin(options) -> tuple[Twin | None, Band | None]:
     band = read_band(told)
     if options.parameters:
         check_same_model(told, parameters, options.parameters)
-    return Twin(KernelPlant(parameters.model, parameters.values), band), band
+    return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band
