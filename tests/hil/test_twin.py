@@ -286,9 +286,11 @@ def test_the_studys_blocks_are_the_twins_own():
     orders = commands.validation(5, 40.0, study.DT)
     known = study.Known({}, BASE.values(), Band(0.12, 0.05, 0.15, 0.02), "")
     omega, beta = orders["omega_ref"], orders["beta_ref"]
-    thrust = 0.8 * study._true({}, omega, beta)
+    thrust = 0.93 * study._plant().simulate({}, {"omega_ref": omega, "beta_ref": beta}, np.full(len(omega) - 1, study.DT))[:, 0]
     twin = Twin(KernelPlant(), known.band)
     twin.start(0.0, float(omega[0]), float(beta[0]))
     rows = zip(orders.time[1:].tolist(), omega[1:].tolist(), beta[1:].tolist(), thrust[1:].tolist(), strict=True)
     found = next(t for t, *row in rows if twin.update(t, *row).alarmed)
     assert study.watched(known, omega, beta, thrust) == (pytest.approx(found), twin.cause)
+    assert found > BLOCK
+    assert twin.cause == "thrust x 0.93"

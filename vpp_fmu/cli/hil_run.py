@@ -31,6 +31,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parameters import check_same_model
+from vpp_fmu.parquet import as_parquet, check_parquet
 from vpp_fmu.plants import Controller, FmuPlant, KernelPlant
 from vpp_fmu.record import Record, read_profile
 from vpp_fmu.report import Page
@@ -78,6 +79,7 @@ def configure(parser):
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     hil_options.add_watch(parser)
+    hil_options.add_records(parser)
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
@@ -85,6 +87,8 @@ def configure(parser):
 
 
 def run(options):
+    if options.records == "parquet":
+        check_parquet()
     profile = read_profile(options.profile)
     if hil_options.which(options, fmu=True).kind == "fmu":
         if options.watch is not None:
@@ -127,6 +131,8 @@ def _on_rig(options, task: _Task, begun: dict, parent: OutputFolder, page: Opera
     told = done.session.told() | begun | {"ended": done.ended}
     if twin is not None:
         told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
+    if options.records == "parquet":
+        folder.write("run.parquet", as_parquet(done.record))
     finish(folder, told, done.log, task.beside and (Path(options.beside).name, task.beside))
     say_written(folder)
     if done.session.rig.alarms:
@@ -174,6 +180,8 @@ def _on_fmu(options, profile: Record) -> None:
     plant, folder = hil_options.which(options, fmu=True).plant, OutputFolder(options.output)
     record = _beside(plant, options, profile)
     write_run(folder.path / "run.csv", record)
+    if options.records == "parquet":
+        folder.write("run.parquet", as_parquet(record))
     folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}))
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {options.profile}.")
     add_loops(page, {"plant FMU": record}, "")
