@@ -30,7 +30,7 @@ def visits():
 def test_of_places_that_no_fit_has_seen_it_is_their_rms(visits):
     found = model_error([], [visits], VALUES, 9, noise=None)
     assert found.steady == pytest.approx(ERROR, rel=4.0 / (2 * 200) ** 0.5)
-    assert found.freedom == 7 * 10  # boxes of 0.1 by 0.1 from 0.35 to 0.98 and from 0.01 to 0.99
+    assert found.freedom == 4 * 5  # boxes of 0.2 by 0.2 from 0.35 to 0.98 and from 0.01 to 0.99
 
 
 def test_of_what_was_fitted_to_it_is_scaled_by_the_parameters_that_took_part(visits):

@@ -11,8 +11,9 @@ is a normal number where there is no such cause, or one of Student's where the e
 alone tells no more than its own error does; a set-point that never moves is left to the sums of hil.twin.twin.
 """
 
-from collections.abc import Callable, Sequence
-from math import exp, sqrt
+from collections.abc import Callable
+from math import ceil, exp, sqrt
+from typing import NamedTuple
 
 MEMORY = 120.0
 """s after which a residual counts 1 / e. A drift is found sooner by a short memory, what is small by a long one."""
@@ -23,37 +24,60 @@ SPAN = 2.0
 EVERY = 10.0
 """s between two looks; each has its share of false alarms."""
 
-SPEEDS, PITCHES = 2, 4
-"""Places of the rig's range that count as different: the errors of a cubic map change their sign some times over the pitch, and
-with the speed they grow."""
+PLACE = 0.2
+"""Of the scales of speed and pitch: commands in different places find errors of a thrust map that have little to do with each
+other, as `identification.worth.model_error` counts them."""
 
 CAUSES = ("thrust x {:.2f}", "pitch {:+.2f} deg", "reading {:+.2f} N")
 
 
+class Grid(NamedTuple):
+    """`count` equal parts between two values."""
+
+    low: float
+    high: float
+    count: int
+
+    @classmethod
+    def of(cls, span: tuple[float, float], scale: float) -> "Grid":
+        """As many as PLACE of a scale asks for."""
+        return cls(*span, max(1, ceil((span[1] - span[0]) / (PLACE * scale) - 1e-9)))
+
+    @property
+    def middles(self) -> list[float]:
+        return [self.low + (k + 0.5) / self.count * (self.high - self.low) for k in range(self.count)]
+
+    def part(self, value: float) -> int:
+        """Which one a value lies in, or next to."""
+        if self.high == self.low:
+            return 0
+        return min(max(int(self.count * (value - self.low) / (self.high - self.low)), 0), self.count - 1)
+
+
 class Directions:
-    """`settled(omega_ref, beta_ref)`: the model's settled thrust [N] at commands [rpm, deg], asked for at the places; these lie
-    within `speed` [rpm] and `pitch` [deg]. `error` [N]: standard deviation of a block's mean residual at a place. `most`: what
-    z exceeds in an alarm. A block takes `block` s."""
+    """`settled(omega_ref, beta_ref)`: the model's settled thrust [N] at commands [rpm, deg], asked for at the places; `speed`,
+    `pitch`: in how many, and between what [rpm, deg], these are. `error` [N]: standard deviation of a block's mean residual at
+    a place. `most`: what z exceeds in an alarm. A block takes `block` s."""
 
     def __init__(
         self,
         settled: Callable[[float, float], float],
-        speed: tuple[float, float],
-        pitch: tuple[float, float],
+        speed: Grid,
+        pitch: Grid,
         error: float,
         most: float,
         block: float,
     ):
         self._speed, self._pitch, self._variance, self._most = speed, pitch, error**2, most
         self._keep, self._span, self._looks = exp(-block / MEMORY), SPAN / block, max(1, round(EVERY / block))
-        places = [(omega, beta) for omega in _middles(speed, SPEEDS) for beta in _middles(pitch, PITCHES)]
+        places = [(omega, beta) for omega in speed.middles for beta in pitch.middles]
         self._slopes = [settled(omega, beta + 0.5) - settled(omega, beta - 0.5) for omega, beta in places]
         self._block = block
         self.reset()
 
     def reset(self) -> None:
         """Nothing is known."""
-        self._weights, self._residuals, self._thrusts = ([0.0] * (SPEEDS * PITCHES) for _ in range(3))
+        self._weights, self._residuals, self._thrusts = ([0.0] * len(self._slopes) for _ in range(3))
         self._count, self._calm = 0, 0
 
     def update(self, commands: tuple[float, float], residual: float, thrust: float, share: float) -> bool:
@@ -90,7 +114,7 @@ class Directions:
         return (self._count - self._calm) * self._block
 
     def _place(self, omega: float, beta: float) -> int:
-        return PITCHES * _part(omega, self._speed, SPEEDS) + _part(beta, self._pitch, PITCHES)
+        return self._pitch.count * self._speed.part(omega) + self._pitch.part(beta)
 
     def _size(self, cause: int) -> tuple[float, float]:
         """(size of a cause by least squares, its z)."""
@@ -102,13 +126,3 @@ class Directions:
                 told += precision * signature * self._residuals[place] / weight
                 squares += precision * signature**2
         return (told / squares, told / sqrt(squares)) if squares else (0.0, 0.0)
-
-
-def _middles(span: tuple[float, float], count: int) -> Sequence[float]:
-    low, high = span
-    return [low + (k + 0.5) / count * (high - low) for k in range(count)]
-
-
-def _part(value: float, span: tuple[float, float], count: int) -> int:
-    low, high = span
-    return min(max(int(count * (value - low) / (high - low)), 0), count - 1) if high > low else 0

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from hil.commands import PAPERS, operating_pitch
 from hil.twin.band import Band, Spread, Whitener
 from hil.twin.cusum import Cusum, run_length, threshold_for
-from hil.twin.directions import CAUSES, EVERY, Directions
+from hil.twin.directions import CAUSES, EVERY, Directions, Grid
 from vpp_fmu.plants import Plant, Sample
 from vpp_fmu.rig import Rig
 
@@ -75,8 +75,8 @@ class Twin:
         self._error = hypot(band.steady, self._whitener.spread)
         self._directions = Directions(
             lambda omega, beta: plant.start(omega, beta).thrust,
-            rig.speed,
-            operating_pitch(rig),
+            Grid.of(rig.speed, rig.scales.omega_scale),
+            Grid.of(operating_pitch(rig), rig.scales.beta_scale),
             self._error,
             band.deviations(rate * EVERY / len(CAUSES)),
             self._block,

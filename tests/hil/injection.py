@@ -180,9 +180,9 @@ def started(task: dict, folder: Path) -> Iterator[tuple[subprocess.Popen, list[d
             shutil.rmtree(each.get("at", folder), ignore_errors=True)
 
 
-def wait_for(told: list[dict], key: str, process: subprocess.Popen) -> dict | None:
-    """What the process says with this key; None if it ends without."""
-    end = time.monotonic() + 60.0
+def wait_for(told: list[dict], key: str, process: subprocess.Popen, seconds: float = 60.0) -> dict | None:
+    """What the process says with this key; None if it ends without, or does not say it for so long."""
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         for each in list(told):
             if key in each:

@@ -1,10 +1,10 @@
 """A closed loop on the emulated rig in real time, in a process of its own, to have faults injected into: `rig_process.py TASK`.
 
 TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
-`physics` (`hidden`, `parameters`, `lingers`), `fmu` (what its FMU does once the file "now" stands in the folder), `wrong`
-(whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are refused),
-`sabotage`: what SIGUSR1 makes the controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON,
-a line each: where the rig's files are; that it runs; how it ended.
+`physics` (`hidden`, `parameters`, `lingers`), `seed`, `fmu` (what its FMU does once the file "now" stands in the folder),
+`wrong` (whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are
+refused), `sabotage`: what SIGUSR1 makes the controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says
+in JSON, a line each: where the rig's files are; that it runs; how it ended.
 """
 
 import json
@@ -104,7 +104,8 @@ def main(task):
     if refuse := task.get("refuse"):
         pwm_tree.attached = partial(pwm_tree.attached, refuse=lambda file: file == refuse)
     physics = task.get("physics", {})
-    emulated = Emulated(physics.get("parameters", {}), tuple(physics.get("hidden", ())), 1, physics.get("lingers", 0.0))
+    hidden, seed = tuple(physics.get("hidden", ())), task.get("seed", 1)
+    emulated = Emulated(physics.get("parameters", {}), hidden, seed, physics.get("lingers", 0.0))
     setup = SpokenSetup(read_calibration(CALIBRATION), Limits(**task.get("limits", {})), emulated)
     folder, how = Path(task["folder"]), task.get("fmu")
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()

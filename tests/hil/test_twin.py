@@ -13,7 +13,7 @@ from scipy.stats import norm
 from hil import commands
 from hil.twin.band import Band, Spread, Whitener, read_band
 from hil.twin.cusum import Cusum, run_length, threshold_for
-from hil.twin.directions import Directions
+from hil.twin.directions import Directions, Grid
 from hil.twin.twin import BLOCK, Twin
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE, plant
@@ -150,6 +150,7 @@ def test_a_vibration_is_found_though_its_mean_is_none():
     assert twin.since < 1.0
 
 
+SPEED, PITCH = Grid(2000.0, 6000.0, 2), Grid(-5.0, 10.0, 4)
 PLACES = [(2500.0, -4.0), (2500.0, 4.0), (5000.0, -1.0), (5000.0, 7.0), (3000.0, 9.0), (4800.0, 3.0)]
 
 
@@ -167,7 +168,7 @@ def settled(omega, beta):
     ],
 )
 def test_a_cause_is_named_with_its_size_once_enough_places_show_it(cause, of):
-    directions = Directions(settled, (2000.0, 6000.0), (-5.0, 10.0), 0.06, 4.5, BLOCK)
+    directions = Directions(settled, SPEED, PITCH, 0.06, 4.5, BLOCK)
     found = False
     for k in range(240):
         at = PLACES[k // 4 % len(PLACES)]
@@ -179,12 +180,27 @@ def test_a_cause_is_named_with_its_size_once_enough_places_show_it(cause, of):
         assert not directions.update(PLACES[0], 4.4 * 0.06, settled(*PLACES[0]), 1.0)
 
 
+def test_a_rig_has_as_many_places_as_its_scales_make_and_one_where_it_stands():
+    assert Grid.of((2000.0, 6000.0), 6000.0) == Grid(2000.0, 6000.0, 4)
+    assert [Grid.of((-5.0, 10.0), 15.0).part(beta) for beta in (-9.0, -5.0, -2.1, -1.9, 9.9, 10.0, 12.0)] == [
+        0,
+        0,
+        0,
+        1,
+        4,
+        4,
+        4,
+    ]
+    fixed = Grid.of((3.0, 3.0), 15.0)
+    assert (fixed.count, fixed.part(3.0), fixed.middles) == (1, 0, [3.0])
+
+
 def test_errors_of_a_model_that_have_no_one_cause_are_none():
     """Errors of its own at each place, of the size that is known: over 400 models the largest z of one is seldom above 3."""
     dice, largest = np.random.default_rng(5), []
     grid = [(w, b) for w in (2600.0, 5200.0) for b in (-3.0, 1.0, 4.0, 8.0)]
     for _ in range(400):
-        directions = Directions(settled, (2000.0, 6000.0), (-5.0, 10.0), 0.1, 4.5, BLOCK)
+        directions = Directions(settled, SPEED, PITCH, 0.1, 4.5, BLOCK)
         errors = dict(zip(grid, (0.1 * dice.standard_normal(8)).tolist(), strict=True))
         for k in range(160):
             at = grid[k // 4 % 8]
