@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.emulator import i2c, serial_line
-from hil.emulator.rig import BUS, BYSTANDER, LINE, SHOWN
+from hil.emulator.rig import BUS, BYSTANDER, HAND, LINE, PULLED, SHOWN
 from hil.emulator.shared import SharedNumbers
 
 HERE = Path(__file__).resolve().parent
@@ -103,6 +103,23 @@ def to_all(rig: Injected) -> None:
         if "emulator" not in words:
             os.kill(pid, signal.SIGKILL)
     os.kill(rig.process.pid, signal.SIGKILL)
+
+
+def to_loop_and_supervisor(rig: Injected) -> None:
+    """SIGKILL to both that could write a pulse; the log's writer lives on."""
+    for pid in (rig.supervisor(), rig.process.pid):
+        os.kill(pid, signal.SIGKILL)
+
+
+def pulls(force: float):
+    """A force [N] on the stand that no thrust makes."""
+
+    def inject(rig: Injected) -> None:
+        shared = SharedNumbers(rig.at / HAND, PULLED)
+        shared["force"] = force
+        shared.close()
+
+    return inject
 
 
 def to_writer(rig: Injected) -> None:

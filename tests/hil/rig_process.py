@@ -3,8 +3,9 @@
 TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
 `physics` (`hidden`, `parameters`, `lingers`), `seed`, `fmu` (what its FMU does once the file "now" stands in the folder),
 `wrong` (whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are
-refused), `sabotage`: what SIGUSR1 makes the controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says
-in JSON, a line each: where the rig's files are; that it runs; how it ended.
+refused), `twin`: what its twin's alarm does ("note", "ramp" or "idle"), `sabotage`: what SIGUSR1 makes the controller do
+("nan", "flat out", "clock back", or a pause of so many seconds). Says in JSON, a line each: where the rig's files are; that it
+runs; how it ended.
 """
 
 import json
@@ -22,13 +23,15 @@ from hil import rig
 from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.rig import Rig as Emulated
-from hil.run import run_on_rig
+from hil.run import ON_ALARM, run_on_rig
 from hil.safety import polarity
 from hil.safety.limits import Limits
 from hil.session import Setup
+from hil.twin.band import Band
+from hil.twin.twin import Twin
 from tests.hil.stubborn import stubborn
 from vpp_fmu.errors import VppError
-from vpp_fmu.plants import FmuController, KernelController
+from vpp_fmu.plants import FmuController, KernelController, KernelPlant
 from vpp_fmu.record import Record
 
 # The waits before a run, shortened: fifty faults are to be tried.
@@ -37,6 +40,8 @@ rig.REST, rig.TARE_SAMPLES, rig.SETTLE = 0.3, 250, 0.5
 
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
 WRONG = json.loads(sys.argv[1]).get("wrong")
+BAND = Band(0.12, 0.047, 0.13, steady=0.12)
+"""Of the paper's model beside the emulated rig."""
 SETTLED = 250
 """Steps of the controller after which the thrust stands."""
 
@@ -111,7 +116,8 @@ def main(task):
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
     controller = Saboteur(task.get("sabotage"), within)
     try:
-        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), Path(task["folder"]))
+        beside = {"twin": Twin(KernelPlant(), BAND), "on_alarm": ON_ALARM[task["twin"]]} if "twin" in task else {}
+        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, **beside)
     except VppError as error:
         say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)
         return
