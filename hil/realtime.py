@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.safety.watchdog import put_back
+
 PRIORITY = 80
 """Above the kernel's interrupt threads (50), which the loop doesn't wait for; below its migration and watchdog threads (99)."""
 
@@ -28,13 +30,15 @@ _CURRENT, _FUTURE = 1, 2  # flags of mlockall
 
 @dataclass(frozen=True)
 class Granted:
-    """What the system granted, and in words what it didn't."""
+    """What the system granted, and in words what it didn't. `lifted`: the kernel's workers that this process has hurried, which
+    whoever outlives it puts back if it is killed."""
 
     fifo: bool
     locked: bool
     hurried: bool
     frozen: int
     refusals: tuple[str, ...]
+    lifted: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         granted = ["SCHED_FIFO"] * self.fifo + ["locked memory"] * self.locked
@@ -52,8 +56,9 @@ def real_time(priority: int = PRIORITY) -> Iterator[Granted]:
     gc.freeze()
     gc.disable()
     try:
-        with _fifo(priority, refusals) as fifo, _locked(refusals) as locked, _hurried(refusals) as hurried:
-            yield Granted(fifo, locked, hurried, gc.get_freeze_count(), tuple(refusals))
+        with _fifo(priority, refusals) as fifo, _locked(refusals) as locked, _hurried(refusals) as lifted:
+            hurried = lifted is not None
+            yield Granted(fifo, locked, hurried, gc.get_freeze_count(), tuple(refusals), tuple(lifted or ()))
     finally:
         gc.unfreeze()
         if was_on:
@@ -92,9 +97,9 @@ def _locked(refusals: list[str]) -> Iterator[bool]:
 
 
 @contextlib.contextmanager
-def _hurried(refusals: list[str]) -> Iterator[bool]:
-    """The kernel's workers in real time, too; those that others have lifted are theirs."""
-    lifted = []
+def _hurried(refusals: list[str]) -> Iterator[list[int] | None]:
+    """The kernel's workers in real time, too, None where that is refused; those that others have lifted are theirs."""
+    lifted: list[int] = []
     try:
         for worker in _workers():
             with contextlib.suppress(ProcessLookupError):  # they come and go
@@ -103,14 +108,12 @@ def _hurried(refusals: list[str]) -> Iterator[bool]:
                     lifted.append(worker)
     except PermissionError:
         refusals.append("serial lines not hurried: a program that starts may delay them by 0.1 s (see hil/README.md)")
-        yield False
+        yield None
         return
     try:
-        yield True
+        yield lifted
     finally:
-        for worker in lifted:
-            with contextlib.suppress(OSError):
-                os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
+        put_back(lifted, WORKERS)
 
 
 def _workers() -> list[int]:

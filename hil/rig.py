@@ -130,7 +130,7 @@ class Rig:
 
     def _alarm(self, residual: float) -> None:
         """The twin's alarm: kept with its time, and the end of the run where that was wanted."""
-        found = f"the rig is not its model since {self._twin.since:.2f} s, {residual:+.2f} N now"
+        found = f"the rig is not its model since {self._twin.since:.2f} s, {residual:+.2f} N now, most like {self._twin.cause}"
         self.alarms.append((self.ticks.time, found))
         if self._on_alarm is None:
             self._cycle.note(f"twin: alarm: {found}")

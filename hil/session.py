@@ -149,15 +149,18 @@ def session(
         ends.callback(shown.close)
         report = folder / REPORT
         report.unlink(missing_ok=True)
-        supervise = None if in_virtual_time else lambda: Supervisor(bench.outputs, report, keep=(bench.lock,))
         pressed = (lambda: page.pressed) if page else (lambda: False)
         quick = contextlib.nullcontext("virtual time") if in_virtual_time else real_time()
         with StopSignals(pressed) as signals, quick as granted:
+
+            def supervise() -> Supervisor:
+                return Supervisor(bench.outputs, report, keep=(bench.lock,), lifted=granted.lifted)
+
             rig = Rig(
                 bench,
                 setup.limits,
                 log,
-                supervise,
+                None if in_virtual_time else supervise,
                 signals,
                 twin,
                 shown,

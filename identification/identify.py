@@ -19,6 +19,7 @@ from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
 from identification.unrefined import unrefined, with_steps
 from identification.worth.bootstrap import Bootstrap, bootstrap
+from identification.worth.model_error import ModelError, model_error
 from identification.worth.pairs import forms, slow_first
 from identification.worth.prediction import Prediction, band, predict
 from identification.worth.profile import profiled
@@ -65,6 +66,17 @@ class Identification:
         return {name: p.within(self.bands[name]) for name, p in self.predictions.items()}
 
     @property
+    def model_error(self) -> ModelError | None:
+        """How far the model is off by itself; a repeat shows once more what the open loop has shown."""
+        fitted, unseen = (
+            [self.predictions[name] for name in names if name != "repeat" or "open_loop" not in names]
+            for names in (self.fitted, self.unseen)
+        )
+        points, terms = (self.static.residual, len(self.static.coefficients)) if self.static else (None, 0)
+        count = len(self.uncertainty.names)
+        return model_error(fitted, unseen, self.parameters.values, count, self.noise_floor, points, terms)
+
+    @property
     def unseen(self) -> tuple[str, ...]:
         """Names of the records that no fit has seen."""
         return tuple(name for name in self.predictions if name not in self.fitted)
@@ -100,6 +112,7 @@ class Identification:
             "residual_tests": self.tests and {"share_of_lags_outside_95_percent_band": self.tests.outside},
             "prediction_band_coverage": self.coverage,
             "noise_floor_thrust": self.noise_floor,
+            "model_error": (found := self.model_error) and found.summary(),
             "fitted": list(self.fitted),
             "unseen": list(self.unseen),
             "records": {name: p.summary() for name, p in self.predictions.items()},

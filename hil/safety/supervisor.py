@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 
+from hil.realtime import WORKERS
 from hil.safety import watchdog
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 
@@ -33,8 +34,9 @@ class Supervisor:
     Outputs are (duty file, idle pulse [s]); the PWM must be set up already, since the idle pulse is written at the start to
     show that it can be. `report` is a file that the process adds a line to if it has to act. From the first `beat` on,
     `silence` s without one trips it, and `grace` s more end this process. `keep`: descriptors that it holds open with this
-    process, such as the rig's lock. `fifo`: whether it runs in real time. DeviceFault NOT_READY: it could not start, or an
-    output refused the idle pulse.
+    process, such as the rig's lock. `lifted`: the kernel's workers that `hil.realtime` has hurried for this process, to be put
+    back behind it. `fifo`: whether it runs in real time. DeviceFault NOT_READY: it could not start, or an output refused the
+    idle pulse.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Supervisor:
         silence: float = SILENCE,
         grace: float = GRACE,
         keep: Sequence[int] = (),
+        lifted: Sequence[int] = (),
     ):
         size = 8 * len(watchdog.SLOTS)
         shared = os.memfd_create("hil-supervisor")
@@ -51,8 +54,10 @@ class Supervisor:
         self._memory = mmap.mmap(shared, size)
         self._page = memoryview(self._memory).cast("d")
         files = [word for path, idle in outputs for word in (os.fspath(path), str(round(idle * 1e9)))]
+        hurried = ",".join([*map(str, lifted), WORKERS])
+        task = [str(shared), os.fspath(report), str(silence), str(grace), hurried, *files]
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", watchdog.__file__, str(shared), os.fspath(report), str(silence), str(grace), *files],
+            [sys.executable, "-I", "-S", watchdog.__file__, *task],
             pass_fds=(shared, *keep),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,

@@ -1,8 +1,9 @@
 """The supervisor's own process: the idle pulse on every output as soon as the loop is gone or silent.
 
 Run as a script, with nothing but the standard library and no package around it, so that it starts at once and nothing of the
-loop's process is alive in it. Arguments: descriptor of the shared page, file of the report, silence allowed [s], grace [s], and
-for each output its duty file and idle pulse [ns]. Standard input is the pipe from the loop: its end means the loop is gone, a
+loop's process is alive in it. Arguments: descriptor of the shared page, file of the report, silence allowed [s], grace [s], the
+kernel's workers that the loop has hurried (their processes and name, with commas), and for each output its duty file and idle
+pulse [ns]. Standard input is the pipe from the loop: its end means the loop is gone, a
 byte that it says goodbye. A loop that was stopped for its silence and does not come back within the grace is killed: it hangs
 in code that hears no signal, and whoever waits for it would wait for ever.
 """
@@ -31,7 +32,7 @@ CALM = 0.01
 AFTER_END = 0.25
 
 
-def main(page: int, report: int, silence: float, grace: float, outputs: list[tuple[int, bytes]]) -> int:
+def main(page: int, report: int, silence: float, grace: float, lifted: list[str], outputs: list[tuple[int, bytes]]) -> int:
     """Watch until goodbye (returns 0) or until the loop is gone (returns 1)."""
     loop, ended = os.getppid(), False
     _not_for_the_oom_killer()
@@ -59,6 +60,7 @@ def main(page: int, report: int, silence: float, grace: float, outputs: list[tup
                 after = f"{1e3 * (time.monotonic() - last):.1f} ms after its last beat" if last else "before its first beat"
                 _trip(numbers, outputs, report, f"gone, {after}")
             _keep_idle(outputs)
+            put_back([int(worker) for worker in lifted[:-1]], lifted[-1])
             return 1
         if tripped:
             write_idle(outputs)
@@ -103,6 +105,14 @@ def _keep_idle(outputs: list[tuple[int, bytes]]) -> None:
         write_idle(outputs)
 
 
+def put_back(workers: list[int], name: str) -> None:
+    """The kernel's workers of this name at their ordinary priority again; the number of one that has ended may be another's."""
+    for worker in workers:
+        with contextlib.suppress(OSError), open(f"/proc/{worker}/comm") as file:
+            if file.read().startswith(name):
+                os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
+
+
 def _not_for_the_oom_killer() -> None:
     """Memory that runs short must take any other process first; needs CAP_SYS_RESOURCE, as the unit in hil/systemd gives it."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
@@ -123,10 +133,10 @@ if __name__ == "__main__":
     # The terminal, the shell and whoever else ends programs mean the loop; the watchdog goes when that is idle.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
-    shared, file, allowed, patience, *rest = sys.argv[1:]
+    shared, file, allowed, patience, hurried, *rest = sys.argv[1:]
     try:
         told = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         opened = [(os.open(duty, os.O_WRONLY), b"%d\n" % int(idle)) for duty, idle in zip(rest[::2], rest[1::2], strict=True)]
     except OSError as error:
         sys.exit(f"{error.filename}: {error.strerror}")
-    sys.exit(main(int(shared), told, float(allowed), float(patience), opened))
+    sys.exit(main(int(shared), told, float(allowed), float(patience), hurried.split(","), opened))

@@ -1,16 +1,22 @@
 """The model beside the rig: its thrust under the same commands, and an alarm when the difference leaves its band.
 
-The residual's means over half a second are whitened and summed up, and so are the variances about them (`hil.twin.band`,
-`hil.twin.cusum`): an offset and a vibration are both seen. As long as what the model's own error leaves in them stays
-within the band's `model_error`, however it moves there, alarms are at most as frequent as stated: each step of a
-cumulative sum grows with its input, so no such error makes it alarm sooner than the constant one it is set for.
+Three tests share the false alarms that are allowed. The residual's means over half a second are whitened and summed up, and so
+are the variances about them (`hil.twin.band`, `hil.twin.cusum`): what is large is found in a second, be it an offset or a
+vibration. Each sum bears the model's own error: where the commands stand, what of it is exceeded as rarely as a quarter of the
+false alarms; where the thrust moves, HALF of the move beside it. Each step of a cumulative sum grows with its input, so no
+error within that bound makes it alarm sooner than one that stands at it. What is small but has one cause is found over minutes
+of changing commands (`hil.twin.directions`).
 """
 
+from math import hypot
 from typing import NamedTuple
 
+from hil.commands import PAPERS, operating_pitch
 from hil.twin.band import Band, Spread, Whitener
 from hil.twin.cusum import Cusum, run_length, threshold_for
-from vpp_fmu.plants import Plant
+from hil.twin.directions import CAUSES, EVERY, Directions, Grid
+from vpp_fmu.plants import Plant, Sample
+from vpp_fmu.rig import Rig
 
 BLOCK = 0.5
 """s; a block's mean is nearly normal whatever the noise of a reading is, and neighbours are nearly independent."""
@@ -18,6 +24,13 @@ BLOCK = 0.5
 SHIFT = 3.0
 """What is to be found beyond the model's error, in standard deviations of a whitened block: a few times the noise, found in a
 second or two."""
+
+HALF = 0.5
+"""Of a move of the thrust, by which a model that is right about its end may be off on the way: a motor that brakes, or an
+actuator at its fastest, is far from any lag, and no campaign has a bound for that. In the next block a move counts half."""
+
+TESTS = 4
+"""Sums of means, sums of variances, the bound of the model's error in both, and causes: each has its share of false alarms."""
 
 
 class Twinned(NamedTuple):
@@ -28,57 +41,107 @@ class Twinned(NamedTuple):
     alarmed: bool
 
 
+class Block(NamedTuple):
+    """Half a second: the commands [rpm, deg] at its end; mean [N] and variance [N^2] of the residual; the model's mean thrust
+    [N], and the least and the largest of what the model showed since the block before ended."""
+
+    commands: tuple[float, float]
+    mean: float
+    variance: float
+    thrust: float
+    lowest: Sample
+    highest: Sample
+
+
 class Twin:
-    """A plant (an FMU or the kernel's functions) that runs along.
+    """A plant (an FMU or the kernel's functions) that runs along; `rig`: what it may be commanded.
 
     `false_alarms`: at most so many an hour while nothing new happens. What that makes of the test: `smallest` [N], the
-    constant residual that it finds after `delay` s on average, larger ones sooner. An alarm stays; `since` [s] is the
-    likeliest time that it began.
+    constant residual that it finds after `delay` s on average where the commands stand, larger ones sooner. An alarm stays;
+    `since` [s] is the likeliest time that it began, `cause` what it is most like.
     """
 
-    def __init__(self, plant: Plant, band: Band, false_alarms: float = 0.01):
-        self._plant, self._rows = plant, max(1, round(BLOCK / plant.dt))
+    def __init__(self, plant: Plant, band: Band, false_alarms: float = 0.01, rig: Rig = PAPERS):
+        self._plant, self._rows, self._band = plant, max(1, round(BLOCK / plant.dt)), band
         self._block = self._rows * plant.dt
         self._whitener = Whitener(band, self._rows, plant.dt)
-        inside = band.model_error / self._whitener.scale
-        reference, outside = inside + 0.5 * SHIFT, inside + SHIFT
-        run = 2.0 * 3600.0 / false_alarms / self._block  # means and variances have half of the alarms each
-        threshold = threshold_for(run, reference, inside)
+        rate = false_alarms / TESTS / 3600.0  # 1/s of each test
+        self._most = band.deviations(rate * self._block)
+        reference = 0.5 * SHIFT
+        threshold = threshold_for(1.0 / (rate * self._block), reference, 0.0)
         self._above, self._below = Cusum(threshold, reference), Cusum(threshold, reference)
         self._spread = Spread(band, self._rows, plant.dt)
-        self._about = Cusum(threshold_for(run, 0.5 * SHIFT, 0.0, two_sided=False), 0.5 * SHIFT)
+        self._about = Cusum(threshold_for(1.0 / (rate * self._block), reference, 0.0, two_sided=False), reference)
+        self._error = hypot(band.steady, self._whitener.spread)
+        self._directions = Directions(
+            lambda omega, beta: plant.start(omega, beta).thrust,
+            Grid.of(rig.speed, rig.scales.omega_scale),
+            Grid.of(operating_pitch(rig), rig.scales.beta_scale),
+            self._error,
+            band.deviations(rate * EVERY / len(CAUSES)),
+            self._block,
+        )
         self.false_alarms = false_alarms
-        self.smallest = outside * self._whitener.scale / self._whitener.gain
-        self.delay = run_length(threshold, reference, outside) * self._block
+        self.smallest = (self._most * band.steady + SHIFT * self._whitener.scale) / self._whitener.gain
+        self.delay = run_length(threshold, reference, SHIFT) * self._block
         self.start(0.0, 0.0, 0.0)
+
+    @property
+    def largest_error(self) -> float:
+        """N: what the model's own error may be while the commands stand."""
+        return self._most * self._band.steady
 
     def start(self, t: float, omega_ref: float, beta_ref: float) -> None:
         """At rest on the commands [rpm, deg] at time t [s]: the rig has settled there. What was before is forgotten."""
-        self._thrust = self._plant.start(omega_ref, beta_ref).thrust
+        self._shown = self._plant.start(omega_ref, beta_ref)
         self._time, self._held = t, (omega_ref, beta_ref)
-        self._sum, self._squares, self._count = 0.0, 0.0, 0
-        self.alarmed, self.since = False, None
-        for part in (self._whitener, self._above, self._below, self._about):
+        self._begin()
+        self._moved = 0.0
+        self.alarmed, self.since, self.cause = False, None, ""
+        for part in (self._whitener, self._above, self._below, self._about, self._directions):
             part.reset()
+
+    def _begin(self) -> None:
+        """A new block."""
+        self._sum = self._squares = self._total = 0.0
+        self._count, self._lowest, self._highest = 0, self._shown, self._shown
 
     def update(self, t: float, omega_ref: float, beta_ref: float, thrust: float) -> Twinned:
         """The thrust [N] measured at t [s], just before these commands [rpm, deg] act; the ones before them acted until t."""
         for _ in range(round((t - self._time) / self._plant.dt)):
-            self._thrust = self._plant.step(*self._held).thrust
-        self._time, self._held = t, (omega_ref, beta_ref)
-        residual = thrust - self._thrust
+            self._shown = self._plant.step(*self._held)
+        shown, residual = self._shown, thrust - self._shown.thrust
         self._sum += residual
         self._squares += residual * residual
+        self._total += shown.thrust
+        self._lowest = Sample(*map(min, self._lowest, shown))
+        self._highest = Sample(*map(max, self._highest, shown))
         self._count += 1
         if self._count == self._rows:
-            self._decide(t, self._sum / self._rows)
-            self._sum, self._squares, self._count = 0.0, 0.0, 0
-        return Twinned(self._thrust, residual, self.alarmed)
+            mean = self._sum / self._rows
+            variance = max(self._squares - self._rows * mean * mean, 0.0) / max(self._rows - 1, 1)
+            self.decide(t, Block(self._held, mean, variance, self._total / self._rows, self._lowest, self._highest))
+            self._begin()
+        self._time, self._held = t, (omega_ref, beta_ref)
+        return Twinned(shown.thrust, residual, self.alarmed)
 
-    def _decide(self, t: float, mean: float) -> None:
-        variance = max(self._squares - self._rows * mean * mean, 0.0) / (self._rows - 1)
-        z = self._whitener.update(mean)
-        tests = (self._above, z), (self._below, -z), (self._about, self._spread.update(variance))
-        ages = [cusum.age for cusum, value in tests if cusum.update(value)]
+    def decide(self, t: float, block: Block) -> None:
+        """Judge a block that ended at t [s]. `update` does so; whoever has the blocks already needs no more than this."""
+        self._moved = self._move(block.lowest, block.highest) + HALF * self._moved
+        most, whitened = self._most * self._band.steady + HALF * self._moved, self._whitener.update(block.mean)
+        borne = most / self._whitener.scale
+        spread = self._spread.update(block.variance, most)
+        tests = (self._above, whitened - borne), (self._below, -whitened - borne), (self._about, spread)
+        ages = [cusum.age * self._block for cusum, value in tests if cusum.update(value)]
+        share = self._error**2 / (self._error**2 + (self._band.moving * self._moved) ** 2)
+        if self._directions.update(block.commands, block.mean, block.thrust, share):
+            ages.append(self._directions.age)
         if ages and not self.alarmed:
-            self.alarmed, self.since = True, t - max(ages) * self._block
+            self.alarmed, self.since, self.cause = True, t - max(ages), self._directions.cause
+
+    def _move(self, lowest: Sample, highest: Sample) -> float:
+        """N that the model's thrust goes through by speed and by pitch, added up: one may hide the other."""
+        omega, beta = 0.5 * (lowest.omega + highest.omega), 0.5 * (lowest.beta + highest.beta)
+        by_speed = 2.0 * max(abs(lowest.thrust), abs(highest.thrust)) / max(omega, 1.0)
+        by_pitch = abs(self._directions.slope(omega, beta))
+        return by_speed * (highest.omega - lowest.omega) + by_pitch * (highest.beta - lowest.beta)

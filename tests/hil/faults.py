@@ -2,10 +2,12 @@
 
 A process of its own runs the closed loop on the emulated rig in real time, with its supervisor. When the thrust stands, the
 fault is injected: through the emulated buses, by a signal, or in the controller. The duty file of the ESC is watched from
-outside: how long until the idle pulse stood, for good. Exit code 1 if a row is not as it must be.
+outside: how long until the idle pulse stood, for good. Exit code 1 if a row is not as it must be. What all this depends on, the
+machine's load, is printed at both ends.
 """
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -27,11 +29,13 @@ from tests.hil.injection import (
     load,
     nothing,
     now,
+    pulls,
     second_opener,
     sends,
     started,
     stuck,
     to_all,
+    to_loop_and_supervisor,
     to_supervisor,
     to_writer,
     until_idle,
@@ -52,6 +56,9 @@ OPEN = 120.0
 REOPENED = 5.0
 """ms that the throttle may be seen open after the first idle pulse: a loop that was stopped right before a pulse writes it
 when it goes on, and the supervisor writes the idle pulse over it within 1 ms."""
+
+ALARM = 2000.0
+"""ms that the twin may take for a change of 5 N in whole blocks of half a second, beside what its reaction takes."""
 
 TRIES = 3
 """Runs until the thrust stands: the emulation itself may starve on a busy machine, which is no row's fault."""
@@ -113,6 +120,7 @@ FAST = {"limits": {"omega_max": 5500.0, "omega_trip": 5501.0}, "sabotage": "flat
 """The speed loop cannot hold the limit to one rpm."""
 
 LINGERS = {"physics": {"lingers": 8.0}}
+TWIN_RAMPS, TWIN_IDLES = ({"twin": what, "seconds": 10} for what in ("ramp", "idle"))
 SIGN_OF_CELL, SIGN_OF_PITCH = {"wrong": "load cell"}, {"wrong": "pitch"}
 
 ROWS = (
@@ -142,6 +150,8 @@ ROWS = (
     Row("SIGINT", "ramps down", sends(signal.SIGINT), "safe", "operator: interrupted"),
     Row("SIGINT twice", "idle at once", sends(signal.SIGINT, signal.SIGINT), cause="operator: interrupted", within=CUT),
     Row("SIGTERM", "idle at once, ends", sends(signal.SIGTERM), cause="operator: terminated", within=CUT),
+    Row("SIGHUP: the terminal is gone", "idle at once, ends", sends(signal.SIGHUP), cause="operator: terminated", within=CUT),
+    Row("SIGQUIT", "supervisor: idle", sends(signal.SIGQUIT), "gone", within=CUT),
     Row("SIGKILL", "supervisor: idle", sends(signal.SIGKILL), "gone", within=CUT),
     Row("SIGKILL under load", "supervisor: idle", sends(signal.SIGKILL), "gone", within=CUT, load=True),
     Row("SIGSEGV", "supervisor: idle", sends(signal.SIGSEGV), "gone", within=CUT),
@@ -170,6 +180,18 @@ ROWS = (
         load=True,
         relay=True,
     ),
+    Row(
+        "loop and supervisor killed",
+        "the board opens the relay",
+        to_loop_and_supervisor,
+        "gone",
+        within=OPEN,
+        task=LINGERS,
+        relay=True,
+    ),
+    Row("twin: 5 N too many, ramp", "ramps down", pulls(5.0), cause="twin: twin's alarm", within=ALARM + RAMP, task=TWIN_RAMPS),
+    Row("twin: 5 N too many, idle", "idle", pulls(5.0), cause="twin: twin's alarm", within=ALARM + CUT, task=TWIN_IDLES),
+    goes_on("twin: 5 N too many, note", "says so, goes on", pulls(5.0), task={"twin": "note", "seconds": 6}),
     Row("FMU: hangs", "idle, the loop is killed", now, "gone", within=CUT, task={"fmu": "hangs"}),
     Row("FMU: exits", "idle", now, "gone", within=CUT, task={"fmu": "exits"}),
     Row("FMU: crashes", "idle", now, "gone", within=CUT, task={"fmu": "crashes"}),
@@ -259,19 +281,32 @@ def judged(row: Row, end: dict | None, seen: Watched | None, left: str = "") -> 
 def main(words: list[str]) -> int:
     """Try the rows and print them; 1 if one is wrong."""
     rows = [row for row in ROWS if not words or any(word in row.name for word in words)]
+    print(_load())
     print(f"{'fault':39} {'must':34} {'idle [ms]':>9}  {'state':6} what happened", flush=True)
     bad = 0
+    worst: dict[str, list[float]] = {"idle, at once": [], "idle, else": [], "relay open": []}
     for row in rows:
         outcome = tried(row)
         idle = "-" if outcome.seen is None else f"{outcome.seen.idle:.1f}"
         print(f"{row.name:39} {row.must:34} {idle:>9}  {outcome.state:6} {outcome.happened}", flush=True)
         if outcome.seen and outcome.seen.reopened:
             print(f"    the throttle was seen open for another {outcome.seen.reopened:.1f} ms", flush=True)
+        if outcome.seen:
+            kind = "relay open" if row.relay else "idle, at once" if row.within == CUT else "idle, else"
+            worst[kind].append(outcome.seen.idle)
         if outcome.wrong:
             bad += 1
             print(f"    WRONG: {outcome.wrong}", flush=True)
     print(f"{len(rows) - bad} of {len(rows)} as they must be")
+    for what, times in worst.items():
+        if times:
+            print(f"{what}: {max(times):.1f} ms at most, of {len(times)}")
+    print(_load())
     return 1 if bad else 0
+
+
+def _load() -> str:
+    return f"{os.cpu_count()} cores, load {' '.join(f'{x:.1f}' for x in os.getloadavg())}"
 
 
 if __name__ == "__main__":

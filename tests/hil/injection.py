@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.emulator import i2c, serial_line
-from hil.emulator.rig import BUS, BYSTANDER, LINE, SHOWN
+from hil.emulator.rig import BUS, BYSTANDER, HAND, LINE, PULLED, SHOWN
 from hil.emulator.shared import SharedNumbers
 
 HERE = Path(__file__).resolve().parent
@@ -105,6 +105,23 @@ def to_all(rig: Injected) -> None:
     os.kill(rig.process.pid, signal.SIGKILL)
 
 
+def to_loop_and_supervisor(rig: Injected) -> None:
+    """SIGKILL to both that could write a pulse; the log's writer lives on."""
+    for pid in (rig.supervisor(), rig.process.pid):
+        os.kill(pid, signal.SIGKILL)
+
+
+def pulls(force: float):
+    """A force [N] on the stand that no thrust makes."""
+
+    def inject(rig: Injected) -> None:
+        shared = SharedNumbers(rig.at / HAND, PULLED)
+        shared["force"] = force
+        shared.close()
+
+    return inject
+
+
 def to_writer(rig: Injected) -> None:
     os.kill(next(pid for pid, words in children_of(rig.process.pid) if "hil.log" in words), signal.SIGKILL)
 
@@ -180,9 +197,9 @@ def started(task: dict, folder: Path) -> Iterator[tuple[subprocess.Popen, list[d
             shutil.rmtree(each.get("at", folder), ignore_errors=True)
 
 
-def wait_for(told: list[dict], key: str, process: subprocess.Popen) -> dict | None:
-    """What the process says with this key; None if it ends without."""
-    end = time.monotonic() + 60.0
+def wait_for(told: list[dict], key: str, process: subprocess.Popen, seconds: float = 60.0) -> dict | None:
+    """What the process says with this key; None if it ends without, or does not say it for so long."""
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         for each in list(told):
             if key in each:

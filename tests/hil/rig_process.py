@@ -1,10 +1,11 @@
 """A closed loop on the emulated rig in real time, in a process of its own, to have faults injected into: `rig_process.py TASK`.
 
 TASK is JSON: `folder` for the log, `seconds` of profile, `swing` (thrust steps instead of standing still), `limits` (changes),
-`physics` (`hidden`, `parameters`, `lingers`), `fmu` (what its FMU does once the file "now" stands in the folder), `wrong`
-(whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are refused),
-`sabotage`: what SIGUSR1 makes the controller do: "nan", "flat out", "clock back", or a pause of so many seconds. Says in JSON,
-a line each: where the rig's files are; that it runs; how it ended.
+`physics` (`hidden`, `parameters`, `lingers`), `seed`, `fmu` (what its FMU does once the file "now" stands in the folder),
+`wrong` (whose sign the loop's calibration has wrong: "load cell" or "pitch"), `refuse` (name of a PWM file whose writes are
+refused), `twin`: what its twin's alarm does ("note", "ramp" or "idle"), `sabotage`: what SIGUSR1 makes the controller do
+("nan", "flat out", "clock back", or a pause of so many seconds). Says in JSON, a line each: where the rig's files are; that it
+runs; how it ended.
 """
 
 import json
@@ -22,13 +23,15 @@ from hil import rig
 from hil.calibration import read_calibration
 from hil.emulator import pwm_tree
 from hil.emulator.rig import Rig as Emulated
-from hil.run import run_on_rig
+from hil.run import ON_ALARM, run_on_rig
 from hil.safety import polarity
 from hil.safety.limits import Limits
 from hil.session import Setup
+from hil.twin.band import Band
+from hil.twin.twin import Twin
 from tests.hil.stubborn import stubborn
 from vpp_fmu.errors import VppError
-from vpp_fmu.plants import FmuController, KernelController
+from vpp_fmu.plants import FmuController, KernelController, KernelPlant
 from vpp_fmu.record import Record
 
 # The waits before a run, shortened: fifty faults are to be tried.
@@ -37,6 +40,8 @@ rig.REST, rig.TARE_SAMPLES, rig.SETTLE = 0.3, 250, 0.5
 
 CALIBRATION = Path(__file__).parents[2] / "hil" / "emulator" / "calibration.json"
 WRONG = json.loads(sys.argv[1]).get("wrong")
+BAND = Band(0.12, 0.047, 0.13, steady=0.12)
+"""Of the paper's model beside the emulated rig."""
 SETTLED = 250
 """Steps of the controller after which the thrust stands."""
 
@@ -104,13 +109,15 @@ def main(task):
     if refuse := task.get("refuse"):
         pwm_tree.attached = partial(pwm_tree.attached, refuse=lambda file: file == refuse)
     physics = task.get("physics", {})
-    emulated = Emulated(physics.get("parameters", {}), tuple(physics.get("hidden", ())), 1, physics.get("lingers", 0.0))
+    hidden, seed = tuple(physics.get("hidden", ())), task.get("seed", 1)
+    emulated = Emulated(physics.get("parameters", {}), hidden, seed, physics.get("lingers", 0.0))
     setup = SpokenSetup(read_calibration(CALIBRATION), Limits(**task.get("limits", {})), emulated)
     folder, how = Path(task["folder"]), task.get("fmu")
     within = FmuController(stubborn(folder, how, folder / "now")) if how else KernelController()
     controller = Saboteur(task.get("sabotage"), within)
     try:
-        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), Path(task["folder"]))
+        beside = {"twin": Twin(KernelPlant(), BAND), "on_alarm": ON_ALARM[task["twin"]]} if "twin" in task else {}
+        done = run_on_rig(setup, controller, profile(task["seconds"], task.get("swing")), folder, **beside)
     except VppError as error:
         say(ended=str(error), state="safe", transitions=[], counters={}, lost=0)
         return

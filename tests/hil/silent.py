@@ -1,16 +1,21 @@
-"""python -m tests.hil.silent [--runs N] [--seconds S]: how often is a board silent that answers, and why?
+"""python -m tests.hil.silent [--runs N] [--seconds S] [--kept FILE]: how often is a board silent that answers, and why?
 
 Runs of the closed loop on the emulated rig in real time, idle and then beside `--load` busy processes and programs that start
 and end. Counted are runs that end with "silent" or "stale" of the tachometer; beside each stand the longest time that a core
 stood still meanwhile (`tests/stalls.py`: the host has taken it away), and how long bytes took through a pseudo-terminal of
 their own with both ends in real time. The kernel carries these by workers of ordinary priority: where they are not hurried
 (`hil/realtime.py`), a program that starts holds them up although no core stands still.
+
+Each run is a rig of its own (`seed`). With `--kept` a line of JSON for each is added to FILE as soon as it is over; runs that
+stand there are counted and not made again, so that a series which was interrupted goes on by the same command.
 """
 
 import argparse
 import fcntl
+import json
 import os
 import pty
+import signal
 import struct
 import subprocess
 import sys
@@ -19,8 +24,9 @@ import termios
 import threading
 import time
 import tty
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from tests.hil.faults import told_by
 from tests.hil.injection import started, wait_for
@@ -75,19 +81,34 @@ def busy(count: int):
             thread.join()
 
 
-def once(seconds: float, load: int, stalls: Stalls) -> tuple[str, float, float]:
-    """(why the run ended early, "" if it did not; the longest stall [s]; the longest that a pseudo-terminal took [s])."""
+STARTS = 60.0
+"""s beside its own that a run may take; one that has said nothing then is ended, and counts as something else."""
+
+
+class Made(NamedTuple):
+    """A run: busy processes beside it and its number; why it ended early, "" if it did not; the longest stall and the longest
+    that a pseudo-terminal took [s]."""
+
+    load: int
+    run: int
+    why: str
+    stood: float
+    took: float
+
+
+def once(seconds: float, load: int, run: int, stalls: Stalls) -> Made:
+    """Make a run."""
     with ExitStack() as ends:
         ends.enter_context(busy(load))
         folder = Path(ends.enter_context(tempfile.TemporaryDirectory()))
         command = [sys.executable, "-m", "tests.hil.silent", "--carried", str(seconds)]
         probe = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         began = time.monotonic()
-        process, told = ends.enter_context(started({"seconds": seconds}, folder))
-        end = wait_for(told, "ended", process)
+        process, told = ends.enter_context(started({"seconds": seconds, "seed": run}, folder))
+        end = wait_for(told, "ended", process, seconds + STARTS)
         stood = stalls.longest(since=began)
         took = float(probe.communicate()[0] or "nan")
-        return (told_by(end) if end is None or end["ended"] else ""), stood, took
+        return Made(load, run, told_by(end) if end is None or end["ended"] else "", stood, took)
 
 
 def main(arguments: list[str]) -> int:
@@ -96,29 +117,48 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--runs", type=int, default=200, metavar="N", help="idle, and as many loaded (default: 200)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each (default: 20)")
     parser.add_argument("--load", type=int, default=2, metavar="N", help="busy processes (default: 2)")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="keep each run there, and go on behind those that it holds")
     parser.add_argument("--carried", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.carried:
         carried(options.carried)
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what runs beside a run ends with it
+    made = {(one.load, one.run): one for one in kept(options.kept)} if options.kept else {}
     stalls, bad = Stalls(), 0
     try:
-        for load in (0, options.load):
-            bad += _series(options, load, stalls)
+        for load in dict.fromkeys((0, options.load)):
+            bad += _series(options, load, stalls, made)
     finally:
         stalls.close()
     return int(bad > AIM)
 
 
-def _series(options, load: int, stalls: Stalls) -> int:
+def kept(path: Path) -> list[Made]:
+    """The runs in a file of `--kept`; a line that an interruption has cut off is none."""
+    found, text = [], path.read_text() if path.exists() else ""
+    for line in text.splitlines():
+        with suppress(ValueError, TypeError):
+            found.append(Made(**json.loads(line)))
+    if text and not text.endswith("\n"):
+        path.write_text(text + "\n")
+    return found
+
+
+def _series(options, load: int, stalls: Stalls, made: dict[tuple[int, int], Made]) -> int:
     silent = alone = stood_still = other = 0
     for k in range(1, options.runs + 1):
-        why, stood, took = once(options.seconds, load, stalls)
-        of_board = "tachometer: silent" in why or "tachometer: stale" in why
-        silent, other = silent + of_board, other + (bool(why) and not of_board)
-        alone, stood_still = alone + (of_board and not stood), stood_still + bool(stood)
-        said = f"stall {1e3 * stood:3.0f} ms, pseudo-terminal {1e3 * took:5.1f} ms, {why or 'ran to its end'}"
-        print(f"load {load}, run {k} of {options.runs}: {said}", flush=True)
+        one, before = made.get((load, k)), ", made before"
+        if one is None:
+            one, before = once(options.seconds, load, k, stalls), ""
+            if options.kept:
+                with open(options.kept, "a") as file:
+                    file.write(json.dumps(one._asdict()) + "\n")
+        of_board = "tachometer: silent" in one.why or "tachometer: stale" in one.why
+        silent, other = silent + of_board, other + (bool(one.why) and not of_board)
+        alone, stood_still = alone + (of_board and not one.stood), stood_still + bool(one.stood)
+        said = f"stall {1e3 * one.stood:3.0f} ms, pseudo-terminal {1e3 * one.took:5.1f} ms, {one.why or 'ran to its end'}"
+        print(f"load {load}, run {k} of {options.runs}{before}: {said}", flush=True)
     told = f"{silent} of {options.runs} ended for a silent board, {alone} of them while no core stood still (aim: {AIM})"
     print(f"load {load}: {told}; {other} ended for something else; in {stood_still} runs a core stood still\n", flush=True)
     return alone

@@ -106,7 +106,7 @@ def test_a_run_that_never_began_has_no_record(tmp_path):
 
 def twinned(tmp_path, emulated):
     values = BASE.values()
-    band = Band(0.12, 0.047, 0.13, 0.8)
+    band = Band(0.12, 0.047, 0.13, 0.12)
     twin = Twin(KernelPlant(BASE, values), band)
     profile = step_profile(4.0, 8.0, hold=3.0)
     return twin, run_on_rig(setup(emulated), KernelController(), profile, tmp_path, twin=twin)
@@ -125,7 +125,7 @@ def test_a_twin_is_at_peace_with_the_rig_it_was_made_for_and_sees_a_new_effect(t
 
 @pytest.mark.parametrize(("what", "state"), [("note", "safe"), ("ramp", "fault"), ("idle", "fault")])
 def test_the_twins_alarm_is_told_and_may_end_the_run(tmp_path, what, state):
-    twin = Twin(KernelPlant(BASE, BASE.values()), Band(0.12, 0.047, 0.13, 0.3))
+    twin = Twin(KernelPlant(BASE, BASE.values()), Band(0.12, 0.047, 0.13, 0.08))
     gain = setup(Emulated({"load_cell_gain.gain": 1.4}, ("load_cell_gain",), seed=1))
     profile = step_profile(4.0, 8.0, hold=3.0)
     run = run_on_rig(gain, KernelController(), profile, tmp_path, twin=twin, on_alarm=ON_ALARM[what])

@@ -165,6 +165,41 @@ def test_goodbye_leaves_the_idle_pulse_and_no_report(tmp_path, duty):
         os.kill(supervisor.pid, 0)
 
 
+@pytest.fixture
+def worker():
+    """A process with the name of the kernel's workers, which a container does not see: the calls are the same."""
+    code = "import os; open('/proc/self/comm', 'w').write('kworker/u9:7'); print(flush=True); os.read(0, 1)"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
+        process.stdout.readline()
+        try:
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(1))
+            os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
+        except PermissionError:
+            process.kill()
+            pytest.skip("no CAP_SYS_NICE: nobody hurries the kernel's workers here")
+        yield process.pid
+        process.kill()
+
+
+def test_workers_that_a_killed_loop_has_hurried_are_put_back(tmp_path, worker):
+    with running_loop(tmp_path, "hurry") as (loop, _, _):
+        assert os.sched_getscheduler(worker) == os.SCHED_FIFO
+        loop.send_signal(signal.SIGKILL)
+        end = time.monotonic() + 10.0
+        while os.sched_getscheduler(worker) != os.SCHED_OTHER and time.monotonic() < end:
+            time.sleep(0.01)
+        assert os.sched_getscheduler(worker) == os.SCHED_OTHER
+
+
+def test_a_worker_that_ended_is_not_mistaken_for_who_has_its_number_now(worker):
+    os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(1))
+    watchdog.put_back([worker], "kworker/x")
+    assert os.sched_getscheduler(worker) == os.SCHED_FIFO
+    watchdog.put_back([2**22 + 1, worker], "kworker/u")
+    assert os.sched_getscheduler(worker) == os.SCHED_OTHER
+
+
 @pytest.mark.parametrize("broken", ["missing", "/dev/full"])
 def test_an_output_that_refuses_is_found_before_arming(tmp_path, broken):
     with pytest.raises(DeviceFault, match=r"No such file|No space left") as raised:

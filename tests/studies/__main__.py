@@ -22,6 +22,7 @@ from . import (
     refusals,
     rigs,
     tuning,
+    twin,
 )
 
 STUDIES = {
@@ -41,6 +42,7 @@ STUDIES = {
     "refusals": refusals.main,
     "rigs": rigs.main,
     "tuning": tuning.main,
+    "twin": twin.main,
 }
 
 

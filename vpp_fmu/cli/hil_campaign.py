@@ -24,6 +24,7 @@ from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.parquet import as_parquet, check_parquet
 from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.rig import FILE, Rig
 
@@ -60,10 +61,13 @@ def configure(parser):
         parser.add_argument(option, type=kind, metavar="N", help=shown)
     parser.add_argument("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
     hil_options.add_watch(parser)
+    hil_options.add_records(parser)
     add_output(parser)
 
 
 def run(options):
+    if options.records == "parquet":
+        check_parquet()
     setup = replace(hil_options.setup_of(options, steps=True), map_is_known=False)
     plan = _plan(options, setup.allowed)
     commands = _commands(options.commands, setup) if options.commands else None
@@ -107,7 +111,7 @@ def _measure(options, setup: Setup, plan: Plan, commands: Record | None, folder:
             _keep(folder, part)
             raise ended
         found[part] = record
-        _write(folder, part, record, found)
+        _write(folder, part, record, found, options.records)
         (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
         rows, ticks, lost = one.logged.rows, one.rig.ticks.ticks, one.logged.lost
         print(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost", flush=True)
@@ -190,11 +194,13 @@ def _again(setup: Setup, part: str) -> Setup:
     return replace(setup, emulated=replace(setup.emulated, seed=seed))
 
 
-def _write(folder: OutputFolder, part: str, record: Record, found: dict[str, Record]) -> None:
+def _write(folder: OutputFolder, part: str, record: Record, found: dict[str, Record], records: str) -> None:
     if part == "repeat" and "open_loop" in found and not same_commands(found["open_loop"], record):
         print("repeat: a slot was missed where a command changed, so the commands differ: kept as open_loop_again.csv")
         part = "open_loop_again"
     write_record(folder, f"{part}.csv", record)
+    if records == "parquet":
+        folder.write(f"{part}.parquet", as_parquet(record))
 
 
 def _commands(path: str, setup: Setup) -> Record:

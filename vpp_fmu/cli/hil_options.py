@@ -66,6 +66,12 @@ def add_watch(parser) -> None:
     parser.add_argument("--watch", nargs="?", type=whole(1024, 65535), const=0, metavar="PORT", help=text)
 
 
+def add_records(parser) -> None:
+    """The option that writes records in another format, too."""
+    text = "csv (default), or parquet: the same beside it, with units, exact to the bit; needs the extra 'import'"
+    parser.add_argument("--records", choices=("csv", "parquet"), default="csv", metavar="FORMAT", help=text)
+
+
 @contextlib.contextmanager
 def watched(options, told: Mapping) -> Iterator[OperatorPage | None]:
     """The operator's page, where it is wanted, for as long as the context lasts; its address is printed. BadInput."""

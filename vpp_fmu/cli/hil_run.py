@@ -31,6 +31,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parameters import check_same_model
+from vpp_fmu.parquet import as_parquet, check_parquet
 from vpp_fmu.plants import Controller, FmuPlant, KernelPlant
 from vpp_fmu.record import Record, read_profile
 from vpp_fmu.report import Page
@@ -78,6 +79,7 @@ def configure(parser):
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     hil_options.add_watch(parser)
+    hil_options.add_records(parser)
     parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
@@ -85,6 +87,8 @@ def configure(parser):
 
 
 def run(options):
+    if options.records == "parquet":
+        check_parquet()
     profile = read_profile(options.profile)
     if hil_options.which(options, fmu=True).kind == "fmu":
         if options.watch is not None:
@@ -96,7 +100,7 @@ def run(options):
     start = _start(options, setup.limits, setup.allowed)
     if options.parameters:
         setup = replace(setup, plant=hil_options.plant_of(options).values)
-    twin, band = _twin(options)
+    twin, band = _twin(options, setup.allowed)
     beside = _beside(options.beside, options, profile) if options.beside else None
     parent = OutputFolder(options.output)
     hil_options.say_allowed(setup.allowed)
@@ -127,6 +131,8 @@ def _on_rig(options, task: _Task, begun: dict, parent: OutputFolder, page: Opera
     told = done.session.told() | begun | {"ended": done.ended}
     if twin is not None:
         told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
+    if options.records == "parquet":
+        folder.write("run.parquet", as_parquet(done.record))
     finish(folder, told, done.log, task.beside and (Path(options.beside).name, task.beside))
     say_written(folder)
     if done.session.rig.alarms:
@@ -174,6 +180,8 @@ def _on_fmu(options, profile: Record) -> None:
     plant, folder = hil_options.which(options, fmu=True).plant, OutputFolder(options.output)
     record = _beside(plant, options, profile)
     write_run(folder.path / "run.csv", record)
+    if options.records == "parquet":
+        folder.write("run.parquet", as_parquet(record))
     folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}))
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {options.profile}.")
     add_loops(page, {"plant FMU": record}, "")
@@ -215,7 +223,7 @@ def _check_profile(profile: Record, limits: Limits) -> None:
         raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")
 
 
-def _twin(options) -> tuple[Twin | None, Band | None]:
+def _twin(options, allowed: Rig) -> tuple[Twin | None, Band | None]:
     if options.twin is None:
         return None, None
     if not options.twin and not options.parameters:
@@ -227,4 +235,4 @@ def _twin(options) -> tuple[Twin | None, Band | None]:
     band = read_band(told)
     if options.parameters:
         check_same_model(told, parameters, options.parameters)
-    return Twin(KernelPlant(parameters.model, parameters.values), band), band
+    return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band

@@ -4,6 +4,7 @@ it."""
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.search.fits import Fit
 from identification.fit.uncertainty import NORMAL_95
+from identification.worth.model_error import model_error
 
 
 def identification_of(found: Diagnosis, fit: Fit) -> dict:
@@ -17,6 +18,10 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
     records = {one.name: one.record for one in found.fitted}
     records |= {found.unseen.name: found.unseen.record} if found.unseen is not None else {}
     shown = {name: found.prediction(fit, record) for name, record in records.items()}
+    unseen = [shown[found.unseen.name]] if found.unseen is not None else []
+    fitted = [shown[one.name] for one in found.fitted if one.name != "repeat"]
+    values = found.parameters(fit).values
+    error = model_error(fitted, unseen, values, len(doubt.names), found.noise.floor)
     rows = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
     parameters = {
         name: {"value": value, "std": std, "interval": interval, "interval_from": doubt.kind(name)}
@@ -36,6 +41,7 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "inflation_by_coloured_residuals": dict(zip(doubt.names, doubt.inflation.tolist(), strict=True)),
         "not_identifiable": dict.fromkeys(doubt.left_open, "the records leave open where it is"),
         "noise_floor_thrust": found.noise.floor,
+        "model_error": error and error.summary(),
         "fitted": [one.name for one in found.fitted],
         "records": {name: p.summary() for name, p in shown.items()},
         "rmse_thrust": {name: p.rmse_thrust for name, p in shown.items()},
