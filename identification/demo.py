@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
-from identification.worth.quality import rmse
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.commands import idle
 from vpp_fmu.export.toolchain import host

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from identification.assessment.pairs import forms
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.identify import Identification
-from identification.worth.pairs import forms
 from vpp_fmu.digits import interval, number
 from vpp_fmu.report import Page, correlation_heatmap, learning_curve, parameter_change
 
@@ -15,25 +15,27 @@ TELLING = 0.2
 
 def add_found(page: Page, found: Identification) -> None:
     """Figures and tables of what an identification found."""
-    doubt = found.uncertainty
+    uncertainty = found.uncertainty
     page.section("What was found")
     if found.refinement is not None:
         _add_change(page, found)
     _add_values(page, found)
     if lines := untold(found):
         page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
-    if doubt.profiled:
+    if uncertainty.profiled:
         page.note(
-            f"The cost is no parabola in {', '.join(doubt.profiled)}: their intervals end where the cost, all other parameters "
-            "refitted, has risen by what 95 % allow."
+            f"The cost is no parabola in {', '.join(uncertainty.profiled)}: their intervals end where the cost, all other "
+            "parameters refitted, has risen by what 95 % allow."
         )
     _add_bootstrap(page, found)
-    _add_forms(page, doubt)
+    _add_forms(page, uncertainty)
     if found.refinement is not None:
         _add_curve(page, found.refinement)
-    if len(doubt.names) > 1:
-        figure = correlation_heatmap(doubt.names, doubt.correlation, _strongest(doubt.names, doubt.correlation))
-        page.figure(figure, _weakest(doubt))
+    if len(uncertainty.names) > 1:
+        figure = correlation_heatmap(
+            uncertainty.names, uncertainty.correlation, _strongest(uncertainty.names, uncertainty.correlation)
+        )
+        page.figure(figure, _weakest(uncertainty))
 
 
 def untold(found: Identification) -> list[str]:
@@ -48,21 +50,21 @@ def untold(found: Identification) -> list[str]:
 
 def _add_change(page: Page, found: Identification) -> None:
     """From the start to the end of the fit."""
-    doubt = found.uncertainty
-    start, (low, high) = np.array([found.start[n] for n in doubt.names]), doubt.intervals.T
-    moved = _most_moved(doubt.names, start, doubt)
+    uncertainty = found.uncertainty
+    start, (low, high) = np.array([found.start[n] for n in uncertainty.names]), uncertainty.intervals.T
+    moved = _most_moved(uncertainty.names, start, uncertainty)
     change = "Change in % of the start, which steps and static map gave; 95 % intervals."
-    page.figure(parameter_change(doubt.names, start, doubt.values, low, high, moved), change)
+    page.figure(parameter_change(uncertainty.names, start, uncertainty.values, low, high, moved), change)
 
 
 def _add_values(page: Page, found: Identification) -> None:
     """Each value with what it is worth."""
-    doubt, rows = found.uncertainty, []
-    for k, name in enumerate(doubt.names):
-        bound = "on its bound" if name in found.at_bounds else doubt.kind(name)
-        ends = interval(*doubt.intervals[k].tolist())
-        told = (float(doubt.values[k]), number(float(doubt.std[k]), 3), ends)
-        rows.append((name, found.start[name], *told, bound, number(doubt.inflation[k], 3)))
+    uncertainty, rows = found.uncertainty, []
+    for k, name in enumerate(uncertainty.names):
+        bound = "on its bound" if name in found.at_bounds else uncertainty.kind(name)
+        ends = interval(*uncertainty.intervals[k].tolist())
+        told = (float(uncertainty.values[k]), number(float(uncertainty.std[k]), 3), ends)
+        rows.append((name, found.start[name], *told, bound, number(uncertainty.inflation[k], 3)))
     units = "Time constants in s, coefficients normalised"
     if found.refinement is not None:
         columns = ("parameter", "start", "final", "std", "95 % interval", "by", "std over white")
@@ -82,11 +84,11 @@ def _add_bootstrap(page: Page, found: Identification) -> None:
         page.table(columns, rows, f"Block bootstrap, {len(b.samples)} resamples: the same without any parabola.")
 
 
-def _add_forms(page: Page, doubt: Uncertainty) -> None:
+def _add_forms(page: Page, uncertainty: Uncertainty) -> None:
     """What is told of a pair of lags whichever comes first."""
     rows = [
         (f"{'speed' if channel == 'omega' else 'pitch'}, {form} [{unit}]", told[form]["value"], told[form]["std"])
-        for channel, told in forms(doubt).items()
+        for channel, told in forms(uncertainty).items()
         for form, unit in (("sum", "s"), ("product", "s²"))
     ]
     if rows:
@@ -95,10 +97,12 @@ def _add_forms(page: Page, doubt: Uncertainty) -> None:
         page.table(("lags", "value", "std", "std [%]"), relative, caption)
 
 
-def _weakest(doubt: Uncertainty) -> str:
+def _weakest(uncertainty: Uncertainty) -> str:
     """The caption that names what is known least."""
-    condition, direction, spread = doubt.directions()
-    named = [f"{direction[k]:+.2f} {doubt.names[k]}" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) >= TELLING]
+    condition, direction, spread = uncertainty.directions()
+    named = [
+        f"{direction[k]:+.2f} {uncertainty.names[k]}" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) >= TELLING
+    ]
     least = f"Least is known of the direction {', '.join(named)} (relative): ± {number(100 * NORMAL_95 * spread, 3)} %"
     return f"Correlation of the estimates. {least}; condition number {number(condition, 3)}."
 
@@ -114,12 +118,12 @@ def _add_curve(page: Page, r: Refinement) -> None:
     page.figure(learning_curve(np.arange(len(above)), above, title, "cost above its end [-]"), caption)
 
 
-def _most_moved(names, start: np.ndarray, doubt: Uncertainty) -> str:
+def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
     """Which parameter the fine-tuning moved farthest, in its standard deviations."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.nan_to_num(np.abs(doubt.values - start) / doubt.std, posinf=0.0)
+        far = np.nan_to_num(np.abs(uncertainty.values - start) / uncertainty.std, posinf=0.0)
     k = int(np.argmax(far))
-    moved = f"by {number(far[k], 2)} standard deviations, from {number(start[k])} to {number(doubt.values[k])}"
+    moved = f"by {number(far[k], 2)} standard deviations, from {number(start[k])} to {number(uncertainty.values[k])}"
     return f"Fine-tuning moves {names[k]} the most: {moved}"
 
 

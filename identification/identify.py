@@ -6,6 +6,13 @@ from math import isclose
 
 import numpy as np
 
+from identification.assessment.bootstrap import Bootstrap, bootstrap
+from identification.assessment.model_error import ModelError, model_error
+from identification.assessment.pairs import forms, slow_first
+from identification.assessment.prediction import Prediction, band, predict
+from identification.assessment.profile import profiled
+from identification.assessment.quality import noise_floor
+from identification.assessment.residual_tests import ResidualTests, residual_tests
 from identification.fit.coordinates import slowest
 from identification.fit.identifiability import hardly_told
 from identification.fit.problem import Prior
@@ -18,13 +25,6 @@ from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
 from identification.unrefined import unrefined, with_steps
-from identification.worth.bootstrap import Bootstrap, bootstrap
-from identification.worth.model_error import ModelError, model_error
-from identification.worth.pairs import forms, slow_first
-from identification.worth.prediction import Prediction, band, predict
-from identification.worth.profile import profiled
-from identification.worth.quality import noise_floor
-from identification.worth.residual_tests import ResidualTests, residual_tests
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.kernel.types import Model
@@ -90,24 +90,30 @@ class Identification:
 
     def summary(self) -> dict:
         """The content of `identification.json`."""
-        doubt = self.uncertainty
-        condition, weakest, spread = doubt.directions()
-        entries = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
+        uncertainty = self.uncertainty
+        condition, weakest, spread = uncertainty.directions()
+        entries = zip(
+            uncertainty.names,
+            uncertainty.values.tolist(),
+            uncertainty.std.tolist(),
+            uncertainty.intervals.tolist(),
+            strict=True,
+        )
         static = self.static
         return {
             "effects": list(self.parameters.model.optional),
             "parameters": {
-                name: {"value": value, "std": std, "interval": interval, "interval_from": doubt.kind(name)}
+                name: {"value": value, "std": std, "interval": interval, "interval_from": uncertainty.kind(name)}
                 for name, value, std, interval in entries
             },
-            "correlation": {"names": list(doubt.names), "matrix": doubt.correlation.tolist()},
+            "correlation": {"names": list(uncertainty.names), "matrix": uncertainty.correlation.tolist()},
             "condition_number": condition,
-            "weakest_direction": dict(zip(doubt.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
-            "inflation_by_coloured_residuals": dict(zip(doubt.names, doubt.inflation.tolist(), strict=True)),
+            "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
+            "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
             "at_bounds": self.at_bounds,
             "not_identifiable": dict(self.not_identifiable),
             **self._search(),
-            "time_constants": forms(doubt),
+            "time_constants": forms(uncertainty),
             "bootstrap": self.bootstrap and self.bootstrap.summary(),
             "residual_tests": self.tests and {"share_of_lags_outside_95_percent_band": self.tests.outside},
             "prediction_band_coverage": self.coverage,
@@ -192,9 +198,9 @@ def identify(
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig))
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
-    doubt = with_steps(found.uncertainty, found.values, steps)
-    known = dict(zip(doubt.names, doubt.std.tolist(), strict=True))
-    rig = campaign.rig.timed(slowest(off_bounds(model, found.values, start), doubt.names))
+    uncertainty = with_steps(found.uncertainty, found.values, steps)
+    known = dict(zip(uncertainty.names, uncertainty.std.tolist(), strict=True))
+    rig = campaign.rig.timed(slowest(off_bounds(model, found.values, start), uncertainty.names))
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
@@ -203,8 +209,8 @@ def identify(
         static=static,
         steps=steps,
         refinement=found,
-        uncertainty=doubt,
-        not_identifiable={n: why for n, why in found.held.items() if n not in known} | hardly_told(doubt),
+        uncertainty=uncertainty,
+        not_identifiable={n: why for n, why in found.held.items() if n not in known} | hardly_told(uncertainty),
         fitted=tuple(fitted),
         predictions=predictions,
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},

@@ -13,7 +13,7 @@ from identification.fit.uncertainty import NORMAL_95, Uncertainty
 from identification.static.static_map import TERMS, StaticFit
 from identification.steps.response import StepSummary, pair
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.digits import with_doubt
+from vpp_fmu.digits import with_uncertainty
 from vpp_fmu.errors import BadInput
 
 WORDS = {"omega": "speed", "beta": "pitch"}
@@ -77,7 +77,7 @@ def _untold_lags(steps: StepSummary | None) -> dict[str, str]:
         if average is None:
             why |= dict.fromkeys(pair(channel), _no_lag(steps, channel))
         elif not average.apart:
-            total = with_doubt(average.slow + average.fast, NORMAL_95 * average.std["sum"], "s")
+            total = with_uncertainty(average.slow + average.fast, NORMAL_95 * average.std["sum"], "s")
             why |= dict.fromkeys(pair(channel), f"the steps tell only the sum of both lags, {total}")
     return why
 

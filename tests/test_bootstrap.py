@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from studies.synthetic import TRUTH, commands, covariance, measured
 
+from identification.assessment.bootstrap import CHUNK, bootstrap
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, refine
-from identification.worth.bootstrap import CHUNK, bootstrap
 from vpp_fmu.kernel.plant import AVERAGED, BASE, plant
 
 SECTION = 8.0

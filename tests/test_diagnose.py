@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from studies.synthetic import STEP, TRUTH, commands
 
+from identification.assessment.information import read_knowledge
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import CERTAIN
@@ -18,7 +19,6 @@ from identification.diagnose.report.page import diagnosis_page, key_figures
 from identification.diagnose.report.residual import moves
 from identification.diagnose.report.summary import summary
 from identification.identify import identify
-from identification.worth.information import read_knowledge
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis
@@ -177,7 +177,7 @@ def test_nothing_is_added_where_nothing_is_missing(nothing_missing, tmp_path):
     assert nothing_missing.verdict == "none"
     assert nothing_missing.noise.floor == pytest.approx(NOISE, rel=0.03)
     assert nothing_missing.errors(nothing_missing.final)[0] == pytest.approx(NOISE, rel=0.03)
-    assert nothing_missing.held_after.rmse_thrust == pytest.approx(NOISE / np.sqrt(2.0), rel=0.03)  # of two records' mean
+    assert nothing_missing.held_out_after.rmse_thrust == pytest.approx(NOISE / np.sqrt(2.0), rel=0.03)  # of two records' mean
     write_diagnosis(OutputFolder(tmp_path), nothing_missing)
     assert json.loads((tmp_path / "parameters.json").read_text())["effects"] == []
     assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vpp_fmu.cli.output import as_json
-from vpp_fmu.digits import interval, number, signed, with_doubt
+from vpp_fmu.digits import interval, number, signed, with_uncertainty
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_sign_is_shown_where_it_is_asked_for():
     ],
 )
 def test_a_value_ends_where_its_doubt_does(value, half, text):
-    assert with_doubt(value, half, "deg") == text
+    assert with_uncertainty(value, half, "deg") == text
 
 
 def test_the_ends_of_an_interval_can_be_told_apart():

@@ -9,13 +9,13 @@ import pytest
 from import_zoo import PLAIN, Format, came_out, text, truth
 from studies.gate import SIZES
 
-from identification.stand.clock import guessed_unit, mended, read_clock
-from identification.stand.commands import fitted_map
-from identification.stand.mapping import read_toml
-from identification.stand.sampling import between, said_of_gaps, said_of_rows
-from identification.stand.sheet import Sheet, plain, split_unit
-from identification.stand.speed_map import RANGES
-from identification.stand.units import QUANTITIES, factor_of
+from identification.logs.clock import guessed_unit, mended, read_clock
+from identification.logs.commands import fitted_map
+from identification.logs.mapping import read_toml
+from identification.logs.sampling import between, said_of_gaps, said_of_rows
+from identification.logs.sheet import Sheet, plain, split_unit
+from identification.logs.speed_map import RANGES
+from identification.logs.units import QUANTITIES, factor_of
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput

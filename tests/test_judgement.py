@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
 from identification.diagnose import crossval, diagnose, selection
-from identification.diagnose.crossval import Held, cross_validated, folds, rises
+from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
 from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
 from identification.diagnose.lack import spectra
@@ -103,16 +103,16 @@ def test_every_row_is_in_one_fold_and_short_records_have_all_folds():
 
 
 def test_gain_is_the_profile_likelihood_ratio():
-    one, other = Held({"thrust": 50.0}, {"thrust": 100}, (), ()), Held({"thrust": 80.0}, {"thrust": 100}, (), ())
+    one, other = HeldOut({"thrust": 50.0}, {"thrust": 100}, (), ()), HeldOut({"thrust": 80.0}, {"thrust": 100}, (), ())
     assert one.gain(other)["thrust"] == pytest.approx(0.5 * 100 * np.log(80.0 / 50.0))
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_chance_passes_the_needed_fall_as_rarely_as_the_level_says(count):
     """The best of many independent candidates that explain nothing: half a chi^2 each."""
-    looks, draws = 50, 20000
-    best = 0.5 * chi2.rvs(count, size=(draws, looks), random_state=1).max(axis=1)
-    passed = np.mean(best > needed_fall(count, looks))
+    comparisons, draws = 50, 20000
+    best = 0.5 * chi2.rvs(count, size=(draws, comparisons), random_state=1).max(axis=1)
+    passed = np.mean(best > needed_fall(count, comparisons))
     assert abs(passed - LEVEL) < 3.0 * np.sqrt(LEVEL * (1.0 - LEVEL) / draws)
 
 
@@ -217,11 +217,11 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
     time = np.arange(0.0, 15.0, 0.05)
     old = np.full(len(time), 0.1)
     new = np.where(time < 5.0, np.sqrt(3.0 * 0.11**2 - 2.0 * 0.1**2), 0.1)
-    held = {n: Held({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in {"was": old, "now": new}.items()}
+    held = {n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in {"was": old, "now": new}.items()}
     fit = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
     shipped = SimpleNamespace()
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
-    judge = SimpleNamespace(held=lambda one: held["was"])
+    judge = SimpleNamespace(held_out=lambda one: held["was"])
     assert diagnose._refuted(judge, shipped, shipped, fit, None, partly) == told
 
 
@@ -236,10 +236,10 @@ def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may
 def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
     """Of one parameter d^2 = C + f^2 S has a closed form; below, knowledge keeps its word, above nothing is left of it."""
     of_records, known = 0.6, 0.3
-    doubt = Uncertainty(("c20",), np.array([1.0 + away]), np.array([[of_records**2]]), np.ones(1))
+    uncertainty = Uncertainty(("c20",), np.array([1.0 + away]), np.array([[of_records**2]]), np.ones(1))
     told = Prior(("c20", "c11"), np.array([1.0, 7.0]), np.diag([known**2, 1.0]))
     expected = factor or np.sqrt((away**2 - of_records**2) / known**2)
-    assert disagreement(told, doubt) == pytest.approx(expected, rel=1e-6)
+    assert disagreement(told, uncertainty) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])

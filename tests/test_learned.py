@@ -14,10 +14,10 @@ from identification.diagnose.crossval import thirds
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import LEVEL
 from identification.diagnose.learned.columns import Course, hats, holds, lagged, plays, relay
+from identification.diagnose.learned.description import FILE
 from identification.diagnose.learned.learn import by_chance
-from identification.diagnose.learned.look import look
 from identification.diagnose.learned.score import Scores
-from identification.diagnose.learned.told import FILE
+from identification.diagnose.learned.screening import screened
 from identification.diagnose.report.page import diagnosis_page
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.cli import main
@@ -137,8 +137,10 @@ def test_chance_in_a_closed_form():
 
 def test_where_nothing_lacks_nothing_is_looked_for(nothing):
     assert nothing.verdict == "none"
-    assert nothing.attempt.looks == 0
-    assert not [lead for lead in look(nothing.base) if lead.promising and lead.scored.held > by_chance(lead.looks)]
+    assert nothing.attempt.comparisons == 0
+    assert not [
+        lead for lead in screened(nothing.base) if lead.promising and lead.scored.held_out > by_chance(lead.comparisons)
+    ]
 
 
 def test_a_law_is_learned_and_ships(found):
@@ -149,7 +151,7 @@ def test_a_law_is_learned_and_ships(found):
     assert (before**2 - after**2) / (before**2 - NOISE**2) > 0.9
     assert not found.after.found
     if term.lead.shape == "line":
-        std = found.doubt["learned.gain"]
+        std = found.std["learned.gain"]
         assert abs(term.values["gain"] - GAIN) < 4.0 * std
 
 

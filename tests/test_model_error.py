@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from identification.worth.model_error import model_error
-from identification.worth.prediction import Prediction
+from identification.assessment.model_error import model_error
+from identification.assessment.prediction import Prediction
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.record import Record

@@ -4,7 +4,7 @@ between."""
 import numpy as np
 import pytest
 
-from identification.worth.pairs import agreed_order, exchangeable
+from identification.assessment.pairs import agreed_order, exchangeable
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
 from vpp_fmu.record import Record
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from builders import simulator
 
+from identification.assessment.information import Information, read_knowledge
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.plan.excitation import candidate, paper_plan
 from identification.plan.plan import free_parameters, plan
-from identification.worth.information import Information, read_knowledge
 from vpp_fmu import cli
 from vpp_fmu.commands import ends
 from vpp_fmu.errors import BadInput, NotIdentifiable

@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import least_squares
 from studies.synthetic import commands, measured
 
+from identification.assessment.profile import profiled
 from identification.fit.coordinates import Coordinates
 from identification.fit.least_squares import solve
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
-from identification.worth.profile import profiled
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.kernel.types import Effect, Model, Parameter
 
@@ -40,8 +40,8 @@ class Level:
         found = self.solution()
         n, slope = len(self.readings), self.slope(float(found.value[0]))
         own = inflation * np.sqrt(2.0 * found.cost / (n - 1) / n) / abs(slope) if std is None else std
-        doubt = Uncertainty(("p",), found.value, np.array([[own**2]]), np.array([inflation]))
-        return profiled(self, found, doubt)
+        uncertainty = Uncertainty(("p",), found.value, np.array([[own**2]]), np.array([inflation]))
+        return profiled(self, found, uncertainty)
 
 
 @pytest.fixture
@@ -89,13 +89,13 @@ def test_an_interval_reaches_other_optima_that_the_data_leave_open(readings):
     level = Level(readings - 0.5, np.cos, lambda p: -np.sin(p))
     found = level.solution()
     own = np.sqrt(2.0 * found.cost / 19.0 / 20.0) / abs(np.sin(float(found.value[0])))
-    doubt = Uncertainty(("p",), found.value, np.array([[own**2]]), np.ones(1))
+    uncertainty = Uncertainty(("p",), found.value, np.array([[own**2]]), np.ones(1))
     mirrored = replace(found, value=-found.value)
     worse = replace(mirrored, value=-2.0 * found.value, costs=(found.cost + 3.0,))  # 1.92 is what 95 % allow
     for others in ((mirrored,), (mirrored, worse)):
-        told = profiled(level, found, doubt, others)
+        told = profiled(level, found, uncertainty, others)
         assert told.intervals[0, 0] == pytest.approx(-float(found.value[0]))
-    assert told.intervals[0, 1] == pytest.approx(profiled(level, found, doubt).intervals[0, 1])
+    assert told.intervals[0, 1] == pytest.approx(profiled(level, found, uncertainty).intervals[0, 1])
 
 
 class Plane(Level):
@@ -122,10 +122,10 @@ def test_beside_one_on_its_bound_an_interval_is_that_of_the_others_alone(reading
     plane = Plane(readings, readings - 6.0)
     found = solve(lambda x: plane.rows(dict(zip("pq", x, strict=True))), np.ones(2), *[[-10.0, 0.0], [10.0, 10.0]])
     variance = 2.0 * found.cost / (len(found.residual) - 2)
-    doubt = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
+    uncertainty = Uncertainty(("p", "q"), found.value, np.diag([variance / 20.0, 0.0]), np.ones(2))
     half = NORMAL_95 * np.sqrt(variance / 20.0)
     # Upwards q stays on 0; downwards it would have to be more than 0 to help, which costs more than it brings.
-    assert profiled(plane, found, doubt).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
+    assert profiled(plane, found, uncertainty).intervals[0] == pytest.approx([1.0 - half, 1.0 + half], rel=0.01)
 
 
 def test_data_without_noise_leave_nothing_to_search():
@@ -165,12 +165,12 @@ def least_cost(problem, name, value, start) -> float:
 
 @pytest.mark.parametrize("name", ["tau_beta_1", "tau_beta_2"])
 def test_ends_near_a_double_pole_are_where_another_search_finds_them(near_double_pole, name):
-    found, doubt = near_double_pole
-    assert {"tau_beta_1", "tau_beta_2"} <= set(doubt.profiled)
+    found, uncertainty = near_double_pole
+    assert {"tau_beta_1", "tau_beta_2"} <= set(uncertainty.profiled)
     k = BASE_PARAMETERS.index(name)
     variance = 2.0 * found.solution.cost / (len(found.solution.residual) - 9)
-    wanted = 0.5 * (NORMAL_95 * doubt.inflation[k]) ** 2 * variance
-    for end in doubt.intervals[k]:
+    wanted = 0.5 * (NORMAL_95 * uncertainty.inflation[k]) ** 2 * variance
+    for end in uncertainty.intervals[k]:
         rise = least_cost(found.problem, name, end, found.values) - found.solution.cost
         # Kept where within 5 % of a parabola, so within 10 % in the cost.
         assert rise == pytest.approx(wanted, rel=0.12)

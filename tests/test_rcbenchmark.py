@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.stand.rcbenchmark import REMEMBERED, read_log
-from identification.stand.speed_map import (
+from identification.logs.rcbenchmark import REMEMBERED, read_log
+from identification.logs.speed_map import (
     RANGES,
     SpeedMap,
     SteadyPoints,

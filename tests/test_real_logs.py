@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from studies import measured
 from studies.readings import NAMES, Logged, outcome
 
-from identification.stand.mapping import FILE
+from identification.logs.mapping import FILE
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import LIBRARY
 

@@ -1,4 +1,4 @@
-"""The static map: its fit, its doubt, and the points it rests on."""
+"""The static map: its fit, its uncertainty, and the points it rests on."""
 
 import re
 from dataclasses import replace
@@ -86,9 +86,9 @@ def test_a_grid_of_any_shape_tells_what_it_can(speeds, pitches, untold):
     assert {name for fit in fits for name in fit.untold} == untold
     # The map at the points themselves is told whatever the grid: right on average, and known as well as it scatters.
     shown = np.array([design(omega, beta, SCALES) @ list(fit.coefficients.values()) for fit in fits]) * SCALES["thrust_scale"]
-    doubt = np.sqrt(np.mean([fit.uncertainty(omega, beta, SCALES) ** 2 for fit in fits], axis=0))
+    uncertainty = np.sqrt(np.mean([fit.uncertainty(omega, beta, SCALES) ** 2 for fit in fits], axis=0))
     np.testing.assert_allclose(shown.mean(axis=0), truth, atol=4.0 * noise / np.sqrt(len(fits)))
-    np.testing.assert_allclose(shown.std(axis=0), doubt, rtol=0.2)
+    np.testing.assert_allclose(shown.std(axis=0), uncertainty, rtol=0.2)
     told = [k for k, name in enumerate(TERMS) if name not in untold]
     pulls = np.array([[(list(f.coefficients.values())[k] - KNOWN[k]) / list(f.std.values())[k] for k in told] for f in fits])
     assert np.all(np.abs(pulls) < 6.0)
@@ -132,9 +132,9 @@ def test_covariance_is_what_many_campaigns_scatter_by():
     np.testing.assert_allclose(np.corrcoef(found.T), told / np.sqrt(np.outer(np.diag(told), np.diag(told))), atol=0.1)
     omega, beta = np.meshgrid([2000.0, 4000.0, 6000.0], [-5.0, 0.0, 10.0])
     thrust = found @ design(omega.ravel(), beta.ravel(), SCALES).T * SCALES["thrust_scale"]
-    doubt = np.sqrt(np.mean([f.uncertainty(omega, beta, SCALES) ** 2 for f in fits], axis=0))
-    assert doubt.shape == (3, 3)
-    np.testing.assert_allclose(thrust.std(axis=0), doubt.ravel(), rtol=0.08)
+    uncertainty = np.sqrt(np.mean([f.uncertainty(omega, beta, SCALES) ** 2 for f in fits], axis=0))
+    assert uncertainty.shape == (3, 3)
+    np.testing.assert_allclose(thrust.std(axis=0), uncertainty.ravel(), rtol=0.08)
 
 
 def test_adjusted_r2_is_that_of_the_textbook():
@@ -304,7 +304,7 @@ def test_figures_show_what_they_are_given():
     assert (told.x, told.y) == ((needed.number,), (0.1,))
     omega, beta = np.linspace(2000.0, 6000.0, 9), np.linspace(-5.0, 10.0, 7)
     std = fit.uncertainty(omega, beta[:, None], SCALES)
-    heat = map_uncertainty(omega, beta, std, "doubt")
+    heat = map_uncertainty(omega, beta, std, "uncertainty")
     np.testing.assert_array_equal(heat.data[0].z, std)
     for fig in (lines, means, heat):
         for axis in (fig.layout.xaxis, fig.layout.yaxis):

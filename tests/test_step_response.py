@@ -165,7 +165,7 @@ def test_gaps_in_the_thrust_are_no_readings():
     assert fit.readings == 250
 
 
-# The doubt
+# The uncertainty
 
 
 def test_standard_deviations_are_those_of_repeats():

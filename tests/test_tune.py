@@ -9,7 +9,7 @@ from builders import FAST_PITCH
 
 from identification.demo import step_profile
 from identification.fit.problem import Prior
-from identification.tune.draws import doubt, draws
+from identification.tune.draws import draws, standard_deviations
 from identification.tune.objective import Objective, Point
 from identification.tune.operating import margins_at
 from identification.tune.report import tuning_page
@@ -177,7 +177,7 @@ KNOWN = ParameterSet(plant(EFFECTS)).replaced(
 
 
 def test_doubt_is_the_files_or_a_share_of_the_value():
-    std = doubt(KNOWN, ("tau_beta_2",), 0.1)
+    std = standard_deviations(KNOWN, ("tau_beta_2",), 0.1)
     assert std["c20"] == 0.01
     assert std["pitch_command_deadband.half_width"] == 0.2
     assert std["tau_beta_2"] == pytest.approx(0.005)

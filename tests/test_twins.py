@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from studies.synthetic import STEP, TRUTH, commands, covariance, measured
 
+from identification.assessment.bootstrap import bootstrap
 from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings, refine
-from identification.worth.bootstrap import bootstrap
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.native.simulator import PIECE
 from vpp_fmu.record import Record

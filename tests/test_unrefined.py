@@ -41,9 +41,9 @@ def campaign(size: str, *changes, parts: str = "wbx") -> Campaign:
 
 def pulls(found, size: str) -> np.ndarray:
     """Errors of what is told, in standard deviations."""
-    truth, doubt = SIZES[size].truth, found.uncertainty
-    told = [k for k, name in enumerate(doubt.names) if name not in found.not_identifiable]
-    return np.array([(doubt.values[k] - truth[doubt.names[k]]) / doubt.std[k] for k in told])
+    truth, uncertainty = SIZES[size].truth, found.uncertainty
+    told = [k for k, name in enumerate(uncertainty.names) if name not in found.not_identifiable]
+    return np.array([(uncertainty.values[k] - truth[uncertainty.names[k]]) / uncertainty.std[k] for k in told])
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -136,8 +136,8 @@ def test_what_is_known_no_better_than_nothing_is_named():
     found = identify(replace(campaign("paper", only()), open_loop=loud), starts=1)
     std = dict(zip(found.uncertainty.names, found.uncertainty.std, strict=True))
     assert found.not_identifiable
-    for name, doubt in std.items():
-        vague = doubt >= (found.parameters.values[name] if name.startswith("tau_") else 1.0)
+    for name, uncertainty in std.items():
+        vague = uncertainty >= (found.parameters.values[name] if name.startswith("tau_") else 1.0)
         assert (name in found.not_identifiable) == vague
 
 

@@ -9,11 +9,11 @@ from numbers import Integral, Real
 DIGITS = 4
 """A thrust error is known to some per cent, a parameter to less: a fourth digit still says which of two is the smaller."""
 
-DOUBT = 2
+UNCERTAINTY = 2
 """Digits of a standard deviation that mean something: from a hundred readings it is known to 7 %."""
 
 MOST = 7
-"""Digits of a value whose doubt is next to nothing, as in data without noise."""
+"""Digits of a value whose uncertainty is next to nothing, as in data without noise."""
 
 LEAST_CHANCE = 1e-6
 """Below it a p-value rests on tails that no record has tested."""
@@ -50,7 +50,7 @@ def chance(p: float, equals: str = "") -> str:
     return f"< {LEAST_CHANCE:.0e}".replace("e-0", "e-") if p < LEAST_CHANCE else f"{equals}{number(p, 2)}"
 
 
-def with_doubt(value: float, half: float, unit: str = "") -> str:
+def with_uncertainty(value: float, half: float, unit: str = "") -> str:
     """A value and half of its interval, both to the last digit that the latter is known to."""
     unit = unit and f" {unit}"
     if not 0.0 < half < math.inf or math.isnan(value):
@@ -66,9 +66,9 @@ def interval(low: float, high: float, unit: str = "") -> str:
     return f"{_to(low, high - low)} to {_to(high, high - low)}{unit}"
 
 
-def _to(value: float, doubt: float) -> str:
-    """The value to the last of DOUBT digits of its doubt, MOST digits in all."""
-    last = math.floor(math.log10(float(f"{doubt:.{DOUBT - 1}e}"))) - DOUBT + 1
+def _to(value: float, uncertainty: float) -> str:
+    """The value to the last of UNCERTAINTY digits of its uncertainty, MOST digits in all."""
+    last = math.floor(math.log10(float(f"{uncertainty:.{UNCERTAINTY - 1}e}"))) - UNCERTAINTY + 1
     size = math.floor(math.log10(abs(value))) if value else last
     last = max(last, size - MOST + 1)
     text = f"{value:.{max(0, -last)}f}" if -3 <= max(size, last) < 6 else f"{value:.{max(0, size - last)}e}"

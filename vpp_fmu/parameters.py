@@ -1,4 +1,4 @@
-"""Parameter files: values with their doubt as JSON, read and checked against a model; and as SSP parameter values."""
+"""Parameter files: values with their uncertainty as JSON, read and checked against a model; and as SSP parameter values."""
 
 import difflib
 import hashlib

@@ -29,14 +29,14 @@ SPAN = 2.0
 FORGET = 4.0
 """Until what was seen counts for 1 / e."""
 
-SPEED_DOUBT = 0.25
+SPEED_UNCERTAINTY = 0.25
 """Share of the speed's part of the change that may be wrong, as a stuck pitch and a wrong map make it."""
 
 
 class PitchEffect:
     """`effect` [1] and how much command stands behind it: `moved` [N^2 s], the integral of G^2. Both are 0 at the start.
 
-    `bound` [1] is as much as the effect can be if the speed's part is in doubt. `parameters`: of the plant, by the kernel's
+    `bound` [1] is as much as the effect can be if the speed's part is uncertain. `parameters`: of the plant, by the kernel's
     names; what it doesn't name has its default. `dt`: s from one `update` to the next; `time_scale` [s]: of the rig.
     """
 
@@ -50,7 +50,7 @@ class PitchEffect:
         self._past: deque[tuple[float, float, float]] = deque(maxlen=max(1, round(SPAN * time_scale / self._step)))
         self._inner = self._beta = None
         self._sums, self._count = [0.0, 0.0], 0
-        self.moved = self._product = self._doubt = 0.0
+        self.moved = self._product = self._uncertainty = 0.0
 
     @property
     def effect(self) -> float:
@@ -58,7 +58,7 @@ class PitchEffect:
 
     @property
     def bound(self) -> float:
-        return (self._product + self._doubt) / self.moved if self.moved else 0.0
+        return (self._product + self._uncertainty) / self.moved if self.moved else 0.0
 
     def update(self, thrust: float, omega: float, beta_ref: float) -> None:
         """Readings [N, rpm] and the command [deg] that acted on them."""
@@ -80,7 +80,7 @@ class PitchEffect:
             expected, by_speed = self._thrust(omega, beta) - middle, middle - self._thrust(omega_0, beta_0)
             self.moved = self._keep * self.moved + expected * expected * self._step
             self._product = self._keep * self._product + expected * (thrust - thrust_0 - by_speed) * self._step
-            self._doubt = self._keep * self._doubt + SPEED_DOUBT * abs(expected * by_speed) * self._step
+            self._uncertainty = self._keep * self._uncertainty + SPEED_UNCERTAINTY * abs(expected * by_speed) * self._step
         self._past.append((thrust, omega, beta))
 
     def _thrust(self, omega: float, beta: float) -> float:

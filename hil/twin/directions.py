@@ -26,7 +26,7 @@ EVERY = 10.0
 
 PLACE = 0.2
 """Of the scales of speed and pitch: commands in different places find errors of a thrust map that have little to do with each
-other, as `identification.worth.model_error` counts them."""
+other, as `identification.assessment.model_error` counts them."""
 
 CAUSES = ("thrust x {:.2f}", "pitch {:+.2f} deg", "reading {:+.2f} N")
 

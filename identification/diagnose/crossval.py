@@ -23,7 +23,7 @@ THRESHOLDS = 25
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldOut:
     """What a fit predicts of each fold from the others: `squares` of the whitened residual by channel, of `counts` rows.
 
     `thrust` [N], `omega` [rpm]: the error of what was left out by experiment, (rows,) each; NaN where nothing was measured.
@@ -34,7 +34,7 @@ class Held:
     thrust: tuple[np.ndarray, ...]
     omega: tuple[np.ndarray, ...]
 
-    def gain(self, other: "Held") -> dict[str, float]:
+    def gain(self, other: "HeldOut") -> dict[str, float]:
         """Log-likelihood that this has over `other` in each channel, noise variances unknown."""
         return {c: 0.5 * n * float(np.log(other.squares[c] / self.squares[c])) for c, n in self.counts.items()}
 
@@ -66,7 +66,7 @@ def cross_validated(
     split: Callable[[np.ndarray, float], np.ndarray] = folds,
     moving: Callable[[str], bool] | None = None,
     least: float = 0.0,
-) -> Held:
+) -> HeldOut:
     """The fit's residuals in each fold, predicted from the other folds.
 
     `split(time, seconds)`: the fold of each time; `moving(name)`: whether a parameter comes from the other folds, else it
@@ -93,7 +93,7 @@ def cross_validated(
         moves.append(sum(p * s for p, s in zip(likely, steps, strict=True)))
     score = problem.score_of(held)
     thrust, omega = _errors(fit, moves, split)
-    return Held(score.squares, score.counts, thrust, omega)
+    return HeldOut(score.squares, score.counts, thrust, omega)
 
 
 def fall(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> float:

@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identification.diagnose.crossval import Held, cross_validated, folds, rises, thirds
+from identification.assessment.pairs import agreed_order, exchangeable
+from identification.assessment.prediction import Prediction, predict
+from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises, thirds
 from identification.diagnose.distinguish import Distinguishability, distinguishability
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
+from identification.diagnose.initial import InitialModel, exportable, from_given, from_identification
 from identification.diagnose.judgement import SLOW, STRONG
 from identification.diagnose.lack import Lack, lack_of_fit, with_turning
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.refits import evidence_over, looks, refitted
+from identification.diagnose.search.refits import evidence_over, refitted, screened
 from identification.diagnose.selection import Judge, Selection, select
-from identification.diagnose.starting import Starting, exportable, from_given, from_identification
 from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
@@ -31,8 +33,6 @@ from identification.gate.finding import Finding
 from identification.gate.gate import passed
 from identification.identify import Identification, off_bounds
 from identification.roles import Fitted, Unseen, roles
-from identification.worth.pairs import agreed_order, exchangeable
-from identification.worth.prediction import Prediction, predict
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model
@@ -56,7 +56,7 @@ class Diagnosis:
 
     `quality`: what the gate found in the files, and in the fit of the identification. `base`: the model without any further
     effect, as it was identified. `final`: the one that ships. `given`: the model that was brought, as it was brought; None
-    where the campaign was identified first. `before`, `after`: what base and set lack. `held_before`, `held_after`:
+    where the campaign was identified first. `before`, `after`: what base and set lack. `held_out_before`, `held_out_after`:
     cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the model
     stood. `refuted`: why what was found does not ship, in words; "" where it does. `attempt`: at a term of no list, where no
     effect explains all.
@@ -78,8 +78,8 @@ class Diagnosis:
     location: Mapping
     experiment: Record
     final: Fit
-    held_before: Held
-    held_after: Held
+    held_out_before: HeldOut
+    held_out_after: HeldOut
     unseen: Unseen | None
     refuted: str
     attempt: Attempt
@@ -118,7 +118,7 @@ class Diagnosis:
         return agreed_order(fit.problem.model, fit.values, self.fitted[0].record)
 
     @property
-    def doubt(self) -> dict[str, float | None]:
+    def std(self) -> dict[str, float | None]:
         """Standard deviations of the parameters of the model that ships, under the names that they are written under."""
         renamed = self.renamed(self.final)
         return {renamed.get(n, n): std for n, std in self.final.std().items()}
@@ -139,7 +139,7 @@ class Diagnosis:
         if self.unseen is not None:
             shown = self.prediction(fit, self.unseen.record)
             return shown.rmse_thrust, shown.rmse_omega
-        held = self.held_before if fit is self.base else self.held_after
+        held = self.held_out_before if fit is self.base else self.held_out_after
         return held.rmse_thrust, held.rmse_omega
 
     @property
@@ -194,7 +194,7 @@ def diagnose(
         give_back()
         after = with_turning(lack_of_fit(selection.final, least), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
-        identified = base.estimated(at.refinement, at.doubt)
+        identified = base.estimated(at.refinement, at.uncertainty)
         refuted = ""
         if word in CHANGED:
             refuted = _refuted(judge, identified, base, selection.final, unseen, word == "partly")
@@ -227,15 +227,15 @@ def diagnose(
             location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
             experiment=discriminating_experiment(_timed(at, final), seed, fitted[0].record.period),
             final=final,
-            held_before=judge.held(identified),
-            held_after=judge.held(final),
+            held_out_before=judge.held_out(identified),
+            held_out_after=judge.held_out(final),
             unseen=unseen,
             refuted=refuted,
             attempt=attempt,
         )
 
 
-def _timed(at: Starting, final: Fit) -> Rig:
+def _timed(at: InitialModel, final: Fit) -> Rig:
     """The rig with the time scale of the model that ships: what was missing may have bent the lags of the identification."""
     return at.rig.timed(slowest(off_bounds(final.problem.model, final.values, at.first), at.names))
 
@@ -252,11 +252,11 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, final: Fit, unseen: Unseen |
     """Why a final model must not take the place of the one that would ship without it, in words: where it was not fitted it
     predicts thrust worse than the same likelihood does without the effects (`base`), or for certain worse than what is
     `shipped`. What explains a part only must carry over to whole thirds of the records, certain or not. Judged once."""
-    found, before, after = final.problem, judge.held(base), judge.held(final)
+    found, before, after = final.problem, judge.held_out(base), judge.held_out(final)
     if after.rmse_thrust > before.rmse_thrust and after.gain(before)["thrust"] < 0.0:
         return _rises("cross-validated thrust error", before.rmse_thrust, after.rmse_thrust)
     for split in (folds, thirds):
-        was, now = (judge.held(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
+        was, now = (judge.held_out(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
         worse = [(e.record.time, *pair) for e, *pair in zip(found.experiments, was.thrust, now.thrust, strict=True)]
         if rises(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
             return _rises("cross-validated thrust error", was.rmse_thrust, now.rmse_thrust)
@@ -274,7 +274,7 @@ def _rises(what: str, before: float, after: float) -> str:
     return f"{what} rises from {before:.4g} to {after:.4g} N"
 
 
-def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequence[Candidate], pool) -> tuple[Searcher, Fit]:
+def _prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Sequence[Candidate], pool) -> tuple[Searcher, Fit]:
     """The search's experiments, and the base fitted to them.
 
     Where no repeat tells the noise, its colour is estimated anew from what the most promising candidate leaves: in the base's
@@ -284,7 +284,7 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequenc
     searcher, base = _based(groups, at, noise, at.values)
     if noise.verified:
         return searcher, base
-    ranked = looks(searcher, base, options, pool)[:CLEARING]
+    ranked = screened(searcher, base, options, pool)[:CLEARING]
     fits = list(pool.map(lambda pair: refitted(searcher, base, *pair), ranked))
     best = min(fits, key=Fit.bic, default=base)
     if evidence_over(best, base) <= STRONG:
@@ -293,7 +293,9 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: Starting, options: Sequenc
     return _based(groups, at, clearer, base.values) if clearer.colour.innovation < noise.colour.innovation else (searcher, base)
 
 
-def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, values: Mapping[str, float]) -> tuple[Searcher, Fit]:
+def _based(
+    groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float]
+) -> tuple[Searcher, Fit]:
     """A searcher on experiments of this noise, and the base fitted to them; a run-in that was not settled gets no weight."""
     experiments = [Experiment(group, noise) for group in groups]
     knowledge = at.knowledge and at.knowledge.loosened(WIDEST)
@@ -308,7 +310,7 @@ def _based(groups: Sequence[Sequence[Fitted]], at: Starting, noise: Noise, value
         experiments = [e.but(skip=skip) for e, skip in zip(experiments, skips, strict=True)]
         searcher, base = fitted(base.values)
     if at.knowledge:
-        factor = disagreement(at.knowledge, base.doubt)
+        factor = disagreement(at.knowledge, base.uncertainty)
         knowledge = at.knowledge.loosened(factor)
         searcher, base = fitted(base.values)
     return searcher, base

@@ -49,8 +49,8 @@ STRONG, for the fits of both are as rough as their knots."""
 
 CARRIED = 0.05
 """Level of the test that thrust is predicted better by a term, or worse by a set than by the identified base, where it was not
-fitted. What comes this far is beyond what chance finds among all looks; here it is asked whether it carries over, on a dozen
-blocks or two."""
+fitted. What comes this far is beyond what chance finds among all comparisons; here it is asked whether it carries over, on a
+dozen blocks or two."""
 
 HALF = 0.5
 """Share of the lack of fit that a set must remove to be a part of the explanation; share of what passes for noise that must
@@ -76,10 +76,10 @@ class Judgement:
     refused: tuple[str, ...] = ()
 
 
-def needed_fall(parameters: int, looks: int, explained: float = 0.0) -> float:
-    """Fall of half the deviance that the best of `looks` candidates of so many free parameters reaches by chance with LEVEL,
-    beside a set that has `explained` so much of it already, in a form that is not quite the rig's."""
-    return 0.5 * float(chi2.isf(LEVEL / max(looks, 1), max(parameters, 1))) + FORM * max(explained, 0.0)
+def needed_fall(parameters: int, comparisons: int, explained: float = 0.0) -> float:
+    """Fall of half the deviance that the best of `comparisons` candidates of so many free parameters reaches by chance with
+    LEVEL, beside a set that has `explained` so much of it already, in a form that is not quite the rig's."""
+    return 0.5 * float(chi2.isf(LEVEL / max(comparisons, 1), max(parameters, 1))) + FORM * max(explained, 0.0)
 
 
 def refusals(

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import csd
 
+from identification.assessment.sections import sections
 from identification.fit.noise import blocks
-from identification.worth.sections import sections
 from vpp_fmu.record import Record
 
 RATE = 0.02

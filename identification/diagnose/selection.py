@@ -5,11 +5,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.diagnose.crossval import Held, cross_validated
+from identification.diagnose.crossval import HeldOut, cross_validated
 from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement, needed_fall, refusals
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.refits import REACH, Tried, added, deeper, evidence_over, first_round, key, looks, refitted
+from identification.diagnose.search.refits import (
+    REACH,
+    CandidateFit,
+    added,
+    deeper,
+    evidence_over,
+    first_round,
+    key,
+    refitted,
+    screened,
+)
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -25,7 +35,7 @@ class Selection:
     base: Fit
     final: Fit
     judgements: dict[str, Judgement] = field(default_factory=dict)
-    rounds: list[list[Tried]] = field(default_factory=list)
+    rounds: list[list[CandidateFit]] = field(default_factory=list)
     refused: dict[str, Judgement] = field(default_factory=dict)
     family: dict[str, list[str]] = field(default_factory=dict)
 
@@ -38,13 +48,13 @@ class Judge:
 
     def __init__(self, searcher: Searcher, base: Fit, smallest: float | None):
         self.searcher, self.base, self.smallest = searcher, base, smallest
-        self._held: dict[int, tuple[Fit, Held]] = {}
+        self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
 
-    def held(self, fit: Fit) -> Held:
+    def held_out(self, fit: Fit) -> HeldOut:
         """Cross-validation of a fit, once for each."""
-        if id(fit) not in self._held:
-            self._held[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
-        return self._held[id(fit)][1]
+        if id(fit) not in self._held_out:
+            self._held_out[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
+        return self._held_out[id(fit)][1]
 
     def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
         """The judgement of one effect of a set."""
@@ -52,7 +62,7 @@ class Judge:
         more = max(1, len(with_it.free) - len(without.free))
         explained = 0.5 * (self.base.deviance - without.deviance)
         evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points, explained)
-        gain = self.held(with_it).gain(self.held(without))
+        gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
         refused = refusals(fall, needed, evidence, gain, more, material)
@@ -128,7 +138,7 @@ def select(
     return found
 
 
-def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[Tried], judge: Judge) -> Fit | None:
+def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[CandidateFit], judge: Judge) -> Fit | None:
     """The candidate of most evidence that stands beside what is there already."""
     for t in _ranked([t for t in tried if t.fit is not None]):
         if t.evidence <= STRONG:
@@ -146,7 +156,7 @@ SAME = 1.0
 one."""
 
 
-def _ranked(refits: Sequence[Tried]) -> list[Tried]:
+def _ranked(refits: Sequence[CandidateFit]) -> list[CandidateFit]:
     """By evidence; a special case goes before the wider effect that fits as well."""
     ranked = sorted(refits, key=lambda t: -t.evidence)
     for t in list(ranked):
@@ -158,7 +168,7 @@ def _ranked(refits: Sequence[Tried]) -> list[Tried]:
     return ranked
 
 
-def _bounded(searcher: Searcher, beside: Fit, tried: Tried) -> Fit:
+def _bounded(searcher: Searcher, beside: Fit, tried: CandidateFit) -> Fit:
     """The refit without the parameters that ran onto a bound, held there: a bound is no reason to refuse an effect."""
     fit = tried.fit
     own = {tried.candidate.effect.full(p.name) for p in tried.candidate.effect.parameters}
@@ -205,7 +215,7 @@ def _narrow(searcher: Searcher, found: Selection, judge: Judge) -> None:
                 break
 
 
-def _in_place(searcher: Searcher, rest: Fit, tried: Tried) -> Fit:
+def _in_place(searcher: Searcher, rest: Fit, tried: CandidateFit) -> Fit:
     """A candidate of another round beside the rest of a set, refitted."""
     if not rest.effects and not tried.beside:
         return tried.fit
@@ -247,10 +257,10 @@ def _rivals(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) 
     tried = {candidate.label for candidate, _ in fits}
     every = {t.candidate.label: t.candidate for round_ in found.rounds for t in round_ if t.candidate.name in near}
     further = [candidate for label, candidate in every.items() if label not in tried]
-    return fits + [(c, refitted(searcher, rest, c, seen)) for c, seen in looks(searcher, rest, further, pool)]
+    return fits + [(c, refitted(searcher, rest, c, seen)) for c, seen in screened(searcher, rest, further, pool)]
 
 
-def _near(found: Selection, effect: str) -> list[Tried]:
+def _near(found: Selection, effect: str) -> list[CandidateFit]:
     """Refitted candidates of the round in which an effect came in whose evidence came near the best there."""
     for tried in found.rounds:
         refits = [t for t in tried if t.fit is not None]

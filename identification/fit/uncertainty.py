@@ -122,18 +122,18 @@ def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     return Uncertainty(coordinates.names, values, covariance, inflation, reach, left_open=left_open)
 
 
-def disagreement(told: Prior, doubt: Uncertainty) -> float:
-    """How much wider knowledge must be for records to agree with it, from 1 to WIDEST. `doubt`: of a fit to the records that it
-    hardly held.
+def disagreement(told: Prior, uncertainty: Uncertainty) -> float:
+    """How much wider knowledge must be for records to agree with it, from 1 to WIDEST. `uncertainty`: of a fit to the records
+    that it hardly held.
 
     What is missing in a model bends records and steady points, and not alike. The factor f solves d' (C + f^2 S)^-1 d = k, d
     (k,) the differences, C and S the covariances of records and knowledge (Birge, 1932; Mandel and Paule, 1970): where the
     records tell little, knowledge keeps its word.
     """
-    names = [n for n in told.names if n in doubt.names and n not in doubt.left_open]
-    own, its = [doubt.names.index(n) for n in names], [told.names.index(n) for n in names]
-    away = doubt.values[own] - told.mean[its]
-    records, known = doubt.covariance[np.ix_(own, own)], told.covariance[np.ix_(its, its)]
+    names = [n for n in told.names if n in uncertainty.names and n not in uncertainty.left_open]
+    own, its = [uncertainty.names.index(n) for n in names], [told.names.index(n) for n in names]
+    away = uncertainty.values[own] - told.mean[its]
+    records, known = uncertainty.covariance[np.ix_(own, own)], told.covariance[np.ix_(its, its)]
 
     def excess(log_factor: float) -> float:
         return float(away @ np.linalg.solve(records + np.exp(2.0 * log_factor) * known, away)) - len(names)

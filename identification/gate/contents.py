@@ -32,7 +32,7 @@ MISSING = {
 
 
 @dataclass(frozen=True)
-class Held:
+class FileContents:
     """What one file holds. `columns`: by name, least, greatest and the number of empty cells; None, None: text. `rate` 1/s, of
     rows; `runs` of a file of steps."""
 
@@ -69,24 +69,24 @@ class Held:
 COLUMNS = ("file", "is", "rows", "s", "Hz", "omega_ref [rpm]", "beta_ref [deg]", "thrust [N]", "further columns", "empty cells")
 
 
-def contents(files: Sequence[File]) -> list[Held]:
+def contents(files: Sequence[File]) -> list[FileContents]:
     """What each file holds, in a campaign's order."""
     order = [*NAMES, RAW]
     return sorted(map(_held, files), key=lambda h: order.index(h.name) if h.name in order else len(order))
 
 
-def _held(file: File) -> Held:
+def _held(file: File) -> FileContents:
     role, short = ROLES.get(file.name, "a further record to fit"), file.where.rsplit("/", 1)[-1]
     if file.static is not None:
         names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
         columns = {n: _span(getattr(file.static, n)) for n in names}
-        return Held(file.name, short, role, len(file.static.thrust), None, None, columns)
+        return FileContents(file.name, short, role, len(file.static.thrust), None, None, columns)
     seconds = sum(float(r.time[-1]) for r in file.records)
     steps = np.concatenate([r.steps for r in file.records])
     rate = float(1.0 / np.median(steps)) if len(steps) else None
     columns = {n: _span(np.concatenate([r[n] for r in file.records])) for n in file.records[0].columns}
     rows, runs = sum(map(len, file.records)), len(file.records) if file.name == "steps" else None
-    return Held(file.name, short, role, rows, seconds, rate, columns, runs)
+    return FileContents(file.name, short, role, rows, seconds, rate, columns, runs)
 
 
 def _span(values: np.ndarray) -> tuple[float | None, float | None, int]:

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from identification.assessment.pairs import forms
+from identification.assessment.prediction import Prediction
 from identification.fit.coordinates import CHANNELS
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import Uncertainty
 from identification.gate.files import FAR, OFFSET
 from identification.gate.finding import Finding
 from identification.static.static_map import TERMS, design
-from identification.worth.pairs import forms
-from identification.worth.prediction import Prediction
 from vpp_fmu.rig import Rig
 
 HALF = 50.0

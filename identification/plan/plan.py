@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.assessment.information import Forecast, Information
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS
 from identification.plan.excitation import FASTEST, STEP, paper_plan
 from identification.plan.search import Search
-from identification.worth.information import Forecast, Information
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.record import Record

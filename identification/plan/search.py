@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from tqdm import tqdm
 
+from identification.assessment.information import Information
 from identification.fit.problem import Prior
 from identification.plan.excitation import candidate, variant
-from identification.worth.information import Information
 from vpp_fmu.commands import commanded
 from vpp_fmu.errors import NotIdentifiable
 from vpp_fmu.rig import Rig

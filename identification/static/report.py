@@ -60,9 +60,9 @@ def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     speeds, pitches, ct = coefficient_grid(points, 1.0, scales["thrust_scale"] / (scales["omega_scale"] / 60.0) ** 2)
     figure = thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch), _COEFFICIENT)
     page.figure(figure, "Normalised; blades in their linear range draw one line.")
-    doubt = static.uncertainty(omega, beta[:, None], scales)
-    title = f"The map is known to {number(doubt.max())} N or better where it was measured"
-    page.figure(map_uncertainty(omega, beta, doubt, title), "Standard deviation from the coefficients' covariance.")
+    uncertainty = static.uncertainty(omega, beta[:, None], scales)
+    title = f"The map is known to {number(uncertainty.max())} N or better where it was measured"
+    page.figure(map_uncertainty(omega, beta, uncertainty, title), "Standard deviation from the coefficients' covariance.")
 
 
 _COEFFICIENT = "thrust over speed squared, T / w² [-]"

@@ -71,8 +71,8 @@ class StaticFit:
     def uncertainty(self, omega: np.ndarray, beta: np.ndarray, scales: Mapping[str, float]) -> np.ndarray:
         """Standard deviation [N] of the fitted map at speed [rpm] and pitch [deg], of the shape the two broadcast to.
 
-        sqrt(a.T C a), a the terms at a point: what the coefficients' doubt is worth there. That the rig may differ from any
-        such polynomial is in it only as far as the points' scatter tells; `scales` must be those of the fit.
+        sqrt(a.T C a), a the terms at a point: what the coefficients' uncertainty is worth there. That the rig may differ from
+        any such polynomial is in it only as far as the points' scatter tells; `scales` must be those of the fit.
         """
         omega, beta = np.broadcast_arrays(omega, beta)
         a = design(omega.ravel(), beta.ravel(), scales)

@@ -140,7 +140,7 @@ def covariance(values: np.ndarray, own: np.ndarray, share: np.ndarray) -> tuple[
     """Of the mean, weighted by `share` (runs,), of values (runs, 2) that are each known to `own` (runs, 2, 2)."""
     expected = np.einsum("n,nij->ij", share * (1.0 - share), own)
     away = values - share @ values
-    # Scatter about a weighted mean of alike values is what their own doubt makes expect; more of it is from run to run.
+    # Scatter about a weighted mean of alike values is what their own uncertainty makes expect; more of it is from run to run.
     excess, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", share, away, away) - expected)
     between = (axes * np.maximum(excess, 0.0)) @ axes.T / max(1.0 - share @ share, 1e-12)
     return tuple(map(tuple, (np.einsum("n,nij->ij", share**2, own) + (share @ share) * between).tolist()))

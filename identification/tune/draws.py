@@ -1,4 +1,4 @@
-"""Plants that an identified one may be: draws from its parameters' doubt."""
+"""Plants that an identified one may be: draws from its parameters' uncertainty."""
 
 from collections.abc import Collection
 
@@ -9,7 +9,7 @@ from identification.plan.plan import free_parameters
 from vpp_fmu.parameters import ParameterSet
 
 
-def doubt(parameters: ParameterSet, assumed: Collection[str], spread: float) -> dict[str, float]:
+def standard_deviations(parameters: ParameterSet, assumed: Collection[str], spread: float) -> dict[str, float]:
     """Standard deviation of every parameter that is free: as the file has it, or `spread` as a share of the value.
 
     The share stands for what no fit tells: values `assumed`, files without standard deviations, thresholds.

@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.fit.problem import Prior
 from identification.tune.check import largest_difference, through_fmus
-from identification.tune.draws import doubt, draws
+from identification.tune.draws import draws, standard_deviations
 from identification.tune.margins import Margins, least
 from identification.tune.objective import ALPHA, Objective, Point
 from identification.tune.operating import margins_at, operating_points
@@ -96,8 +96,8 @@ class Task:
         )
 
     def plants(self, count: int, stream: int) -> np.ndarray:
-        """(count, parameters) plants from the parameters' doubt; another `stream` gives others."""
-        std = doubt(self.parameters, self.assumed, self.spread)
+        """(count, parameters) plants from the parameters' uncertainty; another `stream` gives others."""
+        std = standard_deviations(self.parameters, self.assumed, self.spread)
         return draws(self.parameters, std, self.knowledge, count, (self.seed, stream))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import diagnose
-from identification.diagnose.learned.told import FILE
+from identification.diagnose.learned.description import FILE
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.files import OutputFolder

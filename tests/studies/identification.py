@@ -18,11 +18,11 @@ import numpy as np
 from scipy.stats.qmc import MultivariateNormalQMC
 from threadpoolctl import threadpool_limits
 
+from identification.assessment.profile import profiled
 from identification.fit.problem import Problem
 from identification.fit.refine import BASE_PARAMETERS, refine
 from identification.fit.uncertainty import NORMAL_95
 from identification.workers import spread
-from identification.worth.profile import profiled
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 
 from .merit import figures_of_merit, random_starts, show_merit
@@ -91,13 +91,16 @@ def _trial(seed: int, std: float, memory: float, section: float) -> tuple:
     rng = np.random.default_rng(seed)
     record = measured(commands(rng, section), rng, std, memory)
     found = refine(BASE, [record], AVERAGED, channels=("thrust",))
-    doubt, truth = profiled(found.problem, found.solution, found.uncertainty), np.array([TRUTH[n] for n in BASE_PARAMETERS])
-    error = np.append(doubt.values - truth, [form(found.values) - form(TRUTH) for form in FORMS.values()])
-    low, high = doubt.intervals.T
-    half = [NORMAL_95 * doubt.of(_slope(form, doubt.values)) for form in FORMS.values()]
+    uncertainty, truth = (
+        profiled(found.problem, found.solution, found.uncertainty),
+        np.array([TRUTH[n] for n in BASE_PARAMETERS]),
+    )
+    error = np.append(uncertainty.values - truth, [form(found.values) - form(TRUTH) for form in FORMS.values()])
+    low, high = uncertainty.intervals.T
+    half = [NORMAL_95 * uncertainty.of(_slope(form, uncertainty.values)) for form in FORMS.values()]
     covered = np.append((low <= truth) & (truth <= high), np.abs(error[len(truth) :]) <= half)
-    covered_white = np.abs(error[: len(truth)]) <= NORMAL_95 * found.uncertainty.std / doubt.inflation
-    searched = [name in doubt.profiled for name in BASE_PARAMETERS]
+    covered_white = np.abs(error[: len(truth)]) <= NORMAL_95 * found.uncertainty.std / uncertainty.inflation
+    searched = [name in uncertainty.profiled for name in BASE_PARAMETERS]
     return error, *_theory(found.problem, std, memory), covered, covered_white, searched, found.seconds
 
 
@@ -129,7 +132,7 @@ def show(title: str, found: Trials) -> None:
     The column with theory's own deviations has the luck of the draw in it and nothing of what is estimated: what ours falls
     short of it is what not knowing the noise costs.
     """
-    count, n, (ratio, doubt) = len(found.error), len(BASE_PARAMETERS), found.ratio
+    count, n, (ratio, uncertainty) = len(found.error), len(BASE_PARAMETERS), found.ratio
     relative = 100 * np.median(found.theory, axis=0) / np.abs([*(TRUTH[n] for n in BASE_PARAMETERS), *_forms_at_truth()])
     bias = np.mean(found.error / found.theory, axis=0)
     attainable, _ = _rms(found.bent / found.theory)
@@ -138,7 +141,7 @@ def show(title: str, found: Trials) -> None:
     heads = f"{'theory sd %':>11} {'rmse/theory':>15} {'bent/theory':>11} {'bias/theory':>11} {'profiled':>9}"
     print(f"{'':17} {heads} {'ours':>12} {'theory sd':>13} {'thought white':>13}")
     for k, name in enumerate([*BASE_PARAMETERS, *FORMS]):
-        line = f"{name:17} {relative[k]:11.2f} {ratio[k]:7.3f} ± {doubt[k]:.3f} {attainable[k]:11.3f} {bias[k]:11.2f}"
+        line = f"{name:17} {relative[k]:11.2f} {ratio[k]:7.3f} ± {uncertainty[k]:.3f} {attainable[k]:11.3f} {bias[k]:11.2f}"
         line += f" {100 * found.profiled[:, k].mean():7.0f} %" if k < n else " " * 10
         line += f" {_share(found.covered[:, k])} {_share(known[:, k])}"
         print(line + (f" {_share(found.covered_white[:, k])}" if k < n else ""))
@@ -148,12 +151,12 @@ def show(title: str, found: Trials) -> None:
 
 def show_first(found: Trials) -> None:
     """Print what the first records alone would have said: how much of it is luck."""
-    ratio, doubt = found.ratio
+    ratio, uncertainty = found.ratio
     n = len(BASE_PARAMETERS)
     worst = int(np.argmax(ratio[:n]))
     known = np.abs(found.error[:, :n]) <= NORMAL_95 * found.theory[:, :n]
     print(
-        f"The first {len(found.error)} of them alone: worst rmse/theory {ratio[worst]:.3f} ± {doubt[worst]:.3f} "
+        f"The first {len(found.error)} of them alone: worst rmse/theory {ratio[worst]:.3f} ± {uncertainty[worst]:.3f} "
         f"({BASE_PARAMETERS[worst]}); within ours {_share(found.covered[:, :n]).strip()}, "
         f"within theory's own {_share(known).strip()}."
     )

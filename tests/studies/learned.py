@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.learned.description import sentence
 from identification.diagnose.learned.refit import Term
-from identification.diagnose.learned.told import sentence
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.native import Simulator

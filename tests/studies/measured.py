@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from identification.assessment.quality import noise_floor, rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.report.summary import artefact
 from identification.fit.refine import refine
 from identification.identify import identify
-from identification.stand.mapping import FILE
-from identification.stand.rcbenchmark import read_log
-from identification.worth.quality import noise_floor, rmse
+from identification.logs.mapping import FILE
+from identification.logs.rcbenchmark import read_log
 from vpp_fmu import cli
 from vpp_fmu.campaign import NAMES, Campaign, read_campaign
 from vpp_fmu.errors import BadInput, VppError

@@ -43,14 +43,14 @@ def figures_of_merit(section: float = SECTION) -> tuple[list[Merit], float]:
     record = measured(commands(rng, section), rng, BASE.values()["thrust_scale"] * np.sqrt(2.0 * PAPER["end"]))
     ours = refine(BASE, [record], AVERAGED, channels=("thrust",))
     merits = [Merit("Levenberg-Marquardt", ours.cost_start, ours.cost_final, len(ours.curve) - 1, ours.seconds, 0.0)]
-    problem, doubt = ours.problem, ours.uncertainty
+    problem, uncertainty = ours.problem, ours.uncertainty
     start = problem.coordinates.vector(BASE.values(AVERAGED))
     for method, options in (("gradient descent", {"limit": PAPER["iterations"] + 1}), ("the same, to its own stop", {})):
         began = time.perf_counter()
         found = descend(problem, start, **options)
         seconds, rows = time.perf_counter() - began, len(found.residual)
         values = np.array(list(problem.coordinates.values(found.value).values()))
-        off = float(np.max(np.abs(values - doubt.values) / doubt.std))
+        off = float(np.max(np.abs(values - uncertainty.values) / uncertainty.std))
         merits.append(Merit(method, found.costs[0] / rows, found.cost / rows, len(found.costs) - 1, seconds, off))
     only_slow = {n: v for n, v in AVERAGED.items() if n.startswith("tau_")}
     return merits, paper_cost(problem, BASE.values(only_slow))

@@ -2,7 +2,7 @@
 
 The paper's model with its assumed pitch actuator, through an ideal loop as the paper has it and through the rig's measurement
 chain; the same model on rigs of 1.2 N and 180 N, three times as fast and as slow; what a diagnosis makes of the example
-campaign; then plants drawn from the parameters' doubt. Robust gains are judged on 200 plants that no search has seen.
+campaign; then plants drawn from the parameters' uncertainty. Robust gains are judged on 200 plants that no search has seen.
 """
 
 import argparse
@@ -70,8 +70,8 @@ def diagnosed() -> ParameterSet:
 def identified(**more) -> Task:
     """The task on the model that the example campaign gives, with its covariance."""
     found = identify(read_campaign(example_folder()))
-    doubt = found.refinement.uncertainty
-    knowledge = Prior(tuple(doubt.names), doubt.values, doubt.covariance)
+    uncertainty = found.refinement.uncertainty
+    knowledge = Prior(tuple(uncertainty.names), uncertainty.values, uncertainty.covariance)
     return a_task(found.parameters.replaced(ASSUMED), knowledge=knowledge, **more)
 
 

@@ -6,6 +6,8 @@ from typing import Any, ClassVar
 
 from plotly import graph_objects as go
 
+from identification.assessment.prediction import Prediction
+from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.report.page import diagnosis_page
 from identification.diagnose.report.page import key_figures as diagnosed_figures
@@ -18,8 +20,6 @@ from identification.tune.report import tuning_page
 from identification.tune.summary import key_figures as tuned_figures
 from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
-from identification.worth.prediction import Prediction
-from identification.worth.quality import rmse
 from vpp_fmu.api.objects import PathLike
 from vpp_fmu.cli.check import Checked, write_check
 from vpp_fmu.cli.cosim import loop_page

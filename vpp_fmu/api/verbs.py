@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from identification.assessment.information import read_knowledge
+from identification.assessment.prediction import predict
 from identification.diagnose import diagnose as diagnosing
 from identification.fit.problem import Prior
 from identification.gate.finding import check_accepted
@@ -17,8 +19,6 @@ from identification.tune.controllers import controllers
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task
 from identification.tune.tune import tune as tuned
-from identification.worth.information import read_knowledge
-from identification.worth.prediction import predict
 from vpp_fmu.api.objects import PathLike, as_campaign, as_gains, as_parameters, as_record, changed
 from vpp_fmu.api.results import (
     CheckResult,
@@ -168,8 +168,11 @@ def plan(
         raise BadInput("plan", f"range of {' and '.join(rig.unknown)}", "none", "one that was measured, or that `rig` declares")
     prior, inflation, floor = None, 1.0, None
     if isinstance(knowledge, IdentifyResult):
-        doubt = knowledge.found.uncertainty
-        prior, inflation = Prior(doubt.names, doubt.values, doubt.covariance), float(np.median(doubt.inflation))
+        uncertainty = knowledge.found.uncertainty
+        prior, inflation = (
+            Prior(uncertainty.names, uncertainty.values, uncertainty.covariance),
+            float(np.median(uncertainty.inflation)),
+        )
         floor = knowledge.found.noise_floor
     elif knowledge is not None:
         prior, inflation = read_knowledge(knowledge)
@@ -195,7 +198,7 @@ def tune(
     `assume`: parameters that the design takes instead, as the paper does with tau_beta_2 = 0.05 s. `gains`: limits, filter,
     sample time and first gains of the controller. `profile`: `time` [s], `thrust_set` [N]; None: 0.1 to 0.8 of the thrust scale
     and back, as far as the rig reaches. `noise` N of a reading. `robust`: "worst" or "mean" over plants drawn from the
-    parameters' doubt. BadInput for names that the model does not have and a profile that is too short.
+    parameters' uncertainty. BadInput for names that the model does not have and a profile that is too short.
 
     >>> found = vpp.tune(vpp.identify(vpp.example_campaign(), starts=1), assume={"tau_beta_2": 0.05})
     >>> sorted(found.gains), found.save("gains").joinpath("gains.json").exists()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from identification.gate.contents import COLUMNS, Held, contents, lacks
+from identification.gate.contents import COLUMNS, FileContents, contents, lacks
 from identification.gate.files import File, files_of, least_diameter
 from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, settled
 from identification.gate.gate import look
@@ -63,7 +63,7 @@ class Checked:
 
     campaign: Campaign
     files: list[File]
-    held: list[Held]
+    held: list[FileContents]
     missing: dict[str, str]
     findings: tuple[Finding, ...]
 

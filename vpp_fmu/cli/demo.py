@@ -117,7 +117,7 @@ def demo_page(done: Demo) -> Page:
 
 
 def _add_identification(page: Page, found: Identification) -> None:
-    """Parameters, their doubt and the static map; how it predicts is shown above."""
+    """Parameters, their uncertainty and the static map; how it predicts is shown above."""
     text = "The plain model, without the effects, fitted to the campaign: what the diagnosis began with."
     page.section("Where this started: the identification", text)
     add_found(page, found)

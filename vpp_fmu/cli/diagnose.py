@@ -9,7 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
-from identification.diagnose.learned.told import FILE, source
+from identification.diagnose.learned.description import FILE, source
 from identification.diagnose.report.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
 from identification.diagnose.report.identification import identification_of
 from identification.diagnose.report.page import diagnosis_page, headline, key_figures

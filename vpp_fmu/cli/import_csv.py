@@ -3,7 +3,7 @@
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
 ("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). In the place of
 omega_ref a signal to the motor's controller will do, with a measured omega: its map is fitted to the log, and shared by all
-logs of the folder. Without --map a log's own header must leave no doubt; --propose shows it. The mapping is saved in
+logs of the folder. Without --map a log's own header must leave no uncertainty; --propose shows it. The mapping is saved in
 import.toml beside the record, and --map import.toml uses it again.
 
 Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples."""
@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.stand.commands import FILE as SPEED_MAP
-from identification.stand.commands import map_beside
-from identification.stand.containers import read_container
-from identification.stand.delimited import DELIMITERS, read_delimited
-from identification.stand.intake import Taken, signal_range, take_in
-from identification.stand.mapping import (
+from identification.logs.commands import FILE as SPEED_MAP
+from identification.logs.commands import map_beside
+from identification.logs.containers import read_container
+from identification.logs.delimited import DELIMITERS, read_delimited
+from identification.logs.intake import Taken, signal_range, take_in
+from identification.logs.mapping import (
     FILE,
     GUESS,
     Plan,
@@ -29,10 +29,10 @@ from identification.stand.mapping import (
     section_of,
     to_toml,
 )
-from identification.stand.sampling import said_of_gaps
-from identification.stand.sheet import Sheet
-from identification.stand.speed_map import read_speed_map
-from identification.stand.units import QUANTITIES
+from identification.logs.sampling import said_of_gaps
+from identification.logs.sheet import Sheet
+from identification.logs.speed_map import read_speed_map
+from identification.logs.units import QUANTITIES
 from vpp_fmu.cli.import_place import add_kind, placed
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.digits import number

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from identification.stand.intake import Taken
-from identification.stand.kinds import KINDS, repeat_of, runs_of, static_of
-from identification.stand.sampling import findings, said_of_rows
+from identification.logs.intake import Taken
+from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
+from identification.logs.sampling import findings, said_of_rows
 from vpp_fmu.campaign import write_static, write_steps
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.stand.clock import Clock
-from identification.stand.commands import FILE as SPEED_MAP
-from identification.stand.commands import map_beside
-from identification.stand.intake import Taken
-from identification.stand.rcbenchmark import REMEMBERED, Log, read_log
-from identification.stand.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
+from identification.logs.clock import Clock
+from identification.logs.commands import FILE as SPEED_MAP
+from identification.logs.commands import map_beside
+from identification.logs.intake import Taken
+from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
+from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.cli.import_place import add_kind, placed
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.digits import number, signed

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.assessment.information import read_knowledge
+from identification.assessment.quality import noise_floor
 from identification.fit.uncertainty import NORMAL_95
 from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import NOISE, Plan, plan
-from identification.worth.information import read_knowledge
-from identification.worth.quality import noise_floor
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written

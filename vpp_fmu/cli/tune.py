@@ -3,12 +3,13 @@
 The controller samples, saturates and sees thrust through a converter as on the rig, whose ranges are its limits. Gains are
 handed out only if no step settles later, overshoots or rings more than under those that the search starts from, or else these.
 The result is run again through both FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn
-from the parameters' doubt."""
+from the parameters' uncertainty."""
 
 import json
 import os
 from collections.abc import Mapping
 
+from identification.assessment.information import read_knowledge
 from identification.tune.controllers import controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
@@ -16,7 +17,6 @@ from identification.tune.report import tuning_page
 from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
 from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
-from identification.worth.information import read_knowledge
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput

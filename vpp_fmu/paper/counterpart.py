@@ -15,7 +15,7 @@ class Counterpart:
 
     @property
     def shown(self) -> str | None:
-        """The rig's value with its doubt."""
+        """The rig's value with its uncertainty."""
         return shown(self.rig) if self.std is None else f"{shown(self.rig)} ± {self.std:.1g}"
 
 

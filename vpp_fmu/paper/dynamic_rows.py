@@ -116,13 +116,13 @@ def _why_lag(study: Study, name: str) -> str:
 
 
 def _why_coefficient(study: Study, name: str) -> str:
-    doubt, start = study.found.refinement.uncertainty, study.found.start[name]
+    uncertainty, start = study.found.refinement.uncertainty, study.found.start[name]
     rest = f"at rest the rig has {start:.3f}, the paper {AVERAGED[name]:.3f}"
-    if name not in doubt.names:
+    if name not in uncertainty.names:
         return rest
-    k = doubt.names.index(name)
-    partner = int(np.argmax(np.abs(doubt.correlation[k]) * (np.arange(len(doubt.names)) != k)))
-    return f"{rest}; correlated with {doubt.names[partner]} at {doubt.correlation[k, partner]:.2f}"
+    k = uncertainty.names.index(name)
+    partner = int(np.argmax(np.abs(uncertainty.correlation[k]) * (np.arange(len(uncertainty.names)) != k)))
+    return f"{rest}; correlated with {uncertainty.names[partner]} at {uncertainty.correlation[k, partner]:.2f}"
 
 
 def _costs(study: Study) -> dict[str, Counterpart]:

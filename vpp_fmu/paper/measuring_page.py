@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil.physics.reduction import reduced, two_lags, two_lags_with_zero
-from identification.worth.pairs import forms
+from identification.assessment.pairs import forms
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.paper import figures
 from vpp_fmu.paper.averages import by_size, lags, runs_of

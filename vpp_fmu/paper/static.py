@@ -25,8 +25,8 @@ def paper_thrust(omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
 class Statics:
     """`rig`: the paper's fit to the rig's points; `model`: the same fit to the paper's own polynomial at these points, with the
     rig's noise. `apart` (points used,) N: the rig less the paper's polynomial. `r2_of_paper`: adjusted R² of that polynomial,
-    as it stands, on the rig's points. `scatter` N: what the paper's R² leaves on its own surface. `mean_std` N: doubt of a mean
-    of that many white readings. `held` N: what a fit leaves, rms, that holds one coefficient at the paper's value.
+    as it stands, on the rig's points. `scatter` N: what the paper's R² leaves on its own surface. `mean_std` N: uncertainty of
+    a mean of that many white readings. `held` N: what a fit leaves, rms, that holds one coefficient at the paper's value.
     `ct_by_speed`: rms change of C_T with speed, of the rig and of the paper's polynomial; `ct_by_pitch`: its range over the
     pitch.
     """

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.diagnose.learned.look import Lead
 from identification.diagnose.learned.refit import Term, refitted
+from identification.diagnose.learned.screening import Lead
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
 from vpp_fmu.kernel.learned.shapes import knots
@@ -62,9 +62,9 @@ def laws_of(searcher: Searcher, beside: Fit, curve: Term, scales: Scales, pool) 
 
 def nearest(curve: Term) -> list[Lead]:
     """The laws that come nearest to a curve."""
-    at, f, doubt = curve_of(curve)
-    known = doubt > 0.0
-    weight = 1.0 / np.where(known, doubt, np.median(doubt[known]) if known.any() else 1.0)
+    at, f, std = curve_of(curve)
+    known = std > 0.0
+    weight = 1.0 / np.where(known, std, np.median(std[known]) if known.any() else 1.0)
     fine = np.linspace(at[0], at[-1], 200)
     target, weigh = np.interp(fine, at, f), np.interp(fine, at, weight)
     best: dict[str, tuple[float, dict[str, float]]] = {}

@@ -2,8 +2,8 @@
 stands.
 
 The look ranks all of them by what they gain on folds left out; the best few are refitted with all parameters, looked for once
-more from where the best one leaves the base, and judged as any effect, by the same rules, against the best that so many looks
-find by chance.
+more from where the best one leaves the base, and judged as any effect, by the same rules, against the best that so many
+comparisons find by chance.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnose.crossval import Held, cross_validated, fall, thirds
+from identification.diagnose.crossval import HeldOut, cross_validated, fall, thirds
 from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, TERMS, Judgement
 from identification.diagnose.lack import lack_of_fit
 from identification.diagnose.learned.laws import laws_of
-from identification.diagnose.learned.look import Lead, forms_of, look
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.score import TOLD
+from identification.diagnose.learned.screening import Lead, forms_of, screened
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Judge
@@ -32,7 +32,7 @@ AGAIN = 3
 """Leads refitted after each further look."""
 
 ROUNDS = 3
-"""Further looks, each from where the best term leaves the base, while something is lacking and a better one turns up."""
+"""Further comparisons, each from where the best term leaves the base, while something is lacking and a better one turns up."""
 
 UNLAGGED = 2
 """Terms behind the best one of which the same without the lag is refitted, too."""
@@ -57,11 +57,11 @@ class Learned:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What came of learning. `tried`: the terms that were refitted, each with its judgement; `looks`: points looked at;
+    """What came of learning. `tried`: the terms that were refitted, each with its judgement; `comparisons`: points looked at;
     `learned`: None where no term stands; `refuted`: why the one that stood does not ship."""
 
     tried: tuple[tuple[Term, Judgement], ...] = ()
-    looks: int = 0
+    comparisons: int = 0
     learned: Learned | None = None
     refuted: str = ""
 
@@ -71,13 +71,13 @@ class Attempt:
         return replace(self, learned=None, refuted=why) if why else self
 
 
-def by_chance(looks: int) -> float:
-    """Cross-validated log-likelihood that the best of so many looks gains by chance with LEVEL.
+def by_chance(comparisons: int) -> float:
+    """Cross-validated log-likelihood that the best of so many comparisons gains by chance with LEVEL.
 
-    A predictive likelihood ratio has an expectation of at most 1 where nothing is there; so it exceeds looks / LEVEL in a share
-    LEVEL of rigs at most (Markov, Bonferroni).
+    A predictive likelihood ratio has an expectation of at most 1 where nothing is there; so it exceeds comparisons / LEVEL in a
+    share LEVEL of rigs at most (Markov, Bonferroni).
     """
-    return float(np.log(max(looks, 1) / LEVEL))
+    return float(np.log(max(comparisons, 1) / LEVEL))
 
 
 def learn(
@@ -92,42 +92,42 @@ def learn(
     """Learn a term beside a fit. `smallest` [N]: the least size of interest, None: as of any effect; `scales`: of the rig;
     `runs`: of steps, where terms are checked."""
     stage("look for an effect of no list")
-    leads = look(beside)
-    looks = len(leads)
-    searcher.points = max(searcher.points, looks)
+    leads = screened(beside)
+    comparisons = len(leads)
+    searcher.points = max(searcher.points, comparisons)
     judge = Carried(searcher, beside, smallest, runs)
     chosen = short_list(leads, (), TERMS)
-    stage(f"refit {len(chosen)} of {looks} terms")
+    stage(f"refit {len(chosen)} of {comparisons} terms")
     terms = _refitted(searcher, beside, chosen, scales, pool)
     if not terms:
-        return Attempt((), looks)
+        return Attempt((), comparisons)
     for _ in range(ROUNDS):
         best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
         if not lack_of_fit(best.fit, judge.least()).found:
             break
         base = {n: best.fit.values[n] for n in beside.problem.coordinates.names}
-        again = short_list(look(beside, base), [t.lead for t in terms], AGAIN)
+        again = short_list(screened(beside, base), [t.lead for t in terms], AGAIN)
         simpler = [lead for t in (best, *others[:UNLAGGED]) for lead in unlagged(t, [*(u.lead for u in terms), *again])]
-        stage(f"refit {len(again)} more of {looks} terms")
+        stage(f"refit {len(again)} more of {comparisons} terms")
         more = _refitted(searcher, beside, [*again, *variants(best, terms), *simpler], scales, pool, best.fit)
         terms += more
         if not more or best is max(terms, key=lambda t: judge.gain(t.fit, beside)):
             break
-    judged = {t: judged_term(judge, t.fit, beside, looks) for t in terms}
+    judged = {t: judged_term(judge, t.fit, beside, comparisons) for t in terms}
     tried = tuple(sorted(judged.items(), key=lambda pair: -judge.gain(pair[0].fit, beside)))
     standing = [(t, j) for t, j in tried if not j.refused]
     if not standing:
-        return Attempt(tried, looks)
+        return Attempt(tried, comparisons)
     top = judge.gain(standing[0][0].fit, beside)
     near = [(t, j) for t, j in standing if judge.gain(t.fit, beside) > top - STRONG]
     curve, judgement = min(near, key=lambda pair: len(pair[0].free))
     stage("try simple laws")
     term, laws = laws_of(searcher, beside, curve, scales, pool)
     if term is not curve:
-        by_law = judged_term(judge, term.fit, beside, looks)
+        by_law = judged_term(judge, term.fit, beside, comparisons)
         term, judgement = (curve, judgement) if by_law.refused else (term, by_law)
     rivals = [t for t, j in tried if t is not curve and j.evidence > judgement.evidence - RIVALS]
-    return Attempt(tried, looks, Learned(term, curve, judgement, beside, tuple(rivals), laws))
+    return Attempt(tried, comparisons, Learned(term, curve, judgement, beside, tuple(rivals), laws))
 
 
 def _own(name: str) -> bool:
@@ -140,9 +140,9 @@ class Carried(Judge):
     def __init__(self, searcher: Searcher, beside: Fit, smallest: float | None, runs: Sequence[Record]):
         super().__init__(searcher, beside, smallest)
         self._runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
-        self._carried: dict[int, tuple[Fit, Held]] = {}
+        self._carried: dict[int, tuple[Fit, HeldOut]] = {}
 
-    def carried(self, fit: Fit) -> Held:
+    def carried(self, fit: Fit) -> HeldOut:
         """Cross-validation of a fit by thirds, once for each: a term's own parameters come from the other two.
 
         The base stays as all data have it, for two thirds alone might not tell it; so a fit without a term is not held out,
@@ -155,7 +155,7 @@ class Carried(Judge):
     def gain(self, fit: Fit, beside: Fit) -> float:
         """nat: the lesser of what a fit gains over another on the folds left out, interleaved and by thirds, in total or of
         thrust alone."""
-        gains = [one(fit).gain(one(beside)) for one in (self.held, self.carried)]
+        gains = [one(fit).gain(one(beside)) for one in (self.held_out, self.carried)]
         return min(min(sum(g.values()), g["thrust"]) for g in gains)
 
     def falls(self, fit: Fit, beside: Fit) -> float:
@@ -172,13 +172,13 @@ class Carried(Judge):
         return [float(np.nanmean((y - r["thrust"]) ** 2)) for y, r in zip(shown, self._runs, strict=True)]
 
 
-def judged_term(judge: Carried, fit: Fit, beside: Fit, looks: int) -> Judgement:
-    """As of any effect; and it must carry over: to the folds left out, of thrust too, by more than the best of all looks
+def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judgement:
+    """As of any effect; and it must carry over: to the folds left out, of thrust too, by more than the best of all comparisons
     gains by chance, and the thrust's error there must fall."""
     judged = judge(fit.effects[-1], fit, beside)
-    needed, gain, p, refused = by_chance(looks), judge.gain(fit, beside), judge.falls(fit, beside), list(judged.refused)
+    needed, gain, p, refused = by_chance(comparisons), judge.gain(fit, beside), judge.falls(fit, beside), list(judged.refused)
     if gain <= needed:
-        refused.append(f"cross-validation gains {gain:.1f} nats; the best of {looks} by chance {needed:.1f}")
+        refused.append(f"cross-validation gains {gain:.1f} nats; the best of {comparisons} by chance {needed:.1f}")
     if p >= CARRIED:
         refused.append(f"the thrust error on what was not fitted does not fall for certain (p = {p:.2g})")
     if sum(judge.errors(fit)) > sum(judge.errors(beside)):

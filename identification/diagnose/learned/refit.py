@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnose.learned.look import Lead
+from identification.diagnose.learned.screening import Lead
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.fit.problem import Prior
 from vpp_fmu.kernel.learned import PORTS, learned, placed

@@ -25,11 +25,11 @@ TOLD = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A group's outcome. `fall` of half the sum of squares; `held`: log-likelihood gained on folds left out; `rank`; `shares`
-    (k,) of the columns as given."""
+    """A group's outcome. `fall` of half the sum of squares; `held_out`: log-likelihood gained on folds left out; `rank`;
+    `shares` (k,) of the columns as given."""
 
     fall: float
-    held: float
+    held_out: float
     rank: int
     shares: np.ndarray
 

@@ -5,7 +5,7 @@ import numpy as np
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import LEVEL, STRONG
 from identification.diagnose.report.summary import summary, why_not
-from identification.diagnose.search.refits import Tried
+from identification.diagnose.search.refits import CandidateFit
 from vpp_fmu.digits import number as digits
 from vpp_fmu.report import Page, evidence_bars, overlap_heatmap, parameter_change
 from vpp_fmu.report.evidence import FAILED, PASSED, TAKEN, Bar
@@ -43,7 +43,7 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         )
 
 
-def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried]) -> None:
+def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[CandidateFit]) -> None:
     bars = [_bar(found, t) for t in fitted]
     beside = " and ".join(fitted[0].beside) or "nothing"
     best = max(bars, key=lambda bar: bar.fall)
@@ -60,7 +60,7 @@ def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Tried]) -
     return bars
 
 
-def _bar(found: Diagnosis, tried: Tried) -> Bar:
+def _bar(found: Diagnosis, tried: CandidateFit) -> Bar:
     why, label = why_not(found, tried), tried.candidate.label
     if why is None:
         return Bar(label, tried.evidence, TAKEN, "in the final set")

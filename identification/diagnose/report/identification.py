@@ -1,10 +1,10 @@
 """The identification.json of a model that a diagnosis fitted: what `vpp identify` says of its own, as far as this fit tells
 it."""
 
+from identification.assessment.model_error import model_error
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.search.fits import Fit
 from identification.fit.uncertainty import NORMAL_95
-from identification.worth.model_error import model_error
 
 
 def identification_of(found: Diagnosis, fit: Fit) -> dict:
@@ -12,21 +12,23 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
 
     Where the campaign was identified first, with what that told of the static map and the steps.
     """
-    doubt = fit.doubt.renamed(found.renamed(fit))
+    uncertainty = fit.uncertainty.renamed(found.renamed(fit))
     first = found.identification.summary() if found.identification is not None else {}
-    condition, weakest, spread = doubt.directions()
+    condition, weakest, spread = uncertainty.directions()
     records = {one.name: one.record for one in found.fitted}
     records |= {found.unseen.name: found.unseen.record} if found.unseen is not None else {}
     shown = {name: found.prediction(fit, record) for name, record in records.items()}
     unseen = [shown[found.unseen.name]] if found.unseen is not None else []
     fitted = [shown[one.name] for one in found.fitted if one.name != "repeat"]
     values = found.parameters(fit).values
-    error = model_error(fitted, unseen, values, len(doubt.names), found.noise.floor)
-    rows = zip(doubt.names, doubt.values.tolist(), doubt.std.tolist(), doubt.intervals.tolist(), strict=True)
+    error = model_error(fitted, unseen, values, len(uncertainty.names), found.noise.floor)
+    rows = zip(
+        uncertainty.names, uncertainty.values.tolist(), uncertainty.std.tolist(), uncertainty.intervals.tolist(), strict=True
+    )
     parameters = {
-        name: {"value": value, "std": std, "interval": interval, "interval_from": doubt.kind(name)}
+        name: {"value": value, "std": std, "interval": interval, "interval_from": uncertainty.kind(name)}
         for name, value, std, interval in rows
-        if name not in doubt.left_open
+        if name not in uncertainty.left_open
     }
     for name, (low, high) in fit.thresholds.items():
         entry = {"value": fit.values[name], "std": (high - low) / (2.0 * NORMAL_95), "interval": [low, high]}
@@ -35,11 +37,11 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "made_by": "vpp diagnose",
         "effects": list(found.parameters(fit).model.optional),
         "parameters": parameters,
-        "correlation": {"names": list(doubt.names), "matrix": doubt.correlation.tolist()},
+        "correlation": {"names": list(uncertainty.names), "matrix": uncertainty.correlation.tolist()},
         "condition_number": condition,
-        "weakest_direction": dict(zip(doubt.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
-        "inflation_by_coloured_residuals": dict(zip(doubt.names, doubt.inflation.tolist(), strict=True)),
-        "not_identifiable": dict.fromkeys(doubt.left_open, "the records leave open where it is"),
+        "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
+        "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
+        "not_identifiable": dict.fromkeys(uncertainty.left_open, "the records leave open where it is"),
         "noise_floor_thrust": found.noise.floor,
         "model_error": error and error.summary(),
         "fitted": [one.name for one in found.fitted],

@@ -5,8 +5,8 @@ import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.learned.columns import Course, lagged
+from identification.diagnose.learned.description import FILE, rival_words, sentence
 from identification.diagnose.learned.laws import curve_of
-from identification.diagnose.learned.told import FILE, rival_words, sentence
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 from vpp_fmu.kernel.learned.shapes import LAWS, SHAPES
@@ -19,7 +19,7 @@ POINTS = 200
 
 def add_learned(page: Page, found: Diagnosis) -> None:
     """The curve, the laws, the rivals."""
-    learned, doubt = found.learned, found.doubt
+    learned, stds = found.learned, found.std
     term, curve = learned.term, learned.curve
     page.note(f"A term of no list {sentence(term)}. It is in {FILE}, which --effects-from takes, and in the FMU.")
     if curve.lead.shape == "curve":
@@ -36,7 +36,7 @@ def add_learned(page: Page, found: Diagnosis) -> None:
         )
         page.figure(figure, "Band: 95 %, knot by knot. Below: how long the fitted records were where. Flat beyond both ends.")
     rows = [
-        (n, "fitted" if term.effect.full(n) in term.fit.free else "fixed", number(v), number(doubt.get(term.effect.full(n)), 2))
+        (n, "fitted" if term.effect.full(n) in term.fit.free else "fixed", number(v), number(stds.get(term.effect.full(n)), 2))
         for n, v in term.values.items()
     ]
     page.table(("parameter", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.learned.told import sentence
+from identification.diagnose.learned.description import sentence
 from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.learned import add_learned

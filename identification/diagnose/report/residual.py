@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.signal import csd
 
+from identification.assessment.residual_tests import NORMAL_95
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.locate import RATE
 from identification.fit.noise import Noise, blocks
-from identification.worth.residual_tests import NORMAL_95
 from vpp_fmu.digits import chance, number, signed
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, correlations, residual_by_move, residual_spectrum

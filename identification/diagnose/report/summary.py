@@ -2,14 +2,14 @@
 
 import numpy as np
 
+from identification.assessment.prediction import predict
+from identification.assessment.quality import fit_percent, rmse
+from identification.assessment.sections import sections
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import STRONG, Judgement
-from identification.diagnose.learned.told import block
+from identification.diagnose.learned.description import block
 from identification.diagnose.search.fits import Fit
-from identification.diagnose.search.refits import Tried
-from identification.worth.prediction import predict
-from identification.worth.quality import fit_percent, rmse
-from identification.worth.sections import sections
+from identification.diagnose.search.refits import CandidateFit
 from vpp_fmu.digits import number
 
 FORMAT = "vpp-diagnosis/2"
@@ -37,7 +37,7 @@ def summary(found: Diagnosis) -> dict:
         "refuted": {"effects": list(found.selection.final.effects), "why": found.refuted} if found.refuted else None,
         "quality": [finding.summary() for finding in found.quality],
         "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},
-        "learned": block(found.learned, found.doubt) if found.learned else None,
+        "learned": block(found.learned, found.std) if found.learned else None,
         "learning": _learning(found),
         "effects": [_effect(found, name) for name in found.final.effects],
         "family": {name: others for name, others in found.selection.family.items() if others},
@@ -61,7 +61,7 @@ def summary(found: Diagnosis) -> dict:
 def _learning(found: Diagnosis) -> dict | None:
     """What was tried to learn, where no effect of the list explains all."""
     attempt = found.attempt
-    if not attempt.looks:
+    if not attempt.comparisons:
         return None
     tried = [
         {
@@ -75,14 +75,14 @@ def _learning(found: Diagnosis) -> dict | None:
         }
         for term, judged in attempt.tried
     ]
-    return {"looks": attempt.looks, "tried": tried, "refuted": attempt.refuted or None}
+    return {"looks": attempt.comparisons, "tried": tried, "refuted": attempt.refuted or None}
 
 
 def errors(found: Diagnosis, fit: Fit) -> dict:
     """Errors of the base or of the final model where it was not fitted: on the validation record, else cross-validated."""
     if found.unseen is not None:
         return {"record": found.unseen.name, "from": "validation", **found.prediction(fit, found.unseen.record).summary()}
-    held = found.held_before if fit is found.base else found.held_after
+    held = found.held_out_before if fit is found.base else found.held_out_after
     record, left = found.fitted[0].record, held.thrust[0]
     parts = {name: mask & np.isfinite(left) for name, mask in sections(record).items()}
     return {
@@ -106,7 +106,7 @@ def _effect(found: Diagnosis, name: str) -> dict:
     fit, judged = found.selection.final, found.selection.judgements[name]
     units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
-    values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.doubt.get(n), "unit": units[n]} for n in own}
+    values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.std.get(n), "unit": units[n]} for n in own}
     intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
     for parameter, (seconds, times) in reached(fit, name).items():
         values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
@@ -182,12 +182,12 @@ def _given(found: Diagnosis) -> dict:
 
 def _shift(found: Diagnosis) -> dict:
     before, after = (found.parameters(fit).values for fit in (found.base, found.final))
-    doubt = found.doubt
+    std = found.std
     names = found.base.problem.coordinates.names
-    return {n: {"before": before[n], "after": after[n], "std": doubt.get(n)} for n in names}
+    return {n: {"before": before[n], "after": after[n], "std": std.get(n)} for n in names}
 
 
-def _tried(found: Diagnosis, tried: Tried) -> dict:
+def _tried(found: Diagnosis, tried: CandidateFit) -> dict:
     name = tried.candidate.name
     entry = {"name": name, "form": dict(tried.candidate.form), "beside": list(tried.beside), "promised_gain": tried.fall}
     if tried.fit is None:
@@ -196,7 +196,7 @@ def _tried(found: Diagnosis, tried: Tried) -> dict:
     return entry | {"why_not": why_not(found, tried)}
 
 
-def why_not(found: Diagnosis, tried: Tried) -> str | None:
+def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
     """Why a candidate was not taken, in words; None where it was. The figure, the table and the JSON say the same."""
     name, final = tried.candidate.name, found.selection.final
     if tried.fit is None:

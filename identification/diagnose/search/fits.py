@@ -1,7 +1,7 @@
 """Fits of a model with effects, all parameters free.
 
 Freezing the base while an effect is fitted to its residual finds the wrong effect in a third of the cases, for the base has
-already bent towards what is missing.
+already biased towards what is missing.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,9 +21,9 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 
-BENT = 0.15
-"""Log-likelihood a row that generic shapes gain beside the base from which its fit counts as bent: they then take up more than
-a quarter of the residual's power, 1 - exp(-2 BENT)."""
+BIASED = 0.15
+"""Log-likelihood a row that generic shapes gain beside the base from which its fit counts as biased: they then take up more
+than a quarter of the residual's power, 1 - exp(-2 BIASED)."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Fit:
 
     `thresholds`: parameters with a piecewise constant cost, found by scanning, with the interval in which the cost stays
     within the 95 % level. `idle`: some of the effects' parameters said nothing, so that a simpler effect would do the same.
-    `estimate`: the doubt of values that are an identification's estimates; None where they are those of most evidence.
+    `estimate`: the uncertainty of values that are an identification's estimates; None where they are those of most evidence.
     """
 
     effects: tuple[str, ...]
@@ -50,24 +50,26 @@ class Fit:
     idle: bool
     estimate: Uncertainty | None = None
 
-    def estimated(self, found: Refinement, doubt: Uncertainty) -> "Fit":
+    def estimated(self, found: Refinement, uncertainty: Uncertainty) -> "Fit":
         """The same effects with a refinement's values, as it estimates them. The score stays that of the evidence."""
         values = {**self.values, **found.values}
-        return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=doubt)
+        return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=uncertainty)
 
     @cached_property
-    def doubt(self) -> Uncertainty:
+    def uncertainty(self) -> Uncertainty:
         """What the records tell of the smooth parameters, and which of them they leave open."""
         return self.estimate or uncertainty(self.problem, self.problem.with_rows(self.solution))
 
     def std(self) -> dict[str, float | None]:
         """Of all fitted parameters; a threshold's from its interval; None where the records leave open where a parameter is."""
-        found = dict(zip(self.doubt.names, self.doubt.std.tolist(), strict=True)) | dict.fromkeys(self.doubt.left_open)
+        found = dict(zip(self.uncertainty.names, self.uncertainty.std.tolist(), strict=True)) | dict.fromkeys(
+            self.uncertainty.left_open
+        )
         return found | {n: (high - low) / (2.0 * NORMAL_95) for n, (low, high) in self.thresholds.items()}
 
     def leaves_open(self, effect: Effect) -> bool:
         """Whether the records leave open how large any of an effect's fitted parameters is."""
-        return any(effect.full(p.name) in self.doubt.left_open for p in effect.parameters)
+        return any(effect.full(p.name) in self.uncertainty.left_open for p in effect.parameters)
 
     def tangent(self) -> tuple[np.ndarray, np.ndarray]:
         """(residual, Jacobian) at the solution, as `Problem.evaluate`."""
@@ -113,7 +115,7 @@ class Searcher:
     ):
         self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
         self.start = {n: start[n] for n in names}
-        self.looks: dict[tuple, dict] = {}
+        self.screened: dict[tuple, dict] = {}
         self.lacking = 0.0  # log-likelihood that generic shapes would gain beside the base
         self.points = 0  # that the round with the most of them has looked at
         self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
@@ -148,9 +150,9 @@ class Searcher:
             tuple(effects), dict(forms), told, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
         )
 
-    def bent(self, fit: Fit) -> bool:
-        """Whether what is missing is so large that the base, fitted without it, has bent towards it."""
-        return not fit.effects and self.lacking > BENT * fit.score.counts["thrust"]
+    def biased(self, fit: Fit) -> bool:
+        """Whether what is missing is so large that the base, fitted without it, is biased by it."""
+        return not fit.effects and self.lacking > BIASED * fit.score.counts["thrust"]
 
     def _unreached(self, model, values, name) -> bool:
         """Whether the fitted records come out the same to the bit with the parameter at off."""

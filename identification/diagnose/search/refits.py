@@ -9,7 +9,7 @@ import numpy as np
 from identification.diagnose.judgement import REFITTED, STRONG
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.look import Looks, Seen
+from identification.diagnose.search.screening import Screening, Seen
 from vpp_fmu.native.memory import give_back
 
 SAME_RESPONSE = 1e-6
@@ -24,7 +24,7 @@ REACH = 0.5
 
 
 @dataclass(frozen=True)
-class Tried:
+class CandidateFit:
     """A candidate in one round: what the look promised and, where it was refitted, the fit and its evidence."""
 
     candidate: Candidate
@@ -44,12 +44,14 @@ def evidence_over(fit: Fit, other: Fit) -> float:
     return 0.5 * (other.bic() - fit.bic())
 
 
-def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[Tried]:
+def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[CandidateFit]:
     """All candidates beside a fit, those that promise most refitted."""
-    return deeper(searcher, fit, [Tried(c, fit.effects, at.fall) for c, at in looks(searcher, fit, options, pool)], pool)
+    return deeper(
+        searcher, fit, [CandidateFit(c, fit.effects, at.fall) for c, at in screened(searcher, fit, options, pool)], pool
+    )
 
 
-def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[Tried]:
+def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) -> list[CandidateFit]:
     """The same with some more of them refitted: the most promising that have not been, as far as they promise anything.
 
     An effect goes by the form that promises most; its forms that promise nearly as much are refitted with it.
@@ -64,7 +66,7 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[Tried], pool) -> list[T
     chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
     if not chosen:
         return list(tried)
-    at = {c.label: seen for c, seen in looks(searcher, fit, chosen, pool)}
+    at = {c.label: seen for c, seen in screened(searcher, fit, chosen, pool)}
     give_back()
     refits = dict(zip(chosen, pool.map(lambda c: refitted(searcher, fit, c, at[c.label]), chosen), strict=True))
 
@@ -106,12 +108,12 @@ def _near(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit | None,
     return min([*([refit] if refit else []), *found], key=Fit.bic)
 
 
-def looks(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
+def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
     """The candidates that are not in a fit, by what a look promises; one look a candidate and fit."""
     fresh = [c for c in options if c.name not in fit.effects]
-    seen_there = searcher.looks.setdefault((key(fit), fit.deviance), {})
+    seen_there = searcher.screened.setdefault((key(fit), fit.deviance), {})
     if new := [c for c in fresh if c.label not in seen_there]:
-        at = Looks(fit, searcher.start, searcher.library, bent=searcher.bent(fit)).at
+        at = Screening(fit, searcher.start, searcher.library, biased=searcher.biased(fit)).at
         seen_there.update(zip((c.label for c in new), pool.map(at, new), strict=True))
     searcher.points = max(searcher.points, sum(seen.points for seen in seen_there.values()))
     return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)

@@ -6,7 +6,7 @@
 outer one turns within a step, the time before and the time behind the turn go by their own constants.
 """
 
-from vpp_fmu.kernel.effects.stage import WHICH_LAG, bent, stage
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter
 
 
@@ -26,7 +26,7 @@ def asymmetry(u: str, name: str, description: str, probe: float) -> Effect:
         more = ops.where(begins < 0.0, falling, rising) * (lag.distance - behind)
         more = more + ops.where(end < 0.0, falling, rising) * behind
         tau = lag.tau * ops.exp(ops.where(begins < 0.0, -p.asymmetry, p.asymmetry))
-        return bent(ops, s, u, p.form, lag.distance + more, dt, tau), {}
+        return with_distance(ops, s, u, p.form, lag.distance + more, dt, tau), {}
 
     text = "logarithm of the factor on the time constant while rising; its inverse while falling; above 0: slower up"
     return Effect(

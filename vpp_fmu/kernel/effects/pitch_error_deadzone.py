@@ -7,14 +7,14 @@ half_width short of its command, on the side from which it came. In the inner la
 whose input moves within the step, takes the mean of its error.
 """
 
-from vpp_fmu.kernel.effects.stage import WHICH_LAG, bent, stage
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter
 
 
 def _step(ops, s, x, p, dt):
     lag = stage(ops, s, "beta", p.form)
     lost = ops.gain(lag.tau, dt) * p.half_width
-    return bent(ops, s, "beta", p.form, lag.distance - ops.clip(lag.distance, -lost, lost), dt), {}
+    return with_distance(ops, s, "beta", p.form, lag.distance - ops.clip(lag.distance, -lost, lost), dt), {}
 
 
 EFFECT = Effect(

@@ -7,7 +7,7 @@ The instant at which the limit ends lies between samples: until then the lag run
 takes the response to what the led command lacks off the lags, which are linear in it.
 """
 
-from vpp_fmu.kernel.effects.stage import INNER, bent, stage
+from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 UNLIMITED = 10000.0  # deg/s; no blade turns 30 times a second
@@ -28,7 +28,7 @@ def _step(ops, s, x, p, dt):
     led = s.beta_move - ops.lag_ramp(0.0, before, after, lag.tau, dt)
 
     distance = ops.where(p.rate < UNLIMITED, ops.where(before_lags, led, limited), lag.distance)
-    return bent(ops, s, "beta", form, distance, dt), {"led": s.beta_ref - after}
+    return with_distance(ops, s, "beta", form, distance, dt), {"led": s.beta_ref - after}
 
 
 EFFECT = Effect(

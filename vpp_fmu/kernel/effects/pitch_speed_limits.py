@@ -10,7 +10,7 @@ instants at which full speed ends and at which the motor stops are exact; in the
 the farther of the two ways counts.
 """
 
-from vpp_fmu.kernel.effects.stage import INNER, bent, stage
+from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter
 
 UNLIMITED = 10000.0  # deg/s; no blade turns 30 times a second
@@ -25,7 +25,7 @@ def _step(ops, s, x, p, dt):
     fast = p.full * ahead + ops.gain(lag.tau, dt - ahead) * ops.maximum(lacks - p.full * ahead, 0.0)
     kept_up = ops.maximum(ops.where(ahead > 0.0, fast, free), ops.minimum(p.slowest, p.full) * dt)
     covered = ops.minimum(kept_up, ops.maximum(error - p.accuracy, 0.0))
-    return bent(ops, s, "beta", INNER, ops.where(lag.before < 0.0, -covered, covered), dt), {}
+    return with_distance(ops, s, "beta", INNER, ops.where(lag.before < 0.0, -covered, covered), dt), {}
 
 
 EFFECT = Effect(

@@ -8,7 +8,7 @@ short. Acts in the inner lag; the instant of turning off is exact, and so is, to
 slow (the logarithm in it by a difference over a geometric mean).
 """
 
-from vpp_fmu.kernel.effects.stage import INNER, bent, stage
+from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
@@ -28,7 +28,7 @@ def _step(ops, s, x, p, dt):
     distance = ops.where(held, 0.0, ops.where(stalls, side * covered, lag.distance))
     latched = ops.where(held, x.latched, ops.where(stalls, side, 0.0))
     still = {"latched": latched, "slow_for": ops.where(held, 0.0, ops.where(stalls, 0.0, slow_for))}
-    return bent(ops, s, "beta", INNER, distance, dt), still
+    return with_distance(ops, s, "beta", INNER, distance, dt), still
 
 
 def _nothing(ops, s, p):

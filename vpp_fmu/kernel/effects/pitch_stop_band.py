@@ -8,14 +8,14 @@ edge, and follows an input that leads it slowly half_width behind.
 """
 
 from vpp_fmu.kernel.effects.pitch_stop_restart import driven_between
-from vpp_fmu.kernel.effects.stage import WHICH_LAG, bent, stage
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter
 
 
 def _step(ops, s, x, p, dt):
     lag = stage(ops, s, "beta", p.form)
     distance, _ = driven_between(ops, lag, 0.0, p.half_width, p.half_width, dt)
-    return bent(ops, s, "beta", p.form, distance, dt), {}
+    return with_distance(ops, s, "beta", p.form, distance, dt), {}
 
 
 EFFECT = Effect(

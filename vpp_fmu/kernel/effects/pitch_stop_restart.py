@@ -8,7 +8,7 @@ stop counts as equal to it.
 
 from typing import Any
 
-from vpp_fmu.kernel.effects.stage import WHICH_LAG, Stage, bent, stage
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, Stage, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 
@@ -40,7 +40,7 @@ def driven_between(ops, lag: Stage, running, stop, restart, dt) -> tuple[Any, An
 def _step(ops, s, x, p, dt):
     lag = stage(ops, s, "beta", p.form)
     distance, running = driven_between(ops, lag, x.running, p.stop, ops.maximum(p.stop, p.restart), dt)
-    return bent(ops, s, "beta", p.form, distance, dt), {"running": running}
+    return with_distance(ops, s, "beta", p.form, distance, dt), {"running": running}
 
 
 EFFECT = Effect(

@@ -10,7 +10,7 @@ logistic equation with a closed form: with f before (at x) and ahead (at the inp
 Exact for a held input as long as both are above the floor of 0.2, which keeps the constant finite.
 """
 
-from vpp_fmu.kernel.effects.stage import WHICH_LAG, bent, stage
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter
 
 PIVOT = 2.0 / 3.0  # of full speed: the middle of the paper's range
@@ -24,7 +24,7 @@ def _step(ops, s, x, p, dt):
     ahead = ops.maximum(1.0 + p.sensitivity * (lag.value + lag.distance / plain - pivot), FLOOR)
     g = ops.gain(lag.tau / ahead, dt)
     factor = before * g / (ahead + (before - ahead) * g) / plain
-    return bent(ops, s, "omega", p.form, lag.distance * factor, dt, lag.tau / before), {}
+    return with_distance(ops, s, "omega", p.form, lag.distance * factor, dt, lag.tau / before), {}
 
 
 EFFECT = Effect(

@@ -1,8 +1,8 @@
 """One of a channel's two lags within a step, as an effect that bends it sees it.
 
 An effect that may act in either lag stands behind both, asks `stage` for the one that its `form` names, and puts another
-distance in the place of what that lag covers: `bent` passes a changed move of the inner lag on to the outer one. Distances
-and time constants already hold what the effects before have done, so that several of them can bend one lag.
+distance in the place of what that lag covers: `with_distance` passes a changed move of the inner lag on to the outer one.
+Distances and time constants already hold what the effects before have done, so that several of them can bend one lag.
 """
 
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ def stage(ops, s, u: str, form) -> Stage:
     )
 
 
-def bent(ops, s, u: str, form, distance, dt, tau=None) -> dict[str, Any]:
+def with_distance(ops, s, u: str, form, distance, dt, tau=None) -> dict[str, Any]:
     """The channel's signals where the lag that `form` names covers `distance`, and relaxes with `tau` (None: as before)."""
     (inner, outer), move, travel = _constants(s, u), getattr(s, f"{u}_move"), getattr(s, f"{u}_travel")
 

@@ -7,7 +7,7 @@ with it. Commands and rates act all over a step and take f in its middle; the ot
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from vpp_fmu.kernel.effects.stage import bent, stage
+from vpp_fmu.kernel.effects.stage import stage, with_distance
 from vpp_fmu.kernel.types import Effect
 
 CHAIN = ("normalisation", "beta_drive", "beta_reach", "omega_drive", "omega_reach", "thrust_map")
@@ -54,14 +54,14 @@ def _multiplied(signal: str) -> Callable:
 
 def _rate(u: str) -> Callable:
     def adds(ops, s, p, f, dt):
-        return bent(ops, s, u, p.form, stage(ops, s, u, p.form).distance + f * dt, dt)
+        return with_distance(ops, s, u, p.form, stage(ops, s, u, p.form).distance + f * dt, dt)
 
     return adds
 
 
 def _rate_share(u: str) -> Callable:
     def adds(ops, s, p, f, dt):
-        return bent(ops, s, u, p.form, stage(ops, s, u, p.form).distance * (1.0 + f), dt)
+        return with_distance(ops, s, u, p.form, stage(ops, s, u, p.form).distance * (1.0 + f), dt)
 
     return adds
 

@@ -12,8 +12,8 @@ from datetime import date
 
 import numpy as np
 
-from identification.stand.sheet import EMPTY, Sheet
-from identification.stand.units import QUANTITIES, factor_of
+from identification.logs.sheet import EMPTY, Sheet
+from identification.logs.units import QUANTITIES, factor_of
 from vpp_fmu.digits import number
 from vpp_fmu.files import shown
 

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.stand.clock import straightened
-from identification.stand.intake import Taken
+from identification.logs.clock import straightened
+from identification.logs.intake import Taken
 from identification.static.static_map import design
 from identification.static.steady import SETTLE, steady_points
 from vpp_fmu.campaign import StaticMap, check_repeat

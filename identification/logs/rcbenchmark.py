@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identification.stand.clock import mended
-from identification.stand.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
+from identification.logs.clock import mended
+from identification.logs.speed_map import RANGES, SignalRange, SteadyPoints, steady_points
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import Table, read_text
 from vpp_fmu.record import Record

@@ -47,29 +47,31 @@ class Seen:
     slow_first: Mapping[str, bool]
 
 
-class Looks:
-    """The looks beside one fit. `start`: where the parameters stood before any fit; `bent`: look from there, too."""
+class Screening:
+    """The looks beside one fit. `start`: where the parameters stood before any fit; `biased`: look from there, too."""
 
-    def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], bent: bool):
+    def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], biased: bool):
         library, problem = tuple(library), fit.problem
         about = fit.linearised()
         cost = 0.5 * float(about.residual @ about.residual)
-        self._looks = [(_Look(about, cost, fit.effects, library), fit.slow_first)]
-        if bent:
+        self._screened = [(_Screened(about, cost, fit.effects, library), fit.slow_first)]
+        if biased:
             for order in (True, False):
                 slow_first = {**fit.slow_first, "beta": order}
                 there = Problem(problem.model, problem.experiments, fit.values, problem.coordinates.names, None, slow_first)
                 there.scale = problem.scale
                 x = there.coordinates.vector({**fit.values, **start})
-                self._looks.append((_Look(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first))
+                self._screened.append(
+                    (_Screened(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first)
+                )
 
     def at(self, candidate: Candidate) -> Seen:
         """The best of the looks at a candidate."""
-        found = [Seen(*look.at(candidate), order) for look, order in self._looks]
+        found = [Seen(*look.at(candidate), order) for look, order in self._screened]
         return replace(max(found, key=lambda seen: seen.fall), points=sum(seen.points for seen in found))
 
 
-class _Look:
+class _Screened:
     """The look from one place. `cost`: half sum of squares of the fit that is to be improved on."""
 
     def __init__(self, about: Linearised, cost: float, effects: Iterable[str], library: tuple[Effect, ...]):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from identification.stand.speed_map import (
+from identification.logs.speed_map import (
     FEWEST,
     PLATEAU,
     SignalRange,

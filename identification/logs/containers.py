@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from identification.stand.sheet import Sheet
+from identification.logs.sheet import Sheet
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_bytes
 

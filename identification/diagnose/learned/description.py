@@ -72,18 +72,18 @@ def rival_words(term: Term) -> str:
     return f"{PORTS[term.lead.port].words} by {DRIVERS[term.lead.driver].words}"
 
 
-def block(found: Learned, doubt: dict[str, float | None]) -> dict:
-    """For diagnosis.json. `doubt`: standard deviations by full name."""
+def block(found: Learned, std: dict[str, float | None]) -> dict:
+    """For diagnosis.json. `std`: standard deviations by full name."""
     term, effect = found.term, found.term.effect
     units = {p.name: p.unit for p in effect.parameters}
     parameters = {
-        n: {"value": v, "std": doubt.get(effect.full(n)), "unit": units[n]} for n, v in term.values.items() if n != "lag"
+        n: {"value": v, "std": std.get(effect.full(n)), "unit": units[n]} for n, v in term.values.items() if n != "lag"
     }
     lag = term.values.get("lag")
     told = {
         "port": term.lead.port,
         "driver": term.lead.driver,
-        "lag": None if lag is None else {"value": lag, "std": doubt.get(effect.full("lag")), "unit": "s"},
+        "lag": None if lag is None else {"value": lag, "std": std.get(effect.full("lag")), "unit": "s"},
         "shape": term.lead.shape,
         "times": term.lead.times or None,
         "parameters": parameters,

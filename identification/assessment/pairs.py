@@ -45,19 +45,19 @@ def agreed_order(model: Model, values: Mapping[str, float], record: Record) -> d
     return renamed
 
 
-def forms(doubt: Uncertainty) -> dict:
+def forms(uncertainty: Uncertainty) -> dict:
     """Each channel's time constants in the forms that the data tell best: sorted, their sum [s] and product [s^2]."""
     found = {}
     for channel in CHANNELS:
         pair = [f"tau_{channel}_1", f"tau_{channel}_2"]
-        if not set(pair) <= set(doubt.names):
+        if not set(pair) <= set(uncertainty.names):
             continue
-        at = [doubt.names.index(n) for n in pair]
-        a, b = doubt.values[at]
+        at = [uncertainty.names.index(n) for n in pair]
+        a, b = uncertainty.values[at]
         gradients = {"sum": (a + b, (1.0, 1.0)), "product": (a * b, (b, a))}
         found[channel] = {"sorted": sorted((float(a), float(b)), reverse=True)}
         for form, (value, slopes) in gradients.items():
-            gradient = np.zeros(len(doubt.names))
+            gradient = np.zeros(len(uncertainty.names))
             gradient[at] = slopes
-            found[channel][form] = {"value": float(value), "std": doubt.of(gradient)}
+            found[channel][form] = {"value": float(value), "std": uncertainty.of(gradient)}
     return found

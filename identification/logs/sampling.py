@@ -9,7 +9,7 @@ from identification.gate.finding import Finding
 from identification.gate.fitted import FIFTH
 from identification.gate.gate import look
 from identification.gate.response import Look
-from identification.stand.clock import GAP, gaps
+from identification.logs.clock import GAP, gaps
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.digits import number
 from vpp_fmu.record import Record

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from identification.assessment.prediction import Prediction
 from identification.static.static_map import TERMS, design
-from identification.worth.prediction import Prediction
 
 BLOCK = 0.5
 """s over which a residual is averaged."""

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.stand.sheet import EMPTY, Sheet, plain
-from identification.stand.units import QUANTITIES, factor_of, is_unit
+from identification.logs.sheet import EMPTY, Sheet, plain
+from identification.logs.units import QUANTITIES, factor_of, is_unit
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_bytes, shown
 

@@ -38,19 +38,19 @@ NOTHING = 1e-20
 _BLAS = ThreadpoolController()
 
 
-def profiled(problem: Problem, found: Solution, doubt: Uncertainty, others: Sequence[Solution] = ()) -> Uncertainty:
-    """`doubt` of a solution, with the ends of its 95 % intervals from the profile wherever the linear ones are wrong.
+def profiled(problem: Problem, found: Solution, uncertainty: Uncertainty, others: Sequence[Solution] = ()) -> Uncertainty:
+    """`uncertainty` of a solution, with the ends of its 95 % intervals from the profile wherever the linear ones are wrong.
 
     An interval ends at a parameter's bound where the cost has not risen enough before. It reaches `others`, the ends of other
     searches, as far as their cost is within it: a profile is followed from one optimum, and few data have several. Data
     without noise leave it as it is.
     """
     if found.cost <= NOTHING * len(found.residual):
-        return doubt
+        return uncertainty
     with _BLAS.limit(limits=1):
-        optimum = _optimum(problem, found, doubt)
-        reach, names = np.abs(doubt.intervals - doubt.values[:, None]), []
-        for k, name in enumerate(doubt.names):
+        optimum = _optimum(problem, found, uncertainty)
+        reach, names = np.abs(uncertainty.intervals - uncertainty.values[:, None]), []
+        for k, name in enumerate(uncertainty.names):
             profile = Profile(optimum, k)
             ends = [profile.end(side, linear) for side, linear in zip((-1.0, 1.0), reach[k], strict=True)]
             for other in others:
@@ -60,7 +60,7 @@ def profiled(problem: Problem, found: Solution, doubt: Uncertainty, others: Sequ
             if not np.array_equal(ends, reach[k]):
                 reach[k] = ends
                 names.append(name)
-        return replace(doubt, reach=reach, profiled=tuple(names))
+        return replace(uncertainty, reach=reach, profiled=tuple(names))
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ class _Optimum:
     target: np.ndarray
 
 
-def _optimum(problem: Problem, found: Solution, doubt: Uncertainty) -> _Optimum:
-    values = dict(zip(doubt.names, doubt.values.tolist(), strict=True))
+def _optimum(problem: Problem, found: Solution, uncertainty: Uncertainty) -> _Optimum:
+    values = dict(zip(uncertainty.names, uncertainty.values.tolist(), strict=True))
     _, jacobian = problem.rows(values)
     normal = jacobian.T @ jacobian
-    variance, unit = np.diag(doubt.covariance), np.zeros(len(doubt.values))
+    variance, unit = np.diag(uncertainty.covariance), np.zeros(len(uncertainty.values))
     # What stands on a bound has no part in the covariance, and must have none in what that is compared with.
     free = np.flatnonzero(variance > 0)
     unit[free] = np.diag(_inverse(normal[np.ix_(free, free)]))
@@ -89,7 +89,7 @@ def _optimum(problem: Problem, found: Solution, doubt: Uncertainty) -> _Optimum:
     # At a bound nothing was said of the colour: the worst of the others, and not below the residual's own size.
     left = np.sqrt(2.0 * found.cost / max(1, len(found.residual) - len(found.value)))
     worst = scale[told].max(initial=left)
-    return _Optimum(problem, doubt.names, values, found.cost, normal, NORMAL_95 * np.where(told, scale, worst))
+    return _Optimum(problem, uncertainty.names, values, found.cost, normal, NORMAL_95 * np.where(told, scale, worst))
 
 
 class Profile:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identification.stand.clock import CALENDAR, guessed_unit, is_calendar
-from identification.stand.sheet import Sheet, plain, split_unit
-from identification.stand.units import QUANTITIES, factor_of
+from identification.logs.clock import CALENDAR, guessed_unit, is_calendar
+from identification.logs.sheet import Sheet, plain, split_unit
+from identification.logs.units import QUANTITIES, factor_of
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text, shown
 

@@ -50,7 +50,7 @@ class Lead:
     """A term that looks worth a refit: where, by what, how; `swapped`: with the channel's lags in
     the other order; `values` of its shape, `pinned`: those that stay where they are.
 
-    `needed`: fall that the best of all looks reaches by chance; `looks`: how many there were."""
+    `needed`: fall that the best of all comparisons reaches by chance; `comparisons`: how many there were."""
 
     port: str
     driver: str
@@ -63,7 +63,7 @@ class Lead:
     values: dict[str, float]
     pinned: tuple[str, ...]
     scored: Scored
-    looks: int = 0
+    comparisons: int = 0
     needed: float = np.inf
 
     @property
@@ -74,10 +74,10 @@ class Lead:
     @property
     def promising(self) -> bool:
         """Whether it gains beyond the best that chance would find, and on what was left out."""
-        return self.scored.fall > self.needed and self.scored.held > 0.0
+        return self.scored.fall > self.needed and self.scored.held_out > 0.0
 
 
-def look(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
+def screened(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
     """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands."""
     problem, simulator = fit.problem, fit.problem.simulator
     x = fit.solution.value if values is None else problem.coordinates.vector({**fit.values, **values})
@@ -87,8 +87,8 @@ def look(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
     courses = [Course.of(e, at, simulator.simulate(at, e.record.columns, e.record.steps)) for e in problem.experiments]
     scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times)
     leads = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
-    found = [replace(lead, needed=needed_fall(lead.scored.rank, len(leads)), looks=len(leads)) for lead in leads]
-    return sorted(found, key=lambda lead: -lead.scored.held)
+    found = [replace(lead, needed=needed_fall(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]
+    return sorted(found, key=lambda lead: -lead.scored.held_out)
 
 
 def _lags(scores: Scores) -> list[float]:

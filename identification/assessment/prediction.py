@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.assessment.quality import fit_percent, rmse
+from identification.assessment.sections import sections
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
-from identification.worth.quality import fit_percent, rmse
-from identification.worth.sections import sections
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -68,10 +68,10 @@ def predict(model: Model, values: Mapping[str, float], record: Record) -> Predic
     return Prediction(record, *outputs.T)
 
 
-def band(model: Model, values: Mapping[str, float], doubt: Uncertainty, record: Record, left: float) -> np.ndarray:
+def band(model: Model, values: Mapping[str, float], uncertainty: Uncertainty, record: Record, left: float) -> np.ndarray:
     """Standard deviation (rows,) N of a predicted reading: what the parameters leave open, and what the fit has `left` [N]."""
     variance = np.empty(len(record))
-    for at, _, tangents in Simulator(model, doubt.names).pieces(values, record.columns, record.steps):
+    for at, _, tangents in Simulator(model, uncertainty.names).pieces(values, record.columns, record.steps):
         slope = tangents[:, 0]
-        variance[at] = np.einsum("ij,jk,ik->i", slope, doubt.covariance, slope)
+        variance[at] = np.einsum("ij,jk,ik->i", slope, uncertainty.covariance, slope)
     return np.sqrt(variance + left**2)

@@ -48,14 +48,15 @@ def exportable(model: Model) -> Model:
 
 
 @dataclass(frozen=True)
-class Starting:
-    """Library, sized for the `rig`, and free base parameters of a search; the `refinement` to start from, with its `doubt`, and
-    the values before any fit (`first`); what the static map tells as it stands; `identification` where all this is from one."""
+class InitialModel:
+    """Library, sized for the `rig`, and free base parameters of a search; the `refinement` to start from, with its
+    `uncertainty`, and the values before any fit (`first`); what the static map tells as it stands; `identification` where all
+    this is from one."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
     refinement: Refinement
-    doubt: Uncertainty
+    uncertainty: Uncertainty
     first: Mapping[str, float]
     knowledge: Prior | None
     rig: Rig
@@ -67,15 +68,17 @@ class Starting:
         return self.refinement.values
 
 
-def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effect], seed: int) -> Starting:
+def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effect], seed: int) -> InitialModel:
     """Start at what an identification of the campaign, and of further records, finds; `gate`: what may be used of them."""
     found = identify(campaign, seed=seed, gate=gate)
     names = tuple(found.refinement.names)
     rig, knowledge = found.parameters.rig, _knowledge(found.static, names)
-    return Starting(sized(library, rig.scales), names, found.refinement, found.uncertainty, found.start, knowledge, rig, found)
+    return InitialModel(
+        sized(library, rig.scales), names, found.refinement, found.uncertainty, found.start, knowledge, rig, found
+    )
 
 
-def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect], fitted: Sequence[Record]) -> Starting:
+def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect], fitted: Sequence[Record]) -> InitialModel:
     """Start at a given model, fitted to the `fitted` records. BadInput where a record lacks an input that the model needs."""
     kept = given.model.optional
     for name in (u.name for e in given.model.effects for u in e.inputs if not u.clock):
@@ -90,7 +93,7 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
     found = refine(model, fitted, given.values, free, knowledge)
     rig = replace(campaign.rig, scales=given.rig.scales)
     known = knowledge and knowledge.of(found.names)
-    return Starting(library, found.names, found, found.uncertainty, given.values, known, rig)
+    return InitialModel(library, found.names, found, found.uncertainty, given.values, known, rig)
 
 
 def _knowledge(static: StaticFit | None, names: Sequence[str]) -> Prior | None:

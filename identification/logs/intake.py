@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.stand.clock import Clock, read_clock
-from identification.stand.commands import averaged_map, fitted_map
-from identification.stand.mapping import ROWS, Plan
-from identification.stand.sheet import Sheet
-from identification.stand.speed_map import RANGES, SignalRange, SpeedMap
-from identification.stand.units import QUANTITIES, SIGNALS, factor_of, signal_unit
+from identification.logs.clock import Clock, read_clock
+from identification.logs.commands import averaged_map, fitted_map
+from identification.logs.mapping import ROWS, Plan
+from identification.logs.sheet import Sheet
+from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
+from identification.logs.units import QUANTITIES, SIGNALS, factor_of, signal_unit
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
