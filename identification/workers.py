@@ -7,8 +7,10 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing import active_children, get_context, parent_process
 
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from vpp_fmu.errors import BadInput, WorkerLost
@@ -22,7 +24,7 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
     however either ends. `what` heads the progress bar on a terminal.
     BadInput where Dask isn't installed or doesn't answer, WorkerLost where a process has died.
     """
-    items = list(items)
+    items, work = list(items), partial(_on_one_thread, work)
     if scheduler is not None:
         return _on_dask(work, items, scheduler, what)
     if workers <= 1:
@@ -43,6 +45,12 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _on_one_thread(work: Callable, item):
+    """`work(item)` with one thread of BLAS, wherever it runs: on more its sums round otherwise, and a Dask worker has one."""
+    with threadpool_limits(1):
+        return work(item)
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ Of several campaigns, a fleet, each is diagnosed by itself into a folder of its 
 from collections.abc import Sequence
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
@@ -59,6 +60,7 @@ def run(options):
     _one(options, options.campaigns[0])
 
 
+@threadpool_limits.wrap(limits=1)  # as in a fleet, to the last digit
 def _one(options, campaign: str) -> None:
     asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
     folder = OutputSet(options.output, "diagnose")
