@@ -9,6 +9,7 @@ from hil.calibration import Calibration
 from hil.clock import Clock, MonotonicClock
 from hil.devices.ads1115 import Ads1115
 from hil.devices.pwm import PwmChannel, find_chip
+from hil.devices.supply import Supply
 from hil.devices.tachometer import Tachometer
 from hil.safety.lock import locked
 from vpp_fmu.errors import BadInput
@@ -24,7 +25,7 @@ ESC_BOOT = 4.0
 class Bench:
     """Devices that are ready to use. `emulated` in whatever way; `lock`: the descriptor of the rig's lock; `ends`: what has to
     end with them, in reverse order; `esc_boot` [s]: from the ESC's supply to its readiness; `hand`: pulls an emulated stand
-    by so many N, thrust positive."""
+    by so many N, thrust positive; `supply`: what is read of it, where anything is."""
 
     clock: Clock
     calibration: Calibration
@@ -37,6 +38,7 @@ class Bench:
     lock: int = -1
     esc_boot: float = 0.0
     hand: Callable[[float], None] | None = None
+    supply: Supply | None = None
 
     def open(self) -> "Bench":
         """Set the devices up: the lock before anything, then the outputs, so that the idle pulse stands. DeviceFault NOT_READY
@@ -51,6 +53,9 @@ class Bench:
             self.ends.callback(self.lac.close)
             self.adc.start()
             self.ends.callback(self.adc.close)
+            if self.supply:
+                self.supply.start()
+                self.ends.callback(self.supply.close)
             self.tachometer.hello()
             self.ends.callback(self.tachometer.close)
         except BaseException:
@@ -67,7 +72,8 @@ class Bench:
     @property
     def counters(self) -> dict[str, Mapping[str, int]]:
         """What each device counted."""
-        return {device.name: dict(device.counters) for device in (self.adc, self.tachometer, self.esc, self.lac)}
+        devices = (self.adc, self.tachometer, self.esc, self.lac, *((self.supply,) if self.supply else ()))
+        return {device.name: dict(device.counters) for device in devices}
 
     def close(self) -> None:
         """The idle pulse, and let go of everything."""
@@ -96,6 +102,7 @@ def real_bench(calibration: Calibration, wiring: Wiring) -> Bench:
         PwmChannel(chip, wiring.channels[0], "esc", clock),
         PwmChannel(chip, wiring.channels[1], "lac", clock),
         esc_boot=ESC_BOOT,
+        supply=supply(calibration, wiring.bus, clock),
     )
     return bench.open()
 
@@ -104,6 +111,13 @@ def adc(calibration: Calibration, bus: int | str, clock: Clock, address: int = 0
     """The load cell's ADC as the calibration wants it."""
     c = calibration
     return Ads1115(bus, address, c.channel, c.full_scale, c.rate, clock=clock)
+
+
+def supply(calibration: Calibration, bus: int | str, clock: Clock) -> Supply | None:
+    """What the calibration says that is wired of the motor's supply."""
+    if not calibration.supply:
+        return None
+    return Supply(bus, calibration.supply_address, calibration.supply, clock=clock)
 
 
 def check_limits(path: str, calibration: Calibration, beta_min: float, beta_max: float) -> None:

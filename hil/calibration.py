@@ -9,10 +9,15 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
+from hil.devices.supply import NAMES, Input
 from hil.entries import Entries, Number, read_json, shown
 from vpp_fmu.errors import BadInput
 
 FORMAT = "vpp-calibration/1"
+
+ADDRESSES = (0x49, 0x4A, 0x4B)
+"""Of the second ADC: its ADDR pin on VDD, SDA or SCL. The first one's is on ground."""
+SINGLE = tuple(channel for channel in INPUTS if "-" not in channel)
 
 RATES = (475, 860)
 """Conversions a second that a loop of 250 Hz never reads twice, also with the ADC's clock 10 % slow."""
@@ -23,7 +28,8 @@ class Calibration:
     """The rig's calibration. `zero`: counts without load when it was calibrated; the tare before each run comes near it.
 
     `pulses` [s], increasing, and `pitches` [deg], falling or rising, are the table of blade pitch against the LAC's pulse;
-    between its points it is straight. `rest_pitch` is where the blades idle. `source`: who, when, how.
+    between its points it is straight. `rest_pitch` is where the blades idle. `supply`: what of voltage, current and temperature
+    is wired to a second ADC at `supply_address`. `source`: who, when, how.
     """
 
     newton_per_count: float
@@ -40,6 +46,8 @@ class Calibration:
     pitch_min: float
     pitch_max: float
     rest_pitch: float
+    supply: Mapping[str, Input] = field(default_factory=dict)
+    supply_address: int = 0x49
     source: Mapping = field(default_factory=dict, compare=False)
 
     @property
@@ -112,7 +120,7 @@ _TABLE = {"pulse": ("pulses", _PULSE), "pitch": ("pitches", _PITCH)}
 
 def read_calibration(path: str | os.PathLike) -> Calibration:
     """Read a calibration file; `hil/emulator/calibration.json` is one. BadInput names file, field, found and allowed."""
-    file = Entries(path, read_json(path), ("format", *_NUMBERS), optional=("source",))
+    file = Entries(path, read_json(path), ("format", *_NUMBERS), optional=("source", "supply"))
     file.choice("format", (FORMAT,))
     extra = {"load_cell": tuple(_CHOICES), "pitch": ("table",)}
     sections = {name: file.entries(name, (*numbers, *extra.get(name, ()))) for name, numbers in _NUMBERS.items()}
@@ -123,9 +131,29 @@ def read_calibration(path: str | os.PathLike) -> Calibration:
     table = sections["pitch"].entries("table", _TABLE)
     for name, (attribute, number) in _TABLE.items():
         values[attribute] = table.numbers(name, number)
-    calibration = Calibration(**values, source=file.free("source"))
+    address, supply = _supply(path, file.free("supply"))
+    calibration = Calibration(**values, supply=supply, supply_address=address, source=file.free("source"))
     check(path, calibration)
     return calibration
+
+
+def _supply(path: str | os.PathLike, given: Mapping) -> tuple[int, dict[str, Input]]:
+    """(the second ADC's address, how its inputs are wired)."""
+    if not given:
+        return Calibration.supply_address, {}
+    entries, inputs = Entries(path, given, ("address",), tuple(NAMES), "supply"), {}
+    for name, unit in NAMES.items():
+        if name in given:
+            wired = entries.entries(name, ("channel", "zero", "per_volt"))
+            zero, slope = (wired.number(key, Number(unit, -1e4, 1e4)) for key in ("zero", "per_volt"))
+            if slope == 0.0:
+                raise wired.wrong("per_volt", slope, f"a number of {unit} but 0")
+            inputs[name] = Input(wired.choice("channel", SINGLE), zero, slope)
+    channels = [wired.channel for wired in inputs.values()]
+    if not inputs or len(set(channels)) < len(channels):
+        found = f"{', '.join(channels)}" if inputs else "no quantity"
+        raise BadInput(path, "supply", found, f"{', '.join(NAMES)}, any of them, each with a channel of its own")
+    return entries.choice("address", ADDRESSES), inputs
 
 
 SECTIONS = ("load_cell", "esc", "pitch")
@@ -155,6 +183,12 @@ def _content(c: Calibration) -> dict:
     content["load_cell"].update((name, getattr(c, name)) for name in _CHOICES)
     table = {key: {"values": list(getattr(c, name)), "unit": n.unit} for key, (name, n) in _TABLE.items()}
     content["pitch"]["table"] = table
+    if c.supply:
+        content["supply"] = {"address": c.supply_address} | {
+            name: {"channel": wired.channel}
+            | {k: {"value": getattr(wired, k), "unit": NAMES[name]} for k in ("zero", "per_volt")}
+            for name, wired in c.supply.items()
+        }
     return content
 
 

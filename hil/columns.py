@@ -26,10 +26,13 @@ COLUMNS = (
     Column("late"),
     Column("busy"),
     Column("missed"),
+    Column("voltage"),
+    Column("current"),
+    Column("temperature"),
 )
 """A tick's row, in s, N, rpm, deg: what was sampled at its time; the commands that the controller wants and those that act from
 then on; throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its
-work took, how many slots were missed before it."""
+work took, how many slots were missed before it; what is read of the motor's supply [V, A, degC]."""
 
 RUN = ("thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "omega_wanted", "beta_wanted")
 """Columns of `run.csv`, beside `time`."""
@@ -43,6 +46,9 @@ SHOWN = (
     ("throttle", "4.2f", ""),
     ("off its twin", "+6.2f", "N"),
     ("twin", "s", ""),
+    ("voltage", "5.1f", "V"),
+    ("current", "5.1f", "A"),
+    ("temperature", "4.0f", "degC"),
     ("missed", "3.0f", ""),
     ("done", "3.0f", "%"),
     ("page", "s", ""),

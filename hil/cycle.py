@@ -15,6 +15,7 @@ from hil.safety.plausibility import Plausibility, Reading
 from hil.safety.states import SafetyState, StateMachine
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
+from hil.safety.supply_limits import SupplyLimits
 from hil.senses import Senses
 from hil.ticks import Tick, Ticks
 
@@ -60,6 +61,7 @@ class Cycle:
     def begin(self) -> None:
         """Forget what must not be carried from one run into the next."""
         self.plausibility, self.senses = self._judgement(), Senses(self.bench, self.zero)
+        self._supply_limits = SupplyLimits(self.limits)
         self.throttle, self.commands = 0.0, (0.0, self.bench.calibration.rest_pitch)
         self.residual, self.alarm, self.asked = math.nan, False, ""
         self._woke, self._driven_since = self.bench.clock.now(), None
@@ -152,10 +154,12 @@ class Cycle:
             *(self.ticks.time, state, self.wanted, *wanted, *self.commands, senses.thrust, senses.omega),
             *(senses.thrust_age, senses.mark_age, senses.counts, pulses, self.throttle, cut),
             *(self.residual, self.alarm, tick.late, busy, tick.missed),
+            *senses.supply.values(),
         )
         self._view.show(
             *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.alarm, self.ticks.missed, self.done, self._page_gone),
+            *(self.throttle, self.residual, self.alarm, *senses.supply.values()),
+            *(self.ticks.missed, self.done, self._page_gone),
         )
         if self.ticks.ticks % COUNTED == 0:
             self._keep_counters()
@@ -183,6 +187,11 @@ class Cycle:
                 *(senses.revolution.pulses, senses.mark_age, senses.speed_age, self.throttle, self.commands[1]),
             )
             fault = self.plausibility.check(reading)
+            if fault:
+                self.fault(fault)
+        supply = self.bench.supply
+        if supply and self.states.state is SafetyState.RUN:  # before, the relay holds it off
+            fault = self._supply_limits.check(supply.values, supply.new)
             if fault:
                 self.fault(fault)
         if self._log.broken:

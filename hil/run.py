@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.columns import RUN
 from hil.cycle import PERIOD
+from hil.devices.supply import NAMES
 from hil.log import Column, cell
 from hil.page.operator_page import OperatorPage
 from hil.rig import ENDINGS, Rig
@@ -129,11 +130,13 @@ def rehearse(controller: FmuController, thrust_set: float) -> None:
 
 
 def loop_part(log: Record) -> Record:
-    """The rows of a log in which a controller was at work, from time 0; columns as `hil.columns.RUN` has them."""
+    """The rows of a log in which a controller was at work, from time 0; columns as `hil.columns.RUN` has them, and
+    what was read of the supply."""
     rows = np.flatnonzero(np.isfinite(log["omega_wanted"]))
     if not len(rows):
         return Record({name: np.empty(0) for name in ("time", *RUN)}, log.source)
-    columns = {name: log[name][rows] for name in RUN}
+    read = [name for name in NAMES if name in log and np.isfinite(log[name][rows]).any()]
+    columns = {name: log[name][rows] for name in (*RUN, *read)}
     return Record({"time": np.round(log.time[rows] - log.time[rows[0]], 9), **columns}, log.source)
 
 

@@ -5,6 +5,7 @@ import math
 
 from hil.bench import Bench
 from hil.clock import Clock
+from hil.devices.supply import NAMES
 from hil.devices.tachometer import Revolution
 from hil.safety.faults import DeviceFault, Fault
 
@@ -15,13 +16,14 @@ PATIENCE = 25
 class Senses:
     """The last readings: `counts` of the ADC and whether `saturated`; `thrust` [N] over the tare's `zero` [counts] and its age
     [s]; speed `omega` [rpm] of the last whole revolution, 0 at standstill, and the age [s] of the mark's last pass; the
-    tachometer's last answer and its age `speed_age` [s]."""
+    tachometer's last answer and its age `speed_age` [s]; what the `supply` shows, by name, NaN where that is not read."""
 
     def __init__(self, bench: Bench, zero: float):
         self._bench, self.zero = bench, zero
         self.counts, self.saturated, self.thrust, self.thrust_age = 0, False, 0.0, math.inf
         self.omega, self.mark_age, self.speed_age = 0.0, math.inf, math.inf
         self.revolution: Revolution | None = None
+        self.supply = bench.supply.values if bench.supply else dict.fromkeys(NAMES, math.nan)
 
     def wake(self, clock: Clock, pause: float) -> None:
         """Ask the tachometer again after a break, with `pause` s for each answer: from here on silence is a fault.
@@ -48,6 +50,11 @@ class Senses:
             self.thrust = bench.calibration.thrust(conversion.counts, self.zero)
         except DeviceFault as failed:
             faults.append(failed.fault)
+        if bench.supply:
+            try:
+                bench.supply.read()
+            except DeviceFault as failed:
+                faults.append(failed.fault)
         answer = None
         self.mark_age += passed
         try:

@@ -88,6 +88,8 @@ class Setup:
         hidden = list(self.emulated.hidden) if self.emulated else []
         told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
         told |= {"allowed": self.allowed.summary()}
+        if self.calibration.supply:
+            told["supply"] = list(self.calibration.supply)
         if self.emulated:
             told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
         return told

@@ -54,9 +54,8 @@ class Ads1115:
     when that does not help: REFUSED, TIMEOUT, RECONFIGURED (lost twice within 10 s), NOT_READY at the start.
     """
 
-    name = "adc"
-
-    def __init__(self, bus, address=0x48, channel="AIN0", full_scale=4.096, rate=860, *, clock: Clock, hold=0.05):
+    def __init__(self, bus, address=0x48, channel="AIN0", full_scale=4.096, rate=860, *, clock: Clock, hold=0.05, name="adc"):
+        self.name = name
         self._bus_name, self._address, self._clock, self._hold = bus, address, clock, hold
         self._settings = INPUTS[channel] << 12 | FULL_SCALES[full_scale] << 9 | RATES[rate] << 5 | _COMPARATOR_OFF
         self._conversion_time = 1.0 / (SLOWEST * rate)
@@ -118,6 +117,18 @@ class Ads1115:
         self._losses = [t for t in self._losses if now - t < _LOSSES_WITHIN] + [now]
         if len(self._losses) >= _LOSSES:
             raise DeviceFault(self.name, FaultKind.RECONFIGURED, f"settings found as 0x{found:04x}, for the second time")
+
+    def select(self, channel: str) -> None:
+        """Convert another input from now on; readings are held until it has been. DeviceFault as `read`."""
+        before, self._settings = self._settings, self._settings & ~(7 << 12) | INPUTS[channel] << 12
+        if self._settings == before:
+            return
+        try:
+            self._write_settings()
+            self._repeats = 0
+        except OSError as error:  # whoever selects asks again
+            self._settings = before
+            self._held(self._clock.now(), error)
 
     def close(self) -> None:
         """Let go of the bus; the chip goes on converting."""

@@ -49,14 +49,19 @@ def brown_out(bus: SharedNumbers) -> None:
 
 
 class Ads1115Chip:
-    """The converting half. `volts(t)`: voltage at input `channel` at time t [s]; the others lie at 0 V.
+    """The converting half. `volts(t)`: voltage at input `channel` at time t [s]; `others`: the same of other inputs; what is
+    not among them lies at 0 V.
 
     `clock_error`: by which share its clock is fast; the data sheet allows 0.1 either way. The conversion is what stands at
     the input at its end.
     """
 
-    def __init__(self, bus: SharedNumbers, volts: Callable[[float], float], channel: int = 0, clock_error: float = 0.0):
-        self._bus, self._volts, self._channel, self._clock_error = bus, volts, channel, clock_error
+    def __init__(
+        self, bus: SharedNumbers, volts: Callable[[float], float], channel: int = 0, clock_error: float = 0.0, others=None
+    ):
+        self._bus, self._clock_error = bus, clock_error
+        own = lambda t: volts(t) + bus["overload"]  # noqa: E731
+        self._inputs: dict[int, Callable[[float], float]] = {**(others or {}), channel: own}
         self._since, self._done = math.nan, 0
 
     def serve(self, t: float) -> None:
@@ -80,31 +85,36 @@ class Ads1115Chip:
 
     def _counts(self, config: int, t: float) -> int:
         plus, minus = _INPUTS[config >> 12 & 7]
-        volts = self._volts(t) + self._bus["overload"] if self._channel in (plus, minus) else 0.0
-        counts = round((volts if plus == self._channel else -volts) / _SCALES[config >> 9 & 7] * 0x8000)
+        high, low = (self._inputs[each](t) if each in self._inputs else 0.0 for each in (plus, minus))
+        counts = round((high - low) / _SCALES[config >> 9 & 7] * 0x8000)
         return min(max(counts, driver.SMALLEST), driver.LARGEST)
 
 
 @contextlib.contextmanager
-def attached(path: str | os.PathLike, clock: Clock, address: int = 0x48) -> Iterator[SharedNumbers]:
-    """Within this context smbus2 reaches the bus `path`, and other buses as before. A timeout takes its time on `clock`."""
+def attached(
+    path: str | os.PathLike, clock: Clock, address: int = 0x48, second: tuple[int, str | os.PathLike] | None = None
+) -> Iterator[SharedNumbers]:
+    """Within this context smbus2 reaches the bus `path`, and other buses as before. A timeout takes its time on `clock`.
+    `second`: address and file of another chip on the same wires."""
     module = driver.smbus2.smbus2
     bus, beneath = open_bus(path), module.ioctl
-    kernel = _Kernel(bus, address, clock)
+    chips = {address: bus} | ({second[0]: open_bus(second[1])} if second else {})
+    kernel = _Kernel(chips, clock)
     here = os.stat(path)
 
     def ioctl(file, request, argument):
         there = os.fstat(file)
         if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
             return beneath(file, request, argument)
-        return kernel.ioctl(request, argument)
+        return kernel.ioctl(file, request, argument)
 
     module.ioctl = ioctl
     try:
         yield bus
     finally:
         module.ioctl = beneath
-        bus.close()
+        for chip in chips.values():
+            chip.close()
 
 
 class _SmbusRequest(ctypes.Structure):  # struct i2c_smbus_ioctl_data
@@ -131,33 +141,34 @@ class _Kernel:
     FUNCTIONS = 0x0EFF0001
     """Plain I2C and the SMBus transfers that Linux makes of it."""
 
-    def __init__(self, bus: SharedNumbers, address: int, clock: Clock):
-        self._bus, self._chip, self._clock, self._address = bus, address, clock, None
+    def __init__(self, chips: dict[int, SharedNumbers], clock: Clock):
+        self._chips, self._clock = chips, clock
+        self._addresses: dict[int, int] = {}  # of each open file its own
         self._timeout = TIMEOUT
 
-    def ioctl(self, request: int, argument) -> int:
+    def ioctl(self, file: int, request: int, argument) -> int:
         if request in (self.SLAVE, self.SLAVE_FORCE):
-            self._address = argument
+            self._addresses[file] = argument
         elif request == self.WAIT:
             self._timeout = 0.01 * argument
         elif request == self.FUNCS:
             ctypes.c_ulong.from_address(ctypes.addressof(argument)).value = self.FUNCTIONS
         elif request == self.SMBUS:
-            self._smbus(_SmbusRequest.from_address(ctypes.addressof(argument)))
+            self._smbus(self._addresses.get(file, -1), _SmbusRequest.from_address(ctypes.addressof(argument)))
         elif request == self.RDWR:
             self._messages(_Transfer.from_address(ctypes.addressof(argument)))
         else:
             raise _refusal(errno.ENOTTY)
         return 0
 
-    def _smbus(self, request: _SmbusRequest) -> None:
+    def _smbus(self, address: int, request: _SmbusRequest) -> None:
         reading, command = request.read_write == 1, bytes([request.command])
         data = (ctypes.c_uint8 * 34).from_address(request.data) if request.data else None
         if request.size == 1:  # a byte without a command
             if reading:
-                data[0] = self._transfer(self._address, b"", 1)[0]
+                data[0] = self._transfer(address, b"", 1)[0]
             else:
-                self._transfer(self._address, command)
+                self._transfer(address, command)
             return
         # Where a transfer's bytes lie in the union: a byte or a word (low byte first) at its start, a block behind its length.
         place = {2: (0, 1), 3: (0, 2), 8: (1, data[0] if data is not None else 0)}.get(request.size)
@@ -165,9 +176,9 @@ class _Kernel:
             raise _refusal(errno.EOPNOTSUPP if place is None else errno.EINVAL)
         start, count = place
         if reading:
-            data[start : start + count] = list(self._transfer(self._address, command, count))
+            data[start : start + count] = list(self._transfer(address, command, count))
         else:
-            self._transfer(self._address, command + bytes(data[start : start + count]))
+            self._transfer(address, command + bytes(data[start : start + count]))
 
     def _messages(self, transfer: _Transfer) -> None:
         for message in (_Message * transfer.nmsgs).from_address(transfer.msgs):
@@ -178,8 +189,8 @@ class _Kernel:
 
     def _transfer(self, address: int, written: bytes, count: int = 0) -> bytes:
         """One transfer as on the wires: the bytes written, the first of them the register, then `count` bytes read."""
-        bus = self._bus
-        if address != self._chip or bus.take("not_acknowledged"):
+        bus = self._chips.get(address)
+        if bus is None or bus.take("not_acknowledged"):
             raise _refusal(errno.EREMOTEIO)
         if bus.take("timeout"):
             self._clock.wait_until(self._clock.now() + self._timeout)
@@ -188,19 +199,19 @@ class _Kernel:
             bus["pointer"] = written[0] & 3
         name = REGISTERS[int(bus["pointer"])]
         if len(written) >= 3:
-            self._store(name, written[1] << 8 | written[2])
+            self._store(bus, name, written[1] << 8 | written[2])
         word = int(bus[name])
         if name == "config" and not bus["converting"]:
             word |= _READY
         return (word.to_bytes(2, "big") + b"\xff" * count)[:count]
 
-    def _store(self, name: str, word: int) -> None:
+    def _store(self, bus: SharedNumbers, name: str, word: int) -> None:
         if name == "conversion":
             return
-        self._bus[name] = word & ~_READY if name == "config" else word
+        bus[name] = word & ~_READY if name == "config" else word
         if name == "config":
-            self._bus["converting"] = float(not word & _SINGLE or word & _READY != 0)
-            self._bus["since"] = self._clock.now()
+            bus["converting"] = float(not word & _SINGLE or word & _READY != 0)
+            bus["since"] = self._clock.now()
 
 
 def _refusal(code: int) -> OSError:

@@ -12,13 +12,13 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from hil.bench import ESC, LAC, Bench, adc
+from hil.bench import ESC, LAC, Bench, adc, supply
 from hil.calibration import Calibration, read_calibration, to_json
 from hil.clock import MonotonicClock
 from hil.devices.pwm import PwmChannel
 from hil.devices.tachometer import Tachometer
 from hil.emulator import i2c, pwm_tree
-from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder, hand
+from hil.emulator.rig import BUS, LINE, PORT, PULSES, Emulation, Rig, folder, hand, second_chip
 from hil.emulator.serial_line import PtyLine
 from hil.realtime import real_time
 from hil.safety.faults import DeviceFault, FaultKind
@@ -40,7 +40,7 @@ def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | Non
         at = ends.enter_context(folder())
         (at / CALIBRATION).write_text(to_json(truth or calibration))
         _start(rig, at, ends)
-        ends.enter_context(i2c.attached(at / BUS, clock))
+        ends.enter_context(i2c.attached(at / BUS, clock, second=second_chip(truth or calibration, at)))
         chip = at / PULSES / "pwmchip0"
         with pwm_tree.attached(at / PULSES):
             bench = Bench(
@@ -53,6 +53,7 @@ def real_time_bench(rig: Rig, calibration: Calibration, truth: Calibration | Non
                 f"in real time, in {at}",
                 ends,
                 hand=hand(at, ends),
+                supply=supply(calibration, str(at / BUS), clock),
             ).open()
         undo.pop_all()
     return bench

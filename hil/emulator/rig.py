@@ -5,12 +5,14 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
-from hil.bench import ESC, LAC, Bench, adc
+from hil.bench import ESC, LAC, Bench, adc, supply
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
 from hil.devices.pwm import PwmChannel
+from hil.devices.supply import Input
 from hil.devices.tachometer import Tachometer
 from hil.emulator import i2c, pwm_tree
 from hil.emulator.i2c import Ads1115Chip
@@ -24,7 +26,7 @@ from hil.physics.rig_model import powertrain
 ZERO_SHIFT = 120.0
 """Counts by which the load cell's zero has moved since the calibration: only a tare finds it."""
 
-BUS, LINE, PORT, PULSES, SHOWN, HAND = "i2c", "line", "tty", "pwm", "shown", "hand"
+BUS, SECOND, LINE, PORT, PULSES, SHOWN, HAND = "i2c", "i2c-second", "line", "tty", "pwm", "shown", "hand"
 """Names in the folder."""
 
 BYSTANDER, PULLED = ("relay", "omega", "thrust"), ("force",)
@@ -59,6 +61,11 @@ class Emulation:
         self.world = World(powertrain(rig.hidden), rig.parameters, self._driven, cell, rig.seed, start)
         self._bus = i2c.open_bus(folder / BUS, create=True)
         self._chip = Ads1115Chip(self._bus, self.world.volts, int(calibration.channel[3]))
+        self._second = i2c.open_bus(folder / SECOND, create=True) if calibration.supply else None
+        if self._second:
+            read = {int(w.channel[3]): partial(self._supply, name, w) for name, w in calibration.supply.items()}
+            first = next(iter(read))
+            self._supply_chip = Ads1115Chip(self._second, read[first], first, others=read)
         self.board = Uno(self.world.pulses)
         self.line: SerialLine | None = None
         self.shown = SharedNumbers(folder / SHOWN, BYSTANDER, create=True)
@@ -71,6 +78,8 @@ class Emulation:
         self.world.advance(t)
         self.shown["relay"], self.shown["omega"], self.shown["thrust"] = self._powered, self.world.omega, self.world.thrust
         self._chip.serve(t)
+        if self._second:
+            self._supply_chip.serve(t)
         self.line.serve(t)
 
     def close(self) -> None:
@@ -79,8 +88,14 @@ class Emulation:
         self.shown.close()
         self._hand.close()
         self._bus.close()
+        if self._second:
+            self._second.close()
         self._esc.close()
         self._lac.close()
+
+    def _supply(self, name: str, wired: Input, t: float) -> float:
+        """V on an input of the second ADC; its noise is less than a count of what is read."""
+        return wired.volts(getattr(self.world, name))
 
     def _driven(self) -> tuple[float, float]:
         """What the pulses ask for: (throttle [1], pitch [deg]). Without a signal the ESC stops and the rod rests."""
@@ -114,6 +129,11 @@ class _Output:
             os.close(self._file)
 
 
+def second_chip(calibration: Calibration, at: Path) -> tuple[int, Path] | None:
+    """Address and file of the second ADC, where the calibration has one."""
+    return (calibration.supply_address, at / SECOND) if calibration.supply else None
+
+
 @contextlib.contextmanager
 def folder() -> Iterable[Path]:
     """A folder for the emulated rig's files, in memory where the system has such a place."""
@@ -137,7 +157,7 @@ def virtual_bench(rig: Rig, calibration: Calibration, truth: Calibration | None 
     emulation = Emulation(rig, truth or calibration, at, clock.now())
     line = emulation.line = MemoryLine(emulation.board, at / LINE, clock, rig.seed)
     ends.callback(emulation.close)
-    ends.enter_context(i2c.attached(at / BUS, clock))
+    ends.enter_context(i2c.attached(at / BUS, clock, second=second_chip(truth or calibration, at)))
     clock.listeners.append(emulation.serve)
     chip = at / PULSES / "pwmchip0"
     with pwm_tree.attached(at / PULSES):
@@ -151,4 +171,5 @@ def virtual_bench(rig: Rig, calibration: Calibration, truth: Calibration | None 
             "in virtual time",
             ends,
             hand=hand(at, ends),
+            supply=supply(calibration, str(at / BUS), clock),
         ).open()

@@ -13,6 +13,9 @@ from vpp_fmu.kernel.types import Model
 STEP = 0.001
 """s; what the physics allows, and how far thrust and the mark's passing are known apart from a straight line."""
 
+AMBIENT, HEATS, WARMS = 20.0, 0.15, 60.0
+"""Of the motor (chosen): degC of the room, degC above it in the end for each A^2, s that this takes."""
+
 _KEPT = 64
 """Steps that are remembered: conversions end in the past, but never this far."""
 
@@ -57,6 +60,10 @@ class World:
         self._stepper = Stepper(model, parameters, inputs)
         places = {name: k for k, name in enumerate(self._stepper.outputs)}
         self._at = [places[name] for name in ("thrust", "omega", "beta", "angle")]
+        self._current_at = places["current"]
+        values = model.values(parameters)
+        self._source, self._leads = inputs["supply"], values["lead_resistance"]
+        self.voltage, self.current, self.temperature = self._source, 0.0, AMBIENT
         self._steps, self._angle = 0, 0.0
         self._thrusts = [0.0] * _KEPT
         self._passes: list[tuple[float, int, float]] = [(start, 0, 0.0)]
@@ -67,7 +74,7 @@ class World:
 
     def advance(self, t: float) -> None:
         """Go on to time t [s], or as near as whole steps come."""
-        count = floor((t - self._from) / STEP + 1e-6) - self._steps
+        count = stepped = floor((t - self._from) / STEP + 1e-6) - self._steps
         if count <= 0:
             return
         self._others[self._throttle], self._others[self._pitch] = self._driven()
@@ -82,6 +89,11 @@ class World:
                     self._pass(row[angle_at])
                 self._angle = row[angle_at]
         self.thrust, self.omega, self.beta = row[thrust_at], row[omega_at], row[beta_at]
+        motor = row[self._current_at]
+        self.current = self._others[self._throttle] * motor
+        self.voltage = self._source - self._leads * self.current
+        kept = exp(-stepped * STEP / WARMS)
+        self.temperature = kept * self.temperature + (1.0 - kept) * (AMBIENT + HEATS * motor**2)
 
     def volts(self, t: float) -> float:
         """The amplifier's output at time t [s]; the noise is that of the reading, two of them have two."""

@@ -3,6 +3,7 @@
 const at = (id) => document.getElementById(id);
 const SHOWN = 60; // s of the curves
 const COLUMNS = ["time", "thrust", "omega", "residual", "thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted"];
+const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"]];
 const curves = Object.fromEntries(COLUMNS.map((name) => [name, []]));
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let told = {}, part = {}, number = -1, now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false;
@@ -87,7 +88,7 @@ function begin(message) {
   at("map-figure").hidden = !part.grid;
   if (part.grid) drawMap();
   if (part.band) at("caption").textContent =
-    "The last minute, means over 0.1 s. Pitch is commanded, not measured. The twin's band: its model's largest error and 1.96 standard deviations of a reading.";
+    "The last minute, means over 0.1 s. Pitch is commanded, not measured. The twin's band: where 19 of 20 readings lie while nothing new happens.";
 }
 
 function limits() {
@@ -95,6 +96,10 @@ function limits() {
   const shown = [["speed command", "omega_min", "omega_max", "rpm"], ["pitch command", "beta_min", "beta_max", "deg"]];
   const rows = shown.filter(([, low]) => low in known).map(([name, low, high, unit]) => row([name, `${known[low]} to ${known[high]} ${unit}`], "", []));
   const single = [["over-speed", "omega_trip", "rpm"], ["over-thrust", "thrust_trip", "N"], ["run time", "run_time", "s"]];
+  const read = told.supply || [];
+  if (read.includes("voltage")) single.push(["lowest voltage", "voltage_min", "V"], ["highest voltage", "voltage_max", "V"]);
+  if (read.includes("current")) single.push(["current", "current_max", "A"]);
+  if (read.includes("temperature")) single.push(["temperature", "temperature_max", "°C"]);
   return rows.concat(single.filter(([, name]) => name in known).map(([name, key, unit]) => row([name, `${known[key]} ${unit}`], "", [])));
 }
 
@@ -119,6 +124,8 @@ function values() {
     ["pitch command", text(now.beta_ref, 1, "deg"), `wanted ${text(now.beta_wanted, 1, "deg")}`],
     ["throttle", text(now.throttle === undefined ? null : 100 * now.throttle, 0, "%"), `tick ${text(now.late === undefined ? null : 1e3 * now.late, 2, "ms")} late`],
   ];
+  const supply = SUPPLY.filter(([name]) => (told.supply || []).includes(name)).map(([name, digits, unit]) => text(now[name], digits, unit));
+  if (supply.length) tiles.push(["supply", supply[0], supply.slice(1).join(", ")]);
   if (part.band) tiles.push(["off its twin", text(now.residual, 2, "N"), now.alarm ? "ALARM: not as its model" : `band ± ${text(part.band, 2, "N")}`, now.alarm]);
   at("tiles").replaceChildren(...tiles.map(([label, value, small, alarm]) => {
     const tile = element("div", "", alarm ? "tile alarm" : "tile");

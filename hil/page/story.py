@@ -19,7 +19,7 @@ MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
 CURVES = ("time", *MEANS, *LATEST)
 """Of a point: s, N, rpm, N above the twin; the commands as they stood last: N, rpm, deg."""
-VALUES = (*CURVES, "throttle", "thrust_age", "omega_age", "late")
+VALUES = (*CURVES, "throttle", "thrust_age", "omega_age", "late", "voltage", "current", "temperature")
 
 
 class Story:
@@ -118,7 +118,7 @@ class Story:
 
     def _show(self, row: Mapping[str, float]) -> None:
         self._heard = time.monotonic()
-        self.now = {name: _known(row[name]) for name in VALUES}
+        self.now = {name: _known(row.get(name, math.nan)) for name in VALUES}
         self.now["state"] = self._words["state"][int(row["state"])]
         self.now["alarm"] = bool(row["alarm"])
 

@@ -82,12 +82,19 @@ class Limits:
     late: float = _limit(0.05, "s", 0.001, 0.1, "lateness of one tick that ends the run")
     missed_share: float = _limit(0.1, "1", 0.0, 0.5, "share of the ticks of a second that may be missed")
 
+    voltage_min: float = _limit(
+        0.0, "V", 0.0, 1000.0, "lowest voltage of the supply while the rotor is driven, where it is read"
+    )
+    voltage_max: float = _limit(1000.0, "V", 0.0, 1000.0, "highest voltage")
+    current_max: float = _limit(1000.0, "A", 0.0, 1000.0, "largest current, of either sign")
+    temperature_max: float = _limit(1000.0, "degC", 0.0, 1000.0, "highest temperature")
+
     def __post_init__(self):
         for one in fields(self):
             number, value = one.metadata["number"], getattr(self, one.name)
             if not number.lowest <= value <= number.highest:
                 raise ValueError(one.name, value, number.allowed)
-        for lower, upper in (("omega_min", "omega_max"), ("beta_min", "beta_max")):
+        for lower, upper in (("omega_min", "omega_max"), ("beta_min", "beta_max"), ("voltage_min", "voltage_max")):
             if not getattr(self, lower) <= getattr(self, upper):
                 raise ValueError(upper, getattr(self, upper), f"at least {lower}, {getattr(self, lower):g}")
         if not self.omega_max < self.omega_trip:

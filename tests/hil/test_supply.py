@@ -1,0 +1,176 @@
+"""The motor's supply: wired by the calibration, read through a second ADC, logged, and a reason to come down."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import CALIBRATION
+
+from hil.calibration import read_calibration, to_json
+from hil.devices.supply import EVERY, Input
+from hil.emulator.rig import Rig as Emulated
+from hil.emulator.world import AMBIENT, HEATS, WARMS, LoadCell, World
+from hil.physics.rig_model import POWERTRAIN
+from hil.run import loop_part, run_on_rig
+from hil.safety.faults import FaultKind
+from hil.safety.limits import Limits
+from hil.safety.supply_limits import SupplyLimits
+from hil.session import Setup, read_log
+from vpp_fmu.cli import main
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.plants import KernelController
+from vpp_fmu.record import Record, write_record
+
+WIRED = {
+    "voltage": Input("AIN0", 0.0, 11.0),  # a divider of 100 and 10 kOhm
+    "current": Input("AIN1", -25.0, 50.0),  # a Hall sensor, 0.5 V without current
+    "temperature": Input("AIN2", -50.0, 100.0),  # 10 mV a degree, 0.5 V at 0
+}
+RIG = replace(CALIBRATION, supply=WIRED)
+PROFILE = Record({"time": np.array([0.0, 4.0]), "thrust_set": np.array([8.0, 8.0])}, "hold")
+
+
+def run(tmp_path, calibration=RIG, **limits):
+    tmp_path.mkdir(exist_ok=True)
+    setup = Setup(calibration, Limits(**limits), Emulated(seed=3), virtual=True)
+    return run_on_rig(setup, KernelController(), PROFILE, tmp_path)
+
+
+def test_the_emulated_supply_sags_and_the_motor_warms_up_by_a_lag():
+    """24 V less what the leads of 25 mOhm take; under one current the temperature goes to its end as exp(-t / 60 s)."""
+    world = World(POWERTRAIN, {}, lambda: (0.4, 3.0), LoadCell(0.0, 1.0))
+    world.advance(5.0)
+    current, first = world.current, world.temperature
+    assert current > 1.0
+    assert world.voltage == pytest.approx(24.0 - 0.025 * current)
+    for k in range(1, 301):
+        world.advance(5.0 + 0.1 * k)
+    assert world.current == pytest.approx(current, rel=1e-3)
+    end = AMBIENT + HEATS * (current / 0.4) ** 2
+    assert world.temperature == pytest.approx(end + (first - end) * np.exp(-30.0 / WARMS), rel=1e-3)
+
+
+def test_each_input_reads_what_stands_there_to_a_count(tmp_path):
+    """While nothing turns; and under way the mean of what the leads take is the mean current's."""
+    log = run(tmp_path).log
+    idle = log.time < 2.0
+    for name, value in (("voltage", 24.0), ("current", 0.0), ("temperature", AMBIENT)):
+        assert np.nanmax(np.abs(log[name][idle] - value)) <= 125e-6 * WIRED[name].per_volt
+    driven = (log["throttle"] > 0.3) & (log.time > log.time[-1] - 6.0)
+    assert log["current"][driven].mean() > 2.0
+    assert 24.0 - log["voltage"][driven].mean() == pytest.approx(0.025 * log["current"][driven].mean(), rel=0.25)
+    assert log["temperature"][-1] > AMBIENT + 1.0
+
+
+def test_readings_come_one_after_the_other_and_are_held(tmp_path):
+    log = run(tmp_path).log
+    for name in WIRED:
+        first = int(np.flatnonzero(np.isfinite(log[name]))[0])
+        assert first <= len(WIRED) * EVERY + 2
+        assert np.isfinite(log[name][first:]).all()
+    changes = np.flatnonzero(np.diff(log["voltage"][2000:]) != 0.0)
+    assert set(np.diff(changes) % (len(WIRED) * EVERY)) == {0}
+
+
+def test_thrust_is_what_it_is_without(tmp_path):
+    """A chip of its own: the load cell's readings are all fresh, and as old as they were."""
+    with_supply, without = run(tmp_path / "a", RIG), run(tmp_path / "b", CALIBRATION)
+    assert with_supply.session.told()["counters"]["adc"]["held"] == 0
+    assert with_supply.record["thrust"][-250:].mean() == pytest.approx(without.record["thrust"][-250:].mean(), abs=0.1)
+    np.testing.assert_allclose(np.ptp(with_supply.log["thrust_age"]), np.ptp(without.log["thrust_age"]), atol=1e-6)
+    assert {"voltage", "current", "temperature"} <= set(with_supply.record.columns)
+    assert "voltage" not in without.record.columns
+    assert "supply" not in without.session.told()
+    assert with_supply.session.told()["supply"] == list(WIRED)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"voltage_min": 23.99}, r"voltage 23\.\d V, allowed is at least 23\.99 V"),
+        ({"voltage_max": 20.0}, r"voltage \d\d\.\d V, allowed is at most 20 V"),
+        ({"current_max": 2.0}, r"current \d+\.\d A, allowed is at most 2 A"),
+        ({"temperature_max": 20.5}, r"temperature 20\.\d degC, allowed is at most 20\.5 degC"),
+    ],
+)
+def test_a_limit_exceeded_ramps_down(tmp_path, limits, words):
+    done = run(tmp_path, **limits)
+    rig = done.session.rig
+    assert next(fault.kind for fault in rig.states.faults) is FaultKind.SUPPLY
+    assert re.search(words, done.ended)
+    assert "ramp down" in [state for _, state, _ in rig.transitions]
+    assert done.log["throttle"][-1] < 0.01
+
+
+def test_one_reading_is_a_spark_and_two_are_none():
+    limits, values = SupplyLimits(Limits(current_max=30.0)), {"voltage": 24.0, "current": 31.0, "temperature": 20.0}
+    assert limits.check(values, ("current",)) is None
+    assert limits.check(values, ("voltage",)) is None  # of another
+    assert limits.check({**values, "current": 1.0}, ("current",)) is None
+    assert limits.check(values, ("current",)) is None
+    assert limits.check(values, ()) is None  # the same one, held
+    assert "current 31.0 A" in str(limits.check(values, ("current",)))
+
+
+def test_a_second_adc_that_is_not_there_is_found_before_arming(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.emulator.rig.second_chip", lambda *_: None)
+    with pytest.raises(Exception, match="supply adc: not ready"):
+        run(tmp_path)
+
+
+def test_the_calibration_keeps_its_hash_without_and_reads_back_with(tmp_path):
+    path = tmp_path / "c.json"
+    path.write_text(to_json(RIG))
+    assert read_calibration(path) == RIG
+    assert read_calibration(path).sha256 != CALIBRATION.sha256
+    assert "supply" not in json.loads(to_json(CALIBRATION))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.update(address=0x48), r"supply, address.*73 or 74 or 75"),
+        (lambda s: s.pop("address"), "supply, address.*nothing"),
+        (lambda s: s["current"].update(channel="AIN0"), "supply.*AIN0, AIN0"),
+        (lambda s: s["current"].update(channel="AIN0-AIN1"), "supply, current, channel"),
+        (lambda s: s["voltage"]["per_volt"].update(value=0.0), "supply, voltage, per_volt.*but 0"),
+        (lambda s: s["temperature"]["zero"].update(unit="K"), "supply, temperature, zero, unit"),
+        (lambda s: s.update(power={}), 'supply, "power"'),
+        (lambda s: [s.pop(name) for name in WIRED], "supply.*no quantity"),
+    ],
+)
+def test_a_wrong_wiring_is_named(tmp_path, change, words):
+    content = json.loads(to_json(RIG))
+    change(content["supply"])
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInput, match=words):
+        read_calibration(path)
+
+
+def test_an_old_log_is_read_as_before(tmp_path):
+    """Of the time before there were such columns."""
+    done = run(tmp_path / "new", CALIBRATION)
+    old = [column for column in done.log.columns if column not in WIRED]
+    path = tmp_path / "log.csv"
+    lines = [",".join(old)]
+    for row in zip(*(done.log[name].tolist() for name in old), strict=True):
+        lines.append(",".join("" if str(value) == "nan" else str(value) for value in row))
+    path.write_text("\n".join(lines) + "\n")
+    np.testing.assert_array_equal(loop_part(read_log(path))["thrust"], done.record["thrust"])
+
+
+def test_the_command_says_what_it_reads(tmp_path, capsys):
+    calibration, limits = tmp_path / "wired.json", tmp_path / "limits.json"
+    calibration.write_text(to_json(RIG))
+    limits.write_text(json.dumps({"format": "vpp-limits/1", "limits": {"voltage_max": {"value": 20.0, "unit": "V"}}}))
+    profile = write_record(OutputFolder(tmp_path), "p.csv", PROFILE)
+    words = ["hil", "run", "--virtual", "--profile", str(profile), "--calibration", str(calibration), "--limits", str(limits)]
+    assert main([*words, "-o", str(tmp_path / "out")]) != 0
+    assert "supply: supply beyond its limit: voltage" in capsys.readouterr().err
+    told = json.loads((tmp_path / "out" / "hil.json").read_text())
+    assert told["supply"] == list(WIRED)
+    assert told["limits"]["voltage_max"] == 20.0
