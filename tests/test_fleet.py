@@ -5,8 +5,10 @@ import json
 import math
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from identification.diagnose.report.fleet import Entry, as_csv, fleet_page
+from identification.workers import spread
 from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
 from vpp_fmu.campaign import measured_on
@@ -67,6 +69,18 @@ def test_a_dask_cluster_writes_the_same_table(fleet, campaigns, tmp_path):
         words = ["--scheduler", cluster.scheduler_address, "-o", str(tmp_path)]
         assert main(["diagnose", *campaigns, *FEW, *words]) == 2
     assert (tmp_path / "fleet.csv").read_bytes() == (fleet / "fleet.csv").read_bytes()
+
+
+def threads(_) -> int:
+    """Of BLAS, at most."""
+    return max(library["num_threads"] for library in threadpool_info())
+
+
+def test_work_has_one_thread_of_blas_whoever_does_it():
+    """On two its sums round otherwise than on a Dask worker, which has one."""
+    with threadpool_limits(2):
+        assert threads(None) == 2
+        assert spread(threads, [None]) == [1]
 
 
 def test_the_table_is_also_parquet(fleet):
