@@ -67,9 +67,8 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a loop that swings up grows without end
             fit = own.fit(effects, forms, free, values, order, not beside.thresholds)
-            told = (
-                np.isfinite(fit.deviance) and np.isfinite(fit.tangent()[1]).all()
-            )  # a thrust may stand where its slopes burst
+            slopes = fit.tangent()[1]
+            told = np.isfinite(fit.deviance) and np.isfinite(np.vdot(slopes, slopes))  # thrust may stand where slopes burst
     except np.linalg.LinAlgError:
         return None
     return Term(lead, effect, library, fit) if told else None
