@@ -106,6 +106,7 @@ def profile(seconds, swing):
 
 
 def main(task):
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)  # a shell that starts this in the background has it ignored
     if refuse := task.get("refuse"):
         pwm_tree.attached = partial(pwm_tree.attached, refuse=lambda file: file == refuse)
     physics = task.get("physics", {})

@@ -9,14 +9,17 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
 from browser import browser
-from rigs import step_profile, virtual_rig
+from rigs import CALIBRATION, step_profile, virtual_rig
 
+from hil.calibration import to_json
 from hil.columns import COLUMNS
+from hil.devices.supply import Input
 from hil.log import Column, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.safety.faults import FaultKind
@@ -246,7 +249,10 @@ def test_stop_pressed_twice_is_idle_at_once(tmp_path, capsys):
 
 
 def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
-    with browser(tmp_path / "browser") as seen, running(tmp_path) as (process, address):
+    wired = tmp_path / "calibration.json"
+    supply = {"voltage": Input("AIN0", 0.0, 11.0), "current": Input("AIN1", -25.0, 50.0)}
+    wired.write_text(to_json(replace(CALIBRATION, supply=supply)))
+    with browser(tmp_path / "browser") as seen, running(tmp_path, "--calibration", str(wired)) as (process, address):
         seen.window(1100, 1400)
         seen.open(address)
         seen.wait_for("document.getElementById('state').textContent === 'run'")
@@ -255,6 +261,9 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
         seen.wait_for(f"document.getElementById('curves').data[0].y.length > {points + 10}")
         speed = "document.getElementById('curves').data.find((line) => line.name === 'speed').y.at(-1)"
         seen.wait_for(f"{speed} > 1500")
+        tiles = seen.evaluate("document.getElementById('tiles').textContent")
+        assert re.search(r"supply2[34]\.\d V-?\d+\.\d A", tiles)  # what is wired, and no temperature
+        assert "lowest voltage" in seen.evaluate("document.getElementById('limits').textContent")
         assert seen.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor") == "rgb(198, 40, 40)"
         for name, *window in (("light", 1100, 1400, False), ("dark", 1100, 1400, True), ("phone", 390, 800, True)):
             seen.window(*window)
