@@ -79,6 +79,14 @@ def test_the_only_candidate_leaves_none_to_look_at_beside_it():
     assert (found.verdict, found.final.effects) == ("attributed", ("pitch_command_deadband",))
 
 
+def test_estimated_as_an_identification_does_a_fit_has_the_values_of_the_identification(nothing_missing):
+    base, names = nothing_missing.selection.base, nothing_missing.base.problem.coordinates.names
+    again = base.as_identified()
+    assert any(base.values[n] != pytest.approx(nothing_missing.base.values[n], rel=1e-6) for n in names)
+    for name in names:
+        assert again.values[name] == pytest.approx(nothing_missing.base.values[name], rel=1e-4), name
+
+
 def test_summary_has_what_the_contract_names(example):
     found = json.loads(json.dumps(summary(example), allow_nan=False))
     assert set(found) >= CONTRACT

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -12,6 +13,7 @@ from identification.workers import spread
 from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
 from vpp_fmu.campaign import measured_on
+from vpp_fmu.cli import diagnose as command
 from vpp_fmu.cli import main
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
@@ -69,6 +71,22 @@ def test_a_dask_cluster_writes_the_same_table(fleet, campaigns, tmp_path):
         words = ["--scheduler", cluster.scheduler_address, "-o", str(tmp_path)]
         assert main(["diagnose", *campaigns, *FEW, *words]) == 2
     assert (tmp_path / "fleet.csv").read_bytes() == (fleet / "fleet.csv").read_bytes()
+
+
+def test_a_fault_of_ours_in_one_campaign_does_not_cost_the_others(campaigns, tmp_path, monkeypatch, capsys):
+    kept = command.diagnose
+
+    def breaks(campaign, **asked):
+        if campaign.folder.name == "2026-03-01":
+            raise np.linalg.LinAlgError("did not converge")
+        return kept(campaign, **asked)
+
+    monkeypatch.setattr(command, "diagnose", breaks)
+    assert main(["diagnose", *campaigns[:2], *FEW, "--workers", "1", "-o", str(tmp_path)]) == 2
+    first, second = table(tmp_path)
+    assert (first["verdict"], second["verdict"]) == ("refused", "none")
+    assert "LinAlgError in test_fleet.py" in first["refused"]
+    assert "1 refused: 2026-03-01" in capsys.readouterr().err
 
 
 def threads(_) -> int:

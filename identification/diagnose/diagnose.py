@@ -195,20 +195,20 @@ def diagnose(
         after = with_turning(lack_of_fit(selection.final, least), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
         identified = base.estimated(at.refinement, at.uncertainty)
-        refuted = ""
+        final, refuted = identified, ""
         if word in CHANGED:
-            refuted = _refuted(judge, identified, base, selection.final, unseen, word == "partly")
+            final, refuted = _shipped(judge, identified, base, selection.final, unseen, word == "partly")
         word = "unexplained" if refuted else word  # what was found is not it
         attempt = Attempt()
         if refuted or (word in ("unexplained", "partly") and after.found):
             beside = selection.final if word == "partly" else base
             attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
-            now = selection.final if word == "partly" else identified
-            attempt = attempt.confirmed(lambda fit: _refuted(judge, now, beside, fit, unseen))
+            if attempt.learned:
+                final, why = _shipped(judge, final, beside, attempt.learned.term.fit, unseen)
+                attempt = attempt.but_refuted(why) if why else attempt
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
             after = with_turning(lack_of_fit(selection.final, least), selection.final)
-        final = selection.final if word in CHANGED else identified
         shown = predict(final.problem.model, final.values, fitted[0].record)
         return Diagnosis(
             campaign=campaign,
@@ -246,6 +246,29 @@ def _with(selection: Selection, learned: Learned) -> Selection:
     judgements = {n: j for n, j in selection.judgements.items() if n in kept} | {name: learned.judgement}
     family = {n: others for n, others in selection.family.items() if n in kept}
     return replace(selection, final=learned.term.fit, judgements=judgements, family=family)
+
+
+def _shipped(
+    judge: Judge, present: Fit, base: Fit, found: Fit, unseen: Unseen | None, partly: bool = False
+) -> tuple[Fit, str]:
+    """(what ships, why `found` does not take the place of the `present` model, in words; "" where it does).
+
+    Where what was found stands, and its thrust error is larger all the same on what neither was fitted to, it ships as an
+    identification estimates it, which gives more weight to what is slow; and not at all where that does not help either."""
+    if why := _refuted(judge, present, base, found, unseen, partly):
+        return present, why
+    before = _error(judge, present, unseen)
+    if (after := _error(judge, found, unseen)) <= before:
+        return found, ""
+    otherwise = found.as_identified()
+    if _error(judge, otherwise, unseen) <= before:
+        return otherwise, ""
+    return present, _rises(f"thrust error on {unseen.name}.csv" if unseen else "cross-validated thrust error", before, after)
+
+
+def _error(judge: Judge, fit: Fit, unseen: Unseen | None) -> float:
+    """N, thrust, where a fit was not fitted."""
+    return predict(fit.problem.model, fit.values, unseen.record).rmse_thrust if unseen else judge.held_out(fit).rmse_thrust
 
 
 def _refuted(judge: Judge, shipped: Fit, base: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:

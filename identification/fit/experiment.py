@@ -51,9 +51,9 @@ class Experiment:
         if len(self.omega_time):
             self.sizes["omega"] = len(self.omega_time)
 
-    def but(self, skip: float) -> "Experiment":
-        """The same with another run-in [s]."""
-        return Experiment(self.records, self.noise, skip, self.channels)
+    def but(self, skip: float | None = None, noise: Noise | None = None) -> "Experiment":
+        """The same with another run-in [s], or of other noise."""
+        return Experiment(self.records, noise or self.noise, self.skip if skip is None else skip, self.channels)
 
     @property
     def compared(self) -> list[int]:

@@ -4,13 +4,16 @@ Neighbouring readings share part of their noise. Taken as independent they count
 finds "evidence"; so residuals are whitened before they are judged. Rows are averaged to blocks first, far shorter than
 anything the rig's actuators do, and an autoregressive filter takes out the rest of the colour. Noise that wanders (1/f) is
 remembered for longer than a few readings: beyond the first lags the filter has means over ever longer pasts, as many as
-the BIC finds worth their price (Corsi, 2009, for long memory by few terms).
+the BIC finds worth their price (Corsi, 2009, for long memory by few terms). Flicker noise (1/f) and a random walk (1/f^2) rise towards rest
+beyond any past that a record affords: where records of the same commands tell them, they are evened out before the filter.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from scipy.fft import dct, idct
 from scipy.linalg import toeplitz
 
 from identification.fit.converter import grid
@@ -25,6 +28,11 @@ PASTS = ((7, 12), (13, 24), (25, 48), (49, 96))
 
 RESTORED, ALIKE = 10, 0.002
 """Rounds in which what a fit took out is put back, at most, and the change of the innovation's logarithm that ends them."""
+
+CORNERS = 2.0 ** -np.arange(3, 15)
+POWERS = (1, 2)
+"""Cycles a row below which noise that rises towards rest is more than the rest (what is faster is the lags'), and powers of the frequency with which it does:
+of flicker noise and of a random walk."""
 
 LOST = 0.1
 """Share of the rows that a filter's memory may cost: each gap in a record costs it once."""
@@ -84,12 +92,15 @@ def blocks(record: Record, length: float) -> Blocks:
 class Colour:
     """A whitening filter: from each value, `shares` of the means over `spans` of lags (first, last) before it are taken off.
 
-    `innovation`: standard deviation of what it leaves.
+    `innovation`: standard deviation of what it leaves. Where there is a `corner` [cycles a row], noise of the power (corner /
+    frequency)^`power` of the rest's is evened out first.
     """
 
     spans: tuple[tuple[int, int], ...]
     shares: tuple[float, ...]
     innovation: float
+    corner: float = 0.0
+    power: int = 1
 
     @property
     def order(self) -> int:
@@ -110,6 +121,7 @@ class Colour:
         order, n = self.order, len(values)
         if n <= order:
             return values[:0] / self.innovation
+        values = _evened(values, self.corner, self.power)
         missing = ~np.isfinite(values)
         whole = not missing.any()
         known = values if whole else np.where(missing, 0.0, values)
@@ -128,6 +140,28 @@ class Colour:
         return np.where(gone[order + 1 :] > gone[: n - order], np.nan, left)
 
 
+def _evened(values: np.ndarray, corner: float, power: int) -> np.ndarray:
+    """(rows,) or (rows, k) as they would be without noise that rises below a corner [cycles a row]; NaN stay."""
+    missing = ~np.isfinite(values)
+    if not corner or missing.all():
+        return values
+    if missing.any():
+        columns, rows = values.reshape(len(values), -1).T, np.arange(len(values))
+        there = [np.isfinite(column) for column in columns]
+        known = np.array([np.interp(rows, rows[t], c[t]) if t.any() else c for c, t in zip(columns, there, strict=True)])
+        return np.where(missing, np.nan, _evened(known.T.reshape(values.shape), corner, power))
+    gain = 1.0 / np.sqrt(_rise(len(values), corner, power))
+    return idct((dct(values, axis=0, norm="ortho").T * gain).T, axis=0, norm="ortho")
+
+
+def _rise(count: int, corner: float, power: int) -> np.ndarray:
+    """(count,) power with noise that rises over that without, at each ordinate of a cosine transform. The first, the mean, counts
+    as half way to the second."""
+    frequency = 0.5 * np.arange(count) / count
+    frequency[0] = 0.25 / count
+    return 1.0 + (corner / frequency) ** power
+
+
 def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> Colour:
     """The filter for evenly spaced noise in `parts`, each (rows,), NaN where it is not known; what it is by the BIC.
 
@@ -136,7 +170,7 @@ def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> C
     until both agree (expectation and maximisation of the restricted likelihood; Patterson and Thompson, Biometrika, 1971).
     """
     if taken is None or not taken.size:
-        return _best(parts, None)
+        return _best_of_corners(parts)
     colour = Colour((), (), _spread(parts, None))  # not the residual's own: far from the noise's, it would not come back
     for _ in range(RESTORED):
         before = colour
@@ -144,6 +178,17 @@ def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> C
         if abs(np.log(colour.innovation / before.innovation)) < ALIKE and colour.spans == before.spans:
             break
     return colour
+
+
+def _best_of_corners(parts: Sequence[np.ndarray]) -> Colour:
+    """The filter of the least BIC, with noise that rises towards rest or without."""
+    found, least = _judged(parts, None)
+    for corner, power in product(CORNERS.tolist(), POWERS) if np.isfinite(least) else ():
+        price = sum(float(np.sum(np.log(_rise(len(p), corner, power)))) for p in parts) + np.log(sum(map(np.size, parts)))
+        colour, criterion = _judged([_evened(p, corner, power) for p in parts], None)
+        if criterion + price < least:
+            found, least = replace(colour, corner=corner, power=power), criterion + price
+    return found
 
 
 def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list[np.ndarray], np.ndarray]:
@@ -161,6 +206,11 @@ def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list
 
 def _best(parts: Sequence[np.ndarray], more: np.ndarray | None) -> Colour:
     """The filter of the least BIC; `more` (lags,): autocovariance, summed over rows, to add to that of the parts."""
+    return _judged(parts, more)[0]
+
+
+def _judged(parts: Sequence[np.ndarray], more: np.ndarray | None) -> tuple[Colour, float]:
+    """(the same, its BIC)."""
     count = sum(map(np.size, parts))
     best, least = Colour((), (), _spread(parts, more)), np.inf
     options = [(n, ()) for n in LAGS] + [(LAGS[-1], PASTS[:k]) for k in range(1, len(PASTS) + 1)]
@@ -186,7 +236,7 @@ def _best(parts: Sequence[np.ndarray], more: np.ndarray | None) -> Colour:
                 best = Colour(tuple(spans[:taps]), tuple(shares.tolist()), float(np.sqrt(left)) or 1.0)
                 least = criterion
         break
-    return best
+    return best, least
 
 
 def _spans(lags: int, pasts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -3,6 +3,7 @@
 Of several campaigns, a fleet, each is diagnosed by itself into a folder of its own, and one table tells of all.
 """
 
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -99,6 +100,9 @@ def _of_fleet(job: tuple) -> Entry:
         folder.finish(found.parameters(found.final).identity)
     except VppError as error:
         return refusal(name, campaign, str(error))
+    except Exception as error:  # noqa: BLE001  (a fault of ours in one campaign must not cost hours of all others)
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return refusal(name, campaign, f"{type(error).__name__} in {Path(where.filename).name}, line {where.lineno}: {error}")
     return entry(name, found)
 
 

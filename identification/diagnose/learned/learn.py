@@ -65,10 +65,9 @@ class Attempt:
     learned: Learned | None = None
     refuted: str = ""
 
-    def confirmed(self, refuted: Callable[[Fit], str]) -> "Attempt":
-        """The same without a term that is refuted: `refuted(fit)` says why, "" where it is not."""
-        why = refuted(self.learned.term.fit) if self.learned else ""
-        return replace(self, learned=None, refuted=why) if why else self
+    def but_refuted(self, why: str) -> "Attempt":
+        """The same, its term refuted."""
+        return replace(self, learned=None, refuted=why)
 
 
 def by_chance(comparisons: int) -> float:

@@ -103,7 +103,7 @@ def errors(found: Diagnosis, fit: Fit) -> dict:
 
 
 def _effect(found: Diagnosis, name: str) -> dict:
-    fit, judged = found.selection.final, found.selection.judgements[name]
+    fit, judged = found.final, found.selection.judgements[name]
     units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
     values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.std.get(n), "unit": units[n]} for n in own}
@@ -161,7 +161,7 @@ def artefact(found: Diagnosis, name: str) -> str:
     What delays or bends the speed must show in the measured speed too; where that gets worse, it is the thrust's reading
     that is late.
     """
-    fit = found.selection.final
+    fit = found.final
     effect = next(e for e in fit.problem.model.effects if e.name == name)
     if effect.reading:
         told = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"

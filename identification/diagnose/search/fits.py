@@ -14,6 +14,7 @@ from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_cons
 from identification.fit.experiment import Experiment
 from identification.fit.least_squares import Solution
 from identification.fit.linearised import Linearised
+from identification.fit.noise import independent
 from identification.fit.problem import Prior, Problem, Score
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, Uncertainty, uncertainty
@@ -54,6 +55,15 @@ class Fit:
         """The same effects with a refinement's values, as it estimates them. The score stays that of the evidence."""
         values = {**self.values, **found.values}
         return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=uncertainty)
+
+    def as_identified(self) -> "Fit":
+        """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent."""
+        old, scale = self.problem, self.values["thrust_scale"]
+        experiments = [e.but(noise=independent(scale)) for e in old.experiments]
+        problem = Problem(old.model, experiments, self.values, old.coordinates.names, old.prior, old.coordinates.slow_first)
+        solution = problem.solve_and_weigh(self.values)[-1].slim()
+        values = problem.values | problem.coordinates.values(solution.value)
+        return replace(self, values=values, problem=problem, solution=solution)
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
