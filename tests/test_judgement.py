@@ -253,15 +253,18 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
     fit = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
     shipped = SimpleNamespace()
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
-    judge = SimpleNamespace(held_out=lambda one: held["was"])
+    judge = SimpleNamespace(held_out=lambda one: held["was"], runs=())
     assert diagnose._refuted(judge, shipped, shipped, fit, None, partly) == told
 
 
-@pytest.mark.parametrize(("found", "again", "ships", "told"), [
-    (0.09, 0.0, "found", ""),
-    (0.11, 0.1, "again", ""),
-    (0.11, 0.105, "present", "cross-validated thrust error rises from 0.1 to 0.11 N"),
-])
+@pytest.mark.parametrize(
+    ("found", "again", "ships", "told"),
+    [
+        (0.09, 0.0, "found", ""),
+        (0.11, 0.1, "again", ""),
+        (0.11, 0.105, "present", "cross-validated thrust error rises from 0.1 to 0.11 N"),
+    ],
+)
 def test_no_model_ships_whose_thrust_error_is_larger_than_that_of_the_one_before(monkeypatch, found, again, ships, told):
     """In the figure that the report calls after, whatever the evidence; estimated otherwise first."""
     monkeypatch.setattr(diagnose, "_refuted", lambda *_: "")
@@ -270,6 +273,23 @@ def test_no_model_ships_whose_thrust_error_is_larger_than_that_of_the_one_before
     judge = SimpleNamespace(held_out=lambda one: SimpleNamespace(rmse_thrust=errors[one.name]))
     shipped, why = diagnose._shipped(judge, SimpleNamespace(name="present"), None, fit, None)
     assert (shipped.name, why) == (ships, told)
+
+
+@pytest.mark.parametrize(("rise", "told"), [(0.48, "thrust error of the step runs rises from 0.1 to 0.5 N"), (0.01, "")])
+def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monkeypatch, rise, told):
+    """A limit at the edge of the fitted commands: half of 40 runs go further, and their mean square rises from 0.01 N^2 by
+    `rise`, sqrt(0.01 + 0.48 / 2) = 0.5; the folds gain 0.11^2 - 0.07^2 = 0.0072, less than 0.24 and more than 0.005."""
+    time = np.arange(0.0, 15.0, 0.05)
+    held = {
+        n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (np.full(len(time), e),), ()) for n, e in {"was": 0.11, "now": 0.07}.items()
+    }
+    runs = {"was": np.full(40, 0.01), "now": 0.01 + np.where(np.arange(40) % 2, rise, 0.0)}
+    found = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
+    shipped = SimpleNamespace()
+    name = lambda one: "was" if one is shipped else "now"  # noqa: E731
+    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held[name(one)])
+    judge = SimpleNamespace(held_out=lambda one: held[name(one)], on_runs=lambda one: runs[name(one)], runs=[1])
+    assert diagnose._refuted(judge, shipped, shipped, found, None) == told
 
 
 def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may_leave():

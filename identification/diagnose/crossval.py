@@ -113,9 +113,9 @@ def fall(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Se
     return float(ttest_1samp(found, 0.0, alternative="greater").pvalue) if np.std(found) > 0.0 else 1.0
 
 
-def rises(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> bool:
-    """Whether an error is larger than another for certain; `parts` as in `fall`."""
-    return fall([(time, new, old) for time, old, new in parts]) < CARRIED
+def rises(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
+    """Whether an error is larger than another for certain; `parts` as in `fall`, `further` rises of mean squares."""
+    return fall([(time, new, old) for time, old, new in parts], further) < CARRIED
 
 
 def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:

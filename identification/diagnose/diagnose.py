@@ -183,7 +183,7 @@ def diagnose(
         stage("noise")
         give_back()
         searcher, base = _prepared(groups, at, options, pool)
-        judge = Judge(searcher, base, smallest)
+        judge = Judge(searcher, base, smallest, gate.campaign.steps)
         least = judge.least()
         before = with_turning(lack_of_fit(base, least), base)
         searcher.lacking = before.score.gain
@@ -192,6 +192,8 @@ def diagnose(
         give_back()
         selection = select(searcher, base, options, judge, lambda fit: lack_of_fit(fit, least).found, pool, stage)
         give_back()
+        if selection.final.effects and at.knowledge:
+            selection = replace(selection, final=selection.final.agreed(at.knowledge))
         after = with_turning(lack_of_fit(selection.final, least), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
         identified = base.estimated(at.refinement, at.uncertainty)
@@ -202,8 +204,10 @@ def diagnose(
         attempt = Attempt()
         if refuted or (word in ("unexplained", "partly") and after.found):
             beside = selection.final if word == "partly" else base
+            searcher.prior = beside.problem.prior
             attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
             if attempt.learned:
+                attempt = attempt.agreed(at.knowledge) if at.knowledge else attempt
                 final, why = _shipped(judge, final, beside, attempt.learned.term.fit, unseen)
                 attempt = attempt.but_refuted(why) if why else attempt
         if attempt.learned:
@@ -248,9 +252,7 @@ def _with(selection: Selection, learned: Learned) -> Selection:
     return replace(selection, final=learned.term.fit, judgements=judgements, family=family)
 
 
-def _shipped(
-    judge: Judge, present: Fit, base: Fit, found: Fit, unseen: Unseen | None, partly: bool = False
-) -> tuple[Fit, str]:
+def _shipped(judge: Judge, present: Fit, base: Fit, found: Fit, unseen: Unseen | None, partly: bool = False) -> tuple[Fit, str]:
     """(what ships, why `found` does not take the place of the `present` model, in words; "" where it does).
 
     Where what was found stands, and its thrust error is larger all the same on what neither was fitted to, it ships as an
@@ -274,7 +276,9 @@ def _error(judge: Judge, fit: Fit, unseen: Unseen | None) -> float:
 def _refuted(judge: Judge, shipped: Fit, base: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:
     """Why a final model must not take the place of the one that would ship without it, in words: where it was not fitted it
     predicts thrust worse than the same likelihood does without the effects (`base`), or for certain worse than what is
-    `shipped`. What explains a part only must carry over to whole thirds of the records, certain or not. Judged once."""
+    `shipped`: on left-out folds, in the step runs by more than the folds gain (they go where the other commands hardly go, and
+    show what a limit that was hardly reached does there), or on the unseen record. What explains a part only must carry over to
+    whole thirds of the records, certain or not. Judged once."""
     found, before, after = final.problem, judge.held_out(base), judge.held_out(final)
     if after.rmse_thrust > before.rmse_thrust and after.gain(before)["thrust"] < 0.0:
         return _rises("cross-validated thrust error", before.rmse_thrust, after.rmse_thrust)
@@ -283,6 +287,11 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, final: Fit, unseen: Unseen |
         worse = [(e.record.time, *pair) for e, *pair in zip(found.experiments, was.thrust, now.thrust, strict=True)]
         if rises(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
             return _rises("cross-validated thrust error", was.rmse_thrust, now.rmse_thrust)
+    if judge.runs:
+        was, now = judge.on_runs(shipped), judge.on_runs(final)
+        gained = judge.held_out(shipped).rmse_thrust ** 2 - after.rmse_thrust**2
+        if np.mean(now - was) > gained and rises([], (now - was).tolist()):
+            return _rises("thrust error of the step runs", *(float(np.sqrt(np.mean(e))) for e in (was, now)))
     if unseen is not None:
         name, record = f"thrust error on {unseen.name}.csv", unseen.record
         of_base, of_shipped, of_final = (predict(fit.problem.model, fit.values, record) for fit in (base, shipped, final))

@@ -20,6 +20,7 @@ from identification.diagnose.search.refits import (
     refitted,
     screened,
 )
+from vpp_fmu.record import Record
 
 MORE_ROUNDS = 2
 """How often more candidates are refitted where none of the first ones stands and something is lacking."""
@@ -43,11 +44,13 @@ class Selection:
 class Judge:
     """Judges effects against the set without them, which may be the `base`.
 
-    `smallest` [N]: the least size of interest, None: SMALLEST of the noise's.
+    `smallest` [N]: the least size of interest, None: SMALLEST of the noise's. `runs`: of steps, which no fit of a diagnosis
+    takes.
     """
 
-    def __init__(self, searcher: Searcher, base: Fit, smallest: float | None):
+    def __init__(self, searcher: Searcher, base: Fit, smallest: float | None, runs: Sequence[Record]):
         self.searcher, self.base, self.smallest = searcher, base, smallest
+        self.runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
         self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
 
     def held_out(self, fit: Fit) -> HeldOut:
@@ -55,6 +58,12 @@ class Judge:
         if id(fit) not in self._held_out:
             self._held_out[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
         return self._held_out[id(fit)][1]
+
+    def on_runs(self, fit: Fit) -> np.ndarray:
+        """(runs,) mean square of the thrust's error in each of the step runs, N^2."""
+        simulator = fit.problem.simulator
+        shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self.runs]
+        return np.array([np.nanmean((y - r["thrust"]) ** 2) for y, r in zip(shown, self.runs, strict=True)])
 
     def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
         """The judgement of one effect of a set."""

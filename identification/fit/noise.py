@@ -4,8 +4,8 @@ Neighbouring readings share part of their noise. Taken as independent they count
 finds "evidence"; so residuals are whitened before they are judged. Rows are averaged to blocks first, far shorter than
 anything the rig's actuators do, and an autoregressive filter takes out the rest of the colour. Noise that wanders (1/f) is
 remembered for longer than a few readings: beyond the first lags the filter has means over ever longer pasts, as many as
-the BIC finds worth their price (Corsi, 2009, for long memory by few terms). Flicker noise (1/f) and a random walk (1/f^2) rise towards rest
-beyond any past that a record affords: where records of the same commands tell them, they are evened out before the filter.
+the BIC finds worth their price (Corsi, 2009, for long memory by few terms). Flicker noise (1/f) and a random walk (1/f^2) rise
+towards rest beyond any past that a record affords: where records of the same commands tell them, they are evened out first.
 """
 
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ RESTORED, ALIKE = 10, 0.002
 
 CORNERS = 2.0 ** -np.arange(3, 15)
 POWERS = (1, 2)
-"""Cycles a row below which noise that rises towards rest is more than the rest (what is faster is the lags'), and powers of the frequency with which it does:
-of flicker noise and of a random walk."""
+"""Cycles a row below which noise that rises towards rest is more than the rest (what is faster is the lags'), and powers of the
+frequency with which it does: of flicker noise and of a random walk."""
 
 LOST = 0.1
 """Share of the rows that a filter's memory may cost: each gap in a record costs it once."""
@@ -155,8 +155,8 @@ def _evened(values: np.ndarray, corner: float, power: int) -> np.ndarray:
 
 
 def _rise(count: int, corner: float, power: int) -> np.ndarray:
-    """(count,) power with noise that rises over that without, at each ordinate of a cosine transform. The first, the mean, counts
-    as half way to the second."""
+    """(count,) power with noise that rises over that without, at each ordinate of a cosine transform. The first, the mean,
+    counts as half way to the second."""
     frequency = 0.5 * np.arange(count) / count
     frequency[0] = 0.25 / count
     return 1.0 + (corner / frequency) ** power

@@ -100,7 +100,7 @@ def _of_fleet(job: tuple) -> Entry:
         folder.finish(found.parameters(found.final).identity)
     except VppError as error:
         return refusal(name, campaign, str(error))
-    except Exception as error:  # noqa: BLE001  (a fault of ours in one campaign must not cost hours of all others)
+    except Exception as error:
         where = traceback.extract_tb(error.__traceback__)[-1]
         return refusal(name, campaign, f"{type(error).__name__} in {Path(where.filename).name}, line {where.lineno}: {error}")
     return entry(name, found)

@@ -21,6 +21,7 @@ from identification.diagnose.learned.screening import Lead, forms_of, screened
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Judge
+from identification.fit.problem import Prior
 from vpp_fmu.kernel.learned import PORTS
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
@@ -64,6 +65,11 @@ class Attempt:
     comparisons: int = 0
     learned: Learned | None = None
     refuted: str = ""
+
+    def agreed(self, knowledge: Prior) -> "Attempt":
+        """The same, the term's fit as `Fit.agreed`."""
+        term = self.learned.term
+        return replace(self, learned=replace(self.learned, term=replace(term, fit=term.fit.agreed(knowledge))))
 
     def but_refuted(self, why: str) -> "Attempt":
         """The same, its term refuted."""
@@ -137,8 +143,7 @@ class Carried(Judge):
     """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
 
     def __init__(self, searcher: Searcher, beside: Fit, smallest: float | None, runs: Sequence[Record]):
-        super().__init__(searcher, beside, smallest)
-        self._runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
+        super().__init__(searcher, beside, smallest, runs)
         self._carried: dict[int, tuple[Fit, HeldOut]] = {}
 
     def carried(self, fit: Fit) -> HeldOut:
@@ -161,14 +166,8 @@ class Carried(Judge):
         """p-value of a thrust error that is no smaller with a fit than with another where it was not fitted: on the left-out
         thirds, and in each of the step runs, which no fit of a diagnosis takes."""
         triples = zip(fit.problem.experiments, self.carried(beside).thrust, self.carried(fit).thrust, strict=True)
-        further = [old - new for old, new in zip(self.errors(beside), self.errors(fit), strict=True)]
-        return fall([(e.record.time, old, new) for e, old, new in triples], further)
-
-    def errors(self, fit: Fit) -> list[float]:
-        """Mean square of the thrust's error in each of the step runs, N^2."""
-        simulator = fit.problem.simulator
-        shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self._runs]
-        return [float(np.nanmean((y - r["thrust"]) ** 2)) for y, r in zip(shown, self._runs, strict=True)]
+        further = self.on_runs(beside) - self.on_runs(fit)
+        return fall([(e.record.time, old, new) for e, old, new in triples], further.tolist())
 
 
 def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judgement:
@@ -180,7 +179,7 @@ def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judg
         refused.append(f"cross-validation gains {gain:.1f} nats; the best of {comparisons} by chance {needed:.1f}")
     if p >= CARRIED:
         refused.append(f"the thrust error on what was not fitted does not fall for certain (p = {p:.2g})")
-    if sum(judge.errors(fit)) > sum(judge.errors(beside)):
+    if judge.on_runs(fit).sum() > judge.on_runs(beside).sum():
         refused.append("the step runs are predicted worse")
     return replace(judged, refused=tuple(refused))
 

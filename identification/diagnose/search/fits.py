@@ -17,7 +17,7 @@ from identification.fit.linearised import Linearised
 from identification.fit.noise import independent
 from identification.fit.problem import Prior, Problem, Score
 from identification.fit.refine import Refinement
-from identification.fit.uncertainty import NORMAL_95, Uncertainty, uncertainty
+from identification.fit.uncertainty import NORMAL_95, WIDEST, Uncertainty, disagreement, uncertainty
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
@@ -58,12 +58,29 @@ class Fit:
 
     def as_identified(self) -> "Fit":
         """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent."""
-        old, scale = self.problem, self.values["thrust_scale"]
-        experiments = [e.but(noise=independent(scale)) for e in old.experiments]
-        problem = Problem(old.model, experiments, self.values, old.coordinates.names, old.prior, old.coordinates.slow_first)
-        solution = problem.solve_and_weigh(self.values)[-1].slim()
-        values = problem.values | problem.coordinates.values(solution.value)
-        return replace(self, values=values, problem=problem, solution=solution)
+        scale = self.values["thrust_scale"]
+        again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], self.problem.prior)
+        return again._solved(again.problem.solve_and_weigh(self.values)[-1])
+
+    def agreed(self, knowledge: Prior) -> "Fit":
+        """The same effects, with `knowledge` made as wide as the records disagree with it beside these effects: beside fewer
+        they may have disagreed for what was missing."""
+        loose = self._with_prior(knowledge.loosened(WIDEST))
+        factor = disagreement(knowledge, loose.uncertainty)
+        return loose if factor == WIDEST else loose._with_prior(knowledge.loosened(factor))
+
+    def _with_prior(self, prior: Prior) -> "Fit":
+        again = self._anew(self.problem.experiments, prior)
+        solution = again.problem.fit(self.values)
+        return replace(again._solved(solution), score=again.problem.score_of(solution.residual))
+
+    def _anew(self, experiments: Sequence[Experiment], prior: Prior | None) -> "Fit":
+        c = self.problem.coordinates
+        return replace(self, problem=Problem(self.problem.model, experiments, self.values, c.names, prior, c.slow_first))
+
+    def _solved(self, solution: Solution) -> "Fit":
+        values = self.problem.values | self.problem.coordinates.values(solution.value)
+        return replace(self, values=values, solution=solution.slim())
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
