@@ -58,13 +58,26 @@ def test_white_noise_has_no_colour():
 @pytest.mark.parametrize(("corner", "power"), [(0.02, 1), (0.1, 1), (0.02, 2)])
 def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corner, power):
     """Flicker noise and a random walk: the power of another draw in the ten slowest ordinates, 1 of white noise, in the mean of
-    40; a filter with a memory of a tenth of the record leaves six to ten in the slowest of them."""
+    40. In the slowest of all it was 1 + (corner / frequency)^power, 81 to 6400, of which a tenth is left at most of flicker
+    noise, and a hundredth of a random walk."""
     rng, ordinates = np.random.default_rng(13), []
     for _ in range(40):
         colour, other = colour_of([risen(rng, 2000, corner, power)]), risen(rng, 2000, corner, power)
         ordinates.append(dct(colour.whiten(other - other.mean()), norm="ortho")[1:11] ** 2)
     assert 0.6 < np.mean(ordinates) < 2.5
-    assert np.mean(ordinates, axis=0)[0] < 4.0
+    assert np.mean(ordinates, axis=0)[0] < 0.1**power * (1.0 + (corner * 2.0 * 2000.0) ** power)
+
+
+def test_flicker_noise_is_known_from_what_a_fit_has_left_of_it_too():
+    """The same in the mean of 20 draws where 30 slow directions are gone from what the filter is made of: unless flicker noise
+    is looked for, the ten slowest ordinates keep 20 times the power of white noise."""
+    rng, rows, ordinates = np.random.default_rng(14), 1200, []
+    slow = np.linalg.qr(np.cos(np.pi * np.arange(1, 31) * (np.arange(rows)[:, None] + 0.5) / rows))[0]
+    for _ in range(20):
+        part, other = risen(rng, rows, 0.1, 1), risen(rng, rows, 0.1, 1)
+        colour = colour_of([part - slow @ (slow.T @ part)], slow)
+        ordinates.append(dct(colour.whiten(other - other.mean()), norm="ortho")[1:11] ** 2)
+    assert 0.3 < np.mean(ordinates) < 3.0
 
 
 def test_what_is_evened_out_leaves_gaps_where_they_are():

@@ -5,12 +5,11 @@ finds "evidence"; so residuals are whitened before they are judged. Rows are ave
 anything the rig's actuators do, and an autoregressive filter takes out the rest of the colour. Noise that wanders (1/f) is
 remembered for longer than a few readings: beyond the first lags the filter has means over ever longer pasts, as many as
 the BIC finds worth their price (Corsi, 2009, for long memory by few terms). Flicker noise (1/f) and a random walk (1/f^2) rise
-towards rest beyond any past that a record affords: where records of the same commands tell them, they are evened out first.
+towards rest beyond any past that a record affords: they are evened out by frequency first.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from scipy.fft import dct, idct
@@ -29,10 +28,13 @@ PASTS = ((7, 12), (13, 24), (25, 48), (49, 96))
 RESTORED, ALIKE = 10, 0.002
 """Rounds in which what a fit took out is put back, at most, and the change of the innovation's logarithm that ends them."""
 
-CORNERS = 2.0 ** -np.arange(3, 15)
-POWERS = (1, 2)
+CORNERS = tuple((2.0 ** -np.arange(3, 15)).tolist())
+POWERS, APART = (1, 2), 3
 """Cycles a row below which noise that rises towards rest is more than the rest (what is faster is the lags'), and powers of the
-frequency with which it does: of flicker noise and of a random walk."""
+frequency with which it does: of flicker noise and of a random walk. Every third corner is tried, then those beside the best."""
+
+SINGULAR = 1e-12
+"""Share of the largest power below which a direction is rounding."""
 
 LOST = 0.1
 """Share of the rows that a filter's memory may cost: each gap in a record costs it once."""
@@ -169,26 +171,48 @@ def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> C
     fit took up, which is slow, and passes for bluer than the noise is: so what is gone is put back as it is to be expected,
     until both agree (expectation and maximisation of the restricted likelihood; Patterson and Thompson, Biometrika, 1971).
     """
-    if taken is None or not taken.size:
-        return _best_of_corners(parts)
-    colour = Colour((), (), _spread(parts, None))  # not the residual's own: far from the noise's, it would not come back
+    rows, tried = sum(map(np.size, parts)), {}
+
+    def at(corner: float, power: int) -> float:
+        """BIC of the filter for what is left of noise that rises below a corner."""
+        if (corner, power) not in tried:
+            price = sum(float(np.sum(np.log(_rise(len(p), corner, power)))) for p in parts) + np.log(rows) if corner else 0.0
+            own = [_evened(p, corner, power) for p in parts]
+            if taken is None or not taken.size:
+                found, bic = _judged(own)
+            else:
+                found, bic = _restricted(own[0], _evened(taken, corner, power))
+            tried[corner, power] = replace(found, corner=corner, power=power), bic + price
+        return tried[corner, power][1]
+
+    for power in POWERS if np.isfinite(at(0.0, 1)) else ():
+        here, best = None, min(range(1, len(CORNERS), APART), key=lambda k, power=power: at(CORNERS[k], power))
+        while best != here:
+            here = best
+            near = range(max(here - 1, 0), min(here + 2, len(CORNERS)))
+            best = min(near, key=lambda k, power=power: at(CORNERS[k], power))
+    return min(tried.values(), key=lambda pair: pair[1])[0]
+
+
+def _restricted(part: np.ndarray, taken: np.ndarray) -> tuple[Colour, float]:
+    """(the filter of the noise that a part and directions `taken` (rows, k) out of it are of, its BIC by the restricted
+    likelihood)."""
+    colour = Colour((), (), _spread([part], None))  # not the residual's own: far from the noise's, it would not come back
     for _ in range(RESTORED):
         before = colour
-        colour = _best(*_restored(parts[0], taken, before))
+        colour, _ = _judged(*_restored(part, taken, before))
         if abs(np.log(colour.innovation / before.innovation)) < ALIKE and colour.spans == before.spans:
             break
-    return colour
-
-
-def _best_of_corners(parts: Sequence[np.ndarray]) -> Colour:
-    """The filter of the least BIC, with noise that rises towards rest or without."""
-    found, least = _judged(parts, None)
-    for corner, power in product(CORNERS.tolist(), POWERS) if np.isfinite(least) else ():
-        price = sum(float(np.sum(np.log(_rise(len(p), corner, power)))) for p in parts) + np.log(sum(map(np.size, parts)))
-        colour, criterion = _judged([_evened(p, corner, power) for p in parts], None)
-        if criterion + price < least:
-            found, least = replace(colour, corner=corner, power=power), criterion + price
-    return found
+    white, target = colour.whiten(np.where(np.isfinite(part)[:, None], taken, 0.0)), colour.whiten(part)
+    seen = np.isfinite(target)
+    size, directions = np.linalg.eigh(white[seen].T @ white[seen])
+    kept = size > SINGULAR * size[-1]
+    score = directions[:, kept].T @ (white[seen].T @ target[seen])
+    rows, gone = len(part), int(kept.sum())
+    left = max(float(target[seen] @ target[seen] - score @ (score / size[kept])), 0.0) / max(seen.sum() - gone, 1)
+    variance = max(left * colour.innovation**2, 1e-300)
+    bic = (rows - gone) * np.log(variance) + float(np.sum(np.log(size[kept] * colour.innovation**2)))
+    return colour, bic + len(colour.spans) * np.log(rows)
 
 
 def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list[np.ndarray], np.ndarray]:
@@ -204,13 +228,8 @@ def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list
     return [found], np.fft.irfft(spectrum.sum(axis=1))[: _reach(_spans(LAGS[-1], PASTS)) + 1]
 
 
-def _best(parts: Sequence[np.ndarray], more: np.ndarray | None) -> Colour:
-    """The filter of the least BIC; `more` (lags,): autocovariance, summed over rows, to add to that of the parts."""
-    return _judged(parts, more)[0]
-
-
-def _judged(parts: Sequence[np.ndarray], more: np.ndarray | None) -> tuple[Colour, float]:
-    """(the same, its BIC)."""
+def _judged(parts: Sequence[np.ndarray], more: np.ndarray | None = None) -> tuple[Colour, float]:
+    """(the filter of the least BIC, that). `more` (lags,): autocovariance, summed over rows, to add to that of the parts."""
     count = sum(map(np.size, parts))
     best, least = Colour((), (), _spread(parts, more)), np.inf
     options = [(n, ()) for n in LAGS] + [(LAGS[-1], PASTS[:k]) for k in range(1, len(PASTS) + 1)]
