@@ -2,7 +2,7 @@
 
 A virtual machine's host may take a core away for tens of milliseconds (`steal` in /proc/stat). A rig in real time can't tell
 that from a board that is silent or a supervisor that is gone, and takes its rotor down as it should: a test of anything else
-says nothing then, and begins again.
+says nothing then, whatever it says, and is skipped where it fails.
 
 Run as a script, with the descriptor of a file to write to: one thread a core, above every loop in real time, writes down when
 it was woken late.
