@@ -68,18 +68,6 @@ def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corn
     assert np.mean(ordinates, axis=0)[0] < 0.1**power * (1.0 + (corner * 2.0 * 2000.0) ** power)
 
 
-def test_flicker_noise_is_known_from_what_a_fit_has_left_of_it_too():
-    """The same in the mean of 20 draws where 30 slow directions are gone from what the filter is made of: unless flicker noise
-    is looked for, the ten slowest ordinates keep 20 times the power of white noise."""
-    rng, rows, ordinates = np.random.default_rng(14), 1200, []
-    slow = np.linalg.qr(np.cos(np.pi * np.arange(1, 31) * (np.arange(rows)[:, None] + 0.5) / rows))[0]
-    for _ in range(20):
-        part, other = risen(rng, rows, 0.1, 1), risen(rng, rows, 0.1, 1)
-        colour = colour_of([part - slow @ (slow.T @ part)], slow)
-        ordinates.append(dct(colour.whiten(other - other.mean()), norm="ortho")[1:11] ** 2)
-    assert 0.3 < np.mean(ordinates) < 3.0
-
-
 def test_what_is_evened_out_leaves_gaps_where_they_are():
     colour, values = Colour((), (), 1.0, 0.05, 1), RNG.standard_normal((300, 2))
     holed = values.copy()

@@ -5,7 +5,7 @@ finds "evidence"; so residuals are whitened before they are judged. Rows are ave
 anything the rig's actuators do, and an autoregressive filter takes out the rest of the colour. Noise that wanders (1/f) is
 remembered for longer than a few readings: beyond the first lags the filter has means over ever longer pasts, as many as
 the BIC finds worth their price (Corsi, 2009, for long memory by few terms). Flicker noise (1/f) and a random walk (1/f^2) rise
-towards rest beyond any past that a record affords: they are evened out by frequency first.
+towards rest beyond any past that a record affords: where records of the same commands tell them, they are evened out first.
 """
 
 from collections.abc import Sequence
@@ -32,9 +32,6 @@ CORNERS = tuple((2.0 ** -np.arange(3, 15)).tolist())
 POWERS, APART = (1, 2), 3
 """Cycles a row below which noise that rises towards rest is more than the rest (what is faster is the lags'), and powers of the
 frequency with which it does: of flicker noise and of a random walk. Every third corner is tried, then those beside the best."""
-
-SINGULAR = 1e-12
-"""Share of the largest power below which a direction is rounding."""
 
 LOST = 0.1
 """Share of the rows that a filter's memory may cost: each gap in a record costs it once."""
@@ -171,17 +168,15 @@ def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> C
     fit took up, which is slow, and passes for bluer than the noise is: so what is gone is put back as it is to be expected,
     until both agree (expectation and maximisation of the restricted likelihood; Patterson and Thompson, Biometrika, 1971).
     """
+    if taken is not None and taken.size:
+        return _restricted(parts[0], taken)
     rows, tried = sum(map(np.size, parts)), {}
 
     def at(corner: float, power: int) -> float:
         """BIC of the filter for what is left of noise that rises below a corner."""
         if (corner, power) not in tried:
             price = sum(float(np.sum(np.log(_rise(len(p), corner, power)))) for p in parts) + np.log(rows) if corner else 0.0
-            own = [_evened(p, corner, power) for p in parts]
-            if taken is None or not taken.size:
-                found, bic = _judged(own)
-            else:
-                found, bic = _restricted(own[0], _evened(taken, corner, power))
+            found, bic = _judged([_evened(p, corner, power) for p in parts])
             tried[corner, power] = replace(found, corner=corner, power=power), bic + price
         return tried[corner, power][1]
 
@@ -194,25 +189,16 @@ def colour_of(parts: Sequence[np.ndarray], taken: np.ndarray | None = None) -> C
     return min(tried.values(), key=lambda pair: pair[1])[0]
 
 
-def _restricted(part: np.ndarray, taken: np.ndarray) -> tuple[Colour, float]:
-    """(the filter of the noise that a part and directions `taken` (rows, k) out of it are of, its BIC by the restricted
-    likelihood)."""
+def _restricted(part: np.ndarray, taken: np.ndarray) -> Colour:
+    """The filter of the noise that a part and directions `taken` out of it are of. No corner is looked for: what rises towards
+    rest in a single record may be what the model lacks, and evened out it would hide."""
     colour = Colour((), (), _spread([part], None))  # not the residual's own: far from the noise's, it would not come back
     for _ in range(RESTORED):
         before = colour
         colour, _ = _judged(*_restored(part, taken, before))
         if abs(np.log(colour.innovation / before.innovation)) < ALIKE and colour.spans == before.spans:
             break
-    white, target = colour.whiten(np.where(np.isfinite(part)[:, None], taken, 0.0)), colour.whiten(part)
-    seen = np.isfinite(target)
-    size, directions = np.linalg.eigh(white[seen].T @ white[seen])
-    kept = size > SINGULAR * size[-1]
-    score = directions[:, kept].T @ (white[seen].T @ target[seen])
-    rows, gone = len(part), int(kept.sum())
-    left = max(float(target[seen] @ target[seen] - score @ (score / size[kept])), 0.0) / max(seen.sum() - gone, 1)
-    variance = max(left * colour.innovation**2, 1e-300)
-    bic = (rows - gone) * np.log(variance) + float(np.sum(np.log(size[kept] * colour.innovation**2)))
-    return colour, bic + len(colour.spans) * np.log(rows)
+    return colour
 
 
 def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list[np.ndarray], np.ndarray]:

@@ -161,7 +161,7 @@ def artefact(found: Diagnosis, name: str) -> str:
     What delays or bends the speed must show in the measured speed too; where that gets worse, it is the thrust's reading
     that is late.
     """
-    fit = found.final
+    fit = found.selection.final
     effect = next(e for e in fit.problem.model.effects if e.name == name)
     if effect.reading:
         told = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
