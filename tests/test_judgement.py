@@ -255,25 +255,56 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
     shipped = SimpleNamespace()
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
     judge = SimpleNamespace(held_out=lambda one: held["was"], runs=())
-    assert diagnose._refuted(judge, shipped, shipped, fit, None, partly) == told
+    assert diagnose._refuted(judge, shipped, shipped, fit, fit, None, partly) == told
+
+
+TIME = np.arange(0.0, 60.0, 0.05)
+
+
+class Estimates:
+    """A judge of fits that are known by the rms of their errors in folds, noise of one draw scaled: which of two is the larger
+    is certain."""
+
+    runs = ()
+
+    def __init__(self, **rms):
+        noise = np.random.default_rng(5).standard_normal(len(TIME))
+        errors = {n: value * noise / np.sqrt(np.mean(noise**2)) for n, value in rms.items()}
+        self._held = {n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in errors.items()}
+
+    def held_out(self, fit):
+        return self._held[fit.name]
+
+
+def estimate(name: str, **others):
+    """A fit, and what it is when it is estimated otherwise."""
+    problem = SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=TIME))])
+    return SimpleNamespace(name=name, problem=problem, **{n: lambda *_, one=one: one for n, one in others.items()})
 
 
 @pytest.mark.parametrize(
-    ("found", "again", "ships", "told"),
+    ("found", "agreed", "again", "chosen"),
     [
-        (0.09, 0.0, "found", ""),
-        (0.11, 0.1, "again", ""),
-        (0.11, 0.105, "present", "cross-validated thrust error rises from 0.1 to 0.11 N"),
+        (0.09, 0.08, 0.05, "agreed"),  # what the map tells goes first
+        (0.09, 0.12, 0.05, "found"),  # unless it predicts worse
+        (0.11, 0.12, 0.10, "again"),  # as identified only where the present model is better
+        (0.11, 0.12, 0.13, "found"),
     ],
 )
-def test_no_model_ships_whose_thrust_error_is_larger_than_that_of_the_one_before(monkeypatch, found, again, ships, told):
-    """In the figure that the report calls after, whatever the evidence; estimated otherwise first."""
-    monkeypatch.setattr(diagnose, "_refuted", lambda *_: "")
-    errors = {"present": 0.1, "found": found, "again": again}
-    fit = SimpleNamespace(name="found", as_identified=lambda: SimpleNamespace(name="again"))
-    judge = SimpleNamespace(held_out=lambda one: SimpleNamespace(rmse_thrust=errors[one.name]))
-    shipped, why = diagnose._shipped(judge, SimpleNamespace(name="present"), None, fit, None)
-    assert (shipped.name, why) == (ships, told)
+def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, again, chosen):
+    judge = Estimates(present=0.1, found=found, agreed=agreed, again=again)
+    last = estimate("again")
+    fit = estimate("found", as_identified=last, agreed=estimate("agreed", as_identified=last))
+    assert diagnose._estimated(judge, object(), estimate("present"), fit).name == chosen
+
+
+@pytest.mark.parametrize(("after", "told"), [(0.1001, "cross-validated thrust error rises from 0.1 to 0.1001 N"), (0.0999, "")])
+def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, after, told):
+    """Whatever the evidence, and however little: that it is so for certain is not asked for."""
+    monkeypatch.setattr(diagnose, "rises", lambda *_: False)
+    judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
+    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: judge.held_out(one))
+    assert diagnose._refuted(judge, present, estimate("base"), found, found, None) == told
 
 
 @pytest.mark.parametrize(("rise", "told"), [(0.48, "thrust error of the step runs rises from 0.1 to 0.5 N"), (0.01, "")])
@@ -290,7 +321,7 @@ def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monk
     name = lambda one: "was" if one is shipped else "now"  # noqa: E731
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held[name(one)])
     judge = SimpleNamespace(held_out=lambda one: held[name(one)], on_runs=lambda one: runs[name(one)], runs=[1])
-    assert diagnose._refuted(judge, shipped, shipped, found, None) == told
+    assert diagnose._refuted(judge, shipped, shipped, found, found, None) == told
 
 
 def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may_leave():

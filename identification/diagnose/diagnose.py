@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -26,6 +27,7 @@ from identification.diagnose.verdict import verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
 from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
+from identification.fit.problem import Prior
 from identification.fit.refine import run_ins
 from identification.fit.tachometer import Tachometer
 from identification.fit.uncertainty import WIDEST, disagreement
@@ -192,23 +194,20 @@ def diagnose(
         give_back()
         selection = select(searcher, base, options, judge, lambda fit: lack_of_fit(fit, least).found, pool, stage)
         give_back()
-        if selection.final.effects and at.knowledge:
-            selection = replace(selection, final=selection.final.agreed(at.knowledge))
         after = with_turning(lack_of_fit(selection.final, least), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
         identified = base.estimated(at.refinement, at.uncertainty)
+        shipped = partial(_shipped, judge, at.knowledge, unseen)
         final, refuted = identified, ""
         if word in CHANGED:
-            final, refuted = _shipped(judge, identified, base, selection.final, unseen, word == "partly")
+            final, refuted = shipped(identified, base, selection.final, word == "partly")
         word = "unexplained" if refuted else word  # what was found is not it
         attempt = Attempt()
         if refuted or (word in ("unexplained", "partly") and after.found):
             beside = selection.final if word == "partly" else base
-            searcher.prior = beside.problem.prior
             attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
             if attempt.learned:
-                attempt = attempt.agreed(at.knowledge) if at.knowledge else attempt
-                final, why = _shipped(judge, final, beside, attempt.learned.term.fit, unseen)
+                final, why = shipped(final, beside, attempt.learned.term.fit)
                 attempt = attempt.but_refuted(why) if why else attempt
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
@@ -252,54 +251,62 @@ def _with(selection: Selection, learned: Learned) -> Selection:
     return replace(selection, final=learned.term.fit, judgements=judgements, family=family)
 
 
-def _shipped(judge: Judge, present: Fit, base: Fit, found: Fit, unseen: Unseen | None, partly: bool = False) -> tuple[Fit, str]:
-    """(what ships, why `found` does not take the place of the `present` model, in words; "" where it does).
-
-    Where what was found stands, and its thrust error is larger all the same on what neither was fitted to, it ships as an
-    identification estimates it, which gives more weight to what is slow; and not at all where that does not help either."""
-    if why := _refuted(judge, present, base, found, unseen, partly):
-        return present, why
-    before = _error(judge, present, unseen)
-    if (after := _error(judge, found, unseen)) <= before:
-        return found, ""
-    otherwise = found.as_identified()
-    if _error(judge, otherwise, unseen) <= before:
-        return otherwise, ""
-    return present, _rises(f"thrust error on {unseen.name}.csv" if unseen else "cross-validated thrust error", before, after)
+def _shipped(
+    judge: Judge, knowledge: Prior | None, unseen: Unseen | None, present: Fit, base: Fit, found: Fit, partly: bool = False
+) -> tuple[Fit, str]:
+    """(what ships, why what was `found` does not take the place of the `present` model, in words; "" where it does)."""
+    final = _estimated(judge, knowledge, present, found)
+    why = _refuted(judge, present, base, found, final, unseen, partly)
+    return (present, why) if why else (final, "")
 
 
-def _error(judge: Judge, fit: Fit, unseen: Unseen | None) -> float:
-    """N, thrust, where a fit was not fitted."""
-    return predict(fit.problem.model, fit.values, unseen.record).rmse_thrust if unseen else judge.held_out(fit).rmse_thrust
+def _estimated(judge: Judge, knowledge: Prior | None, present: Fit, found: Fit) -> Fit:
+    """What was found, estimated as it predicts best what no fit saw; the left-out folds choose, and nothing else.
+
+    What the static map tells was made as wide as the records disagreed with it beside the base, for what was missing perhaps:
+    it is weighed anew, unless thrust is for certain predicted worse then. Where folds are predicted worse than by the `present`
+    model, an identification's estimates, with more weight on what is slow, take the place if they do better.
+    """
+    if knowledge is not None:
+        agreed = found.agreed(knowledge)
+        old, new = judge.held_out(found).thrust, judge.held_out(agreed).thrust
+        times = [e.record.time for e in found.problem.experiments]
+        found = found if rises(list(zip(times, old, new, strict=True))) else agreed
+    if judge.held_out(found).rmse_thrust > judge.held_out(present).rmse_thrust:
+        found = min(found, found.as_identified(), key=lambda fit: judge.held_out(fit).rmse_thrust)
+    return found
 
 
-def _refuted(judge: Judge, shipped: Fit, base: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:
-    """Why a final model must not take the place of the one that would ship without it, in words: where it was not fitted it
-    predicts thrust worse than the same likelihood does without the effects (`base`), or for certain worse than what is
-    `shipped`: on left-out folds, in the step runs by more than the folds gain (they go where the other commands hardly go, and
-    show what a limit that was hardly reached does there), or on the unseen record. What explains a part only must carry over to
-    whole thirds of the records, certain or not. Judged once."""
-    found, before, after = final.problem, judge.held_out(base), judge.held_out(final)
+def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:
+    """Why a model must not take the place of the one that would ship without it, in words. `found`: the set where its
+    likelihood is largest, `final`: as it is to ship.
+
+    On left-out folds `found` predicts thrust worse than the same likelihood does without the effects (`base`), or `final` worse
+    than what is `shipped`: for certain on folds or thirds, or in the step runs by more than the folds gain (they go where the
+    other commands hardly go, and show what a limit that was hardly reached does there), or at all in the figure that a report
+    calls after: on the unseen record, else on the folds. What explains a part only must carry over to whole thirds of the
+    records, certain or not. Judged once."""
+    before, after = judge.held_out(base), judge.held_out(found)
     if after.rmse_thrust > before.rmse_thrust and after.gain(before)["thrust"] < 0.0:
-        return _rises("cross-validated thrust error", before.rmse_thrust, after.rmse_thrust)
+        return _rises(FOLDED, before.rmse_thrust, after.rmse_thrust)
     for split in (folds, thirds):
         was, now = (judge.held_out(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
-        worse = [(e.record.time, *pair) for e, *pair in zip(found.experiments, was.thrust, now.thrust, strict=True)]
+        worse = [(e.record.time, *pair) for e, *pair in zip(found.problem.experiments, was.thrust, now.thrust, strict=True)]
         if rises(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
-            return _rises("cross-validated thrust error", was.rmse_thrust, now.rmse_thrust)
+            return _rises(FOLDED, was.rmse_thrust, now.rmse_thrust)
+    was, now = judge.held_out(shipped).rmse_thrust, judge.held_out(final).rmse_thrust
     if judge.runs:
-        was, now = judge.on_runs(shipped), judge.on_runs(final)
-        gained = judge.held_out(shipped).rmse_thrust ** 2 - after.rmse_thrust**2
-        if np.mean(now - was) > gained and rises([], (now - was).tolist()):
-            return _rises("thrust error of the step runs", *(float(np.sqrt(np.mean(e))) for e in (was, now)))
+        old, new = judge.on_runs(shipped), judge.on_runs(final)
+        if np.mean(new - old) > was**2 - now**2 and rises([], (new - old).tolist()):
+            return _rises("thrust error of the step runs", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
+    what = FOLDED
     if unseen is not None:
-        name, record = f"thrust error on {unseen.name}.csv", unseen.record
-        of_base, of_shipped, of_final = (predict(fit.problem.model, fit.values, record) for fit in (base, shipped, final))
-        if of_final.rmse_thrust > of_base.rmse_thrust:
-            return _rises(name, of_base.rmse_thrust, of_final.rmse_thrust)
-        if rises([(record.time, *(p.thrust - record["thrust"] for p in (of_shipped, of_final)))]):
-            return _rises(name, of_shipped.rmse_thrust, of_final.rmse_thrust)
-    return ""
+        what = f"thrust error on {unseen.name}.csv"
+        was, now = (predict(fit.problem.model, fit.values, unseen.record).rmse_thrust for fit in (shipped, final))
+    return _rises(what, was, now) if now > was else ""
+
+
+FOLDED = "cross-validated thrust error"
 
 
 def _rises(what: str, before: float, after: float) -> str:

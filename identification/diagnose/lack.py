@@ -117,16 +117,22 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
         kept = at.time >= e.skip
         errors = np.stack([_filled(at.mean(shown - r.record["thrust"])[kept]) for r in e.records])
         between, within = spectra(errors)
-        for low, high, inside in _bands(np.fft.rfftfreq(errors.shape[1], float(np.median(np.diff(at.time))))):
-            degrees, count = 2.0 * inside.sum(), len(errors)
-            total = found.setdefault((low, high, count), np.zeros(4))
-            total += between[inside].sum(), within[inside].sum(), degrees, degrees * (count - 1)
+        step = float(np.median(np.diff(at.time)))
+        # The test takes noise in a band for flat, which it is once what rises towards rest is evened out.
+        flat, level = spectra(e.noise.evened(errors.T, step).T)
+        for low, high, inside in _bands(np.fft.rfftfreq(errors.shape[1], step)):
+            count = len(errors)
+            total = found.setdefault((low, high, count), np.zeros(5))
+            total += *(power[inside].sum() for power in (between, within, flat, level)), 2.0 * inside.sum()
     return tuple(_band(low, high, count, *total) for (low, high, count), total in found.items())
 
 
-def _band(low: float, high: float, count: int, between: float, within: float, degrees: float, within_degrees: float) -> Band:
-    power, error = (between - within) / count, within * np.sqrt(2.0 / degrees + 2.0 / within_degrees) / count
-    p = float(f_distribution.sf(between / within, degrees, within_degrees)) if within > 0.0 else 1.0
+def _band(
+    low: float, high: float, count: int, between: float, within: float, flat: float, level: float, degrees: float
+) -> Band:
+    """From the powers of the mean and about it, as they are and evened, and the degrees of freedom of one record."""
+    power, error = (between - within) / count, within * np.sqrt(2.0 / degrees + 2.0 / (degrees * (count - 1))) / count
+    p = float(f_distribution.sf(flat / level, degrees, degrees * (count - 1))) if level > 0.0 else 1.0
     return Band(low, high, float(power), float(error), p)
 
 

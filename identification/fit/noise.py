@@ -301,6 +301,10 @@ class Noise:
     block: float
     verified: bool
 
+    def evened(self, values: np.ndarray, period: float) -> np.ndarray:
+        """Thrust (rows,) or (rows, k), a row each `period` s, as it would be if its noise did not rise towards rest."""
+        return _evened(values, self.colour.corner * period / self.block, self.colour.power) if self.colour.corner else values
+
 
 def independent(thrust: float) -> Noise:
     """Readings that are independent of each other, of a standard deviation `thrust` [N], row by row: what a fit supposes that

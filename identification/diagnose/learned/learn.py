@@ -21,7 +21,6 @@ from identification.diagnose.learned.screening import Lead, forms_of, screened
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
 from identification.diagnose.selection import Judge
-from identification.fit.problem import Prior
 from vpp_fmu.kernel.learned import PORTS
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
@@ -65,11 +64,6 @@ class Attempt:
     comparisons: int = 0
     learned: Learned | None = None
     refuted: str = ""
-
-    def agreed(self, knowledge: Prior) -> "Attempt":
-        """The same, the term's fit as `Fit.agreed`."""
-        term = self.learned.term
-        return replace(self, learned=replace(self.learned, term=replace(term, fit=term.fit.agreed(knowledge))))
 
     def but_refuted(self, why: str) -> "Attempt":
         """The same, its term refuted."""
