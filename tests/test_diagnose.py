@@ -81,7 +81,7 @@ def test_the_only_candidate_leaves_none_to_look_at_beside_it():
 
 def test_estimated_as_an_identification_does_a_fit_has_the_values_of_the_identification(nothing_missing):
     base, names = nothing_missing.selection.base, nothing_missing.base.problem.coordinates.names
-    again = base.as_identified()
+    again = base.as_identified(None)
     assert any(base.values[n] != pytest.approx(nothing_missing.base.values[n], rel=1e-6) for n in names)
     for name in names:
         assert again.values[name] == pytest.approx(nothing_missing.base.values[name], rel=1e-4), name

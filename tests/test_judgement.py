@@ -298,6 +298,16 @@ def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, ag
     assert diagnose._estimated(judge, object(), estimate("present"), fit).name == chosen
 
 
+@pytest.mark.parametrize(
+    ("on_runs", "chosen"), [({"found": 0.02, "again": 0.01}, "again"), ({"found": 0.02, "again": 0.03}, "found")]
+)
+def test_step_runs_ask_for_the_other_estimate_too(on_runs, chosen):
+    judge = Estimates(present=0.1, found=0.08, again=0.09)
+    judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.01, **on_runs}[fit.name])
+    fit = estimate("found", as_identified=estimate("again"))
+    assert diagnose._estimated(judge, None, estimate("present"), fit).name == chosen
+
+
 @pytest.mark.parametrize(("after", "told"), [(0.1001, "cross-validated thrust error rises from 0.1 to 0.1001 N"), (0.0999, "")])
 def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, after, told):
     """Whatever the evidence, and however little: that it is so for certain is not asked for."""

@@ -261,20 +261,29 @@ def _shipped(
 
 
 def _estimated(judge: Judge, knowledge: Prior | None, present: Fit, found: Fit) -> Fit:
-    """What was found, estimated as it predicts best what no fit saw; the left-out folds choose, and nothing else.
+    """What was found, estimated as it predicts best what no fit saw; left-out folds and step runs choose, and nothing else.
 
     What the static map tells was made as wide as the records disagreed with it beside the base, for what was missing perhaps:
-    it is weighed anew, unless thrust is for certain predicted worse then. Where folds are predicted worse than by the `present`
-    model, an identification's estimates, with more weight on what is slow, take the place if they do better.
+    it is weighed anew, unless thrust is for certain predicted worse then. Where folds or step runs are predicted worse than by
+    the `present` model, an identification's estimates, with more weight on what is slow, take the place if they do better.
     """
     if knowledge is not None:
         agreed = found.agreed(knowledge)
         old, new = judge.held_out(found).thrust, judge.held_out(agreed).thrust
         times = [e.record.time for e in found.problem.experiments]
         found = found if rises(list(zip(times, old, new, strict=True))) else agreed
-    if judge.held_out(found).rmse_thrust > judge.held_out(present).rmse_thrust:
-        found = min(found, found.as_identified(), key=lambda fit: judge.held_out(fit).rmse_thrust)
+    if _worse(judge, found, present):
+        again = found.as_identified(knowledge)
+        better = judge.held_out(again).rmse_thrust < judge.held_out(found).rmse_thrust
+        found = again if better or not _worse(judge, again, present) else found
     return found
+
+
+def _worse(judge: Judge, fit: Fit, present: Fit) -> bool:
+    """Whether folds or step runs are predicted worse by a fit, certain or not."""
+    if judge.held_out(fit).rmse_thrust > judge.held_out(present).rmse_thrust:
+        return True
+    return bool(judge.runs) and float(np.mean(judge.on_runs(fit) - judge.on_runs(present))) > 0.0
 
 
 def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:

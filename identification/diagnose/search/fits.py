@@ -56,10 +56,11 @@ class Fit:
         values = {**self.values, **found.values}
         return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=uncertainty)
 
-    def as_identified(self) -> "Fit":
-        """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent."""
+    def as_identified(self, knowledge: Prior | None) -> "Fit":
+        """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent, and
+        with `knowledge` as it stands."""
         scale = self.values["thrust_scale"]
-        again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], self.problem.prior)
+        again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], knowledge)
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
     def agreed(self, knowledge: Prior) -> "Fit":
