@@ -47,17 +47,21 @@ def _once(code: str) -> float:
 
 def from_wheel(folder: Path) -> list[str]:
     """What the examples say, run from a wheel of the checkout in an environment in `folder`. The package comes from there, what
-    it needs from this environment. CalledProcessError where an example fails."""
+    it needs from this environment. SystemExit, with what failed, where an example does."""
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)], check=True)
     (wheel,) = folder.glob("*.whl")
     home, empty = folder / "environment", folder / "empty"
     venv.create(home, symlinks=True)
     empty.mkdir()
-    subprocess.run([*pip, "--python", str(home / "bin" / "python"), "install", "--no-deps", str(wheel)], check=True)
+    # A checkout on this environment's path must not pass for an installation there.
+    install = [*pip, "--python", str(home / "bin" / "python"), "install", "--no-deps", "--ignore-installed", str(wheel)]
+    subprocess.run(install, check=True)
     needed = {"PYTHONPATH": sysconfig.get_path("purelib"), "PATH": os.environ["PATH"]}  # its .pth files do not count there
     told = [home / "bin" / "python", "-c", EXAMPLES]
-    done = subprocess.run(told, cwd=empty, env=needed, check=True, capture_output=True, text=True)
+    done = subprocess.run(told, check=False, cwd=empty, env=needed, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{done.stdout}{done.stderr}".rstrip())
     return done.stdout.splitlines()
 
 
