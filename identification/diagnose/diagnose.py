@@ -23,7 +23,7 @@ from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, refitted, screened
 from identification.diagnose.selection import Judge, Selection, select
-from identification.diagnose.verdict import verdict
+from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
 from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
@@ -201,9 +201,10 @@ def diagnose(
         final, refuted = identified, ""
         if word in CHANGED:
             final, refuted = shipped(identified, base, selection.final, word == "partly")
-        word = "unexplained" if refuted else word  # what was found is not it
+        lacks = before if refuted else after
+        word = unnamed(before) if refuted else word  # what was found is not it
         attempt = Attempt()
-        if refuted or (word in ("unexplained", "partly") and after.found):
+        if word in ("unexplained", "partly") and lacks.found:
             beside = selection.final if word == "partly" else base
             attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
             if attempt.learned:

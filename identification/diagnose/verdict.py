@@ -10,12 +10,17 @@ from identification.diagnose.search.fits import Fit
 def verdict(base: Fit, final: Fit, before: Lack, after: Lack, family: Mapping[str, Sequence[str]]) -> str:
     """What a search's outcome amounts to, by what the base and the final set lack."""
     if not final.effects:
-        return "unexplained" if before.found or before.turns else "none"
+        return unnamed(before)
     if after.found:
         return "partly" if _gone(base, final, before, after) > HALF else "unexplained"
     if after.turns:
         return "partly"
     return "family" if any(family.values()) else "attributed"
+
+
+def unnamed(lack: Lack) -> str:
+    """The verdict on a model to which nothing was added, by what it lacks."""
+    return "unexplained" if lack.found or lack.turns else "none"
 
 
 def _gone(base: Fit, final: Fit, before: Lack, after: Lack) -> float:

@@ -52,7 +52,8 @@ def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool
 
 
 def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) -> list[CandidateFit]:
-    """The same with some more of them refitted: the most promising that have not been, as far as they promise anything.
+    """The same with some more of them refitted: the most promising that have not been, as far as they promise anything, and
+    what a look does not tell from the very best of them.
 
     An effect goes by the form that promises most; its forms that promise nearly as much are refitted with it.
     """
@@ -61,7 +62,8 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
     for t in tried:
         if t.fit is None and t.fall > STRONG:
             promised.setdefault(t.candidate.name, t.fall)
-    first = dict(list(promised.items())[:count])
+    most = max(promised.values(), default=0.0)
+    first = {name: fall for k, (name, fall) in enumerate(promised.items()) if k < count or fall > most - STRONG}
     least = {name: max(STRONG, REACH * fall) for name, fall in first.items()}
     chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
     if not chosen:
