@@ -2,6 +2,7 @@
 
 import subprocess
 import tempfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from builders import ALL_ON, OPTIONAL, PROBES, TWO_DELAYS, random_steps, referen
 
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.plant import BASE, LIBRARY, plant
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator, compiler
 from vpp_fmu.native import simulator as simulators
@@ -151,6 +152,20 @@ def test_what_was_compiled_is_kept(own_cache, monkeypatch):
     assert len(list(own_cache.iterdir())) == 2
     monkeypatch.setattr(subprocess, "run", None)  # whoever compiles again fails
     np.testing.assert_array_equal(Simulator(BASE).simulate({}, inputs, steps), first)
+
+
+def test_a_library_effect_is_traced_once_and_ones_own_of_its_name_anew(own_cache, monkeypatch):
+    inputs, steps, name = random_steps(50, 5), np.full(49, 0.004), "sensor_gain"
+    values = {f"{name}.gain": 1.2}
+    theirs = Simulator(plant([name])).simulate(values, inputs, steps)
+
+    def squared(ops, s, x, p, dt):
+        return {"thrust": s.thrust * p.gain * p.gain}, {}
+
+    own = [replace(e, step=squared, declared=None) if e.name == name else e for e in LIBRARY]
+    np.testing.assert_allclose(Simulator(plant([name], own)).simulate(values, inputs, steps)[:, 0], 1.2 * theirs[:, 0])
+    monkeypatch.setattr(simulators, "trace", None)  # whoever traces again fails
+    np.testing.assert_array_equal(Simulator(plant([name])).simulate(values, inputs, steps), theirs)
 
 
 def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(own_cache, monkeypatch, tmp_path):

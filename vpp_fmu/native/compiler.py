@@ -6,6 +6,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -30,13 +31,18 @@ def compiler() -> str:
 
 def compiled(source: str) -> Path:
     """The shared library for a C source text; compiled at the first call, taken from the cache afterwards."""
+    return compiled_as(source, lambda: source)
+
+
+def compiled_as(name: str, source: Callable[[], str]) -> Path:
+    """The same under a `name` that no other source text has, which need not be made where the library is there already."""
     cc = compiler()
-    tag = hashlib.sha256("\0".join([source, cc, *FLAGS, platform.machine()]).encode()).hexdigest()[:24]
+    tag = hashlib.sha256("\0".join([name, cc, *FLAGS, platform.machine()]).encode()).hexdigest()[:24]
     library = cache_folder() / f"{tag}.so"
     if not library.exists():
         with tempfile.TemporaryDirectory(dir=library.parent) as work:
             text, built = Path(work, "model.c"), Path(work, "model.so")
-            text.write_text(source)
+            text.write_text(source())
             subprocess.run([cc, *FLAGS, str(text), "-o", str(built), "-lm"], check=True, capture_output=True, text=True)
             os.replace(built, library)  # whole or not at all: several processes may compile the same
     return library

@@ -1,6 +1,8 @@
 """Whole records through a traced model: compiled where there is a compiler, else as generated Python; the same numbers."""
 
 import ctypes
+import hashlib
+import json
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
@@ -10,9 +12,10 @@ from importlib.resources import files
 import numpy as np
 
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
+from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.schedule import NUDGE, SLOTS, DelayFull, DelayLine, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
-from vpp_fmu.native.compiler import compiled
+from vpp_fmu.native.compiler import compiled, compiled_as
 from vpp_fmu.tracer import Program, c_source, python_source, trace
 
 PIECE = 4096
@@ -101,28 +104,49 @@ class _Chain:
     def __hash__(self):
         return hash(self._key)
 
+    @property
+    def text(self) -> str:
+        """What is traced of it, in names; "" where an effect is none of the library's, whose name says nothing of its text.
+
+        Tracing a model takes as long as some twenty runs of a record, and compiled ones are kept from one diagnosis to another.
+        """
+        if not {id(e) for e in self._effects} <= {id(e.declared) for e in LIBRARY}:
+            return ""
+        names = [e.name for e in self._effects]
+        return json.dumps([_library_text(), *map(str, self._key[: -len(names)]), names])
+
+
+@cache
+def _library_text() -> str:
+    """A hash of all files that a library of effects, a trace of them, and the C about it are made from."""
+    folders = [files("vpp_fmu.kernel"), files("vpp_fmu.kernel.effects"), files("vpp_fmu.tracer"), files("vpp_fmu.native")]
+    parts = sorted((path.name, path.read_bytes()) for folder in folders for path in folder.iterdir() if path.is_file())
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
 
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
     """A generator function (parameters, inputs, steps, plain): each (rows, outputs, tangents) sent to it is filled in; a plain
     run has no tangents, None."""
-    program = trace(chain.model, wrt)
     try:
-        return _compiled(program)
+        return _compiled(chain, wrt)
     except CompilerMissing as missing:
         _say_once(str(missing))
-        return _interpreted(program)
+        return _interpreted(trace(chain.model, wrt))
 
 
-def _compiled(program: Program):
-    source = c_source(program) + (files("vpp_fmu.kernel") / "schedule.c").read_text()
-    source += (files("vpp_fmu.native") / "simulate.c").read_text()
-    library = ctypes.CDLL(str(compiled(source)))
+def _compiled(chain: _Chain, wrt: tuple[str, ...]):
+    def source() -> str:
+        after = files("vpp_fmu.kernel") / "schedule.c", files("vpp_fmu.native") / "simulate.c"
+        return "".join((c_source(trace(chain.model, wrt)), *(path.read_text() for path in after)))
+
+    known = chain.text
+    library = ctypes.CDLL(str(compiled_as(f"{known} {wrt}", source) if known else compiled(source())))
     vector = np.ctypeslib.ndpointer(float, flags="C")
     library.begin.argtypes, library.begin.restype = [vector, vector, ctypes.c_int], ctypes.c_void_p
     library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, ctypes.c_void_p]
     library.end.argtypes, library.end.restype = [ctypes.c_void_p], None
-    name = program.model.name  # of the program itself, whose graph is large, nothing is needed any more
+    name = chain.model.name
 
     def run(values, inputs, steps, plain):
         begun = library.begin(values, inputs[0], plain)
