@@ -205,11 +205,12 @@ def diagnose(
         word = unnamed(before) if refuted else word  # what was found is not it
         attempt = Attempt()
         if word in ("unexplained", "partly") and lacks.found:
-            beside = selection.final if word == "partly" else base
-            attempt = learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
-            if attempt.learned:
-                final, why = shipped(final, beside, attempt.learned.term.fit)
-                attempt = attempt.but_refuted(why) if why else attempt
+            besides = [base, selection.final] if word == "partly" else [base]
+
+            def learned_beside(beside: Fit) -> Attempt:
+                return learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
+
+            attempt, final = _learned(learned_beside, besides, judge, final, shipped)
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
             after = with_turning(lack_of_fit(selection.final, least), selection.final)
@@ -237,6 +238,34 @@ def diagnose(
             refuted=refuted,
             attempt=attempt,
         )
+
+
+def _learned(
+    learned_beside: Callable[[Fit], Attempt],
+    besides: Sequence[Fit],
+    judge: Judge,
+    present: Fit,
+    shipped: Callable[[Fit, Fit, Fit], tuple[Fit, str]],
+) -> tuple[Attempt, Fit]:
+    """(the attempt at a term of no list, what ships: the `present` model where none stands).
+
+    Effects of the list that explain a part only may be what a wrong list makes of one effect that it lacks: so a term is
+    looked for beside the base first, where it must explain more than they do, with less, and leave nothing; then beside them.
+    """
+    known, attempt = besides[-1], Attempt()
+    for beside in besides:
+        attempt = learned_beside(beside)
+        if not attempt.learned:
+            continue
+        term = attempt.learned.term.fit
+        if beside is not known and (evidence_over(term, known) <= STRONG or lack_of_fit(term, judge.least()).found):
+            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much, or not all is explained")
+            continue
+        final, why = shipped(present, beside, term)
+        if not why:
+            return attempt, final
+        attempt = attempt.but_refuted(why)
+    return attempt, present
 
 
 def _timed(at: InitialModel, final: Fit) -> Rig:

@@ -3,11 +3,14 @@
 On the emulator of the diagnosis study (rig.py). Each of the library's effects in turn is hidden in a rig and deleted from the
 list that the diagnosis is given; twelve further forms that no list has were thought of before there was anything that learns
 (`missing.UNLISTED`); and rigs without anything. A case counts by what ships: the place and the driver, the share of the
-thrust error's power removed on a record that nobody saw, and whether that is below 0.
+thrust error's power removed on a record that nobody saw, and whether that is below 0. Where a term was learned, the model with
+it is exported in both flavours, validated by fmpy, and run through fmpy over that record: to the functions' bits, or not.
 """
 
 import argparse
+import contextlib
 import json
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +21,13 @@ from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.description import sentence
 from identification.diagnose.learned.refit import Term
 from identification.diagnose.search.fits import Fit
+from vpp_fmu.export import Experiment, native_fmu, python_fmu
+from vpp_fmu.fmu import Fmu, FmuInstance, problems
 from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 
 from .apart import Failed, apart
 from .cases import Case, draw
@@ -159,7 +167,49 @@ def outcome(case: Case) -> dict:
     row |= {"before": error(found.base), "after": error(found.final), "lacking": found.before.found}
     row |= {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked}
     row |= {"learning_cpu": time.process_time() - learning[0] if learning else 0.0}
-    return row | _learned(case, found)
+    return row | _learned(case, found) | (exported(found, record, true) if found.learned else {})
+
+
+FLAVOURS = {"python": python_fmu, "native": native_fmu}
+
+
+def exported(found: Diagnosis, record: Record, true: np.ndarray) -> dict:
+    """What ships as FMUs, run through fmpy over a record whose true thrust is given: what validation says of them, how many of
+    their rows are not the functions' to the bit, and the thrust error [N] of the base and of what ships."""
+    said, differ, errors = [], {}, []
+    for fit in (found.base, found.final):
+        parameters = found.parameters(fit)
+        model, values = parameters.model, parameters.values
+        held = _inputs(model, record)
+        simulation = Simulation(model, values)
+        exact = [list(simulation.start(held[0]).values())]
+        exact += [list(simulation.advance(inputs, record.period).values()) for inputs in held[:-1]]
+        with tempfile.TemporaryDirectory() as folder:
+            for flavour, make in FLAVOURS.items():
+                path = Path(folder, f"{flavour}.fmu")
+                path.write_bytes(make(model, values, Experiment()))
+                said += problems(path)
+                shown = _through_fmpy(path, model, held, record.period)
+                differ[flavour] = differ.get(flavour, 0) + sum(a != b for a, b in zip(shown, exact, strict=True))
+        thrust = [row[0] for row in shown]
+        errors.append(float(np.sqrt(np.mean((np.asarray(thrust) - true) ** 2))))
+    return {"fmus": {"said": said, "rows": 2 * len(record), "differ": differ, "errors": errors}}
+
+
+def _inputs(model: Model, record: Record) -> list[dict[str, float]]:
+    """The model's inputs by name in each row."""
+    names = [u.name for u in model.inputs]
+    return [dict(zip(names, row, strict=True)) for row in np.column_stack([record.columns[n] for n in names]).tolist()]
+
+
+def _through_fmpy(path: Path, model: Model, held: Sequence[dict], dt: float) -> list[list[float]]:
+    with contextlib.closing(Fmu(path)) as unpacked:
+        instance = FmuInstance(unpacked, [u.name for u in model.inputs], [y.name for y in model.outputs])
+        shown = [instance.start(list(held[0].values()))]
+        take = instance.stepper(dt)
+        shown += [take(list(inputs.values())) for inputs in held[:-1]]
+        instance.close()
+    return shown
 
 
 def _learned(case: Case, found: Diagnosis) -> dict:
@@ -235,5 +285,20 @@ def table(rows: Sequence[dict]) -> str:
         seconds = [r["learning_cpu"] for r in part if r["learning_cpu"] > 0.0]
         if seconds:
             told.append(f"  CPU seconds of learning: median {np.median(seconds):.0f}, most {max(seconds):.0f} (aim: 20)")
+    told += _exports([r["fmus"] for r in rows if r.get("fmus")])
     failed = [r["name"] for r in rows if r["failed"]]
     return "\n".join([*told, *([f"\nfailed: {', '.join(failed)}"] if failed else [])])
+
+
+def _exports(rows: Sequence[dict]) -> list[str]:
+    """What came of the models with a learned term as FMUs."""
+    if not rows:
+        return []
+    differ = ", ".join(f"{flavour} {sum(r['differ'][flavour] for r in rows)}" for flavour in FLAVOURS)
+    before, after = np.array([r["errors"] for r in rows]).T
+    ratio, said, count = after / before, sum(len(r["said"]) for r in rows), sum(r["rows"] for r in rows)
+    return [
+        f"\nexported in both flavours, without and with the term: {len(rows)}; fmpy validate: {said} problems",
+        f"  rows of {count} that are not the functions' to the bit: {differ}",
+        f"  thrust error through fmpy, after over before: median {np.median(ratio):.2f}, worst {max(ratio):.2f}",
+    ]
