@@ -12,22 +12,26 @@ import contextlib
 import json
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.description import sentence
+from identification.diagnose.learned.laws import curve_of
 from identification.diagnose.learned.refit import Term
+from identification.diagnose.report.learned import data, law
 from identification.diagnose.search.fits import Fit
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, problems
+from vpp_fmu.kernel.learned import DRIVERS, PORTS
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
+from vpp_fmu.report import Page, learned_curve
 
 from .apart import Failed, apart
 from .cases import Case, draw
@@ -94,9 +98,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, default=60.0, metavar="S", help="of the open-loop record (default: %(default)g)"
     )
     parser.add_argument("--rate", type=int, default=250, metavar="HZ", help="of the logger (default: %(default)s)")
+    parser.add_argument("--strength", type=float, metavar="X", help="of what is hidden, 0 to 1 (default: drawn)")
     parser.add_argument("--size", default="paper", help="of the rig (default: %(default)s)")
     parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for a case (default: %(default)g)")
     parser.add_argument("-o", "--output", default="out/learned.jsonl", metavar="F", help="lines (default: %(default)s)")
+    parser.add_argument("--pages", metavar="DIR", help="where a curve is known that should come out, draw both")
     parser.add_argument("--only-table", action="store_true", help="no new cases: the table of the file's lines")
 
 
@@ -112,7 +118,7 @@ def main(arguments: list[str]) -> None:
         known = {(row["name"], row["kind"]) for row in done}
         with path.open("a") as file:
             for case in (c for c in cases(options) if (c.name, _kind(c)) not in known):
-                row = one(case, options.limit)
+                row = one(case, options.limit, options.pages)
                 print(line(row), flush=True)
                 file.write(json.dumps(row) + "\n")
                 file.flush()
@@ -125,6 +131,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
     only = set(filter(None, options.effects.split(",")))
     names = {"unlisted": [h.name for h in UNLISTED], "deleted": [h.name for h in LISTED if h.name in RIGHT], "none": []}
     given = {"size": options.size, "rate": options.rate, "seconds": options.seconds}
+    given |= {} if options.strength is None else {"strength": options.strength}
     found = []
     for kind in options.kinds.split(","):
         if kind == "none":
@@ -139,17 +146,17 @@ def _kind(case: Case) -> str:
     return "unlisted" if case.kind == "outside" else case.kind
 
 
-def one(case: Case, limit: float) -> dict:
+def one(case: Case, limit: float, pages: str | None = None) -> dict:
     """A case's row, from a process of its own."""
     began = time.perf_counter()
     try:
-        return apart(outcome, case, limit=limit)
+        return apart(outcome, case, pages, limit=limit)
     except Failed as failed:
         return {"name": case.name, "kind": _kind(case), "failed": str(failed), "seconds": time.perf_counter() - began}
 
 
-def outcome(case: Case) -> dict:
-    """Measure the case, diagnose it, compare with the truth."""
+def outcome(case: Case, pages: str | None = None) -> dict:
+    """Measure the case, diagnose it, compare with the truth. `pages`: a folder for a page that draws it."""
     measured = case.measured()
     stages, began, worked = [], time.perf_counter(), time.process_time()
     library = [e for e in LIBRARY if e.name != case.deleted]
@@ -167,7 +174,68 @@ def outcome(case: Case) -> dict:
     row |= {"before": error(found.base), "after": error(found.final), "lacking": found.before.found}
     row |= {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked}
     row |= {"learning_cpu": time.process_time() - learning[0] if learning else 0.0}
+    if found.learned and pages and case.hidden[0] in TRUE_CURVES:
+        draw_curve(case, found, Path(pages))
     return row | _learned(case, found) | (exported(found, record, true) if found.learned else {})
+
+
+TRUE_CURVES = {
+    "blocked_speed": (
+        "thrust_share",
+        "speed",
+        (0, 1),
+        lambda r, v: -r["notch"] * np.exp(-(((v / r.size.speed - 0.68) / 0.06) ** 2)),
+    ),
+    "speed_surge": ("thrust", "speed_rate", (), lambda r, v: r["surge"] * r.size.thrust / r.size.speed * v),
+    "loaded_servo": (
+        "pitch_rate_share",
+        "thrust",
+        (0,),
+        lambda r, v: 1.0 / (1.0 + r["servo_load"] * np.maximum(v / r.size.thrust - 0.25, 0.0)) - 1.0,
+    ),
+    "soft_stop": ("reading", "thrust", (0, 1), lambda r, v: -r["bend"] * np.maximum(v - 0.4 * r.size.thrust, 0.0)),
+}
+"""Port, driver, the powers of the driver that other parameters take up (a thrust map's, a lag's), and what the rig (rig.c) adds
+there over values of the driver, where that is a curve."""
+
+
+class _Settings(dict):
+    """Of a rig, with its size."""
+
+    def __init__(self, case: Case):
+        super().__init__(case.rig.settings)
+        self.size = case.rig.size
+
+
+def draw_curve(case: Case, found: Diagnosis, folder: Path) -> None:
+    """A page with what was learned, as a table and as the law that took its place, beside what is in the rig."""
+    port, driver, powers, true = TRUE_CURVES[case.hidden[0]]
+    learned = found.learned
+    term, curve = learned.term, learned.curve
+    if (term.lead.port, term.lead.driver) != (port, driver) or curve.lead.shape != "curve":
+        return
+    at, f, std = curve_of(curve)
+    fine, rig, there = np.linspace(at[0], at[-1], 400), _Settings(case), data(found)
+    inside = np.sort(there[(there >= at[0]) & (there <= at[-1])])[:: max(1, len(there) // 5000)]
+    basis = np.vander(inside / at[-1], 1 + max(powers, default=-1))
+
+    def beside_table(of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        off, *_ = np.linalg.lstsq(basis, np.interp(inside, at, f) - of(inside), rcond=None)
+        return of(fine) + np.vander(fine / at[-1], basis.shape[1]) @ off
+
+    lines = {"learned, as a table": (at, f)}
+    if term is not curve:
+        lines[f"law: {term.lead.shape}"] = fine, beside_table(lambda v: law(term, v))
+    lines["in the rig"] = fine, beside_table(lambda v: true(rig, v))
+    d, p = DRIVERS[driver], PORTS[port]
+    title = f"{case.hidden[0].replace('_', ' ').capitalize()}, in no list: what was learned beside what is there"
+    page = Page(title, "")
+    page.figure(
+        learned_curve(at, f, 1.96 * std, lines, there, title, (d.words, d.unit), (p.words, p.unit)),
+        f"The term {sentence(term)}.",
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{case.hidden[0]}.html").write_text(page.html())
 
 
 FLAVOURS = {"python": python_fmu, "native": native_fmu}
