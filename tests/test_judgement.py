@@ -14,6 +14,7 @@ from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
 from identification.diagnose.lack import spectra
 from identification.diagnose.selection import _ranked
+from identification.diagnose.verdict import unnamed
 from identification.fit.experiment import Experiment
 from identification.fit.noise import Blocks, Colour, colour_of
 from identification.fit.problem import Prior
@@ -391,3 +392,38 @@ def test_the_score_test_sees_what_follows_a_shape():
     score = shapes @ residual
     covariance, degrees = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
     assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, degrees).p < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("ahead", "leaves", "refuted", "looks", "shipped"),
+    [
+        (9.0, False, "", ["base"], "term beside base"),
+        (4.0, False, "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
+        (9.0, True, "", ["base", "known"], "term beside known"),
+        (9.0, False, "rises", ["base", "known"], "present"),
+    ],
+)
+def test_a_term_takes_the_place_of_effects_that_explain_a_part_only_where_it_explains_all(
+    monkeypatch, ahead, leaves, refuted, looks, shipped
+):
+    """Penalised log-likelihood over the effects of the list: more than 5 is asked for."""
+    base, known, seen = SimpleNamespace(name="base"), SimpleNamespace(name="known", effects=("one", "other")), []
+
+    def learned_beside(fit):
+        seen.append(fit.name)
+        term = SimpleNamespace(fit=SimpleNamespace(name=f"term beside {fit.name}"))
+        return diagnose.Attempt(learned=SimpleNamespace(term=term))
+
+    monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
+    monkeypatch.setattr(diagnose, "lack_of_fit", lambda fit, least: SimpleNamespace(found=leaves))
+    judge = SimpleNamespace(least=lambda: 0.01)
+    attempt, final = diagnose._learned(
+        learned_beside, [base, known], judge, SimpleNamespace(name="present"), lambda present, beside, term: (term, refuted)
+    )
+    assert (seen, final.name) == (looks, shipped)
+    assert (attempt.learned is None) == (shipped == "present")
+
+
+@pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])
+def test_what_is_refuted_leaves_the_verdict_of_a_base_without_it(found, turns, word):
+    assert unnamed(SimpleNamespace(found=bool(found), turns=bool(turns))) == word
