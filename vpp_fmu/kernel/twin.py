@@ -36,6 +36,10 @@ PLACE = 0.2
 BLOCK, HALVES = 0.5, 0.5
 """s over which the model's error was measured, and s in which what a move leaves of it halves: likewise."""
 
+ON_THE_WAY = 0.5 / 3.0
+"""Standard deviation, for each N of a move, of what a model that is right about its end is off on the way: a motor that brakes,
+an actuator at its fastest are far from any lag. Half of the move bounds it (`hil.twin.twin`), as three standard deviations."""
+
 OUTLIER = 4.0
 """Standard deviations beyond which a reading pulls no more (Huber): of normal ones, one in 16 000 goes so far."""
 
@@ -213,7 +217,7 @@ def _adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter
         Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
         Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model where it stands, standard deviation", 0.05),
         Parameter("moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05),
-        Parameter("speed_noise", "rpm", 20.0, 1e-3, 1e5, "noise of the speed reading, standard deviation", 20.0),
+        Parameter("speed_error", "rpm", 20.0, 1e-3, 1e5, "error of the model's speed, standard deviation; it lasts as slow noise", 20.0),
         Parameter("memory", "1", MEMORY, 10.0, 1e9, "distance after which what is known counts 1/e, in scales of the map", 100.0),
     )
     states = [
@@ -291,9 +295,8 @@ class _Plant:
             self._settled = s, p, {name: duals.constant(value) for name, value in states.items()}
         return self._settled[2]
 
-    def advance(self, ops: Any, s: Any, x: Any, p: Any, dt: Any) -> tuple[dict, dict, dict]:
+    def advance(self, duals: Duals, s: Any, x: Any, p: Any, dt: Any) -> tuple[dict, dict, dict]:
         """(signals, states, parameters) at the end of a sample under the inputs that were held."""
-        duals = Duals(ops, len(self.adapted))
         states = {
             name: Dual(getattr(x, name), tuple(getattr(x, _tangent(name, q)) if q in of else None for q in self.adapted))
             for name, of in self.depends.items()
@@ -342,7 +345,8 @@ def _prediction(plant: Model, adapted: tuple[str, ...], pieces: int) -> Effect:
     one = _Plant(plant, adapted, pieces)
 
     def taken(ops, s, x, p, dt):
-        signals, states, known = one.advance(ops, s, x, p, dt)
+        duals = Duals(ops, len(adapted))
+        signals, states, known = one.advance(duals, s, x, p, dt)
         ahead = {_held(u.name): getattr(s, u.name) for u in one.measured}
         for name, of in one.depends.items():
             slopes = dict(zip(adapted, states[name].tangents, strict=True))
@@ -354,9 +358,9 @@ def _prediction(plant: Model, adapted: tuple[str, ...], pieces: int) -> Effect:
             "start_values": [getattr(p, name) for name in adapted],
             "adapted": [known[name].value for name in adapted],
             "predicted_thrust": signals["thrust"].value,
-            "predicted_speed": signals["omega"].value,
+            "predicted_speed": duals.constant(signals["omega"]).value,
             "thrust_slopes": signals["thrust"].tangents,
-            "speed_slopes": signals["omega"].tangents,
+            "speed_slopes": duals.constant(signals["omega"]).tangents,
         }
         return found, ahead
 
@@ -394,8 +398,11 @@ def _ahead(name: str) -> str:
 def _innovation(m: int) -> Effect:
     def taken(ops, s, x, p, dt):
         known, at, before = s.noise_model, s.at, SimpleNamespace(**{n: getattr(s.at, n) for n in COEFFICIENTS})
-        dw, db = at.w - x.w, at.b - x.b
-        gone = ops.sqrt(dw * dw + db * db)
+        # A point that plays within half a place has gone nowhere: what follows it is drawn along behind.
+        dw, db = at.w - x.w_place, at.b - x.b_place
+        away = ops.sqrt(dw * dw + db * db)
+        gone = ops.maximum(away - 0.5 * PLACE, 0.0)
+        drawn = gone / ops.maximum(away, 0.5 * PLACE)
         by_speed = normalised_thrust(before, at.w, x.b) - normalised_thrust(before, x.w, x.b)
         by_pitch = normalised_thrust(before, at.w, at.b) - normalised_thrust(before, at.w, x.b)
         moves = at.thrust_scale * (ops.abs(by_speed) + ops.abs(by_pitch))
@@ -404,8 +411,8 @@ def _innovation(m: int) -> Effect:
         # A block's mean of first-order noise has a share of its variance; what the model is off in a move is known by blocks.
         share = known.slow_time / BLOCK
         averaged = 2.0 * share * (1.0 - share * (1.0 - ops.exp(-1.0 / share)))
-        off = known.moving * move
-        fading, staying = known.slow * known.slow + off * off / averaged, known.steady * known.steady
+        rough = known.moving * known.moving / averaged + ON_THE_WAY * ON_THE_WAY
+        fading, staying = known.slow * known.slow + rough * move * move, known.steady * known.steady
         keeps = ops.exp(-dt / known.slow_time), ops.exp(-gone / PLACE)
         noises, P = [a * n for a, n in zip(keeps, s.noises, strict=True)], dict(s.P)
         for k, (a, variance) in enumerate(zip(keeps, (fading, staying), strict=True)):
@@ -423,12 +430,12 @@ def _innovation(m: int) -> Effect:
         own = _times({key: P[key] for key in _pairs(m)}, s.thrust_slopes)
         spread = _dot(s.thrust_slopes, own)
 
-        # The speed is read once a revolution. What the model is off in a move lasts: as white noise of a sample it is that much more.
+        # The speed is read once a revolution. What the model is off lasts: as white noise of a sample it is that much more.
         learned = {(i, j): P[i, j] - K[i] * Pg[j] for i, j in P}
         fresh = ops.where(s.omega < x.speed, 1.0, ops.where(s.omega > x.speed, 1.0, 0.0))
         turned = ops.exp(dt * (log(HALVES) / BLOCK)) * x.turned + ops.abs(s.predicted_speed - x.predicted)
-        lasting = known.moving * turned
-        rough = known.speed_noise * known.speed_noise + lasting * lasting * (2.0 * known.slow_time / dt)
+        off = known.speed_error * known.speed_error + rough * turned * turned
+        lasting = off * (2.0 * known.slow_time / dt)
         h = (*s.speed_slopes, None, None)
         said = {"moved": gone, "move": move, "residual": residual, "innovation": innovation, "pulls": pulls, "S": S, "keeps": keeps}
         delta = [k * pulls for k in K]
@@ -436,7 +443,7 @@ def _innovation(m: int) -> Effect:
             speed = None
         else:
             Ph = _times(learned, h)
-            variance = _dot(h, Ph) + rough
+            variance = _dot(h, Ph) + lasting
             misses = s.omega - s.predicted_speed - _dot(s.speed_slopes, delta)
             limit = OUTLIER * ops.sqrt(variance)
             misses = ops.clip(misses, -limit, limit)
@@ -457,10 +464,12 @@ def _innovation(m: int) -> Effect:
             "noises": noises,
             "stationary": (fading, staying),
         }
-        ahead = {"w": at.w, "b": at.b, "move": move, "speed": s.omega, "predicted": s.predicted_speed, "turned": turned}
+        ahead = {"w_place": x.w_place + drawn * dw, "b_place": x.b_place + drawn * db, "w": at.w, "b": at.b, "move": move, "speed": s.omega, "predicted": s.predicted_speed, "turned": turned}
         return said, ahead
 
     states = (
+        State("w_place", "1", "normalised speed of the place that it is at", lambda ops, s, p: s.at.w),
+        State("b_place", "1", "normalised pitch of the place that it is at", lambda ops, s, p: s.at.b),
         State("w", "1", "normalised speed at the last sample", lambda ops, s, p: s.at.w),
         State("b", "1", "normalised pitch at the last sample", lambda ops, s, p: s.at.b),
         State("move", "N", "what is left of the thrust's moves", _nothing),
@@ -546,6 +555,8 @@ def _watch(adapted: tuple[str, ...], sample_time: float) -> Effect:
             "returns": stops,
             "learns": ops.where(mode > 1.5, 0.0, ops.where(x.mode > 1.5, 0.0, 1.0)),
             "kept": kept,
+            **{f"height.{name}": found[i] for i, name in enumerate(adapted)},
+            "height.unlike": nothing_else,
         }
         return said, ahead
 
