@@ -11,7 +11,7 @@ from vpp_fmu.kernel.twin import WITHIN, adapted_by_default, plausible_change, su
 from vpp_fmu.kernel.types import start
 from vpp_fmu.parameters import Estimate, ParameterSet
 
-BORNE = 3.0
+BORNE = 2.0
 """Standard deviations of the model's own steady error that half of a change which is watched for must exceed: a sum of
 log-likelihood ratios falls while what there is stays below half of what it looks for, and 3 in 1000 places are further off."""
 
@@ -41,7 +41,8 @@ def adaptive(
         slope = abs(_settled_slope(parameters, name, 1e-3 * size))
         change = max(size, 2.0 * BORNE * steady / slope) if slope > 0.0 else size
         estimate = parameters.estimates.get(name)
-        prior = size if estimate is None or estimate.std is None else estimate.std
+        known = 0.0 if estimate is None or estimate.std is None or slope == 0.0 else estimate.std
+        prior = known or size
         for kind, value in (("change", change), ("prior", prior)):
             own = allowed[f"{kind}.{name}"]
             found[own.name] = min(max(value, own.minimum), own.maximum)

@@ -128,7 +128,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
         effects=(
             _adaptation(plant, parts, bounds),
             _prediction(plant, adapted, pieces),
-            _innovation(len(adapted)),
+            _innovation(_settled_ones(plant, adapted)),
             _watch(adapted, sample_time),
             _update(parts),
         ),
@@ -395,7 +395,21 @@ def _ahead(name: str) -> str:
 # --- what the readings say -----------------------------------------------------------------------------------------------------
 
 
-def _innovation(m: int) -> Effect:
+def _settled_ones(plant: Model, adapted: tuple[str, ...]) -> tuple[bool, ...]:
+    """Of each adapted parameter, whether it shows while everything stands; the others show on the way alone, as a lag does."""
+    duals, defaults = Duals(NUMBERS, len(adapted)), plant.values()
+    values = {name: duals.constant(value) for name, value in defaults.items()}
+    for i, name in enumerate(adapted):
+        values[name] = Dual(defaults[name], tuple(1.0 if k == i else None for k in range(len(adapted))))
+    inputs = {u.name: duals.constant(0.0 if u.clock else u.nominal) for u in plant.inputs}
+    signals = start(plant, duals, inputs, values)[0]
+    slopes = zip(signals["thrust"].tangents, duals.constant(signals["omega"]).tangents, strict=True)
+    return tuple(any(d is not None and abs(d) > 0.0 for d in both) for both in slopes)
+
+
+def _innovation(settled: tuple[bool, ...]) -> Effect:
+    m = len(settled)
+
     def taken(ops, s, x, p, dt):
         known, at, before = s.noise_model, s.at, SimpleNamespace(**{n: getattr(s.at, n) for n in COEFFICIENTS})
         # A point that plays within half a place has gone nowhere: what follows it is drawn along behind.
@@ -426,18 +440,24 @@ def _innovation(m: int) -> Effect:
         innovation = residual - noises[0] - noises[1]
         limit = OUTLIER * ops.sqrt(S)
         pulls = ops.clip(innovation, -limit, limit)
-        K = [v / S for v in Pg]
+        # What a model is off on the way is no noise: it comes back with each move. What shows where all stands is learned there.
+        standing = known.steady * known.steady / (known.steady * known.steady + rough * move * move)
+        weights = [standing if one else 1.0 for one in (*settled, False, False)]
+        K = [w * v / S for w, v in zip(weights, Pg, strict=True)]
         own = _times({key: P[key] for key in _pairs(m)}, s.thrust_slopes)
         spread = _dot(s.thrust_slopes, own)
 
         # The speed is read once a revolution. What the model is off lasts: as white noise of a sample it is that much more.
-        learned = {(i, j): P[i, j] - K[i] * Pg[j] for i, j in P}
+        learned = {(i, j): P[i, j] - (K[i] * Pg[j] + Pg[i] * K[j] - K[i] * K[j] * S) for i, j in P}
         fresh = ops.where(s.omega < x.speed, 1.0, ops.where(s.omega > x.speed, 1.0, 0.0))
         turned = ops.exp(dt * (log(HALVES) / BLOCK)) * x.turned + ops.abs(s.predicted_speed - x.predicted)
         off = known.speed_error * known.speed_error + rough * turned * turned
         lasting = off * (2.0 * known.slow_time / dt)
         h = (*s.speed_slopes, None, None)
         said = {"moved": gone, "move": move, "residual": residual, "innovation": innovation, "pulls": pulls, "S": S, "keeps": keeps}
+        # To the watch a move is one reading of what shows on the way: what the model is off there lasts as long as it does.
+        said["standing"] = standing
+        said["counts"] = [standing if one else ops.minimum(share, 1.0) for one in settled]
         delta = [k * pulls for k in K]
         if all(d is None for d in s.speed_slopes):
             speed = None
@@ -505,7 +525,7 @@ def _watch(adapted: tuple[str, ...], sample_time: float) -> Effect:
             found.append(ops.maximum(*heights))
 
         # Ordinary innovations against such of twice the variance.
-        unlike = 0.25 * s.pulls * s.pulls / s.S - 0.5 * log(2.0)
+        unlike = s.standing * (0.25 * s.pulls * s.pulls / s.S - 0.5 * log(2.0))
         nothing_else = watching * ops.maximum(x.unlike + unlike, 0.0)
         largest = nothing_else
         for height in found:
@@ -584,7 +604,8 @@ def _watch(adapted: tuple[str, ...], sample_time: float) -> Effect:
 
 def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, list]:
     """(what a sample adds to the log-likelihood ratio of a change of theta_i by `sign`, what it makes of the innovation, what the
-    noises' estimates have of it already). The ratio is of normal innovations; what they take up of a change is none of it."""
+    noises' estimates have of it already). The ratio is of normal innovations; what they take up of a change is none of it. A power of it below 1
+    bears innovations that are not independent, and is no larger on average (Jensen)."""
     absorbed = [a * getattr(x, f"absorbed.{name}.{k}") for k, a in enumerate(s.keeps)]
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
@@ -593,7 +614,7 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     by_speed = s.speed_slopes[i]
     if by_speed is not None:
         more = more + s.speed.fresh * (sign * s.speed.misses - 0.5 * by_speed) * by_speed / s.speed.variance
-    return more, shape, absorbed
+    return s.counts[i] * more, shape, absorbed
 
 
 # --- what becomes of it --------------------------------------------------------------------------------------------------------
