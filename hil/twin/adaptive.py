@@ -11,7 +11,7 @@ from vpp_fmu.kernel.twin import WITHIN, adapted_by_default, plausible_change, su
 from vpp_fmu.kernel.types import start
 from vpp_fmu.parameters import Estimate, ParameterSet
 
-BORNE = 2.0
+BORNE = 2.5
 """Standard deviations of the model's own steady error that half of a change which is watched for must exceed: a sum of
 log-likelihood ratios falls while what there is stays below half of what it looks for, and 3 in 1000 places are further off."""
 
