@@ -7,7 +7,7 @@ from scipy.stats import t
 from hil.twin.band import Band
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
-from vpp_fmu.kernel.twin import WITHIN, adapted_by_default, plausible_change, sums, threshold, twin
+from vpp_fmu.kernel.twin import WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
 from vpp_fmu.kernel.types import start
 from vpp_fmu.parameters import Estimate, ParameterSet
 
@@ -34,7 +34,7 @@ def adaptive(
     steady = band.steady * float(t.isf(0.025, band.freedom)) / WITHIN
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
     sample_time = model.values()["sample_time"]
-    found = values | noises | {"threshold": threshold(false_alarms, sums(adapted), sample_time)}
+    found = values | noises | {"threshold": threshold(false_alarms, sums(len(watched(parameters.model, adapted))), sample_time)}
     allowed = {p.name: p for p in model.parameters}
     for name in adapted:
         size = plausible_change(parameters.model, name, values[name])
