@@ -18,6 +18,7 @@ from math import exp, sqrt
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hil import commands
 from hil.twin.adaptive import adaptive
@@ -41,7 +42,7 @@ from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.twin import BLOCK, BROUGHT, HALVES, ON_THE_WAY, PLACE
+from vpp_fmu.kernel.twin import BLOCK, BROUGHT, HALVES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.parameters import ParameterSet
@@ -103,10 +104,11 @@ def constant(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     fading, staying = _variances(twin.values, moves, gone)
     noise = _markov(rng, fading, exp(-DT / CONSTANT.slow_time)) + _markov(rng, *staying)
     thrust = shown[:, 0] + noise + CONSTANT.white * rng.standard_normal(rows)
-    speed = shown[:, 1] + twin.values["speed_error"] * rng.standard_normal(rows)
+    lasting = _lasting(twin.values, shown[:, 1])
+    speed = shown[:, 1] + np.sqrt(lasting) * rng.standard_normal(rows)
     found = _ran(twin, told | {"thrust": thrust, "omega": speed})
     errors = np.array([found[f"adapted.{name}"][-1] - parameters.values[name] for name in adapted])
-    bound = _bound(twin.values, slopes, fading, staying, adapted)
+    bound = _bound(twin.values, slopes, fading, staying, lasting, adapted)
     inside = np.mean(np.abs(found["residual"][rows // 10 :]) < found["band"][rows // 10 :])
     return errors, bound, float(inside)
 
@@ -151,6 +153,13 @@ def _variances(values, moves, gone):
     return fading, (np.full(len(moves), values["steady"] ** 2), np.exp(-gone / PLACE))
 
 
+def _lasting(values, speed: np.ndarray) -> np.ndarray:
+    """Variance of each reading of the speed as if it were white, (rows,)."""
+    turned = lfilter([1.0], [1.0, -(HALVES ** (DT / BLOCK))], np.abs(np.diff(speed, prepend=speed[0])))
+    off = values["speed_error"] ** 2 + (SPEED_ON_THE_WAY * turned) ** 2
+    return off * 2.0 * values["slow_time"] / DT
+
+
 def _markov(rng, variance, keeps) -> np.ndarray:
     drawn, keeps = rng.standard_normal(len(variance)), np.broadcast_to(keeps, len(variance))
     drive, x = np.sqrt((1.0 - keeps**2) * variance) * drawn, np.empty(len(variance))
@@ -160,7 +169,7 @@ def _markov(rng, variance, keeps) -> np.ndarray:
     return x
 
 
-def _bound(values, slopes, fading, staying, adapted) -> np.ndarray:
+def _bound(values, slopes, fading, staying, lasting, adapted) -> np.ndarray:
     """Standard deviations by the information of the record: its noises' own innovations whiten the slopes, prior added."""
     a, P, gone = exp(-DT / values["slow_time"]), np.diag([fading[0], staying[0][0]]), staying[1]
     taken = np.zeros((2, len(adapted)))
@@ -175,11 +184,15 @@ def _bound(values, slopes, fading, staying, adapted) -> np.ndarray:
         taken = taken + np.outer(gain, left)
         P = P - np.outer(gain, gain) * S
         information += np.outer(left, left) / S
-    information += (slopes[:, 1].T @ slopes[:, 1]) / values["speed_error"] ** 2
+    information += slopes[:, 1].T @ (slopes[:, 1] / lasting[:, None])
     return np.sqrt(np.diag(np.linalg.inv(information)))
 
 
-def idle_hours(seed: int, hours: int = 10) -> dict[str, float]:
+IDLE = 10
+"""h at one set-point."""
+
+
+def idle_hours(seed: int, hours: int = IDLE) -> dict[str, float]:
     """By how much of its standard deviation each parameter goes in hours at one set-point, after the first minute there."""
     parameters = _own()
     twin, rng = adaptive(parameters, CONSTANT), np.random.default_rng([seed, 6])
@@ -263,14 +276,14 @@ def _shown(change, told, after, lag, values, own) -> tuple[np.ndarray, np.ndarra
     def run(changed: dict[str, float], orders) -> np.ndarray:
         if own is None:
             return _model().simulate({n: v for n, v in values.items() if n in _model_names()} | changed, orders, steps)
-        return _rig().simulate(own, orders, steps)
+        return _rig().simulate(own | changed, orders, steps)
 
     if change.startswith("pitch"):
         return run({}, told | {"beta_ref": told["beta_ref"] + after}).T[:2]
     shown = run({}, told)
     if change.startswith("slow"):
-        # An emulated rig's actuator is no lag: its pitch comes as if behind one that is half as slow again.
-        slower = run({lag: 1.5 * values[lag]}, told) if own is None else _slower(shown, values[lag])
+        # An emulated actuator has no lag that is a number: its loop's gain falls by as much.
+        slower = run({lag: 1.5 * values[lag]} if own is None else {"kp_lac": own["kp_lac"] / 1.5}, told)
         shown = np.where(after[:, None], slower, shown)
     return shown[:, 0] * np.where(after & change.startswith("thrust"), 0.85, 1.0), shown[:, 1]
 
@@ -283,10 +296,6 @@ def _model() -> Simulator:
 @cache
 def _model_names() -> frozenset[str]:
     return frozenset(p.name for p in plant().parameters)
-
-
-def _slower(shown, tau):
-    return shown
 
 
 def _judged(change, name, shown, at, adapted) -> tuple[float, float, str]:
@@ -395,12 +404,18 @@ def _show_constant(found) -> None:
 
 def _show_idle(found: dict[str, float]) -> None:
     moved = max(value for name, value in found.items() if name != "alarms")
-    print(f"\n10 h at one set-point: largest move of a parameter {moved:.2f} of its standard deviation, {found['alarms']:.0f} alarms")
+    print(
+        f"\n{IDLE} h at one set-point: largest move of a parameter {moved:.2f} of its standard deviation, {found['alarms']:.0f} alarms"
+    )
 
 
 def _show_changes(what: str, found) -> None:
-    print(f"\nchanges at {BEGIN:g} s on {what}: s to the alarm, s to within 10 % of the truth for good; missed within {WATCHED:g} s")
-    print(f"{'change':16} {'runs':>5} {'alarm':>6} {'95 %':>6} {'missed':>7} {'before':>7} {'learned':>8} {'95 %':>6} {'never':>6}  points to")
+    print(
+        f"\nchanges at {BEGIN:g} s on {what}: s to the alarm, s to within 10 % of the truth for good; missed within {WATCHED:g} s"
+    )
+    print(
+        f"{'change':16} {'runs':>5} {'alarm':>6} {'95 %':>6} {'missed':>7} {'before':>7} {'learned':>8} {'95 %':>6} {'never':>6}  points to"
+    )
     for k, change in enumerate(CHANGES):
         when, settled, points = zip(*(one[k] for one in found), strict=True)
         when, settled = np.array(when), np.array(settled)

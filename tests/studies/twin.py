@@ -15,9 +15,11 @@ Aims: no more than one false alarm in 100 h, and no change missed where the camp
 import argparse
 import tempfile
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +83,7 @@ class Known(NamedTuple):
     values: dict[str, float]
     band: Band
     length: str
-    std: dict[str, float]
+    std: Mapping[str, float] = MappingProxyType({})
 
 
 def main(arguments: list[str]) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from hil.twin.adaptive import adaptive
+from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import read_band
 from vpp_fmu import __version__
 from vpp_fmu.cli.output import add_effects_from, add_output, say_written
@@ -25,7 +25,6 @@ from vpp_fmu.export.toolchain import host, needs_glibc
 from vpp_fmu.export.trial import expected, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import LIBRARY, plant
-from vpp_fmu.kernel.twin import BROUGHT
 from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
@@ -138,15 +137,11 @@ def _plant_and_controller(options) -> list[ParameterSet]:
 def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
     """The adaptive twin of --parameters, with the band that the identification.json of --twin (default: the one beside) tells.
     BadInput."""
-    parameters = read_parameters(options.parameters, lambda names: plant({*names, *BROUGHT}, library))
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
     told = options.twin or Path(options.parameters).with_name("identification.json")
     band = read_band(told)
-    check_same_model(told, read_parameters(options.parameters, lambda names: plant(names, library)), options.parameters)
-    names = [p.name for p in parameters.model.parameters]
-    for name in options.adapt or ():
-        if name not in names:
-            raise BadInput("vpp export", "--adapt", name, f"one of {', '.join(names)}")
-    return adaptive(parameters, band, options.adapt)
+    check_same_model(told, parameters, options.parameters)
+    return adaptive(adaptable(parameters, "vpp export", options.adapt), band, options.adapt)
 
 
 def _own(options) -> list[ParameterSet]:

@@ -223,12 +223,27 @@ def _adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter
         Parameter("slow", "N", 0.02, 0.0, 1e4, "slow noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
         Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model where it stands, standard deviation", 0.05),
-        Parameter("moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05),
-        Parameter("speed_error", "rpm", 20.0, 1e-3, 1e5, "error of the model's speed, standard deviation; it lasts as slow noise", 20.0),
-        Parameter("memory", "1", MEMORY, 10.0, 1e9, "distance after which what is known counts 1/e, in scales of the map", 100.0),
+        Parameter(
+            "moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05
+        ),
+        Parameter(
+            "speed_error",
+            "rpm",
+            20.0,
+            1e-3,
+            1e5,
+            "error of the model's speed, standard deviation; it lasts as slow noise",
+            20.0,
+        ),
+        Parameter(
+            "memory", "1", MEMORY, 10.0, 1e9, "distance after which what is known counts 1/e, in scales of the map", 100.0
+        ),
     )
     states = [
-        *(State(f"theta.{q.name}", "1", f"{q.name} in plausible changes", _nothing, f"next.theta.{i}") for i, q in enumerate(parts)),
+        *(
+            State(f"theta.{q.name}", "1", f"{q.name} in plausible changes", _nothing, f"next.theta.{i}")
+            for i, q in enumerate(parts)
+        ),
         State("slow_noise", "N", "estimate of the slow noise", _nothing, "next.noise.0"),
         State("map_error", "N", "estimate of the model's error at this place", _nothing, "next.noise.1"),
         *(State(f"covariance.{i}.{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in pairs),
@@ -324,12 +339,15 @@ class _Plant:
         states = {name: duals.constant(x) for name, x in start(self.model, duals, inputs, known)[1].items()}
         found: dict[str, set[str]] = {name: set() for name in states}
         while True:
-            grown = {name: {q for q, d in zip(self.adapted, x.tangents, strict=True) if d is not None} for name, x in states.items()}
+            grown = {
+                name: {q for q, d in zip(self.adapted, x.tangents, strict=True) if d is not None} for name, x in states.items()
+            }
             if all(grown[name] <= found[name] for name in found):
                 return {name: tuple(q for q in self.adapted if q in of) for name, of in found.items()}
             found = {name: found[name] | grown[name] for name in found}
             states = {
-                name: Dual(x.value, tuple(0.0 if q in found[name] else None for q in self.adapted)) for name, x in states.items()
+                name: Dual(x.value, tuple(0.0 if q in found[name] else None for q in self.adapted))
+                for name, x in states.items()
             }
             states = _stepped(self.model, duals, inputs, states, known, duals.constant(SAMPLE_TIME))[1]
 
@@ -461,7 +479,15 @@ def _innovation(settled: tuple[bool, ...]) -> Effect:
         off = known.speed_error * known.speed_error + (SPEED_ON_THE_WAY * turned) * (SPEED_ON_THE_WAY * turned)
         lasting = off * (2.0 * known.slow_time / dt)
         h = (*s.speed_slopes, None, None)
-        said = {"moved": gone, "move": move, "residual": residual, "innovation": innovation, "pulls": pulls, "S": S, "keeps": keeps}
+        said = {
+            "moved": gone,
+            "move": move,
+            "residual": residual,
+            "innovation": innovation,
+            "pulls": pulls,
+            "S": S,
+            "keeps": keeps,
+        }
         said["standing"] = standing
         delta = [k * pulls for k in K]
         if all(d is None for d in s.speed_slopes):
@@ -489,7 +515,16 @@ def _innovation(settled: tuple[bool, ...]) -> Effect:
             "noises": noises,
             "stationary": (fading, staying),
         }
-        ahead = {"w_place": x.w_place + drawn * dw, "b_place": x.b_place + drawn * db, "w": at.w, "b": at.b, "move": move, "speed": s.omega, "predicted": s.predicted_speed, "turned": turned}
+        ahead = {
+            "w_place": x.w_place + drawn * dw,
+            "b_place": x.b_place + drawn * db,
+            "w": at.w,
+            "b": at.b,
+            "move": move,
+            "speed": s.omega,
+            "predicted": s.predicted_speed,
+            "turned": turned,
+        }
         return said, ahead
 
     states = (
@@ -602,7 +637,9 @@ def _watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float)
     usual = threshold(0.01, sums(len(names)), sample_time)
     said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
     parameters = (Parameter("threshold", "1", usual, 1.0, 1000.0, said, 20.0),)
-    return Effect("watch", "whether a parameter explains what is read", taken, parameters, tuple(states()), inputs=(ACKNOWLEDGE,))
+    return Effect(
+        "watch", "whether a parameter explains what is read", taken, parameters, tuple(states()), inputs=(ACKNOWLEDGE,)
+    )
 
 
 def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, list]:
