@@ -34,7 +34,8 @@ class Cycle:
 
     `wanted`: what the controller follows [N]. `throttle` [1] and `commands` [rpm, deg] stand on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
-    `page`: the operator's, whose end is told and ends nothing. `adapted`: the `beside` outputs of the adaptive twin, for the log.
+    `page`: the operator's, whose end is told and ends nothing. `adapted`: the adaptive twin's outputs, so many as `beside`, for
+    the log.
     """
 
     def __init__(

@@ -66,8 +66,8 @@ class Rig:
     Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
     `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
     a run's readings, `gate` says what is a zero, `polarity` looks at the signs at low speed. `tares`: the zeros found.
-    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)). `adaptive`: a twin that
-    learns, beside it.
+    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)). `adaptive`: a twin
+    that learns, beside it.
     """
 
     def __init__(

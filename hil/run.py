@@ -95,7 +95,7 @@ def run_on_rig(
     adaptive: Adaptive | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder` and keeps what was measured, however it ended; `after`, `on_alarm`, `page` and `adaptive` as in `session`."""
+    log to `folder` and keeps what was measured, however it ended; `after`, `on_alarm`, `page`, `adaptive` as in `session`."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))

@@ -140,7 +140,8 @@ def session(
     """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
 
     `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
-    makes a report of the log if this process can't. `on_alarm`, `adaptive` as `Rig` has them. `page`: in real time, the operator's.
+    makes a report of the log if this process can't. `on_alarm`, `adaptive` as `Rig` has them. `page`: in real time, the
+    operator's.
     """
     with contextlib.ExitStack() as ends:
         bench = setup.bench()

@@ -12,22 +12,18 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BETA_REF, LIBRARY, OMEGA_REF
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.kernel.twin import BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
+from vpp_fmu.kernel.twin import BORNE, BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
 from vpp_fmu.kernel.types import start
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import Estimate, ParameterSet
-
-BORNE = 2.5
-"""Standard deviations of the model's own steady error that half of a change which is watched for must exceed: a sum of
-log-likelihood ratios falls while what there is stays below half of what it looks for, and 3 in 1000 places are further off."""
 
 FALSE_ALARMS = 0.01
 """An hour, at most, while nothing changes."""
 
 
 def adaptable(parameters: ParameterSet, where: str, adapted: Sequence[str] | None = None) -> ParameterSet:
-    """The parameters for the same plant with the effects that a twin has in any case, off unless they are there. BadInput, told of
-    `where`, for a name to be adapted that it doesn't have."""
+    """The parameters for the same plant with the effects that a twin has in any case, off unless they are there. BadInput, told
+    of `where`, for a name to be adapted that it doesn't have."""
     model = parameters.model
     brought = tuple(e for e in LIBRARY if e.name in BROUGHT and e.name not in model.optional)
     order = {e.name: k for k, e in enumerate(LIBRARY)}
@@ -49,8 +45,9 @@ def adaptive(
 ) -> ParameterSet:
     """The twin's model with its parameters: the plant's by name, their standard deviations as the prior, the band's noises.
 
-    `parameters`: of a plant with the effects that `vpp_fmu.kernel.twin.BROUGHT` names (`adaptable`). What was not estimated is known to no
-    more than a plausible change. KeyError names an adapted parameter that the plant has not.
+    `parameters`: of a plant that has them all (`adaptable`). What was not estimated is known to no more than a plausible change;
+    and so are lags, whose standard deviation is that of one kind of motion, while a rig's motor and actuator are no lags and
+    answer each kind of motion with another one. KeyError names an adapted parameter that the plant has not.
     """
     values = parameters.values
     adapted = tuple(adapted or adapted_by_default(values))

@@ -1,7 +1,7 @@
-"""python -m tests.studies adaptive: what the adaptive twin learns, what it finds, how often it finds what is none, what it costs.
+"""python -m tests.studies adaptive: what the adaptive twin learns and finds, how often it finds what is none, what it costs.
 
-Three parts. (a) A rig that is its model, with the noises that the twin assumes: adapted parameters beside the Cramer-Rao bound of
-the same record (information of the whole record, by numpy), coverage of the band, and hours without excitation. (b) Changes: on
+Three parts. (a) A rig that is its model, with the noises that the twin assumes: adapted parameters beside the Cramer-Rao bound
+of the same record (information of the whole record, by numpy), coverage of the band, and hours without excitation. (b) Changes: on
 rigs that are their model, where the truth is known, and on the emulated rigs of `tests.studies.twin`, each with a campaign and
 identified; and hours on the latter in which nothing changes, by three kinds of commands. (c) Microseconds.
 
@@ -348,7 +348,7 @@ def _undisturbed(kind: str, rng: np.random.Generator, one: Known) -> dict[str, n
 
 def microseconds() -> dict[str, float]:
     """Of a step of 4 ms: plant and twin, native and Python, alone; and plant, controller and twin in one loop through fmpy."""
-    twin, parameters, found, steps = adaptive(_own(), CONSTANT), _own(), {}, 5000
+    twin, found, steps = adaptive(_own(), CONSTANT), {}, 5000
     with tempfile.TemporaryDirectory() as folder:
         parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
         for flavour, make in (("native", native_fmu), ("Python", python_fmu)):

@@ -22,7 +22,7 @@ from math import ceil, log
 from types import SimpleNamespace
 from typing import Any
 
-from vpp_fmu.kernel.duals import Dual, Duals
+from vpp_fmu.kernel.duals import TINY, Dual, Duals
 from vpp_fmu.kernel.effects.dead_time import dead_time
 from vpp_fmu.kernel.effects.thrust_map import THRUST_MAP, normalised_thrust
 from vpp_fmu.kernel.ops import NUMBERS
@@ -40,6 +40,10 @@ ON_THE_WAY, SPEED_ON_THE_WAY = 0.15, 0.06
 """Of a move of thrust and of speed, what a model that is right about its end is off on the way, standard deviation: a motor that
 brakes, an actuator at its fastest are far from any lag. The largest of twelve emulated rigs, each identified, under random steps
 and under the controller: of thrust 0.05 to 0.15, of speed 0.02 to 0.06. Campaigns alone often show none of it."""
+
+BORNE = 2.5
+"""Standard deviations of the model's own error that half of a change which is watched for must exceed: a sum of log-likelihood
+ratios falls while what there is stays below half of what it looks for, and one place in 80 is further off."""
 
 OUTLIER = 4.0
 """Standard deviations beyond which a reading pulls no more (Huber): of normal ones, one in 16 000 goes so far."""
@@ -465,13 +469,16 @@ def _innovation(settled: tuple[bool, ...]) -> Effect:
         innovation = residual - noises[0] - noises[1]
         limit = OUTLIER * ops.sqrt(S)
         pulls = ops.clip(innovation, -limit, limit)
-        # What a model is off on the way is no noise: it comes back with each move. What shows where all stands is learned there.
-        standing = known.steady * known.steady / (known.steady * known.steady + rough * move * move)
-        weights = [standing if one else 1.0 for one in (*settled, False, False)]
-        K = [w * v / S for w, v in zip(weights, Pg, strict=True)]
         own = _times({key: P[key] for key in _pairs(m)}, s.thrust_slopes)
         spread = _dot(s.thrust_slopes, own)
 
+        # What a model is off on the way is no noise: it comes back with each move. What shows where all stands is learned on the
+        # way only while it is known to less than that.
+        on_the_way = rough * move * move
+        standing = staying / (staying + on_the_way)
+        coarse = (spread + staying) / (spread + staying + on_the_way)
+        weights = [coarse if one else 1.0 for one in (*settled, False, False)]
+        K = [w * v / S for w, v in zip(weights, Pg, strict=True)]
         # The speed is read once a revolution. What the model is off lasts: as white noise of a sample it is that much more.
         learned = {(i, j): P[i, j] - (K[i] * Pg[j] + Pg[i] * K[j] - K[i] * K[j] * S) for i, j in P}
         fresh = ops.where(s.omega < x.speed, 1.0, ops.where(s.omega > x.speed, 1.0, 0.0))
@@ -488,7 +495,7 @@ def _innovation(settled: tuple[bool, ...]) -> Effect:
             "S": S,
             "keeps": keeps,
         }
-        said["standing"] = standing
+        said["standing"], said["on_the_way"] = standing, on_the_way
         delta = [k * pulls for k in K]
         if all(d is None for d in s.speed_slopes):
             speed = None
@@ -649,12 +656,14 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     absorbed = [a * getattr(x, f"absorbed.{name}.{k}") for k, a in enumerate(s.keeps)]
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
+        looked_for = by_thrust * by_thrust
+        counts = looked_for / (looked_for + (2.0 * BORNE) * (2.0 * BORNE) * s.on_the_way + TINY)
         shape = by_thrust - absorbed[0] - absorbed[1]
-        more = (sign * s.pulls - 0.5 * shape) * shape / s.S
+        more = counts * (sign * s.pulls - 0.5 * shape) * shape / s.S
     by_speed = s.speed_slopes[i]
     if by_speed is not None:
         more = more + s.speed.fresh * (sign * s.speed.misses - 0.5 * by_speed) * by_speed / s.speed.variance
-    return s.standing * more, shape, absorbed
+    return more, shape, absorbed
 
 
 # --- what becomes of it --------------------------------------------------------------------------------------------------------

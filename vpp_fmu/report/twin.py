@@ -13,7 +13,7 @@ ADAPTED, STD = "adapted.", "std."
 
 
 def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> go.Figure:
-    """Measured thrust less the twin's [N] over time [s], in the band that holds 95 % of it; arrays (n,) by the twin's outputs."""
+    """Measured thrust less the twin's [N] over time [s], in the band that holds 95 % of it; (n,) by the twin's outputs."""
     kept = places([twin["residual"], twin["band"], twin["alarm"]])
     rises = np.flatnonzero(np.diff(twin["alarm"], prepend=0.0) > 0.5)
     said = f"alarm at {', '.join(f'{at:.1f}' for at in time[rises[:5]])} s" if len(rises) else "no alarm"
@@ -29,11 +29,10 @@ def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> go.Fig
 def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> go.Figure:
     """Each adapted parameter over time [s], with two standard deviations about it; `units` by its name."""
     names = [name.removeprefix(ADAPTED) for name in twin if name.startswith(ADAPTED)]
-    columns = [(twin[ADAPTED + name], twin[STD + name]) for name in names]
-    kept = places([column for pair in columns for column in pair])
+    kept = places([twin[part + name] for name in names for part in (ADAPTED, STD)])
     fig = panels("Adapted parameters", [f"{name} [{units[name]}]" for name in names], [150] * len(names))
-    for panel, (name, (value, std)) in enumerate(zip(names, columns, strict=True)):
-        value, std = value[kept], std[kept]
+    for panel, name in enumerate(names):
+        value, std = twin[ADAPTED + name][kept], twin[STD + name][kept]
         add_envelope(fig, panel, time[kept], value - 2.0 * std, value + 2.0 * std, "± 2 standard deviations", style.BAND)
         add_line(fig, panel, time[kept], value, name, {"color": style.AFTER, "width": 1.6}, group="adapted")
     return fig
