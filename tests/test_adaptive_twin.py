@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from builders import OPTIONAL
+from fmpy.validation import validate_fmu
 
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
@@ -57,6 +58,7 @@ def test_both_fmus_are_the_simulator_to_the_bit(tmp_path):
     for make in (native_fmu, python_fmu):
         path = tmp_path / f"{make.__name__}.fmu"
         path.write_bytes(make(TWIN))
+        assert validate_fmu(str(path)) == []
         fmu = Fmu(path)
         one = FmuInstance(fmu, names, [y.name for y in TWIN.outputs])
         one.start([column[0] for column in given])

@@ -108,7 +108,7 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         return {
             "theta": [getattr(x, f"theta.{q.name}") for q in parts],
             "noises": [x.slow_noise, x.map_error],
-            "P": {(i, j): getattr(x, f"covariance.{i}.{j}") for i, j in entries},
+            "P": {(i, j): getattr(x, f"covariance_{i}_{j}") for i, j in entries},
             "change": [getattr(p, f"change.{q.name}") for q in parts],
             "noise_model": p,
         }, {}
@@ -161,7 +161,7 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         ),
         State("slow_noise", "N", "estimate of the slow noise", nothing, "next.noise.0"),
         State("map_error", "N", "estimate of the model's error at this place", nothing, "next.noise.1"),
-        *(State(f"covariance.{i}.{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in entries),
+        *(State(f"covariance_{i}_{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in entries),
     ]
     said = "the parameters as they are known, and how well"
     return Effect("adaptation", said, step, (*changes(), *noise, sample_time), tuple(states))

@@ -16,6 +16,7 @@ from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, Stat
 ACKNOWLEDGE = Signal("acknowledge", "1", "somebody has seen the alarm: adapt again", 0.0, 1.0, kind=BOOLEAN)
 
 UP, DOWN = "up", "down"
+NOISES = "fading", "staying"
 WATCHING, FOLLOWING, STOPPED = 0.0, 1.0, 2.0
 
 
@@ -51,7 +52,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
                 heights.append(height)
                 for k, a in enumerate(absorbed):
                     after = a if shape is None else a + s.gain[m + k] * shape
-                    ahead[f"absorbed.{name}.{way}.{k}"] = ops.where(height > 0.0, after, 0.0)
+                    ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
             found.append(ops.maximum(*heights))
 
         # Ordinary innovations against such of twice the variance.
@@ -77,7 +78,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         # Which parameter has moved by most plausible changes, as far as it is known.
         moved_most, most = x.direction, 0.0
         for i in range(m):
-            by = s.theta[i] - getattr(x, f"kept.{i}")
+            by = s.theta[i] - getattr(x, f"kept.{adapted[i]}")
             sure = by * by * (1.0 - s.P[i, i])
             moved_most, most = ops.where(sure > most, float(i + 1), moved_most), ops.maximum(sure, most)
         direction = ops.where(starts > 0.5, points, ops.where(explained > 0.5, moved_most, x.direction))
@@ -87,7 +88,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode)),
         )
         changes = x.changes + explained
-        kept = [ops.where(starts > 0.5, s.theta[i], getattr(x, f"kept.{i}")) for i in range(m)]
+        kept = [ops.where(starts > 0.5, s.theta[i], getattr(x, f"kept.{adapted[i]}")) for i in range(m)]
         ahead |= {
             "unlike": nothing_else,
             "doubt": ops.where(starts > 0.5, 0.0, doubt),
@@ -95,7 +96,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             "mode": mode,
             "direction": direction,
             "changes": changes,
-            **{f"kept.{i}": value for i, value in enumerate(kept)},
+            **{f"kept.{adapted[i]}": value for i, value in enumerate(kept)},
         }
         said = {
             "alarm": ops.where(mode > 0.5, 1.0, 0.0),
@@ -114,15 +115,15 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
                 yield State(f"sum.{name}.{way}", "1", f"log-likelihood ratio of a change of {name}, {way}", nothing)
                 for k in range(2):
                     said = "what of such a change the noises' estimates have taken up"
-                    yield State(f"absorbed.{name}.{way}.{k}", "N", said, nothing)
+                    yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, nothing)
         yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
         yield State("doubt", "1", "the same since an alarm", nothing)
         yield State("seen", "1", "how far the operating point has gone since an alarm", nothing)
         yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", nothing)
         yield State("direction", "1", "what the last alarm points to", nothing)
         yield State("changes", "1", "changes that were followed", nothing)
-        for i, name in enumerate(adapted):
-            yield State(f"kept.{i}", "1", f"{name} before the alarm, in plausible changes", nothing)
+        for name in adapted:
+            yield State(f"kept.{name}", "1", f"{name} before the alarm, in plausible changes", nothing)
 
     usual = threshold(0.01, sums(len(names)), sample_time)
     said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
@@ -139,7 +140,7 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     The ratio is of normal innovations; what the estimates take up of a change is none of it. A power of it below 1 bears
     innovations that are not independent, and is no larger on average (Jensen).
     """
-    absorbed = [a * getattr(x, f"absorbed.{name}.{k}") for k, a in enumerate(s.keeps)]
+    absorbed = [a * getattr(x, f"absorbed.{name}.{NOISES[k]}") for k, a in enumerate(s.keeps)]
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
         looked_for = by_thrust * by_thrust
