@@ -45,6 +45,7 @@ from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.twin import BLOCK, BROUGHT, HALVES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.native.simulator import Simulator
+from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import ParameterSet
 
 CHANGES = ("thrust x 0.85", "pitch +1 deg", "slow lag x 1.5", "drift 0.01 N/s")
@@ -353,45 +354,54 @@ def _undisturbed(kind: str, rng: np.random.Generator, one: Known) -> dict[str, n
 
 def microseconds() -> dict[str, float]:
     """Of a step of 4 ms: plant and twin, native and Python, alone; and plant, controller and twin in one loop through fmpy."""
-    twin, found, steps = adaptive(_own(), CONSTANT), {}, 5000
+    twin, found = adaptive(_own(), CONSTANT), {}
+    parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
     with tempfile.TemporaryDirectory() as folder:
-        parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
         for flavour, make in (("native", native_fmu), ("Python", python_fmu)):
-            ready = {}
+            files, steps = {}, {}
             for role, part in parts.items():
                 path = Path(folder, f"{role}.{flavour}.fmu")
                 path.write_bytes(make(part.model, part.values))
-                inputs = [u.name for u in part.model.inputs]
                 fmu = Fmu(path)
-                one = FmuInstance(fmu, inputs, [y.name for y in part.model.outputs])
+                one = FmuInstance(fmu, [u.name for u in part.model.inputs], [y.name for y in part.model.outputs])
                 one.start([u.start for u in part.model.inputs])
-                ready[role] = one.stepper(DT), fmu, one
-            plants, controllers, twins = (ready[role][0] for role in parts)
-            shown = plants((4000.0, 4.0))
-            for what in ("plant", "twin", "loop"):
-                began = time.perf_counter()
-                for k in range(steps):
-                    if what == "plant":
-                        plants((4000.0, 4.0))
-                    elif what == "twin":
-                        twins((4000.0, 4.0, 5.0 + 0.01 * (k % 7), 4000.0, 0.0))
-                    else:
-                        told = controllers((6.0, shown[0]))
-                        shown = plants(told)
-                        twins((*told, shown[0], shown[1], 0.0))
-                found[f"{what}, {flavour} FMU"] = 1e6 * (time.perf_counter() - began) / steps
-            for _, fmu, one in ready.values():
+                files[role], steps[role] = (fmu, one), one.stepper(DT)
+
+            def loop(k: int, steps=steps) -> None:
+                told = steps["controller"]((6.0, 5.0 + 0.01 * (k % 7)))
+                shown = steps["plant"](told)
+                steps["twin"]((*told, shown[0], shown[1], 0.0))
+
+            found[f"plant, {flavour} FMU"] = _best(lambda k, step=steps["plant"]: step((4000.0, 4.0)))
+            found[f"twin, {flavour} FMU"] = _best(
+                lambda k, step=steps["twin"]: step((4000.0, 4.0, 5.0 + 0.01 * (k % 7), 4000.0, 0.0))
+            )
+            found[f"plant, controller and twin, {flavour} FMUs"] = _best(loop)
+            for fmu, one in files.values():
                 one.close()
                 fmu.close()
-    rows = 200_000
+    for what in ("plant", "twin"):
+        one, values = Stepper(parts[what].model, parts[what].values), [u.start for u in parts[what].model.inputs]
+        one.start(values)
+        found[f"{what}, as hil steps it"] = _best(lambda k, one=one, values=values: one.step(values, DT))
+    rows = 100_000
     inputs = {"omega_ref": np.full(rows, 4000.0), "beta_ref": np.full(rows, 4.0)}
-    for what, part in (("plant", ParameterSet(plant())), ("twin", twin)):
-        more = {} if what == "plant" else {"thrust": np.full(rows, 5.0), "omega": np.full(rows, 4000.0)}
-        simulator = Simulator(part.model)
-        began = time.perf_counter()
-        simulator.simulate(part.values, inputs | more, np.full(rows - 1, DT))
-        found[f"{what}, compiled, without FMI"] = 1e6 * (time.perf_counter() - began) / rows
+    for what, more in (("plant", {}), ("twin", {"thrust": np.full(rows, 5.0), "omega": np.full(rows, 4000.0)})):
+        simulator = Simulator(parts[what].model)
+        given = parts[what].values, inputs | more, np.full(rows - 1, DT)
+        found[f"{what}, compiled, by itself"] = _best(lambda k, run=simulator.simulate, given=given: run(*given), 1) / rows
     return found
+
+
+def _best(step, batch: int = 200) -> float:
+    """us a call, in the best of many batches: others use the machine, too."""
+    best = np.inf
+    for _ in range(20):
+        began = time.perf_counter()
+        for k in range(batch):
+            step(k)
+        best = min(best, (time.perf_counter() - began) / batch)
+    return 1e6 * float(best)
 
 
 # --- tables ------------------------------------------------------------------------------------------------------------------
@@ -444,4 +454,4 @@ def _show_alarms(found) -> None:
 def _show_times() -> None:
     print("\nmicroseconds a step")
     for what, value in microseconds().items():
-        print(f"{what:34} {value:7.2f}")
+        print(f"{what:44} {value:7.2f}")
