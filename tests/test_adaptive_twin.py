@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 from builders import OPTIONAL
+from fmpy.validation import validate_fmu
 
+from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.twin import BROUGHT, DAILY, adapted_by_default, threshold, twin, watched
-from vpp_fmu.native import Simulator
+from vpp_fmu.native import Simulator, stepper
 from vpp_fmu.native.stepper import Stepper
 
 DT = 0.004
@@ -57,6 +59,7 @@ def test_both_fmus_are_the_simulator_to_the_bit(tmp_path):
     for make in (native_fmu, python_fmu):
         path = tmp_path / f"{make.__name__}.fmu"
         path.write_bytes(make(TWIN))
+        assert validate_fmu(str(path)) == []
         fmu = Fmu(path)
         one = FmuInstance(fmu, names, [y.name for y in TWIN.outputs])
         one.start([column[0] for column in given])
@@ -74,6 +77,22 @@ def test_a_stepper_is_the_simulator_to_the_bit():
     one.start(given[0])
     for k in range(150):
         assert one.step(given[k], DT) == [column[k + 1] for column in expected.values()]
+
+
+def test_without_a_compiler_it_is_the_same_more_slowly(monkeypatch):
+    def missing(model):
+        raise CompilerMissing("none")
+
+    inputs = noisy(driven(30, hold=10))
+    given = np.column_stack([inputs.get(u.name, np.zeros(30)) for u in TWIN.inputs]).tolist()
+    compiled = Stepper(TWIN)
+    monkeypatch.setattr(stepper, "CompiledPart", missing)
+    monkeypatch.setattr(stepper, "_say_once", lambda what: None)
+    interpreted = Stepper(twin(PLANT, ADAPTED))
+    for one in (compiled, interpreted):
+        one.start(given[0])
+    for row in given:
+        assert compiled.step(row, DT) == interpreted.step(row, DT)
 
 
 def test_beside_its_own_plant_it_is_that_plant():

@@ -180,8 +180,8 @@ class FmuTwin:
         self.units = {v.name: v.unit or "1" for v in self._fmu.variables.values()}
 
     def beside(self, record: Record, rest: tuple[float, float]) -> dict[str, np.ndarray]:
-        """What it says of each row of a loop's record (rows,), whose commands act from the row on; the plant stood at the commands
-        `rest` [rpm, deg] before. SimulationFailed."""
+        """What it says of each row of a loop's record (rows,), whose commands act from the row on; the plant stood at the
+        commands `rest` [rpm, deg] before. SimulationFailed."""
         instance = FmuInstance(self._fmu, self.inputs, self.outputs)
         try:
             given = np.column_stack([record[name] for name in self.inputs]).tolist()

@@ -45,9 +45,9 @@ def adaptive(
 ) -> ParameterSet:
     """The twin's model with its parameters: the plant's by name, their standard deviations as the prior, the band's noises.
 
-    `parameters`: of a plant that has them all (`adaptable`). What was not estimated is known to no more than a plausible change;
-    and so are lags, whose standard deviation is that of one kind of motion, while a rig's motor and actuator are no lags and
-    answer each kind of motion with another one. KeyError names an adapted parameter that the plant has not.
+    `parameters`: of a plant that has them all (`adaptable`). What was not estimated is known to no more than a plausible
+    change; and so are lags, whose standard deviation is that of one kind of motion, while a rig's motor and actuator are no
+    lags and answer each kind of motion with another one. KeyError names an adapted parameter that the plant has not.
     """
     values = parameters.values
     adapted = tuple(adapted or adapted_by_default(values))

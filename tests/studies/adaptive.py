@@ -1,9 +1,9 @@
 """python -m tests.studies adaptive: what the adaptive twin learns and finds, how often it finds what is none, what it costs.
 
 Three parts. (a) A rig that is its model, with the noises that the twin assumes: adapted parameters beside the Cramer-Rao bound
-of the same record (information of the whole record, by numpy), coverage of the band, and hours without excitation. (b) Changes: on
-rigs that are their model, where the truth is known, and on the emulated rigs of `tests.studies.twin`, each with a campaign and
-identified; and hours on the latter in which nothing changes, by three kinds of commands. (c) Microseconds.
+of the same record (information of the whole record, by numpy), coverage of the band, and hours without excitation. (b) Changes:
+on rigs that are their model, where the truth is known, and on the emulated rigs of `tests.studies.twin`, each with a campaign
+and identified; and hours on the latter in which nothing changes, by three kinds of commands. (c) Microseconds.
 
 All of it is compiled and runs in virtual time. Aims: within 1.2 of the bound; 93 to 97 % in the band; no change missed, and no
 more than one false alarm in 100 h.
@@ -45,6 +45,7 @@ from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.twin import BLOCK, BROUGHT, HALVES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.native.simulator import Simulator
+from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import ParameterSet
 
 CHANGES = ("thrust x 0.85", "pitch +1 deg", "slow lag x 1.5", "drift 0.01 N/s")
@@ -201,13 +202,18 @@ def idle_hours(seed: int, hours: int = IDLE) -> dict[str, float]:
     thrust = Simulation(parameters.model, parameters.values).start(at)["thrust"]
     steps, inputs = np.full(rows - 1, DT), {name: np.full(rows, value) for name, value in at.items()}
     inputs |= {"thrust": thrust + _noise(rng, rows), "omega": np.full(rows, 4500.0)}
-    found, first = {}, round(60.0 / DT)
-    shown = _simulator(twin).simulate(twin.values, inputs, steps)
-    columns = dict(zip(_simulator(twin).outputs, shown.T, strict=True))
-    for name in _adapted(twin):
-        path = columns[f"adapted.{name}"][first:]
-        found[name] = float((path.max() - path.min()) / columns[f"std.{name}"][first])
-    return found | {"alarms": float(np.sum(np.diff(columns["alarm"]) > 0.5))}
+    simulator, adapted, first, moved, alarms = _simulator(twin), _adapted(twin), round(60.0 / DT), {}, 0
+    for at_rows, shown, _ in simulator.pieces(twin.values, inputs, steps):
+        columns = dict(zip(simulator.outputs, shown.T, strict=True))
+        alarms += int(np.sum(np.diff(columns["alarm"]) > 0.5))
+        if at_rows.start < first:
+            continue
+        for name in adapted:
+            low, high, std = moved.get(name, (np.inf, -np.inf, columns[f"std.{name}"][0]))
+            path = columns[f"adapted.{name}"]
+            moved[name] = min(low, path.min()), max(high, path.max()), std
+    found = {name: float((high - low) / std) for name, (low, high, std) in moved.items()}
+    return found | {"alarms": float(alarms)}
 
 
 # --- (b) ---------------------------------------------------------------------------------------------------------------------
@@ -348,45 +354,54 @@ def _undisturbed(kind: str, rng: np.random.Generator, one: Known) -> dict[str, n
 
 def microseconds() -> dict[str, float]:
     """Of a step of 4 ms: plant and twin, native and Python, alone; and plant, controller and twin in one loop through fmpy."""
-    twin, found, steps = adaptive(_own(), CONSTANT), {}, 5000
+    twin, found = adaptive(_own(), CONSTANT), {}
+    parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
     with tempfile.TemporaryDirectory() as folder:
-        parts = {"plant": ParameterSet(plant()), "controller": ParameterSet(CONTROLLER), "twin": twin}
         for flavour, make in (("native", native_fmu), ("Python", python_fmu)):
-            ready = {}
+            files, steps = {}, {}
             for role, part in parts.items():
                 path = Path(folder, f"{role}.{flavour}.fmu")
                 path.write_bytes(make(part.model, part.values))
-                inputs = [u.name for u in part.model.inputs]
                 fmu = Fmu(path)
-                one = FmuInstance(fmu, inputs, [y.name for y in part.model.outputs])
+                one = FmuInstance(fmu, [u.name for u in part.model.inputs], [y.name for y in part.model.outputs])
                 one.start([u.start for u in part.model.inputs])
-                ready[role] = one.stepper(DT), fmu, one
-            plants, controllers, twins = (ready[role][0] for role in parts)
-            shown = plants((4000.0, 4.0))
-            for what in ("plant", "twin", "loop"):
-                began = time.perf_counter()
-                for k in range(steps):
-                    if what == "plant":
-                        plants((4000.0, 4.0))
-                    elif what == "twin":
-                        twins((4000.0, 4.0, 5.0 + 0.01 * (k % 7), 4000.0, 0.0))
-                    else:
-                        told = controllers((6.0, shown[0]))
-                        shown = plants(told)
-                        twins((*told, shown[0], shown[1], 0.0))
-                found[f"{what}, {flavour} FMU"] = 1e6 * (time.perf_counter() - began) / steps
-            for _, fmu, one in ready.values():
+                files[role], steps[role] = (fmu, one), one.stepper(DT)
+
+            def loop(k: int, steps=steps) -> None:
+                told = steps["controller"]((6.0, 5.0 + 0.01 * (k % 7)))
+                shown = steps["plant"](told)
+                steps["twin"]((*told, shown[0], shown[1], 0.0))
+
+            found[f"plant, {flavour} FMU"] = _best(lambda k, step=steps["plant"]: step((4000.0, 4.0)))
+            found[f"twin, {flavour} FMU"] = _best(
+                lambda k, step=steps["twin"]: step((4000.0, 4.0, 5.0 + 0.01 * (k % 7), 4000.0, 0.0))
+            )
+            found[f"plant, controller and twin, {flavour} FMUs"] = _best(loop)
+            for fmu, one in files.values():
                 one.close()
                 fmu.close()
-    rows = 200_000
+    for what in ("plant", "twin"):
+        one, values = Stepper(parts[what].model, parts[what].values), [u.start for u in parts[what].model.inputs]
+        one.start(values)
+        found[f"{what}, as hil steps it"] = _best(lambda k, one=one, values=values: one.step(values, DT))
+    rows = 100_000
     inputs = {"omega_ref": np.full(rows, 4000.0), "beta_ref": np.full(rows, 4.0)}
-    for what, part in (("plant", ParameterSet(plant())), ("twin", twin)):
-        more = {} if what == "plant" else {"thrust": np.full(rows, 5.0), "omega": np.full(rows, 4000.0)}
-        simulator = Simulator(part.model)
-        began = time.perf_counter()
-        simulator.simulate(part.values, inputs | more, np.full(rows - 1, DT))
-        found[f"{what}, compiled, without FMI"] = 1e6 * (time.perf_counter() - began) / rows
+    for what, more in (("plant", {}), ("twin", {"thrust": np.full(rows, 5.0), "omega": np.full(rows, 4000.0)})):
+        simulator = Simulator(parts[what].model)
+        given = parts[what].values, inputs | more, np.full(rows - 1, DT)
+        found[f"{what}, compiled, by itself"] = _best(lambda k, run=simulator.simulate, given=given: run(*given), 1) / rows
     return found
+
+
+def _best(step, batch: int = 200) -> float:
+    """us a call, in the best of many batches: others use the machine, too."""
+    best = np.inf
+    for _ in range(20):
+        began = time.perf_counter()
+        for k in range(batch):
+            step(k)
+        best = min(best, (time.perf_counter() - began) / batch)
+    return 1e6 * float(best)
 
 
 # --- tables ------------------------------------------------------------------------------------------------------------------
@@ -404,18 +419,14 @@ def _show_constant(found) -> None:
 
 def _show_idle(found: dict[str, float]) -> None:
     moved = max(value for name, value in found.items() if name != "alarms")
-    print(
-        f"\n{IDLE} h at one set-point: largest move of a parameter {moved:.2f} of its standard deviation, {found['alarms']:.0f} alarms"
-    )
+    told = f"a parameter goes through {moved:.2f} of its standard deviation at most, {found['alarms']:.0f} alarms"
+    print(f"\n{IDLE} h at one set-point: {told}")
 
 
 def _show_changes(what: str, found) -> None:
-    print(
-        f"\nchanges at {BEGIN:g} s on {what}: s to the alarm, s to within 10 % of the truth for good; missed within {WATCHED:g} s"
-    )
-    print(
-        f"{'change':16} {'runs':>5} {'alarm':>6} {'95 %':>6} {'missed':>7} {'before':>7} {'learned':>8} {'95 %':>6} {'never':>6}  points to"
-    )
+    print(f"\nchanges at {BEGIN:g} s on {what}: s to the alarm, s to within 10 % of the truth for good, within {WATCHED:g} s")
+    head = f"{'change':16} {'runs':>5} {'alarm':>6} {'95 %':>6} {'missed':>7} {'before':>7}"
+    print(f"{head} {'learned':>8} {'95 %':>6} {'never':>6}  points to")
     for k, change in enumerate(CHANGES):
         when, settled, points = zip(*(one[k] for one in found), strict=True)
         when, settled = np.array(when), np.array(settled)
@@ -436,11 +447,11 @@ def _show_alarms(found) -> None:
             hours[name] += h
             inside.setdefault(name, []).append(share)
     print("\nfalse alarms on emulated rigs while nothing changes, and readings within the band")
-    for name in inside:
-        print(f"{name:20} {count[name]:4} in {hours[name]:6.1f} h   {100 * np.mean(inside[name]):5.1f} %")
+    for name, shares in inside.items():
+        print(f"{name:20} {count[name]:4} in {hours[name]:6.1f} h   {100 * np.mean(shares):5.1f} %")
 
 
 def _show_times() -> None:
     print("\nmicroseconds a step")
     for what, value in microseconds().items():
-        print(f"{what:34} {value:7.2f}")
+        print(f"{what:44} {value:7.2f}")

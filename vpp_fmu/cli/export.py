@@ -1,4 +1,4 @@
-"""Export plant and controller, and the rig's adaptive twin, as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
+"""Export plant, controller and adaptive twin as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
 
 The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Beside each FMU stand its
 parameters (.ssv), and inputs with the outputs they must give (_in.csv, _ref.csv, _ref.opt)."""
@@ -184,7 +184,8 @@ def exported(
     author: str = AUTHOR,
     fmi: str = "2.0",
 ) -> dict[str, bytes | str]:
-    """All files by name; nothing is written before all of them are made. The first two, if there are, also give their closed loop."""
+    """All files by name; nothing is written before all of them are made. Of two parts or more, the first two
+    also give their closed loop."""
     experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
