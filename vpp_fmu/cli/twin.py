@@ -99,17 +99,19 @@ def _rig(options, setup: Setup) -> Rig:
 
 def said(done: Round) -> list[str]:
     """A round in words."""
-    lines = [f"round {done.number}:"]
+    lines = [f"round {done.number}: no alarm"]
     if done.alarm:
         at, what = done.alarm
-        lines[0] += f" alarm after {at - float(done.mission.record.time[0]):.0f} s, most like {what};"
-        if done.verdict:
-            lines[0] += f" diagnosed from its record: {done.verdict}{' ' + ' + '.join(done.named) if done.named else ''}"
+        named = f" {' + '.join(done.named)}" if done.named else ""
+        lines = [
+            f"round {done.number}: alarm after {at:.0f} s, {what}; diagnosed from the mission's record: {done.verdict}{named}"
+        ]
+    if len(done.models) > 1:
         lines.append(
             f"  error of the thrust on a mission that nobody fitted: {_models(done)}; the model {done.chosen.name} goes on"
         )
     else:
-        lines[0] += f" no alarm; error of the thrust {done.chosen.fitted:.4f} N"
+        lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
     costs = ", ".join(f"{name} {sum(c) / len(c):.4f}" for name, c in done.costs.items())
     lines.append(f"  cost on the rig: {costs}; {done.winner} flies next")
     if done.refused:

@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from hil.session import Setup
-from hil.twin.adaptive import adaptable, adaptive
+from hil.twin.adaptive import adaptable
 from hil.twin.band import Band
 from identification.assessment.prediction import predict
 from identification.diagnose.diagnose import CHANGED, diagnose
 from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.day.flight import GAINS, Flight, fly, mission
+from vpp_fmu.day.flight import GAINS, Flight, Twins, fly, mission
 from vpp_fmu.day.policy import Referee, Search, retuned, task
 from vpp_fmu.errors import SimulationFailed
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
@@ -26,9 +27,6 @@ FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "mode
 
 TWICE = 2
 """Flights by which finalists are compared: the best of many single ones would owe it to its noise."""
-
-MISSION = 60.0
-"""s on the paper's rig, and as much longer on a slower one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,21 +112,21 @@ def next_round(
     model, flies = day.parameters, day.flies
     low, high = common_reach(model, {"dual": flies})
     low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
-    scale = model.rig.scales.time_scale
-    seconds = MISSION * scale / 0.5
+    pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
 
     def flown(k: int) -> Flight:
-        twin = adaptive(adaptable(model, "vpp twin"), band)
-        return flights.needed(f"mission {k}", flies, mission(low, high, scale, seconds, 1000 * seed + 10 * number + k), twin)
+        wanted = mission(low, high, pace, 1000 * seed + 10 * number + k)
+        return flights.needed(f"mission {k}", flies, wanted, Twins(model, band))
 
     stage("mission")
     first = flown(1)
     alarm = first.alarms[0] if first.alarms else None
     known = Model("as it was", model, error(model, first.record), np.nan)
     models, verdict, named = [known], "", ()
+    if _moved(model, first):
+        models.append(_adapted(model, first))
     if alarm:
         stage("diagnose")
-        models.append(_adapted(model, first))
         found = diagnose(_campaign(first.record, folder, model), given=model, workers=workers)
         verdict = found.verdict
         if verdict in CHANGED and found.final.effects:
@@ -136,10 +134,11 @@ def next_round(
             own = found.parameters(found.final)
             own = replace(own, source={**model.source, **own.source})
             models.append(Model("diagnosed", own, error(own, first.record), np.nan))
+    if len(models) > 1:
         stage("mission again")
         second = flown(2)
         models = [replace(m, unseen=error(m.parameters, second.record)) for m in models]
-    chosen = min(models, key=lambda m: m.unseen) if alarm else known
+    chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else known
     wanted = task(chosen.parameters, day.profile, band.noise, flies["sample_time"], seed)
     finalists: dict[str, Mapping[str, float]] = {"what flew": flies}
     tries, refused = [], 0
@@ -179,11 +178,25 @@ def _campaign(record: Record, folder: Path, model: ParameterSet) -> Campaign:
     return Campaign(folder, None, (), _measured(record), None, None, rig=model.rig)
 
 
+CERTAIN = 2.0
+"""Standard deviations by which a parameter has moved in a mission for the adapted model to be one to look at; which one goes on
+is decided by another mission."""
+
+
+def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
+    """(values, standard deviations) of the adapted parameters at a mission's end."""
+    own = {n.removeprefix("adapted."): float(c[-1]) for n, c in flight.twin.items() if n.startswith("adapted.")}
+    return own, {name: float(flight.twin[f"std.{name}"][-1]) for name in own}
+
+
+def _moved(model: ParameterSet, flight: Flight) -> bool:
+    before, (own, std) = adaptable(model, "vpp twin").values, _learned(flight)
+    return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
+
+
 def _adapted(model: ParameterSet, flight: Flight) -> Model:
     """The model with what the twin had made of its parameters in the end."""
-    wider = adaptable(model, "vpp twin")
-    own = {n.removeprefix("adapted."): float(c[-1]) for n, c in flight.twin.items() if n.startswith("adapted.")}
-    std = {name: float(flight.twin[f"std.{name}"][-1]) for name in own}
+    wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
     changed = wider.replaced(own, std)
     return Model("adapted", changed, error(changed, flight.record), np.nan)
 
@@ -194,11 +207,11 @@ class _Flights:
     def __init__(self, rig: Rig, number: int, folder: Path):
         self._rig, self._number, self._folder, self._count = rig, number, folder, 0
 
-    def __call__(self, what: str, settings: Mapping[str, float], profile: Record, twin: ParameterSet | None = None) -> Flight:
+    def __call__(self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None) -> Flight:
         self._rig.word(f"round {self._number}: {what}")
         self._count += 1
         setup = self._rig.setup(self._number, self._count)
-        return fly(setup, settings, profile, self._folder / f"flight_{self._count:02d}", twin)
+        return fly(setup, settings, profile, self._folder / f"flight_{self._count:02d}", twins)
 
     def needed(self, what: str, *flight) -> Flight:
         """One that has to come to its end. SimulationFailed."""

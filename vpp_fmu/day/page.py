@@ -24,7 +24,7 @@ def day_page(day: Day) -> Page:
         [
             ("cost on the rig, as it began", began, "eq. 21, of measured thrust"),
             ("cost of what flies now", last.cost, f"{100.0 * (last.cost / began - 1.0):+.1f} %"),
-            ("error of the model's thrust [N]", _error(last), "in a mission that it did not see" if last.alarm else "no alarm"),
+            ("error of the model's thrust [N]", _error(last), "in the last mission"),
             ("effects added", ", ".join(n for r in day.rounds for n in r.named) or "none", ""),
         ]
     )
@@ -41,7 +41,7 @@ def day_page(day: Day) -> Page:
         (
             str(r.number),
             ", ".join(r.hidden) or "-",
-            f"{r.alarm[1]}, after {r.alarm[0] - float(r.mission.record.time[0]):.0f} s" if r.alarm else "none",
+            f"{r.alarm[1]}, after {r.alarm[0]:.0f} s" if r.alarm else "none",
             f"{r.verdict} {' + '.join(r.named)}".strip() or "-",
             r.chosen.name,
             r.winner,
@@ -71,7 +71,7 @@ def day_page(day: Day) -> Page:
 
 
 def _error(r: Round) -> float:
-    return r.chosen.unseen if r.alarm else r.chosen.fitted
+    return r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen
 
 
 def _summary(day: Day) -> str:
