@@ -62,13 +62,17 @@ class Referee:
         objective = wanted.objective(settings)
         self._objective = replace(objective, points=operating_points(objective, objective.gains))
         self._flies = self._objective.cost(objective.gains)
-        self._sensitivity = max(SENSITIVITY, self._objective.largest_sensitivity(objective.gains))
+        self._most = max(SENSITIVITY, self.sensitivity(settings))
+
+    def sensitivity(self, settings: Mapping[str, float]) -> float:
+        """The largest amplification of a disturbance in the model's loop."""
+        return self._objective.largest_sensitivity(np.array([settings[name] for name in self._objective.names]))
 
     def predicted(self, settings: Mapping[str, float]) -> tuple[float, bool]:
         """(cost over that of what flies, as the model has it; whether they may fly)."""
         gains = np.array([settings[name] for name in self._objective.names])
         costs = self._objective.cost(gains) / self._flies
-        return costs, costs <= COSTLIER and self._objective.largest_sensitivity(gains) <= self._sensitivity
+        return costs, bool(costs <= COSTLIER and self.sensitivity(settings) <= self._most)
 
 
 class Search:
