@@ -34,6 +34,9 @@ COLUMNS = (
 then on; throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its
 work took, how many slots were missed before it; what is read of the motor's supply [V, A, degC]."""
 
+LEARNED = "twin."
+"""Before the outputs of the adaptive twin, where one ran: they stand behind the others, empty but while a loop was closed."""
+
 RUN = ("thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "omega_wanted", "beta_wanted")
 """Columns of `run.csv`, beside `time`."""
 

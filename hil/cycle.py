@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from hil.bench import Bench
 from hil.columns import STATES
@@ -34,7 +34,8 @@ class Cycle:
 
     `wanted`: what the controller follows [N]. `throttle` [1] and `commands` [rpm, deg] stand on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
-    `page`: the operator's, whose end is told and ends nothing.
+    `page`: the operator's, whose end is told and ends nothing. `adapted`: the adaptive twin's outputs, so many as `beside`, for
+    the log.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class Cycle:
         view: View,
         plausibility: Callable[[], Plausibility],
         page: OperatorPage | None = None,
+        beside: int = 0,
     ):
         self.dt, self.bench, self.limits, self.states = PERIOD, bench, limits, StateMachine()
         self.ticks, self._tick = Ticks(bench.clock, self.dt), Tick(0, 0.0, 0)
@@ -55,6 +57,7 @@ class Cycle:
         self._log, self._signals, self._view, self._judgement = log, signals, view, plausibility
         self._page, self._page_gone, self._counted = page, False, {}
         self._known: set[tuple[str, FaultKind]] = set()
+        self._nothing = (math.nan,) * beside
         self.supervisor: Supervisor | None = None
         self.begin()
 
@@ -64,6 +67,7 @@ class Cycle:
         self._supply_limits = SupplyLimits(self.limits)
         self.throttle, self.commands = 0.0, (0.0, self.bench.calibration.rest_pitch)
         self.residual, self.alarm, self.asked = math.nan, False, ""
+        self.adapted: Sequence[float] = self._nothing
         self._woke, self._driven_since = self.bench.clock.now(), None
 
     def wake(self) -> None:
@@ -155,6 +159,7 @@ class Cycle:
             *(senses.thrust_age, senses.mark_age, senses.counts, pulses, self.throttle, cut),
             *(self.residual, self.alarm, tick.late, busy, tick.missed),
             *senses.supply.values(),
+            *self.adapted,
         )
         self._view.show(
             *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),

@@ -21,6 +21,7 @@ from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import Tare, TareGate, TareRefused, tare
+from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.errors import VppError
 
@@ -65,7 +66,8 @@ class Rig:
     Any fault ends the run on its way down: by a ramp where that is safe, else by the idle pulse at once. RunEnded then leaves
     `start` or `step`. `supervise` starts the process that stops the rotor if this one can't, `plausibility` makes the checks of
     a run's readings, `gate` says what is a zero, `polarity` looks at the signs at low speed. `tares`: the zeros found.
-    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)).
+    `on_alarm`: the fault that the twin's alarm is (None: it is only noted in `alarms`, (time [s], words)). `adaptive`: a twin
+    that learns, beside it.
     """
 
     def __init__(
@@ -82,12 +84,15 @@ class Rig:
         polarity: Polarity | None = None,
         on_alarm: FaultKind | None = None,
         page: OperatorPage | None = None,
+        adaptive: Adaptive | None = None,
     ):
         self.dt, self.bench, self.limits, self._gate = PERIOD, bench, limits, gate
         plausibility = plausibility or (lambda: Plausibility(limits, PERIOD))
-        self._cycle = Cycle(bench, limits, log, signals, view or NoView(), plausibility, page)
+        self._cycle = Cycle(
+            bench, limits, log, signals, view or NoView(), plausibility, page, len(adaptive.outputs) if adaptive else 0
+        )
         self.states, self.ticks, self.transitions = self._cycle.states, self._cycle.ticks, self._cycle.transitions
-        self._supervise, self._twin, self._polarity = supervise, twin, polarity
+        self._supervise, self._twin, self._adaptive, self._polarity = supervise, twin, adaptive, polarity
         self._pi, self._limiter = SpeedPi(), Limiter(limits)
         self._on_alarm, self.alarms = on_alarm, []
         self.tares: list[Tare] = []
@@ -112,6 +117,8 @@ class Rig:
             self._driven_tick(*at)
         if self._twin:
             self._twin.start(self.ticks.time, *at)
+        if self._adaptive:
+            self._adaptive.start(self.ticks.time, *at, self.last.thrust, self.last.omega)
         return self.last
 
     def step(self, omega_ref: float, beta_ref: float) -> RigSample:
@@ -125,8 +132,17 @@ class Rig:
             if said.alarmed and not self._cycle.alarm:
                 self._alarm(said.residual)
             self._cycle.alarm = said.alarmed
+        if self._adaptive:
+            self._adapt(self._adaptive, limited.omega_ref, limited.beta_ref)
         self._driven_tick(limited.omega_ref, limited.beta_ref, (omega_ref, beta_ref), limited.cut)
         return self.last
+
+    def _adapt(self, adaptive: Adaptive, omega_ref: float, beta_ref: float) -> None:
+        """What the adaptive twin makes of the last readings, for the log; its alarms are noted and end nothing."""
+        known = len(adaptive.alarms)
+        self._cycle.adapted = adaptive.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
+        for _, points in adaptive.alarms[known:]:
+            self._cycle.note(f"adaptive twin: alarm, most like {points}")
 
     def _alarm(self, residual: float) -> None:
         """The twin's alarm: kept with its time, and the end of the run where that was wanted."""
@@ -299,6 +315,7 @@ class Rig:
         """Close the throttle along its slope; no sensor is needed for it. A fault that can't wait cuts it short."""
         cycle = self._cycle
         cycle.residual = cycle.wanted = math.nan
+        cycle.adapted = (math.nan,) * len(cycle.adapted)
         while self.states.state is SafetyState.RAMPDOWN and cycle.throttle > 0.0:
             commands = self._limiter.ramp(0.0, self.bench.calibration.rest_pitch, cycle.passed)[:2]
             cycle.tick(*commands, max(0.0, cycle.throttle - cycle.passed / RAMP))

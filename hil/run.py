@@ -17,6 +17,7 @@ from hil.rig import ENDINGS, Rig
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, found_log, read_log, session
+from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import BadInput, VppError
@@ -91,13 +92,14 @@ def run_on_rig(
     after: Sequence[str] = (),
     on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
+    adaptive: Adaptive | None = None,
 ) -> Run:
     """Close the loop over the profile, from the commands `start` [rpm, deg] on (default: the rig's idle). Writes the full-rate
-    log to `folder` and keeps what was measured, however it ended; `after`, `on_alarm` and `page` as in `session`."""
+    log to `folder` and keeps what was measured, however it ended; `after`, `on_alarm`, `page`, `adaptive` as in `session`."""
     ended, start = "", start or idle(setup.allowed)
     if isinstance(controller, FmuController):
         rehearse(controller, float(profile["thrust_set"][0]))
-    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm, page=page) as one:
+    with session(setup, folder, LOG, twin, after=after, on_alarm=on_alarm, page=page, adaptive=adaptive) as one:
         try:
 
             def shown(share: float) -> None:

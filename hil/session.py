@@ -17,14 +17,14 @@ import numpy as np
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
-from hil.columns import COLUMNS, SHOWN, WORDS
+from hil.columns import COLUMNS, LEARNED, SHOWN, WORDS
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.rig import virtual_bench
 from hil.live import NoView, view
-from hil.log import Logged, MemoryLog, ProcessLog
+from hil.log import Column, Logged, MemoryLog, ProcessLog
 from hil.page.operator_page import OperatorPage
 from hil.realtime import real_time
 from hil.rig import Rig
@@ -36,6 +36,7 @@ from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import gate_of
 from hil.timing import Timing, timing
+from hil.twin.adaptive import Adaptive
 from hil.twin.twin import Twin
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_table, write_whole
@@ -134,17 +135,20 @@ def session(
     after: Sequence[str] = (),
     on_alarm: FaultKind | None = None,
     page: OperatorPage | None = None,
+    adaptive: Adaptive | None = None,
 ) -> Iterator[Session]:
     """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
 
     `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
-    makes a report of the log if this process can't. `on_alarm` as `Rig` has it. `page`: in real time, the operator's.
+    makes a report of the log if this process can't. `on_alarm`, `adaptive` as `Rig` has them. `page`: in real time, the
+    operator's.
     """
     with contextlib.ExitStack() as ends:
         bench = setup.bench()
         ends.callback(bench.close)
         in_virtual_time = isinstance(bench.clock, VirtualClock)
-        log = MemoryLog(folder / log_name, COLUMNS) if in_virtual_time else ProcessLog(folder / log_name, COLUMNS, after)
+        columns = (*COLUMNS, *(Column(LEARNED + name) for name in (adaptive.outputs if adaptive else ())))
+        log = MemoryLog(folder / log_name, columns) if in_virtual_time else ProcessLog(folder / log_name, columns, after)
         if page:
             page.follow(log)
         shown = NoView() if in_virtual_time or not watch else view(SHOWN, WORDS)
@@ -171,6 +175,7 @@ def session(
                 setup.polarity(),
                 on_alarm,
                 page,
+                adaptive,
             )
             one = Session(rig, setup, str(granted), folder)
             try:

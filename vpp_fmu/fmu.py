@@ -188,12 +188,24 @@ class FmuInstance:
         raise SimulationFailed(f"{self.fmu.path}: the step at {at:.6g} s: status {status}")
 
     def _stepper_of_any_type(self, dt):
-        count = itertools.count()
+        # ctypes makes a function anew each time that it is looked up: four of those cost more than a step.
+        dll, component, count = self._slave.dll, self._component, itertools.count()
+        setting = [(block, dll[f"fmi2Set{block.kind}"]) for block in self._writes]
+        getting = [(block, dll[f"fmi2Get{block.kind}"]) for block in self._reads]
+        do_step, at, step = dll["fmi2DoStep"], ctypes.c_double(0.0), ctypes.c_double(dt)
+        found = [0.0] * sum(len(block.positions) for block in self._reads)
 
         def take(values):
-            self._set(values)
-            self._call("fmi2DoStep", ctypes.c_double(next(count) * dt), ctypes.c_double(dt), 1)
-            return self._get()
+            for block, function in setting:
+                block.put(values)
+                self._check(function(component, *block.arguments), f"fmi2Set{block.kind}")
+            at.value = next(count) * dt
+            self._check(do_step(component, at, step, 1), "fmi2DoStep")
+            for block, function in getting:
+                self._check(function(component, *block.arguments), f"fmi2Get{block.kind}")
+                for i, value in zip(block.positions, block.values, strict=True):
+                    found[i] = float(value)
+            return found[:]
 
         return take
 

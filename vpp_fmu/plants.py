@@ -4,12 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from vpp_fmu.errors import BadInput
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
+from vpp_fmu.record import Record
 
 COMMANDS = ("omega_ref", "beta_ref")
 MEASURED = ("thrust", "omega", "beta")
@@ -157,3 +160,38 @@ class FmuController(_FmuRole):
 
     def step(self, thrust_set, thrust):
         return self._step((thrust_set, thrust))
+
+
+class FmuTwin:
+    """An adaptive twin FMU: it watches a loop and is no part of it, so that its answers follow from the loop's record."""
+
+    inputs = (*COMMANDS, "thrust", "omega")
+    needed = ("predicted_thrust", "predicted_speed", "residual", "band", "alarm", "direction", "changes")
+
+    def __init__(self, path: str | Path):
+        self._fmu = Fmu(path)
+        try:
+            self._fmu.references(self.inputs, "input")
+            self._fmu.references(self.needed, "output")
+        except BadInput:
+            self._fmu.close()
+            raise
+        self.outputs = tuple(v.name for v in self._fmu.variables.values() if v.causality == "output")
+        self.units = {v.name: v.unit or "1" for v in self._fmu.variables.values()}
+
+    def beside(self, record: Record, rest: tuple[float, float]) -> dict[str, np.ndarray]:
+        """What it says of each row of a loop's record (rows,), whose commands act from the row on; the plant stood at the
+        commands `rest` [rpm, deg] before. SimulationFailed."""
+        instance = FmuInstance(self._fmu, self.inputs, self.outputs)
+        try:
+            given = np.column_stack([record[name] for name in self.inputs]).tolist()
+            instance.start([*rest, *given[0][2:]])
+            stepped = instance.stepper(record.period)
+            rows = np.array([stepped(row) for row in given])
+        finally:
+            instance.close()
+        return dict(zip(self.outputs, rows.T, strict=True))
+
+    def close(self) -> None:
+        """Let go of whatever is held."""
+        self._fmu.close()

@@ -6,6 +6,7 @@ A study states what it aims at and prints what came out beside it. NAME is one o
 import argparse
 
 from . import (
+    adaptive,
     api,
     commands,
     degenerate,
@@ -26,6 +27,7 @@ from . import (
 )
 
 STUDIES = {
+    "adaptive": adaptive.main,
     "api": api.main,
     "commands": commands.main,
     "degenerate": degenerate.main,

@@ -15,9 +15,11 @@ Aims: no more than one false alarm in 100 h, and no change missed where the camp
 import argparse
 import tempfile
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -75,12 +77,13 @@ KINDS = ("random steps", "closed loop", "standing set-points")
 
 
 class Known(NamedTuple):
-    """A rig's own parameters, what its campaign gave, and how long that was."""
+    """A rig's own parameters, what its campaign gave with which standard deviations, and how long that was."""
 
     own: dict[str, float]
     values: dict[str, float]
     band: Band
     length: str
+    std: Mapping[str, float] = MappingProxyType({})
 
 
 def main(arguments: list[str]) -> None:
@@ -116,7 +119,8 @@ def identified(seed: int) -> Known:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "identification.json"
         path.write_text(as_json(found.summary()))
-        return Known(own, dict(found.parameters.values), read_band(path), length.name)
+        std = {name: e.std for name, e in found.parameters.estimates.items() if e.std is not None}
+        return Known(own, dict(found.parameters.values), read_band(path), length.name, std)
 
 
 def detected(seed: int, known: list[Known]) -> list[float]:

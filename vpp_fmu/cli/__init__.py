@@ -28,6 +28,7 @@ VERBS = {
     "effects": "the effects that the model may have, and a page of their theory",
     "check-effect": "what holds for an effect of one's own",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
+    "twin": "a rig's day: model and controller improve each other, round by round",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 

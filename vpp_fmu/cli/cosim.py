@@ -1,17 +1,21 @@
 """Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set)."""
 
-from contextlib import closing
+from collections.abc import Mapping
+from contextlib import closing, nullcontext
 
+import numpy as np
 from tqdm import tqdm
 
 from vpp_fmu.cli.options import real
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.digits import number
+from vpp_fmu.loop import STANDSTILL
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.plants import FmuController, FmuPlant
+from vpp_fmu.plants import FmuController, FmuPlant, FmuTwin
 from vpp_fmu.record import Record, read_profile, write_record
-from vpp_fmu.report import Page, closed_loop
+from vpp_fmu.report import Page, adapted_parameters, closed_loop, residual_in_band, thinning
+from vpp_fmu.report.twin import ADAPTED
 from vpp_fmu.response import Step, steps
 
 EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv -o out"
@@ -21,6 +25,8 @@ def configure(parser):
     parser.add_argument("plant", metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
     parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
+    text = "twin FMU that watches the loop (vpp export --twin): its outputs in the CSV and on the page"
+    parser.add_argument("--twin", metavar="TWIN", help=text)
     text = "communication step in s (default: %(default)s)"
     parser.add_argument("--step", type=real(1e-6, 1.0, "s"), default=0.004, metavar="S", help=text)
     add_output(parser)
@@ -32,15 +38,27 @@ def run(options):
     with (
         closing(FmuPlant(options.plant, dt=options.step)) as plant,
         closing(FmuController(options.controller, dt=options.step)) as controller,
+        closing(FmuTwin(options.twin)) if options.twin else nullcontext() as twin,
         tqdm(total=100, unit="%", disable=None, leave=False) as bar,
     ):
         done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))
-    write_record(folder, "run.csv", done)
+        watched = twin.beside(done, STANDSTILL) if twin else {}
     page = loop_page(done, f"{options.plant} under {options.controller} over {options.profile}.")
+    if twin:
+        add_twin(page, done.time, watched, twin.units)
+        done = Record({**done.columns, **watched}, done.source)
+    write_record(folder, "run.csv", done)
     folder.write("report.html", page.html())
     for step in steps(done):
         print(told(step))
     say_written(folder)
+
+
+def add_twin(page: Page, time: np.ndarray, told: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
+    """What an adaptive twin said, by its outputs (rows,), with the units of its variables."""
+    page.figure(residual_in_band(time, told), f"Measured thrust less the twin's. {thinning(len(time))}")
+    own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
+    page.figure(adapted_parameters(time, told, own), "What the twin made of its parameters.")
 
 
 def loop_page(done: Record, summary: str) -> Page:

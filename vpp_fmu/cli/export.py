@@ -1,4 +1,4 @@
-"""Export plant and controller as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
+"""Export plant, controller and adaptive twin as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
 
 The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Beside each FMU stand its
 parameters (.ssv), and inputs with the outputs they must give (_in.csv, _ref.csv, _ref.opt)."""
@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from hil.twin.adaptive import adaptable, adaptive
+from hil.twin.band import read_band
 from vpp_fmu import __version__
 from vpp_fmu.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.errors import BadInput
@@ -22,11 +24,11 @@ from vpp_fmu.export.description import AUTHOR
 from vpp_fmu.export.toolchain import host, needs_glibc
 from vpp_fmu.export.trial import expected, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.types import Model
+from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, read_parameters, to_ssv
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
@@ -41,6 +43,10 @@ def configure(parser):
     parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
     add_effects_from(parser)
     parser.add_argument("--gains", metavar="G", help="the controller's parameters (default: the paper's, both actuators)")
+    text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
+    parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
+    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
+    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=text)
     parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
     text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
     parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
@@ -104,6 +110,11 @@ def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
 def _check(options) -> None:
     """BadInput for options that say nothing together."""
     native = options.flavour != "python"
+    if options.twin is not None and (options.model or not options.parameters):
+        given = "--model" if options.model else "no --parameters"
+        raise BadInput("vpp export", "--twin", given, "the --parameters of an identified plant")
+    if options.adapt and options.twin is None:
+        raise BadInput("vpp export", "--adapt", "given without --twin", "--twin, which adapts them")
     if options.platforms != "host" and not native:
         raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
     if options.fmi == "3.0" and options.cross_check:
@@ -120,7 +131,17 @@ def _plant_and_controller(options) -> list[ParameterSet]:
         else ParameterSet(plant())
     )
     gains = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
-    return [model, gains]
+    return [model, gains, *([twin_of(options, library)] if options.twin is not None else [])]
+
+
+def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
+    """The adaptive twin of --parameters, with the band that the identification.json of --twin (default: the one beside) tells.
+    BadInput."""
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    told = options.twin or Path(options.parameters).with_name("identification.json")
+    band = read_band(told)
+    check_same_model(told, parameters, options.parameters)
+    return adaptive(adaptable(parameters, "vpp export", options.adapt), band, options.adapt)
 
 
 def _own(options) -> list[ParameterSet]:
@@ -163,7 +184,8 @@ def exported(
     author: str = AUTHOR,
     fmi: str = "2.0",
 ) -> dict[str, bytes | str]:
-    """All files by name; nothing is written before all of them are made. Two parts or more also give their closed loop."""
+    """All files by name; nothing is written before all of them are made. Of two parts or more, the first two
+    also give their closed loop."""
     experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
@@ -172,7 +194,7 @@ def exported(
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
         found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
         if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
-            loop = {p.model.name: (p, fmus[p.model.name]) for p in parts}
+            loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin watches it and is no part of it
             for flat in (False, True):
                 ssp = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop, connectors=not flat)
                 found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp

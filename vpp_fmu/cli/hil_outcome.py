@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.columns import LEARNED
 from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
 from hil.run import loop_part, write_run
 from hil.runs import alarm_of
@@ -16,7 +17,8 @@ from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import Record
-from vpp_fmu.report import Page
+from vpp_fmu.report import Page, adapted_parameters, residual_in_band, thinning
+from vpp_fmu.report.twin import ADAPTED
 
 RUNNING, ENDED, ENDED_EARLY = "running", "ended", "ended early"
 """`status` in hil.json."""
@@ -51,6 +53,8 @@ def finish(folder: OutputFolder, told: dict, log: Record | None, beside: tuple[s
         told["beside"] = {"plant": beside[0], "rms_thrust": add_difference(page, *reversed(loops.items()))}
     if log is not None and told.get("twin"):
         _add_twin(page, log, told["twin"])
+    if log is not None and told.get("adaptive_twin"):
+        _add_adaptive(page, log, told["adaptive_twin"])
     if found:
         add_timing(page, found, f"The loop had: {told.get('real_time', 'not known')}.")
     add_counts(page, told["counters"], [(t["time"], t["state"], t["why"]) for t in told["transitions"]])
@@ -87,6 +91,18 @@ def _add_twin(page: Page, log: Record, twin: dict) -> None:
     )
     if len(rows):
         add_twin(page, rows.time, rows["residual"], rows["alarm"], twin["noise"], text)
+
+
+def _add_adaptive(page: Page, log: Record, twin: dict) -> None:
+    """What the twin that learns made of the run, where the log has it."""
+    units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
+    if not units or not np.isfinite(log[LEARNED + "band"]).any():
+        return
+    rows = log.part(np.isfinite(log[LEARNED + "band"]))
+    told = {name: rows[LEARNED + name] for name in units}
+    page.figure(residual_in_band(rows.time, told), f"Measured thrust less the adapted model's. {thinning(len(rows))}")
+    own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
+    page.figure(adapted_parameters(rows.time, told, own), "What the adaptive twin made of its parameters.")
 
 
 def _summary(told: dict) -> str:
@@ -129,6 +145,10 @@ def _say(loops: dict[str, Record], told: dict, found: Timing | None) -> None:
         twin = told["twin"]
         said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
         print(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
+    if told.get("adaptive_twin"):
+        alarms = told["adaptive_twin"].get("alarms", ())
+        said_so = ", ".join(f"{one['time']:.1f} s ({one['points_to']})" for one in alarms) or "none"
+        print(f"adaptive twin: alarms: {said_so}")
     log = told["log"]
     failure = f"; {log['failure']}" if log["failure"] else ""
     print(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")

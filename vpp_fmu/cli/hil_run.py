@@ -18,6 +18,7 @@ from hil.run import LOG, ON_ALARM, LimitedPlant, Run, run_on_rig, write_run
 from hil.runs import run_folder, told_by_files
 from hil.safety.limits import Limits
 from hil.session import Setup
+from hil.twin.adaptive import Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
@@ -61,6 +62,7 @@ class _Task:
     start: tuple[float, float]
     twin: Twin | None
     band: Band | None
+    adaptive: Adaptive | None
     beside: Record | None
 
 
@@ -77,6 +79,8 @@ def configure(parser):
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
+    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
+    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=text)
     parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     hil_options.add_watch(parser)
     hil_options.add_records(parser)
@@ -100,12 +104,12 @@ def run(options):
     start = _start(options, setup.limits, setup.allowed)
     if options.parameters:
         setup = replace(setup, plant=hil_options.plant_of(options).values)
-    twin, band = _twin(options, setup.allowed)
+    twin, band, adaptive = _twin(options, setup.allowed)
     beside = _beside(options.beside, options, profile) if options.beside else None
     parent = OutputFolder(options.output)
     hil_options.say_allowed(setup.allowed)
-    begun = hil_options.begun(options, setup) | _of_twin(twin, band)
-    task = _Task(setup, controller, profile, start, twin, band, beside)
+    begun = hil_options.begun(options, setup) | _of_twin(twin, band, adaptive)
+    task = _Task(setup, controller, profile, start, twin, band, adaptive, beside)
     with hil_options.watched(options, begun) as page:
         hil_options.confirm(setup)
         _on_rig(options, task, begun | {"begun": now()}, parent, page)
@@ -131,6 +135,8 @@ def _on_rig(options, task: _Task, begun: dict, parent: OutputFolder, page: Opera
     told = done.session.told() | begun | {"ended": done.ended}
     if twin is not None:
         told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
+    if task.adaptive is not None:
+        told["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in task.adaptive.alarms]}
     if options.records == "parquet":
         folder.write("run.parquet", as_parquet(done.record))
     finish(folder, told, done.log, task.beside and (Path(options.beside).name, task.beside))
@@ -151,7 +157,7 @@ def _run(options, task: _Task, folder: Path, page: OperatorPage | None) -> Run:
             bar.update(round(100 * share) - bar.n)
 
         own = task.setup, task.controller, task.profile, folder, task.start, task.twin
-        return run_on_rig(*own, progress, report, ON_ALARM[options.on_alarm], page)
+        return run_on_rig(*own, progress, report, ON_ALARM[options.on_alarm], page, task.adaptive)
 
 
 def _ended(folder: OutputFolder, begun: dict, error: BaseException) -> None:
@@ -167,12 +173,14 @@ def _ended(folder: OutputFolder, begun: dict, error: BaseException) -> None:
             finish(folder, told | {"ended": why}, record)
 
 
-def _of_twin(twin: Twin | None, band: Band | None) -> dict:
-    """What hil.json says of the twin before the run."""
+def _of_twin(twin: Twin | None, band: Band | None, adaptive: Adaptive | None) -> dict:
+    """What hil.json says of the twins before the run."""
     if twin is None:
         return {}
     told = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
-    return {"twin": told | {"noise": band.noise}}
+    print(f"adaptive twin: {adaptive.microseconds:.0f} us of a tick")
+    learns = {"microseconds": adaptive.microseconds, "units": adaptive.units}
+    return {"twin": told | {"noise": band.noise}, "adaptive_twin": learns}
 
 
 def _on_fmu(options, profile: Record) -> None:
@@ -223,9 +231,12 @@ def _check_profile(profile: Record, limits: Limits) -> None:
         raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")
 
 
-def _twin(options, allowed: Rig) -> tuple[Twin | None, Band | None]:
+def _twin(options, allowed: Rig) -> tuple[Twin | None, Band | None, Adaptive | None]:
+    """The twin that says when the rig leaves its band, that band, and the twin that learns."""
     if options.twin is None:
-        return None, None
+        if options.adapt:
+            raise BadInput("command line", "--adapt", "given without --twin", "--twin, which adapts them")
+        return None, None, None
     if not options.twin and not options.parameters:
         raise BadInput(
             "command line", "--twin", "no --parameters", "the plant's parameters, or an identification.json for its band"
@@ -235,4 +246,5 @@ def _twin(options, allowed: Rig) -> tuple[Twin | None, Band | None]:
     band = read_band(told)
     if options.parameters:
         check_same_model(told, parameters, options.parameters)
-    return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band
+    learning = adaptive(adaptable(parameters, "command line", options.adapt), band, options.adapt)
+    return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band, Adaptive(learning, PERIOD)

@@ -10,9 +10,11 @@ from vpp_fmu.report.records import closed_loop, measured_against_predicted, two_
 from vpp_fmu.report.remainders import correlations, overlap_heatmap, residual_by_move, residual_spectrum
 from vpp_fmu.report.residuals import autocorrelation, cross_correlation, residual_by_section, residual_histogram
 from vpp_fmu.report.thinning import thinning
+from vpp_fmu.report.twin import adapted_parameters, residual_in_band
 
 __all__ = [
     "Page",
+    "adapted_parameters",
     "autocorrelation",
     "behind_against_before",
     "closed_loop",
@@ -32,6 +34,7 @@ __all__ = [
     "residual_by_move",
     "residual_by_section",
     "residual_histogram",
+    "residual_in_band",
     "residual_spectrum",
     "stacked",
     "thinning",

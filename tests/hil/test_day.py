@@ -1,0 +1,126 @@
+"""A rig's day: its costs by closed forms, its search and its referee, rounds on the emulated rig."""
+
+import argparse
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.cycle import PERIOD
+from hil.twin.band import read_band
+from identification.tune.profile import rig_profile
+from vpp_fmu.cli import hil_options, main
+from vpp_fmu.day import day as days
+from vpp_fmu.day.flight import GAINS, HOLDS, MISSION, measured_cost, mission
+from vpp_fmu.day.policy import FARTHEST, SENSITIVITY, Referee, Search, task
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet, read_parameters
+from vpp_fmu.record import Record
+
+IDENTIFIED = {"tau_beta_1": 0.164, "tau_beta_2": 0.024, "tau_omega_1": 0.15, "tau_omega_2": 0.046}
+IDENTIFIED |= {"c20": 0.2, "c11": 0.0695, "c21": 0.769, "c12": -0.0933, "c30": 0.0071}
+"""Of a campaign on the emulated rig: 36 points of the map, steps, 60 s."""
+
+SETTINGS = CONTROLLER.values()
+PLANT = ParameterSet(plant()).replaced({"tau_beta_2": 0.05})
+
+
+def test_a_constant_error_costs_its_square_and_the_gains_theirs():
+    """Eq. 21: 500 readings of 4 ms that are 3 N of 15 N off: 0.04 times 2 s."""
+    record = Record({"time": PERIOD * np.arange(500), "thrust_set": np.full(500, 8.0), "thrust": np.full(500, 5.0)}, "")
+    gains = sum(SETTINGS[name] ** 2 for name in GAINS)
+    assert measured_cost(record, SETTINGS) == pytest.approx(0.04 * 2.0 + 1e-8 * gains, rel=1e-12)
+
+
+@pytest.mark.parametrize("pace", [1.0, 3.0])
+def test_a_mission_holds_levels_within_its_range(pace):
+    found = mission(2.0, 9.0, pace, seed=3)
+    assert (found.time[0], found.time[-1]) == (0.0, MISSION * pace)
+    holds, levels = np.diff(found.time)[:-1] / pace, found["thrust_set"]
+    assert np.all((holds >= HOLDS[0] - 1e-9) & (holds <= HOLDS[1] + 1e-9))
+    assert np.all((levels >= 2.0) & (levels <= 9.0))
+    assert not np.array_equal(found["thrust_set"], mission(2.0, 9.0, pace, seed=4)["thrust_set"])
+
+
+@pytest.fixture(scope="module")
+def referee():
+    wanted = task(PLANT, rig_profile(PLANT, {"dual": SETTINGS}), 0.1, SETTINGS["sample_time"], 0)
+    return Referee(wanted, SETTINGS)
+
+
+def scaled(factor):
+    return SETTINGS | {name: factor * SETTINGS[name] for name in GAINS}
+
+
+def test_the_model_lets_fly_what_flies_and_refuses_what_swings(referee):
+    assert referee.predicted(SETTINGS) == (pytest.approx(1.0), True)
+    assert referee.predicted(scaled(0.9))[1]
+    swings = next(f for f in np.geomspace(1.0, 100.0, 60) if referee.sensitivity(scaled(f)) > SENSITIVITY)
+    assert not referee.predicted(scaled(swings))[1]
+    assert not referee.predicted(scaled(0.02))[1]  # so slow that it costs more than half as much again
+
+
+def test_the_search_goes_where_it_costs_less():
+    """A paraboloid in the gains' logarithms about 1.3 times the first ones: ten generations take nine tenths of its height."""
+    best = np.log(1.3)
+    search = Search(SETTINGS, GAINS, seed=5)
+    for _ in range(10):
+        asked = search.asked()
+        logs = np.log([[each[name] / SETTINGS[name] for name in GAINS] for each in asked])
+        assert np.abs(logs).max() <= FARTHEST + 1e-12
+        assert all(each["beta_max"] == SETTINGS["beta_max"] for each in asked)
+        search.told((1.0 + np.sum((logs - best) ** 2, axis=1)).tolist())
+    assert np.sum((np.median(logs, axis=0) - best) ** 2) < 0.1 * len(GAINS) * best**2
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """A folder with what `vpp identify` makes of a campaign on the emulated rig."""
+    folder = tmp_path_factory.mktemp("identified")
+    ParameterSet(plant()).replaced(IDENTIFIED).save(folder)
+    content = {"noise_floor_thrust": 0.128, "model_error": {"steady": 0.142, "moving": 0.066, "freedom": 34}, "effects": []}
+    content["parameters"] = {name: {"value": value} for name, value in IDENTIFIED.items()}
+    (folder / "identification.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, capsys):
+    folder = tmp_path / "day"
+    options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(told / "parameters.json")]
+    assert main(["twin", str(folder), *options]) == 0
+    assert "what flew flies next" in capsys.readouterr().out
+    (only,) = json.loads((folder / "day.json").read_text())["rounds"]
+    assert (only["flies_next"], list(only["costs"])) == ("what flew", ["what flew"])
+    flights = sorted(path.parent.name for path in (folder / "round_1").glob("*/run.csv"))
+    assert len(flights) >= 1 + days.TWICE
+    again = read_parameters(folder / "parameters.json", plant)
+    assert again.values == read_parameters(told / "parameters.json", plant).values or only["model"] != "as it was"
+    assert "<title>A day of the rig" in (folder / "report.html").read_text()
+    assert main(["twin", str(folder), *options]) == 2
+    assert "DAY" in capsys.readouterr().err
+
+
+def test_after_a_loss_of_thrust_the_adapted_model_goes_on(told, tmp_path, monkeypatch):
+    """The load cell reads 0.85 of the thrust from the second round on; no diagnosis, which has tests of its own."""
+    monkeypatch.setattr(days, "diagnose", lambda *_, **__: SimpleNamespace(verdict="unexplained"))
+    parameters = read_parameters(told / "parameters.json", plant)
+    day = days.new_day(parameters, SETTINGS)
+    setup = days_setup(told, "load_cell_gain=0.85")
+    rig = days.Rig(lambda number, flight: setup, lambda what: None, lambda number: ("load_cell_gain",))
+    done = days.next_round(day, rig, read_band(told / "identification.json"), "fixed", tmp_path, 0, 1, lambda text: None)
+    assert done.alarm
+    was, adapted = (next(m for m in done.models if m.name == name) for name in ("as it was", "adapted"))
+    assert done.chosen is adapted
+    assert adapted.unseen < 0.5 * was.unseen
+    gain = adapted.parameters.values["sensor_gain.gain"]
+    assert 0.8 < gain < 0.97
+
+
+def days_setup(told, hidden):
+    """The emulated rig in virtual time with something hidden, as the command has it."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--parameters", default=str(told / "parameters.json"))
+    hil_options.add_rig(parser)
+    return hil_options.setup_of(parser.parse_args(["--virtual", "--hide", hidden]))

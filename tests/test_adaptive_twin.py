@@ -1,0 +1,186 @@
+"""The adaptive twin as a model: bit for bit in Python and C, exact where it must be, learning what closed forms say."""
+
+import numpy as np
+import pytest
+from builders import OPTIONAL
+from fmpy.validation import validate_fmu
+
+from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.kernel.twin import BROUGHT, DAILY, adapted_by_default, threshold, twin, watched
+from vpp_fmu.native import Simulator, stepper
+from vpp_fmu.native.stepper import Stepper
+
+DT = 0.004
+PLANT = plant(BROUGHT)
+ADAPTED = adapted_by_default(PLANT.values())
+TWIN = twin(PLANT, ADAPTED)
+
+
+def driven(rows, seed=1, hold=250, **changed):
+    """Commands in steps, and the readings of the plant with `changed` parameters, without noise."""
+    rng = np.random.default_rng(seed)
+    count = -(-rows // hold)
+    told = {
+        "omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, count), hold)[:rows],
+        "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, count), hold)[:rows],
+    }
+    values = {name.replace("__", "."): value for name, value in changed.items()}
+    shown = Simulator(PLANT).simulate(values, told, np.full(rows - 1, DT))
+    return told | {"thrust": shown[:, 0], "omega": shown[:, 1]}
+
+
+def ran(inputs, values=None, model=TWIN):
+    simulator = Simulator(model)
+    shown = simulator.simulate(values or {}, inputs, np.full(len(inputs["thrust"]) - 1, DT))
+    return dict(zip(simulator.outputs, shown.T, strict=True))
+
+
+def noisy(inputs, seed=2, white=0.05):
+    return inputs | {"thrust": inputs["thrust"] + white * np.random.default_rng(seed).standard_normal(len(inputs["thrust"]))}
+
+
+def test_python_is_c_to_the_bit():
+    inputs = noisy(driven(400, hold=100, sensor_gain__gain=0.9))
+    expected, model = ran(inputs), Simulation(TWIN)
+    model.start({name: column[0] for name, column in inputs.items()})
+    for k in range(300):
+        outputs = model.advance({name: column[k] for name, column in inputs.items()}, DT)
+        assert list(outputs.values()) == [column[k + 1] for column in expected.values()]
+
+
+def test_both_fmus_are_the_simulator_to_the_bit(tmp_path):
+    inputs = noisy(driven(300, hold=100, sensor_gain__gain=0.9))
+    expected, names = ran(inputs), [u.name for u in TWIN.inputs]
+    given = [inputs.get(name, np.zeros(300)) for name in names]
+    for make in (native_fmu, python_fmu):
+        path = tmp_path / f"{make.__name__}.fmu"
+        path.write_bytes(make(TWIN))
+        assert validate_fmu(str(path)) == []
+        fmu = Fmu(path)
+        one = FmuInstance(fmu, names, [y.name for y in TWIN.outputs])
+        one.start([column[0] for column in given])
+        stepped = one.stepper(DT)
+        for k in range(250):
+            assert stepped([float(column[k]) for column in given]) == [column[k + 1] for column in expected.values()]
+        one.close()
+        fmu.close()
+
+
+def test_a_stepper_is_the_simulator_to_the_bit():
+    inputs = noisy(driven(200, hold=50))
+    expected, one = ran(inputs), Stepper(TWIN)
+    given = np.column_stack([inputs.get(u.name, np.zeros(200)) for u in TWIN.inputs]).tolist()
+    one.start(given[0])
+    for k in range(150):
+        assert one.step(given[k], DT) == [column[k + 1] for column in expected.values()]
+
+
+def test_without_a_compiler_it_is_the_same_more_slowly(monkeypatch):
+    def missing(model):
+        raise CompilerMissing("none")
+
+    inputs = noisy(driven(30, hold=10))
+    given = np.column_stack([inputs.get(u.name, np.zeros(30)) for u in TWIN.inputs]).tolist()
+    compiled = Stepper(TWIN)
+    monkeypatch.setattr(stepper, "CompiledPart", missing)
+    monkeypatch.setattr(stepper, "_say_once", lambda what: None)
+    interpreted = Stepper(twin(PLANT, ADAPTED))
+    for one in (compiled, interpreted):
+        one.start(given[0])
+    for row in given:
+        assert compiled.step(row, DT) == interpreted.step(row, DT)
+
+
+def test_beside_its_own_plant_it_is_that_plant():
+    """Without noise the innovation is 0 to the bit, and nothing is learned but how well things are known."""
+    shown = ran(driven(3000))
+    assert not np.any(shown["residual"])
+    assert not np.any(shown["alarm"])
+    for name in ADAPTED:
+        assert np.all(shown[f"adapted.{name}"][1:] == PLANT.values()[name])
+        assert np.all(np.diff(shown[f"std.{name}"][1:]) < 1e-3 * shown[f"std.{name}"][1])
+
+
+def test_one_parameter_at_rest_is_learned_as_bayes_has_it():
+    """At a place: reading = offset + error there + white noise, whose mean of n is known to var / n; the rest is a share."""
+    model, rows = twin(PLANT, ["sensor_drift.offset"]), 5000
+    at = {"omega_ref": np.full(rows, 4500.0), "beta_ref": np.full(rows, 4.0)}
+    told = Simulation(PLANT).start({name: column[0] for name, column in at.items()})
+    inputs = at | {"thrust": np.full(rows, told["thrust"] + 0.05), "omega": np.full(rows, told["omega"])}
+    own, there, white = 0.1**2, 0.03**2, 0.05**2
+    shown = ran(inputs, {"slow": 0.0, "steady": 0.03, "white": 0.05, "prior.sensor_drift.offset": 0.1}, model)
+    n = rows - 1
+    assert shown["adapted.sensor_drift.offset"][-1] == pytest.approx(0.05 * own / (own + there + white / n), rel=1e-6)
+    expected = own - own**2 / (own + there + white / n)
+    assert shown["std.sensor_drift.offset"][-1] == pytest.approx(np.sqrt(expected), rel=1e-6)
+
+
+def test_a_set_point_that_stands_teaches_one_visit_and_no_more():
+    shown = ran(noisy({name: np.repeat(column[:1], 60_000) for name, column in driven(2).items()}))
+    first, last = (shown["std.sensor_gain.gain"][k] for k in (5000, -1))
+    assert last == pytest.approx(first, rel=0.05)
+    assert shown["changes"][-1] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after"), [("sensor_gain.gain", 1.0, 0.85), ("pitch_offset.offset", 0.0, 2.0)], ids=["gain", "pitch"]
+)
+def test_a_change_is_found_named_and_followed(name, before, after):
+    rows, at = 45_000, 22_500
+    same, other = driven(rows, hold=625), driven(rows, hold=625, **{name.replace(".", "__"): after})
+    changed = {q: np.where(np.arange(rows) < at, same[q], other[q]) for q in same}
+    shown = ran(noisy(changed))
+    assert not np.any(shown["alarm"][:at])
+    assert np.flatnonzero(shown["alarm"])[0] < at + 30.0 / DT
+    assert shown["alarm"][-1] == 0.0
+    assert shown["changes"][-1] >= 1
+    assert shown[f"adapted.{name}"][-1] == pytest.approx(after, abs=0.15 * abs(after - before))
+
+
+def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
+    rows, at = 30_000, 15_000
+    inputs = noisy(driven(rows))
+    shaken = 1.5 * np.sin(2.0 * np.pi * 9.0 * DT * np.arange(rows)) * (np.arange(rows) >= at)
+    inputs["thrust"] = inputs["thrust"] + shaken
+    stopped = ran(inputs)
+    assert stopped["alarm"][-1] == 1.0
+    begins = np.flatnonzero(stopped["alarm"])[0]
+    for name in ADAPTED:
+        assert stopped[f"adapted.{name}"][-1] == pytest.approx(stopped[f"adapted.{name}"][begins - 1], abs=1e-12)
+    inputs["thrust"] -= shaken * (np.arange(rows) >= 25_000)
+    inputs["acknowledge"] = (np.arange(rows) == 26_000).astype(float)
+    assert ran(inputs)["alarm"][-1] == 0.0
+
+
+def test_bounds_hold():
+    shown = ran(driven(6000, sensor_gain__gain=0.7), {"sensor_gain.gain": 1.29})
+    assert np.all(shown["adapted.sensor_gain.gain"][1:] <= 1.3)
+    assert np.all(shown["adapted.sensor_gain.gain"][1:] >= 0.7)
+
+
+@pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
+def test_every_effects_plant_has_a_twin_that_starts_settled(effect):
+    """Also commands that are held back, rows that are late, and forms that want short steps."""
+    wider = plant({*BROUGHT, effect.name})
+    values = {effect.full(name): value for name, value in effect.probe.items()}
+    model = twin(wider, DAILY)
+    one, own = Simulation(model, values | {f"prior.{name}": 0.0 for name in DAILY}), Simulation(wider, values)
+    given = {"omega_ref": 4000.0, "beta_ref": 4.0}
+    inputs = given | {u.name: 0.004 for u in wider.inputs if u.clock}
+    thrust = own.start(inputs)["thrust"]
+    reading = given | {"thrust": thrust, "omega": 4000.0}
+    one.start(reading)
+    for _ in range(5):
+        assert one.advance(reading, DT)["predicted_thrust"] == pytest.approx(own.advance(inputs, DT)["thrust"], rel=1e-3)
+    assert np.isfinite(list(one.states.values())).all()
+
+
+def test_who_is_watched_and_at_what_threshold():
+    assert watched(PLANT, ADAPTED) == DAILY
+    assert threshold(0.01, 7, DT) == pytest.approx(np.log(7 * 3600.0 * 100.0 / DT))
+    with pytest.raises(KeyError):
+        twin(PLANT, ["tau_gamma"])

@@ -1,0 +1,77 @@
+"""Dual numbers: against central differences of every effect, and against the tracer's own tangents."""
+
+import numpy as np
+import pytest
+from builders import ALL_ON, OPTIONAL, PROBES, named, random_steps
+
+from vpp_fmu.kernel.duals import Dual, Duals
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.types import start, step
+from vpp_fmu.native import Simulator
+
+STEP, ROWS = 0.002, 400
+
+
+def run(model, values, names, inputs, dt=STEP):
+    """Thrust (rows,) and its tangents (rows, names) on dual numbers; no input is held back."""
+    duals = Duals(NUMBERS, len(names))
+    known = {name: duals.constant(value) for name, value in values.items()}
+    for i, name in enumerate(names):
+        known[name] = Dual(values[name], tuple(1.0 if k == i else None for k in range(len(names))))
+    rows = [{u.name: duals.constant(float(inputs[u.name][k])) for u in model.inputs} for k in range(ROWS)]
+    signals, states = start(model, duals, rows[0], known)
+    thrust, slopes = [], []
+    for row in rows:
+        y = duals.constant(signals["thrust"])
+        thrust.append(y.value)
+        slopes.append([0.0 if d is None else d for d in y.tangents])
+        signals, states = step(model, duals, row, states, known, duals.constant(dt))
+        states = {name: duals.constant(x) for name, x in states.items()}
+    return np.array(thrust), np.array(slopes)
+
+
+def commands(model):
+    return {name: np.asarray(column) for name, column in random_steps(ROWS, 50, model=model).items()}
+
+
+@pytest.mark.parametrize("effect", [e for e in OPTIONAL if not e.delays], ids=lambda e: e.name)
+def test_every_effect_has_the_tracers_tangents(effect):
+    model, names = plant([effect.name]), [p.name for p in plant([effect.name]).parameters]
+    values, inputs = model.values(named(effect, effect.probe)), commands(model)
+    tangents = Simulator(model, names)
+    expected = tangents.sensitivities(values, inputs, np.full(ROWS - 1, STEP))
+    if effect.largest_step is not None and effect.largest_step < STEP:
+        pytest.skip("the schedule takes several steps where this takes one")
+    thrust, slopes = run(model, values, names, inputs)
+    np.testing.assert_array_equal(thrust, expected[0][:, 0])
+    np.testing.assert_allclose(slopes, expected[1][:, 0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["c20", "tau_beta_2", "tau_omega_1", "sensor_gain.gain", "pitch_offset.offset"])
+def test_a_tangent_is_the_central_difference(name):
+    model = plant(["sensor_gain", "pitch_offset"])
+    values, inputs = model.values(), commands(model)
+    slope = run(model, values, [name], inputs)[1][:, 0]
+    half = 1e-5 * max(1.0, abs(values[name]))
+    above, below = (run(model, values | {name: values[name] + d}, [name], inputs)[0] for d in (half, -half))
+    np.testing.assert_allclose(slope, (above - below) / (2.0 * half), rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+
+
+def test_what_is_zero_by_structure_costs_nothing():
+    x, y = Dual(2.0, (1.0, None)), Dual(3.0, (None, None))
+    assert (x * y + 1.0).tangents == (3.0, None)
+    assert (1.0 / x - y).tangents == (-0.25, None)
+    assert Duals(NUMBERS, 2).exp(y).tangents == (None, None)
+
+
+@pytest.mark.parametrize("call", [bool, float, lambda x: x**2, lambda x: x == 1.0])
+def test_what_has_no_derivative_is_refused(call):
+    with pytest.raises(TypeError, match="derivative"):
+        call(Dual(1.0, (1.0,)))
+
+
+def test_the_whole_library_goes_through():
+    model = ALL_ON
+    slopes = run(model, model.values(PROBES), ["c20"], commands(model))[1]
+    assert np.isfinite(slopes).all()

@@ -1,0 +1,161 @@
+"""A rig's day: model and controller improve each other round by round, while the rig flies.
+
+Each round flies a mission with the adaptive twin beside it. After an alarm the mission's own record goes to the diagnosis
+against the twin's model, and the model that predicts the next mission best goes on. Gains are retuned on that model and
+searched on the rig, the model refusing what breaks limits; those that cost least on the rig fly next. Nothing that is worse
+than what flies takes its place. On the real rig each flight waits for the operator's word."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from tqdm import tqdm
+
+from hil.session import Setup
+from hil.twin.band import read_band
+from identification.tune.controllers import controllers
+from vpp_fmu.cli import hil_options
+from vpp_fmu.cli.options import WORKERS, whole
+from vpp_fmu.cli.output import as_json, dated
+from vpp_fmu.day.day import BOTH, POLICIES, Day, Rig, Round, new_day, next_round
+from vpp_fmu.day.page import day_page
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
+
+EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
+
+
+def configure(parser):
+    parser.add_argument("day", metavar="DAY", help="folder of the day, which must not be there yet")
+    parser.add_argument("--rounds", type=whole(1, 50), default=4, metavar="N", help="(default: %(default)s)")
+    text = "the model that the day begins with; its band is in the identification.json beside it"
+    parser.add_argument("--parameters", metavar="F", required=True, help=text)
+    parser.add_argument("--gains", metavar="G", help="the controller's that fly first (default: the paper's)")
+    text = "where the next gains come from (default: %(default)s; fixed: from nowhere)"
+    parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
+    text = "of the emulated rig: from which round on what --hide names is there (default: %(default)s)"
+    parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
+    parser.add_argument("--workers", type=WORKERS, default=2, help="fits of a diagnosis side by side (default: %(default)s)")
+    hil_options.add_rig(parser)
+
+
+def run(options):
+    folder = _new(options.day)
+    setup, parameters = hil_options.setup_of(options), hil_options.plant_of(options)
+    told = Path(options.parameters).with_name("identification.json")
+    band = read_band(told)
+    check_same_model(told, parameters, options.parameters)
+    setup = replace(setup, plant=parameters.values)
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    settings = controllers(parameters, given, source=options.gains or "gains").settings
+    if "dual" not in settings:
+        raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
+    hil_options.say_allowed(setup.allowed)
+    day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
+    for number in range(1, options.rounds + 1):
+        with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+
+            def stage(text: str, number: int = number, bar=bar) -> None:
+                bar.set_description(f"round {number}: {text}")
+
+            own = OutputFolder(folder.path / f"round_{number}")
+            done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
+        day.rounds.append(done)
+        for line in said(done):
+            print(line, flush=True)
+        _write(folder, own, day, done)
+    print(f"written to {folder.path}")
+
+
+def _new(path: str) -> OutputFolder:
+    if Path(path).exists() and any(Path(path).iterdir()):
+        raise BadInput("command line", "DAY", f"{path}, which holds files", "a folder that is not there yet, or empty")
+    return OutputFolder(path)
+
+
+def _rig(options, setup: Setup) -> Rig:
+    """The rig of the options; what is hidden in the emulated one comes in a later round, and each flight has its own noise."""
+    hidden = setup.emulated.hidden if setup.emulated else ()
+
+    def there(number: int) -> tuple[str, ...]:
+        return hidden if number >= options.hidden_from else ()
+
+    def flown(number: int, flight: int) -> Setup:
+        if setup.emulated is None:
+            return setup
+        own = setup.emulated if there(number) else replace(setup.emulated, parameters={}, hidden=())
+        return replace(setup, emulated=replace(own, seed=100_000 * (options.seed + 1) + 1000 * number + flight))
+
+    def word(what: str) -> None:
+        if setup.emulated is None:
+            print(what, flush=True)
+        hil_options.confirm(setup)
+
+    return Rig(flown, word, there)
+
+
+def said(done: Round) -> list[str]:
+    """A round in words."""
+    lines = [f"round {done.number}: no alarm"]
+    if done.alarm:
+        at, what = done.alarm
+        named = f" {' + '.join(done.named)}" if done.named else ""
+        lines = [
+            f"round {done.number}: alarm after {at:.0f} s, {what}; diagnosed from the mission's record: {done.verdict}{named}"
+        ]
+    if len(done.models) > 1:
+        lines.append(
+            f"  error of the thrust on a mission that nobody fitted: {_models(done)}; the model {done.chosen.name} goes on"
+        )
+    else:
+        lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
+    costs = ", ".join(f"{name} {sum(c) / len(c):.4f}" for name, c in done.costs.items())
+    lines.append(f"  cost on the rig: {costs}; {done.winner} flies next")
+    if done.refused:
+        lines.append(f"  the model refused {done.refused} of the gains that were to be tried")
+    return lines
+
+
+def _models(done: Round) -> str:
+    return ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
+
+
+def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> None:
+    """What stands after a round: its model and gains, and the day so far."""
+    gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
+    gains = gains.replaced({n: v for n, v in done.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
+    model = replace(
+        done.chosen.parameters, source={**done.chosen.parameters.source, "made_by": "vpp twin", "round": done.number}
+    )
+    for where in (own, folder):
+        where.write("parameters.json", to_json(dated(model)))
+        where.write("gains.json", to_json(dated(gains)))
+    folder.write("day.json", as_json({"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}))
+    folder.write("report.html", day_page(day).html())
+
+
+def summary(done: Round) -> dict:
+    """A round for day.json."""
+
+    def known(number: float) -> float | None:
+        return number if math.isfinite(number) else None
+
+    models = [{"name": m.name, "fitted": m.fitted, "unseen": known(m.unseen), "unit": "N"} for m in done.models]
+    costs: Mapping[str, list] = {name: [known(c) for c in each] for name, each in done.costs.items()}
+    return {
+        "round": done.number,
+        "hidden": list(done.hidden),
+        "alarm": done.alarm and {"time": done.alarm[0], "points_to": done.alarm[1]},
+        "verdict": done.verdict or None,
+        "named": list(done.named),
+        "models": models,
+        "model": done.chosen.name,
+        "costs": costs,
+        "tries": list(done.tries),
+        "refused": done.refused,
+        "flies_next": done.winner,
+        "gains": {n: done.settings[n] for n in done.settings if n.startswith(("kp_", "ki_", "kd_"))},
+    }

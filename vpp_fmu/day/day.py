@@ -1,0 +1,243 @@
+"""The rounds of a day. In each: a mission under what flies, the twin beside it; after its alarm the mission's own record goes
+to the diagnosis against the twin's model; gains are retuned on the model and searched on the rig; the better of them, by what
+the rig measures, flies next, and nothing that is worse than what flies takes its place (Reinforcement Twinning: Schena,
+Marques, Poletti, Ahizi, Van den Berghe, Mendez, 2024)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from hil.session import Setup
+from hil.twin.adaptive import adaptable
+from hil.twin.band import Band
+from identification.assessment.prediction import predict
+from identification.diagnose.diagnose import CHANGED, diagnose
+from identification.tune.profile import common_reach, rig_profile
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.day.flight import GAINS, Flight, Twins, fly, mission
+from vpp_fmu.day.policy import Referee, Search, retuned, task
+from vpp_fmu.errors import SimulationFailed
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "model-free", "both")
+
+TWICE = 2
+"""Flights by which finalists are compared: the best of many single ones would owe it to its noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model that the rig may be: `name`, its `parameters`, and the rms error of its thrust [N] in the mission that it was
+    made from, and in the next one, which it never saw."""
+
+    name: str
+    parameters: ParameterSet
+    fitted: float
+    unseen: float
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """`mission`: as it was flown; `alarm`: (s, what it pointed to), None without; `models`: those that were compared after it,
+    the `chosen` by its error on a mission that none of them saw; `named`: effects that the diagnosis added, and its `verdict`.
+
+    `costs`: by branch, what the finalists cost on the rig, flight by flight; `tries`: single flights of the search, `refused`:
+    how many of its gains the model did not let fly. `winner`: the branch that flies next, with `settings`.
+    """
+
+    number: int
+    hidden: tuple[str, ...]
+    mission: Flight
+    alarm: tuple[float, str] | None
+    models: tuple[Model, ...]
+    chosen: Model
+    verdict: str
+    named: tuple[str, ...]
+    costs: Mapping[str, tuple[float, ...]]
+    tries: tuple[float, ...]
+    refused: int
+    winner: str
+    settings: Mapping[str, float]
+
+    @property
+    def cost(self) -> float:
+        """Of what flies next."""
+        return float(np.mean(self.costs[self.winner]))
+
+
+@dataclass(eq=False)
+class Day:
+    """A day's rounds, and what it began with. `search`: on the rig, from round to round while it goes on from what flies."""
+
+    begun: ParameterSet
+    settings: Mapping[str, float]
+    profile: Record
+    rounds: list[Round] = field(default_factory=list)
+    search: Search | None = None
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The model as it is now."""
+        return self.rounds[-1].chosen.parameters if self.rounds else self.begun
+
+    @property
+    def flies(self) -> Mapping[str, float]:
+        """The controller's values as they are now."""
+        return self.rounds[-1].settings if self.rounds else self.settings
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """What flies: `setup(round, flight)` is the rig in it; `word(what)` waits until somebody lets `what` fly."""
+
+    setup: Callable[[int, int], Setup]
+    word: Callable[[str], None]
+    hidden: Callable[[int], tuple[str, ...]]
+
+
+def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
+    """A day that begins with this model and this controller."""
+    return Day(parameters, dict(settings), rig_profile(parameters, {"dual": settings}))
+
+
+def next_round(
+    day: Day, rig: Rig, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
+) -> Round:
+    """Fly one round; its logs go to `folder`. BadInput, SimulationFailed for a flight that ended before its time."""
+    number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
+    model, flies = day.parameters, day.flies
+    low, high = common_reach(model, {"dual": flies})
+    low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
+    pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
+
+    def flown(k: int) -> Flight:
+        wanted = mission(low, high, pace, 1000 * seed + 10 * number + k)
+        return flights.needed(f"mission {k}", flies, wanted, Twins(model, band))
+
+    stage("mission")
+    first = flown(1)
+    alarm = first.alarms[0] if first.alarms else None
+    known = Model("as it was", model, error(model, first.record), np.nan)
+    models, verdict, named = [known], "", ()
+    if _moved(model, first):
+        models.append(_adapted(model, first))
+    if alarm:
+        stage("diagnose")
+        found = diagnose(_campaign(first.record, folder, model), given=model, workers=workers)
+        verdict = found.verdict
+        if verdict in CHANGED and found.final.effects:
+            named = tuple(e for e in found.final.effects if e not in model.model.optional)
+            own = found.parameters(found.final)
+            own = replace(own, source={**model.source, **own.source})
+            models.append(Model("diagnosed", own, error(own, first.record), np.nan))
+    if len(models) > 1:
+        stage("mission again")
+        second = flown(2)
+        models = [replace(m, unseen=error(m.parameters, second.record)) for m in models]
+    chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else known
+    wanted = task(chosen.parameters, day.profile, band.noise, flies["sample_time"], seed)
+    finalists: dict[str, Mapping[str, float]] = {"what flew": flies}
+    tries, refused = [], 0
+    if policy in (MODEL_BASED, BOTH) and (number == 1 or chosen is not known):
+        stage("retune on the model")
+        finalists["model-based"] = retuned(wanted, flies)
+    if policy in (MODEL_FREE, BOTH):
+        stage("search on the rig")
+        best, tries, refused = _searched(day, flights, Referee(wanted, flies), flies, 1000 * seed + number)
+        if best is not None:
+            finalists["model-free"] = best
+    stage("compare on the rig")
+    costs = {
+        name: tuple(flights(f"{name} {k + 1}", each, day.profile).cost for k in range(TWICE))
+        for name, each in finalists.items()
+    }
+    winner = min(costs, key=lambda name: float(np.mean(costs[name])))
+    if winner == "model-based":
+        day.search = None  # it was about other gains
+    return Round(
+        number, rig.hidden(number), first, alarm, tuple(models), chosen, verdict, named, costs, tuple(tries), refused, winner,
+        dict(finalists[winner]),
+    )  # fmt: skip
+
+
+def error(parameters: ParameterSet, record: Record) -> float:
+    """N: rms of the thrust that the model predicts for a record's commands."""
+    return float(predict(parameters.model, parameters.values, _measured(record)).rmse_thrust)
+
+
+def _measured(record: Record) -> Record:
+    """A run as a campaign's record: the commands that acted, and what was read."""
+    return Record({name: record[name] for name in ("time", "omega_ref", "beta_ref", "thrust", "omega")}, record.source)
+
+
+def _campaign(record: Record, folder: Path, model: ParameterSet) -> Campaign:
+    return Campaign(folder, None, (), _measured(record), None, None, rig=model.rig)
+
+
+CERTAIN = 2.0
+"""Standard deviations by which a parameter has moved in a mission for the adapted model to be one to look at; which one goes on
+is decided by another mission."""
+
+
+def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
+    """(values, standard deviations) of the adapted parameters at a mission's end."""
+    own = {n.removeprefix("adapted."): float(c[-1]) for n, c in flight.twin.items() if n.startswith("adapted.")}
+    return own, {name: float(flight.twin[f"std.{name}"][-1]) for name in own}
+
+
+def _moved(model: ParameterSet, flight: Flight) -> bool:
+    before, (own, std) = adaptable(model, "vpp twin").values, _learned(flight)
+    return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
+
+
+def _adapted(model: ParameterSet, flight: Flight) -> Model:
+    """The model with what the twin had made of its parameters in the end."""
+    wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
+    changed = wider.replaced(own, std)
+    return Model("adapted", changed, error(changed, flight.record), np.nan)
+
+
+class _Flights:
+    """Flights of a round, each with a folder of its own."""
+
+    def __init__(self, rig: Rig, number: int, folder: Path):
+        self._rig, self._number, self._folder, self._count = rig, number, folder, 0
+
+    def __call__(self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None) -> Flight:
+        self._rig.word(f"round {self._number}: {what}")
+        self._count += 1
+        setup = self._rig.setup(self._number, self._count)
+        return fly(setup, settings, profile, self._folder / f"flight_{self._count:02d}", twins)
+
+    def needed(self, what: str, *flight) -> Flight:
+        """One that has to come to its end. SimulationFailed."""
+        done = self(what, *flight)
+        if done.ended:
+            raise SimulationFailed(f"round {self._number}: {what}: {done.ended}")
+        return done
+
+
+def _searched(
+    day: Day, flights: _Flights, referee: Referee, flies: Mapping[str, float], seed: int
+) -> tuple[Mapping[str, float] | None, list[float], int]:
+    """(the best gains of the search's next generation, None: none flew; the costs of those that did; how many were refused).
+
+    A refused one costs what the model predicts, against what flies."""
+    if day.search is None:
+        day.search = Search(flies, GAINS, seed)
+    generation = day.search.asked()
+    predicted = [referee.predicted(each) for each in generation]
+    costs = [
+        flights(f"try {k + 1} of {len(generation)}", each, day.profile).cost if allowed else np.nan
+        for k, (each, (_, allowed)) in enumerate(zip(generation, predicted, strict=True))
+    ]
+    flew = [cost for cost in costs if np.isfinite(cost)]
+    if flew:
+        usual = float(np.median(flew))
+        day.search.told([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
+    best = generation[int(np.nanargmin(costs))] if flew else None
+    return best, flew, int(np.isnan(costs).sum())

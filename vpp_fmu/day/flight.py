@@ -1,0 +1,92 @@
+"""One flight: the rig under a controller over a profile, what it cost, and what the twins beside it made of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.columns import LEARNED
+from hil.cycle import PERIOD
+from hil.run import run_on_rig, write_run
+from hil.session import Setup
+from hil.twin.adaptive import Adaptive, adaptable, adaptive
+from hil.twin.band import Band
+from hil.twin.twin import Twin
+from identification.tune.objective import ALPHA
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.controller import DUAL
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.plants import KernelController, KernelPlant
+from vpp_fmu.record import Record
+
+GAINS = tuple(DUAL)
+"""Names of a controller's gains, which the paper's cost counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """`record`: as run.csv has it; `twin`: outputs of the adaptive twin (rows,) by name, none where none ran; `alarms`: (s from
+    the record's start, in words) of both twins; `cost`: the paper's (eq. 21), of measured thrust; `ended`: why it ended early,
+    ""."""
+
+    record: Record
+    twin: Mapping[str, np.ndarray]
+    alarms: tuple[tuple[float, str], ...]
+    cost: float
+    ended: str
+
+
+@dataclass(frozen=True, eq=False)
+class Twins:
+    """The model beside the rig, twice: as it is, which tells when the rig is not it; and one that learns."""
+
+    parameters: ParameterSet
+    band: Band
+
+    def beside(self, setup: Setup) -> tuple[Twin, Adaptive]:
+        """Both, for a flight."""
+        as_it_is = Twin(KernelPlant(self.parameters.model, self.parameters.values), self.band, rig=setup.allowed)
+        return as_it_is, Adaptive(adaptive(adaptable(self.parameters, "vpp twin"), self.band), PERIOD)
+
+
+def fly(setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twins: Twins | None = None) -> Flight:
+    """Close the loop on the rig over a profile under the controller's `settings`; log and run.csv go to `folder`. BadInput."""
+    OutputFolder(folder)
+    twin, learning = twins.beside(setup) if twins else (None, None)
+    done = run_on_rig(setup, KernelController(settings, PERIOD), profile, folder, twin=twin, adaptive=learning)
+    write_run(folder / "run.csv", done.record)
+    rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
+    told = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
+    found = [(at, f"most like {twin.cause}") for at, _ in done.session.rig.alarms] if twin else []
+    found += [(at, f"most like {what}") for at, what in learning.alarms] if learning else []
+    began = float(done.log.time[rows[0]]) if len(rows) else 0.0
+    alarms = tuple((at - began, what) for at, what in sorted(found))
+    cost = np.inf if done.ended else measured_cost(done.record, settings)
+    return Flight(done.record, told, alarms, cost, done.ended)
+
+
+def measured_cost(record: Record, settings: Mapping[str, float]) -> float:
+    """Integral of the squared error over the thrust's scale [s], and what the gains cost."""
+    error = (record["thrust_set"] - record["thrust"]) / settings["thrust_scale"]
+    gains = np.array([settings[name] for name in GAINS])
+    return float(np.sum(error**2) * PERIOD + ALPHA * gains @ gains)
+
+
+HOLDS = 1.5, 6.0
+"""s that a level of a mission is held on a rig of the paper's pace: what moves settles in the shorter ones, and stands for a
+visit of the twin's in the longer (`hil.twin.directions.SPAN`)."""
+
+MISSION = 90.0
+"""s of a mission there: some 25 levels, as a campaign's open loop has."""
+
+
+def mission(low: float, high: float, pace: float, seed: int) -> Record:
+    """Random levels of wanted thrust [N] between `low` and `high`, for a rig that is `pace` times as slow as the paper's: what
+    a twin can learn from. `time` [s], `thrust_set` [N]."""
+    rng, seconds = np.random.default_rng(seed), MISSION * pace
+    time = np.cumsum(np.r_[0.0, rng.uniform(*HOLDS, int(seconds / (HOLDS[0] * pace))) * pace])
+    time = np.r_[time[time < seconds], seconds]
+    levels = rng.uniform(low, high, len(time))
+    levels[-1] = levels[-2]  # the last row ends the record
+    return Record({"time": time, "thrust_set": levels}, "mission")

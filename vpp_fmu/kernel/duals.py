@@ -1,0 +1,144 @@
+"""Forward derivatives on top of any arithmetic: what runs on floats or is traced runs on dual numbers, too.
+
+    f(x + e d) = f(x) + e f'(x) d,   e^2 = 0        (Griewank and Walther, Evaluating Derivatives, ch. 3)
+
+The tracer's tangents (`vpp_fmu.tracer.tangents`) differentiate what was recorded; these are part of what is recorded, so that a
+law may compute with the derivatives of a plant. A tangent that is zero by structure is None and costs nothing: which ones are
+depends on the model alone, not on the numbers, and so floats and trace do the same operations in the same order.
+"""
+
+from typing import Any
+
+from vpp_fmu.kernel.ops import Ops
+
+
+class Dual:
+    """A value and its `tangents`, one for each direction; None where it does not depend on it."""
+
+    __slots__ = ("tangents", "value")
+
+    def __init__(self, value: Any, tangents: tuple):
+        self.value, self.tangents = value, tangents
+
+    def __add__(self, other):
+        y = _dual(other, self)
+        return Dual(self.value + y.value, _each(_sum, self, y))
+
+    def __radd__(self, other):
+        return _dual(other, self) + self
+
+    def __sub__(self, other):
+        y = _dual(other, self)
+        return Dual(self.value - y.value, _each(_difference, self, y))
+
+    def __rsub__(self, other):
+        return _dual(other, self) - self
+
+    def __mul__(self, other):
+        x, y = self.value, _dual(other, self)
+        return Dual(x * y.value, _each(lambda d, e: _sum(_product(d, y.value), _product(e, x)), self, y))
+
+    def __rmul__(self, other):
+        return _dual(other, self) * self
+
+    def __truediv__(self, other):
+        y = _dual(other, self)
+        quotient = self.value / y.value
+        return Dual(quotient, _each(lambda d, e: _quotient(_difference(d, _product(e, quotient)), y.value), self, y))
+
+    def __rtruediv__(self, other):
+        return _dual(other, self) / self
+
+    def __neg__(self):
+        return Dual(-self.value, tuple(None if d is None else -d for d in self.tangents))
+
+    def __lt__(self, other):
+        return self.value < _dual(other, self).value
+
+    def __gt__(self, other):
+        return self.value > _dual(other, self).value
+
+    def _unseen(self, *_):
+        raise TypeError("a derivative can't pass this: write it with ops.where, ops.exp and the like, not with Python's own")
+
+    __bool__ = __eq__ = __ne__ = __le__ = __ge__ = __pow__ = __rpow__ = __float__ = __int__ = __index__ = _unseen
+    __hash__ = object.__hash__
+
+
+class Duals(Ops):
+    """Dual numbers of `width` directions on the arithmetic `ops`. Comparisons are the values' own."""
+
+    def __init__(self, ops: Any, width: int):
+        self.ops, self._none = ops, (None,) * width
+
+    def constant(self, value: Any) -> Dual:
+        """A number that depends on no direction; a dual one stays as it is."""
+        return value if isinstance(value, Dual) else Dual(value, self._none)
+
+    def where(self, condition, yes, no):
+        x, y = self.constant(yes), self.constant(no)
+
+        def chosen(d, e):
+            return None if d is None and e is None else self.ops.where(condition, _zero(d), _zero(e))
+
+        return Dual(self.ops.where(condition, x.value, y.value), _each(chosen, x, y))
+
+    def exp(self, x):
+        return self._apply(x, self.ops.exp, lambda u, f: f)
+
+    def expm1(self, x):
+        return self._apply(x, self.ops.expm1, lambda u, f: f + 1.0)
+
+    def sqrt(self, x):
+        # At 0 the slope is infinite. Where the physics takes a root of 0 it does not depend on it: 1 / tiny is cut off there.
+        return self._apply(x, self.ops.sqrt, lambda u, f: 0.5 / self.ops.maximum(f, TINY))
+
+    def sin(self, x):
+        return self._apply(x, self.ops.sin, lambda u, f: self.ops.cos(u))
+
+    def cos(self, x):
+        return self._apply(x, self.ops.cos, lambda u, f: -self.ops.sin(u))
+
+    def tanh(self, x):
+        return self._apply(x, self.ops.tanh, lambda u, f: 1.0 - f * f)
+
+    def _apply(self, x, function, slope):
+        if not isinstance(x, Dual):
+            return function(x)
+        value = function(x.value)
+        if all(d is None for d in x.tangents):
+            return self.constant(value)
+        factor = slope(x.value, value)
+        return Dual(value, tuple(_product(d, factor) for d in x.tangents))
+
+
+TINY = 1e-150
+"""Below any root of a physical quantity; its inverse is still a number."""
+
+
+def _dual(x: Any, like: Dual) -> Dual:
+    return x if isinstance(x, Dual) else Dual(x, (None,) * len(like.tangents))
+
+
+def _each(rule, x: Dual, y: Dual) -> tuple:
+    return tuple(map(rule, x.tangents, y.tangents))
+
+
+def _zero(d: Any) -> Any:
+    return 0.0 if d is None else d
+
+
+def _sum(d, e):
+    return e if d is None else d if e is None else d + e
+
+
+def _difference(d, e):
+    return d if e is None else -e if d is None else d - e
+
+
+def _product(d, factor):
+    return None if d is None else d * factor
+
+
+def _quotient(d, divisor):
+    return None if d is None else d / divisor

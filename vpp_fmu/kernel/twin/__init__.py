@@ -1,0 +1,40 @@
+"""The adaptive twin: a plant that runs beside the rig, learns from what is read of it, and says when it can't.
+
+    x, T = plant(x, u, p),   p = p0 + change theta                          the plant's own step, with its derivatives in theta
+    reading = T + n1 + n2 + w,   n1 = a1 n1 + q1,   n2 = a2 n2 + q2         noise that fades in time, the model's error in place
+
+is an extended Kalman filter in (theta, n1, n2) (Ljung, IEEE Trans. Automatic Control 24, 1979), one reading after the other. n1
+is the reading's slow noise and what the model is off while thrust moves; n2 is what it is off where it stands, another one at
+every place of the thrust map. Its a2 = exp(-distance / PLACE) counts how far the operating point has gone, so that a set-point
+that never moves teaches no more than one visit, however long it stands. For the same reason what is known is forgotten by
+distance, along the direction that is excited and no other (Kulhavy and Karny, 9th IFAC World Congress, 1984): P gains
+
+    distance / memory  P g g' P / (g' P g),   g = d T / d theta
+
+and stays below a plausible change's, 1. The speed's reading is another one of theta, of white noise, at each of its new values.
+
+Six effects, one idea each; whoever reads a state of another one does so by a signal.
+"""
+
+from vpp_fmu.kernel.twin.model import DAILY, adapted_by_default, plausible_change, twin
+from vpp_fmu.kernel.twin.noises import BLOCK, BORNE, HALVES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY, WITHIN
+from vpp_fmu.kernel.twin.prediction import BROUGHT
+from vpp_fmu.kernel.twin.watch import sums, threshold, watched
+
+__all__ = [
+    "BLOCK",
+    "BORNE",
+    "BROUGHT",
+    "DAILY",
+    "HALVES",
+    "ON_THE_WAY",
+    "PLACE",
+    "SPEED_ON_THE_WAY",
+    "WITHIN",
+    "adapted_by_default",
+    "plausible_change",
+    "sums",
+    "threshold",
+    "twin",
+    "watched",
+]

@@ -1,0 +1,201 @@
+"""The adaptive twin as a model: its inputs and outputs, what is known at the start, and what becomes of that in a sample."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import ceil
+
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
+from vpp_fmu.kernel.twin.innovation import innovation, motion
+from vpp_fmu.kernel.twin.noises import nothing, pairs
+from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction, settled_ones
+from vpp_fmu.kernel.twin.watch import ACKNOWLEDGE, watch, watched
+from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Signal, State
+
+DAILY = ("sensor_gain.gain", "pitch_offset.offset", "sensor_drift.offset")
+"""Adapted by default, with each channel's slower lag: the thrust's gain, the pitch's offset, the reading's offset."""
+
+MEMORY = 400.0
+"""Scales of the map that the operating point goes. Random steps over the whole of it make 3 in 5 s: half of 20 min.
+Exponential forgetting over half of a record costs 15 % of the standard deviation: (L/2T) coth(L/2T) = 1.31 of the variance at
+L = 2T."""
+
+
+def adapted_by_default(values: Mapping[str, float]) -> tuple[str, ...]:
+    """DAILY, and the larger time constant of each channel by these values of a plant."""
+    lags = (max((f"tau_{u}_1", f"tau_{u}_2"), key=lambda name: values[name]) for u in ("beta", "omega"))
+    return (*DAILY, *lags)
+
+
+def plausible_change(plant: Model, name: str, value: float) -> float:
+    """A size of a change of a plant's parameter that is worth finding, in its unit: what its effect's probe adds to what it is
+    where off; half the value of what is always present. KeyError: the plant has none of this name."""
+    for e in plant.effects:
+        for p in e.parameters:
+            if e.full(p.name) == name:
+                probe = abs(e.probe.get(p.name, p.default) - (e.off or {}).get(p.name, p.default))
+                return probe or 0.5 * abs(value) or p.nominal
+    raise KeyError(name)
+
+
+def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME) -> Model:
+    """A sampled model that runs beside what `plant` is a model of, and adapts its parameters `adapted` (by full name; KeyError:
+    it has none of this name).
+
+    Its parameters are the plant's, under their names, and its own. Commands are those that act from the sample on, readings as
+    they stand there. Commands that the plant holds back pass a Pade dead time instead: a sampled law has no delay lines. What
+    the plant's forms are good for in one step decides how many it takes in a sample, at most `sample_time` where that matters.
+    """
+    adapted = tuple(adapted)
+    own = {p.name: p for p in plant.parameters}
+    parts = [own[name] for name in adapted]
+    largest = min((e.largest_step for e in plant.effects if e.largest_step is not None), default=None)
+    pieces = 1 if largest is None else ceil(sample_time / largest - 1e-9)
+    longest = 0.1 if largest is None else pieces * largest
+    measured = tuple(u for u in plant.inputs if not u.clock)
+    extra = tuple(u for u in measured if u.name not in (OMEGA_REF.name, BETA_REF.name))
+    commands = tuple(u for u in measured if u.name in (OMEGA_REF.name, BETA_REF.name))
+    by_name = {y.name: y for y in plant.outputs}
+    readings = by_name[THRUST.name], by_name[OMEGA.name]
+    told = (
+        _like(readings[0], "predicted_thrust", "thrust by the adapted model"),
+        _like(readings[1], "predicted_speed", "rotor speed by the adapted model"),
+        _like(readings[0], "residual", "measured thrust above the adapted model's"),
+        Signal("band", "N", "half width of the band that holds 95 % of the residuals", 0.0, 1e6, readings[0].nominal),
+        Signal("alarm", "1", "the rig is not what the model says", 0.0, 1.0, kind=BOOLEAN),
+        Signal("direction", "1", f"what the last alarm points to: {_listed(adapted)}", 0.0, float(len(adapted)), kind=INTEGER),
+        Signal("changes", "1", "changes that were followed", 0.0, 1e9, kind=INTEGER),
+        *(Signal(f"adapted.{p.name}", p.unit, f"adapted: {p.description}", p.minimum, p.maximum, p.nominal) for p in parts),
+        *(
+            Signal(f"std.{p.name}", p.unit, f"standard deviation: {p.description}", 0.0, p.maximum - p.minimum, p.nominal)
+            for p in parts
+        ),
+    )
+    bounds = Parameter("sample_time", "s", min(sample_time, longest), 1e-5, longest, "period at which it samples", 0.004)
+    return Model(
+        "VppTwin",
+        "Adaptive twin: the plant beside the rig, its parameters as they are now, and an alarm where no parameter explains it",
+        inputs=(*commands, *(_measured(y) for y in readings), *extra, ACKNOWLEDGE),
+        outputs=told,
+        effects=(
+            adaptation(plant, parts, bounds),
+            prediction(plant, adapted, pieces),
+            motion(),
+            innovation(settled_ones(plant, adapted)),
+            watch(adapted, watched(plant, adapted), sample_time),
+            update(parts),
+        ),
+        sample_time="sample_time",
+    )
+
+
+def _like(signal: Signal, name: str, description: str) -> Signal:
+    return Signal(name, signal.unit, description, -1e6, 1e6, signal.nominal)
+
+
+def _measured(signal: Signal) -> Signal:
+    said = f"measured {signal.description.removeprefix('measured ')}"
+    return Signal(signal.name, signal.unit, said, signal.minimum, signal.maximum, signal.nominal)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(["0 none", *(f"{k} {name}" for k, name in enumerate(names, 1))])
+
+
+def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter) -> Effect:
+    m, defaults = len(parts), plant.values()
+    entries = pairs(m + 2)
+
+    def step(ops, s, x, p, dt):
+        return {
+            "theta": [getattr(x, f"theta.{q.name}") for q in parts],
+            "noises": [x.slow_noise, x.map_error],
+            "P": {(i, j): getattr(x, f"covariance_{i}_{j}") for i, j in entries},
+            "change": [getattr(p, f"change.{q.name}") for q in parts],
+            "noise_model": p,
+        }, {}
+
+    def of_prior(i: int, j: int) -> Callable:
+        def at_start(ops, s, p):
+            if i != j:
+                return 0.0
+            if i < m:
+                share = getattr(p, f"prior.{parts[i].name}") / getattr(p, f"change.{parts[i].name}")
+                return ops.minimum(share * share, 1.0)
+            return p.slow * p.slow if i == m else p.steady * p.steady
+
+        return at_start
+
+    def changes() -> Iterable[Parameter]:
+        for q in parts:
+            size = plausible_change(plant, q.name, defaults[q.name])
+            span = q.maximum - q.minimum
+            said = f"a change of {q.name} that is watched for, and how far it is learned after an alarm"
+            yield Parameter(f"change.{q.name}", q.unit, size, 1e-6 * span, span, said, q.nominal)
+            said = f"standard deviation of {q.name} at the start"
+            yield Parameter(f"prior.{q.name}", q.unit, size, 0.0, span, said, q.nominal)
+
+    noise = (
+        Parameter("white", "N", 0.05, 1e-6, 1e4, "white noise of the thrust reading, standard deviation", 0.05),
+        Parameter("slow", "N", 0.02, 0.0, 1e4, "slow noise of the thrust reading, standard deviation", 0.05),
+        Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
+        Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model where it stands, standard deviation", 0.05),
+        Parameter(
+            "moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05
+        ),
+        Parameter(
+            "speed_error",
+            "rpm",
+            20.0,
+            1e-3,
+            1e5,
+            "error of the model's speed, standard deviation; it lasts as slow noise",
+            20.0,
+        ),
+        Parameter(
+            "memory", "1", MEMORY, 10.0, 1e9, "distance after which what is known counts 1/e, in scales of the map", 100.0
+        ),
+    )
+    states = [
+        *(
+            State(f"theta.{q.name}", "1", f"{q.name} in plausible changes", nothing, f"next.theta.{i}")
+            for i, q in enumerate(parts)
+        ),
+        State("slow_noise", "N", "estimate of the slow noise", nothing, "next.noise.0"),
+        State("map_error", "N", "estimate of the model's error at this place", nothing, "next.noise.1"),
+        *(State(f"covariance_{i}_{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in entries),
+    ]
+    said = "the parameters as they are known, and how well"
+    return Effect("adaptation", said, step, (*changes(), *noise, sample_time), tuple(states))
+
+
+def update(parts: Sequence[Parameter]) -> Effect:
+    m = len(parts)
+
+    def taken(ops, s, x, p, dt):
+        learns, opens = s.learns > 0.5, s.opens > 0.5
+        told, theta = {}, []
+        for i, q in enumerate(parts):
+            low, high = (q.minimum - s.start_values[i]) / s.change[i], (q.maximum - s.start_values[i]) / s.change[i]
+            new = ops.clip(s.theta[i] + s.delta[i], low, high)
+            theta.append(ops.where(s.returns > 0.5, s.kept[i], ops.where(learns, new, s.theta[i])))
+            told[f"next.theta.{i}"] = theta[i]
+        for k in range(2):
+            told[f"next.noise.{k}"] = ops.where(learns, s.noises[k] + s.delta[m + k], s.noises[k])
+
+        # What is known stays below what is known of a plausible change, whose variance is 1.
+        shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)] + [1.0, 1.0]
+        for i, j in s.learned:
+            bounded = s.learned[i, j] * (shrinks[i] * shrinks[j])
+            unknown = (1.0 if i < m else s.stationary[i - m]) if i == j else 0.0
+            told[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
+
+        # The plant's states are where these parameters would have taken them, to first order: the filter's own correction.
+        moved = [theta[i] - s.theta[i] for i in range(m)]
+        for name, state in s.plant_states.items():
+            terms = [d * by for d, by in zip(state.tangents, moved, strict=True) if d is not None]
+            told[ahead_of(name)] = sum(terms, state.value)
+        for i, q in enumerate(parts):
+            told[f"adapted.{q.name}"] = ops.clip(s.start_values[i] + s.change[i] * theta[i], q.minimum, q.maximum)
+            told[f"std.{q.name}"] = s.change[i] * ops.sqrt(ops.maximum(told[f"next.P.{i}.{i}"], 0.0))
+        return told, {}
+
+    return Effect("update", "what becomes of what is known", taken)

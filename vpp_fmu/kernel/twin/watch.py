@@ -1,0 +1,153 @@
+"""Whether a parameter explains what is read: cumulative sums of log-likelihood ratios, and what follows from an alarm.
+
+Of each parameter that is watched, a change up and one down by its plausible size, against none; and of none, twice the variance
+of the innovations. After an alarm the parameters follow, and Wald's test of the latter says whether they explain it.
+"""
+
+from collections.abc import Iterable, Sequence
+from math import log
+from typing import Any
+
+from vpp_fmu.kernel.duals import TINY
+from vpp_fmu.kernel.twin.noises import BORNE, PLACE, nothing
+from vpp_fmu.kernel.twin.prediction import settled_ones
+from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
+
+ACKNOWLEDGE = Signal("acknowledge", "1", "somebody has seen the alarm: adapt again", 0.0, 1.0, kind=BOOLEAN)
+
+UP, DOWN = "up", "down"
+NOISES = "fading", "staying"
+WATCHING, FOLLOWING, STOPPED = 0.0, 1.0, 2.0
+
+
+def threshold(false_alarms: float, count: int, sample_time: float) -> float:
+    """Of `count` log-likelihood sums at which they alarm no more than `false_alarms` times an hour: a sum runs e^threshold
+    samples on average, at least (Lorden, Annals of Mathematical Statistics 42, 1971)."""
+    return log(count * 3600.0 / (false_alarms * sample_time))
+
+
+def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
+    """Those that a twin watches for changes of: what shows while everything stands. A lag is learned and not watched for: half
+    as slow again it is off by 0.5 / e = 0.18 of a move on the way, where a model that is right is off by 0.15."""
+    return tuple(name for name, one in zip(adapted, settled_ones(plant, tuple(adapted)), strict=True) if one)
+
+
+def sums(count: int) -> int:
+    """How many sums watch for changes of `count` parameters: two of each, and one of none."""
+    return 2 * count + 1
+
+
+def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) -> Effect:
+    m, places = len(adapted), [adapted.index(name) for name in names]
+
+    def taken(ops, s, x, p, dt):
+        watching = ops.where(x.mode < 0.5, 1.0, 0.0)
+        found, ahead = [], {}
+        for i, name in zip(places, names, strict=True):
+            heights = []
+            for sign, way in ((1.0, UP), (-1.0, DOWN)):
+                more, shape, absorbed = _ratio(s, x, i, sign, f"{name}.{way}")
+                height = watching * ops.maximum(getattr(x, f"sum.{name}.{way}") + more, 0.0)
+                ahead[f"sum.{name}.{way}"] = height
+                heights.append(height)
+                for k, a in enumerate(absorbed):
+                    after = a if shape is None else a + s.gain[m + k] * shape
+                    ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
+            found.append(ops.maximum(*heights))
+
+        # Ordinary innovations against such of twice the variance.
+        unlike = s.standing * (0.25 * s.pulls * s.pulls / s.S - 0.5 * log(2.0))
+        nothing_else = watching * ops.maximum(x.unlike + unlike, 0.0)
+        largest = nothing_else
+        for height in found:
+            largest = ops.maximum(largest, height)
+        starts = ops.where(largest > p.threshold, watching, 0.0)
+        points, best = 0.0, 0.0
+        for i, height in zip(places, found, strict=True):
+            points, best = ops.where(height > best, float(i + 1), points), ops.maximum(height, best)
+
+        # After an alarm: Wald's test of the same ratio, once as many places were seen as there are parameters to tell apart.
+        following = ops.where(x.mode > 0.5, ops.where(x.mode < 1.5, 1.0, 0.0), 0.0)
+        doubt = following * ops.maximum(x.doubt + unlike, -p.threshold)
+        seen = following * (x.seen + s.moved)
+        explained = ops.where(doubt < 1e-9 - p.threshold, ops.where(seen > m * PLACE, following, 0.0), 0.0)
+        stops = ops.where(doubt > p.threshold, following, 0.0)
+        stopped = ops.where(x.mode > 1.5, 1.0, 0.0)
+        goes_on = ops.where(s.acknowledge > 0.5, stopped, 0.0)
+
+        # Which parameter has moved by most plausible changes, as far as it is known.
+        moved_most, most = x.direction, 0.0
+        for i in range(m):
+            by = s.theta[i] - getattr(x, f"kept.{adapted[i]}")
+            sure = by * by * (1.0 - s.P[i, i])
+            moved_most, most = ops.where(sure > most, float(i + 1), moved_most), ops.maximum(sure, most)
+        direction = ops.where(starts > 0.5, points, ops.where(explained > 0.5, moved_most, x.direction))
+        mode = ops.where(
+            starts > 0.5,
+            FOLLOWING,
+            ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode)),
+        )
+        changes = x.changes + explained
+        kept = [ops.where(starts > 0.5, s.theta[i], getattr(x, f"kept.{adapted[i]}")) for i in range(m)]
+        ahead |= {
+            "unlike": nothing_else,
+            "doubt": ops.where(starts > 0.5, 0.0, doubt),
+            "seen": ops.where(starts > 0.5, 0.0, seen),
+            "mode": mode,
+            "direction": direction,
+            "changes": changes,
+            **{f"kept.{adapted[i]}": value for i, value in enumerate(kept)},
+        }
+        said = {
+            "alarm": ops.where(mode > 0.5, 1.0, 0.0),
+            "direction": direction,
+            "changes": changes,
+            "opens": starts + goes_on,
+            "returns": stops,
+            "learns": ops.where(mode > 1.5, 0.0, ops.where(x.mode > 1.5, 0.0, 1.0)),
+            "kept": kept,
+        }
+        return said, ahead
+
+    def states() -> Iterable[State]:
+        for name in names:
+            for way in (UP, DOWN):
+                yield State(f"sum.{name}.{way}", "1", f"log-likelihood ratio of a change of {name}, {way}", nothing)
+                for k in range(2):
+                    said = "what of such a change the noises' estimates have taken up"
+                    yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, nothing)
+        yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
+        yield State("doubt", "1", "the same since an alarm", nothing)
+        yield State("seen", "1", "how far the operating point has gone since an alarm", nothing)
+        yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", nothing)
+        yield State("direction", "1", "what the last alarm points to", nothing)
+        yield State("changes", "1", "changes that were followed", nothing)
+        for name in adapted:
+            yield State(f"kept.{name}", "1", f"{name} before the alarm, in plausible changes", nothing)
+
+    usual = threshold(0.01, sums(len(names)), sample_time)
+    said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
+    parameters = (Parameter("threshold", "1", usual, 1.0, 1000.0, said, 20.0),)
+    return Effect(
+        "watch", "whether a parameter explains what is read", taken, parameters, tuple(states()), inputs=(ACKNOWLEDGE,)
+    )
+
+
+def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, list]:
+    """(what a sample adds to the log-likelihood ratio of a change of theta_i by `sign`, what it makes of the innovation, what
+    the noises' estimates have of it already).
+
+    The ratio is of normal innovations; what the estimates take up of a change is none of it. A power of it below 1 bears
+    innovations that are not independent, and is no larger on average (Jensen).
+    """
+    absorbed = [a * getattr(x, f"absorbed.{name}.{NOISES[k]}") for k, a in enumerate(s.keeps)]
+    more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
+    if by_thrust is not None:
+        looked_for = by_thrust * by_thrust
+        counts = looked_for / (looked_for + (2.0 * BORNE) * (2.0 * BORNE) * s.on_the_way + TINY)
+        shape = by_thrust - absorbed[0] - absorbed[1]
+        more = counts * (sign * s.pulls - 0.5 * shape) * shape / s.S
+    by_speed = s.speed_slopes[i]
+    if by_speed is not None:
+        more = more + s.speed.fresh * (sign * s.speed.misses - 0.5 * by_speed) * by_speed / s.speed.variance
+    return more, shape, absorbed

@@ -1,0 +1,60 @@
+"""Figures of a rig's day, round by round: how far the model is off, and what each branch's gains cost on the rig."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.report import style
+
+
+def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str], noise: float) -> go.Figure:
+    """rms error [N] of each model by name, one mapping a round, in a mission that it did not see where there was one; `chosen`
+    goes on; `noise` [N] of a reading."""
+    first, last = (e[name] for e, name in ((errors[0], chosen[0]), (errors[-1], chosen[-1])))
+    fig = style.figure(f"Error of the model's thrust: {first:.3g} N in the first round, {last:.3g} N in the last", 360)
+    rounds = np.arange(1, len(errors) + 1)
+    names = list(dict.fromkeys(name for each in errors for name in each))
+    for name, colour in zip(names, (style.BEFORE, style.LIGHT_BLUE, style.AFTER), strict=False):
+        y = np.array([each.get(name, np.nan) for each in errors])
+        fig.add_scatter(x=rounds, y=y, mode="markers", name=name, marker={"color": colour, "size": 11})
+    on = np.array([e[name] for e, name in zip(errors, chosen, strict=True)])
+    fig.add_scatter(x=rounds, y=on, mode="lines", name="goes on", line={"color": style.FIT, "width": 1.4})
+    fig.add_scatter(
+        x=rounds[[0, -1]],
+        y=[noise, noise],
+        mode="lines",
+        name="noise of a reading",
+        line={"color": style.SET_POINT, "dash": "dot"},
+    )
+    fig.update_yaxes(title_text="rms error of thrust [N]", rangemode="tozero")
+    return _by_rounds(fig, len(errors))
+
+
+def costs_by_round(costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequence[Sequence[float]]) -> go.Figure:
+    """Measured cost of each branch's finalists, flight by flight, one mapping a round; `tries`: the search's single flights."""
+    first, last = np.mean(next(iter(costs[0].values()))), min(float(np.mean(c)) for c in costs[-1].values())
+    fig = style.figure(f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end", 360)
+    x = np.concatenate([np.full(len(each), k + 1.0) for k, each in enumerate(tries)]) if tries else np.zeros(0)
+    if len(x):
+        y = np.concatenate([np.asarray(each, float) for each in tries])
+        fig.add_scatter(x=x + 0.12, y=y, mode="markers", name="tries of the search", marker={"color": style.FAINT, "size": 6})
+    names = list(dict.fromkeys(name for each in costs for name in each))
+    colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
+    for name in names:
+        at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ()) if np.isfinite(cost)]
+        told = np.array(at).reshape(-1, 2)
+        fig.add_scatter(
+            x=told[:, 0], y=told[:, 1], mode="markers", name=name, marker={"color": colours.get(name, style.FIT), "size": 10}
+        )
+    best = np.array([min(float(np.mean(c)) for c in each.values()) for each in costs])
+    fig.add_scatter(
+        x=np.arange(1, len(best) + 1), y=best, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}
+    )
+    fig.update_yaxes(title_text="integral of (error / scale)² [s]")
+    return _by_rounds(fig, len(costs))
+
+
+def _by_rounds(fig: go.Figure, count: int) -> go.Figure:
+    fig.update_xaxes(title_text="round", dtick=1, range=[0.5, count + 0.5])
+    return fig
