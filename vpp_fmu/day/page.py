@@ -4,7 +4,7 @@ import numpy as np
 
 from vpp_fmu.day.day import Day, Round
 from vpp_fmu.report import Page, adapted_parameters, closed_loop, thinning
-from vpp_fmu.report.day import costs_by_round, errors_by_round
+from vpp_fmu.report.day import costs_by_round, errors_by_round, framework
 
 FRAMEWORK = (
     ("digital twin", "the adaptive twin beside the mission; after an alarm the model that the diagnosis makes of its record"),
@@ -66,6 +66,10 @@ def day_page(day: Day) -> Page:
         thinning(len(last.mission.record)),
     )
     page.section("The paper's framework, and what stands for its parts here")
+    costs = {name: f"{np.mean(c):.4f}" for name, c in last.costs.items()}
+    told = {**costs, "twin": f"{_error(last):.3g} N off", "flies": f"{last.winner}, {last.cost:.4f}"}
+    title = "Twin and policies teach each other; the rig's measured cost decides"
+    page.diagram(framework(told), title, f"With what each had to say in round {last.number}.")
     page.table(("Reinforcement Twinning", "here"), FRAMEWORK, "Who gives what.")
     return page
 

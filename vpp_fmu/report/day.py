@@ -1,6 +1,7 @@
 """Figures of a rig's day, round by round: how far the model is off, and what each branch's gains cost on the rig."""
 
 from collections.abc import Mapping, Sequence
+from html import escape
 
 import numpy as np
 from plotly import graph_objects as go
@@ -58,3 +59,50 @@ def costs_by_round(costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequen
 def _by_rounds(fig: go.Figure, count: int) -> go.Figure:
     fig.update_xaxes(title_text="round", dtick=1, range=[0.5, count + 0.5])
     return fig
+
+
+BOXES = {
+    "rig": (0, 2, ("rig", "measured thrust and speed")),
+    "twin": (1, 2, ("digital twin", "adapts, alarms, is diagnosed")),
+    "model-free": (0, 1, ("model-free policy", "searched on the rig")),
+    "model-based": (1, 1, ("model-based policy", "retuned on the twin")),
+    "flies": (0.5, 0, ("controller", "of the lowest measured cost")),
+}
+"""Column, row and words of each part of the framework."""
+
+ARROWS = (
+    ("rig", "twin"),
+    ("rig", "model-free"),
+    ("twin", "model-based"),
+    ("model-free", "flies"),
+    ("model-based", "flies"),
+)
+WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
+"""Pixels: of a box, and from box to box."""
+
+
+def framework(numbers: Mapping[str, str]) -> str:
+    """SVG of the parts of Reinforcement Twinning and who tells whom, with what each had to say in the end, by the names of BOXES."""
+    at = {name: (20 + column * ACROSS, 10 + row * DOWN) for name, (column, row, _) in BOXES.items()}
+    parts = []
+    for one, other in ARROWS:
+        (x0, y0), (x1, y1) = at[one], at[other]
+        if y0 == y1:
+            ends = x0 + WIDE, y0 + HIGH / 2, x1 - 8, y1 + HIGH / 2
+        else:
+            ends = x0 + WIDE / 2, y0, x1 + WIDE / 2, y1 + HIGH + 8
+        places = " ".join(f'{name}="{value:g}"' for name, value in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
+        parts.append(f'<line {places} stroke="currentColor" marker-end="url(#tip)"/>')
+    for name, (_, _, words) in BOXES.items():
+        x, y = at[name]
+        parts.append(f'<rect x="{x:g}" y="{y:g}" width="{WIDE}" height="{HIGH}" rx="6" fill="none" stroke="currentColor"/>')
+        for k, text in enumerate((*words, numbers.get(name, ""))):
+            weight = "bold" if k == 0 else "normal"
+            place = f'x="{x + WIDE / 2:g}" y="{y + 20 + 20 * k:g}" text-anchor="middle" font-size="14" font-weight="{weight}"'
+            parts.append(f'<text {place} fill="currentColor">{escape(text)}</text>')
+    tip = '<marker id="tip" viewBox="0 0 10 10" refX="2" refY="5" markerWidth="8" markerHeight="8" orient="auto">'
+    tip += '<path d="M0 0L10 5L0 10z" fill="currentColor"/></marker>'
+    width, height = 40 + ACROSS + WIDE, 20 + 2 * DOWN + HIGH
+    return (
+        f'<svg viewBox="0 0 {width} {height}" role="img" style="max-width:{width}px"><defs>{tip}</defs>{"".join(parts)}</svg>'
+    )

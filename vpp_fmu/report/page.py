@@ -61,6 +61,10 @@ class Page:
         )
         return len(self.figures)
 
+    def diagram(self, svg: str, title: str, caption: str) -> None:
+        """A drawing that shows no data, as SVG in the text's own colour."""
+        self._parts.append(f"<figure><h3>{escape(title)}</h3>\n{svg}\n<figcaption>{escape(caption)}</figcaption></figure>")
+
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
         """A table; the columns' names bear the units. Reals show four significant digits, texts as they are."""
         self._tables += 1
