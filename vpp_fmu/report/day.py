@@ -82,7 +82,7 @@ WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
 
 
 def framework(numbers: Mapping[str, str]) -> str:
-    """SVG of the parts of Reinforcement Twinning and who tells whom, with what each had to say in the end, by the names of BOXES."""
+    """SVG of the parts of Reinforcement Twinning and who tells whom; `numbers`: what each has to say, by the names of BOXES."""
     at = {name: (20 + column * ACROSS, 10 + row * DOWN) for name, (column, row, _) in BOXES.items()}
     parts = []
     for one, other in ARROWS:
@@ -90,7 +90,7 @@ def framework(numbers: Mapping[str, str]) -> str:
         if y0 == y1:
             ends = x0 + WIDE, y0 + HIGH / 2, x1 - 8, y1 + HIGH / 2
         else:
-            ends = x0 + WIDE / 2, y0, x1 + WIDE / 2, y1 + HIGH + 8
+            ends = x0 + WIDE / 2, y0, x1 + WIDE / 2 + 0.4 * (x0 - x1), y1 + HIGH + 8
         places = " ".join(f'{name}="{value:g}"' for name, value in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
         parts.append(f'<line {places} stroke="currentColor" marker-end="url(#tip)"/>')
     for name, (_, _, words) in BOXES.items():
