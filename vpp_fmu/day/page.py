@@ -33,7 +33,7 @@ def day_page(day: Day) -> Page:
     noise = float(np.std(np.diff(last.mission.record["thrust"])) / np.sqrt(2.0))
     page.figure(
         errors_by_round(errors, [r.chosen.name for r in day.rounds], noise),
-        "After an alarm all models are held against another mission, which none of them saw; the noise is a single reading's.",
+        "Where there is another model they are held against a mission that none of them saw; the noise is a single reading's.",
     )
     page.section("The controller, round by round")
     page.figure(costs_by_round([r.costs for r in day.rounds], [r.tries for r in day.rounds]), "Two flights of each finalist.")

@@ -1,0 +1,134 @@
+"""python -m tests.studies days: does a rig's day (`vpp twin`) make model and controller better, and which policy does?
+
+Emulated rigs of the paper's size, each a little different, are identified from a campaign; from the second round on something is
+hidden in them. Each rig has the same day under each policy: gains that stay, retuned on the model alone, searched on the rig alone,
+and both. In the end what each left flies beside gains that were searched on the rig itself for so long that it is known in full.
+
+Aims: the cost of both side by side within 5 % of that; nothing ends worse than it began.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration import read_calibration
+from hil.emulator.rig import Rig as Emulated
+from hil.safety.limits import Limits
+from hil.session import Setup
+from identification.workers import spread
+from vpp_fmu.cli.hil_options import EMULATED
+from vpp_fmu.day.day import POLICIES, Rig, new_day, next_round
+from vpp_fmu.day.flight import GAINS, fly
+from vpp_fmu.day.policy import Search
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.record import Record
+
+from .twin import identified
+
+HIDDEN = {
+    "thrust falls by 15 %": (("load_cell_gain",), {"load_cell_gain.gain": 0.85}),
+    "a dead band appears": (("lac_command_deadband",), {"lac_command_deadband.half_width": 1.5}),
+}
+FROM = 2
+"""Round from which on it is there."""
+
+GENERATIONS, FINAL = 12, 4
+"""Of the search that knows the rig in full, 8 flights each; flights by which gains are compared in the end."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A day: model error [N] and cost of what flies next, round by round; what was named; final `cost` on fresh noise."""
+
+    errors: tuple[float, ...]
+    costs: tuple[float, ...]
+    named: tuple[str, ...]
+    cost: float
+
+
+def main(arguments: list[str]) -> None:
+    """Run the study."""
+    parser = argparse.ArgumentParser(prog="python -m tests.studies days", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="rigs for each change (default: %(default)s)")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="(default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=4, metavar="N", help="of a day (default: %(default)s)")
+    parser.add_argument("--policies", default=",".join(POLICIES), metavar="A,B", help="(default: %(default)s)")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="days side by side (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    policies = options.policies.split(",")
+    for change in HIDDEN:
+        seeds = range(options.first_seed, options.first_seed + options.seeds)
+        found = spread(partial(days, change, policies, options.rounds), seeds, options.workers, what=change)
+        _show(change, policies, found)
+
+
+def days(change: str, policies: list[str], rounds: int, seed: int) -> tuple[float, float, dict[str, Told]]:
+    """(cost of the first gains in the end, of those that know the rig in full, a day of each policy) on one rig."""
+    known = identified(3 * seed)  # of a campaign as long as the paper's
+    parameters = ParameterSet(plant()).replaced(known.values)
+    settings = CONTROLLER.values()
+    day = new_day(parameters, settings)
+    with tempfile.TemporaryDirectory() as folder:
+
+        def setup(hidden: bool, flight: int) -> Setup:
+            names, sizes = HIDDEN[change] if hidden else ((), {})
+            own = Emulated({**known.own, **sizes}, names, 1000 * seed + flight)
+            return Setup(read_calibration(EMULATED), Limits(), own, virtual=True, plant=parameters.values)
+
+        def final(gains: Mapping[str, float]) -> float:
+            return float(np.mean([_cost(setup(True, 900 + k), gains, day.profile, Path(folder)) for k in range(FINAL)]))
+
+        told = {}
+        for policy in policies:
+            one = new_day(parameters, settings)
+            rig = Rig(lambda number, flight: setup(number >= FROM, 50 * number + flight), lambda what: None, lambda number: ())
+            for number in range(1, rounds + 1):
+                place = Path(folder) / policy / str(number)
+                place.mkdir(parents=True)
+                one.rounds.append(next_round(one, rig, known.band, policy, place, seed, 1, lambda text: None))
+            errors = tuple(r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen for r in one.rounds)
+            named = tuple(n for r in one.rounds for n in r.named)
+            told[policy] = Told(errors, tuple(r.cost for r in one.rounds), named, final(one.flies))
+        full = _known_in_full(setup, settings, day.profile, Path(folder), seed)
+        return final(settings), final(full), told
+
+
+def _known_in_full(setup, settings: Mapping[str, float], profile: Record, folder: Path, seed: int) -> Mapping[str, float]:
+    """Gains searched on the rig itself, without noise that differs between flights."""
+    search, best = Search(settings, GAINS, seed), (np.inf, settings)
+    for _ in range(GENERATIONS):
+        asked = search.asked()
+        costs = [_cost(setup(True, 0), gains, profile, folder) for gains in asked]
+        search.told(costs)
+        k = int(np.argmin(costs))
+        best = min(best, (costs[k], asked[k]), key=lambda pair: pair[0])
+    return best[1]
+
+
+def _cost(setup: Setup, gains: Mapping[str, float], profile: Record, folder: Path) -> float:
+    return fly(replace(setup), gains, profile, folder / "flight").cost
+
+
+def _show(change: str, policies: list[str], found: list[tuple[float, float, dict[str, Told]]]) -> None:
+    began, full = np.array([f[0] for f in found]), np.array([f[1] for f in found])
+    print(
+        f"\n{change}, {len(found)} rigs: cost of the first gains {np.median(began):.4f}, of full knowledge {np.median(full):.4f}"
+    )
+    for policy in policies:
+        own = [f[2][policy] for f in found]
+        cost = np.array([o.cost for o in own])
+        errors = np.median([o.errors for o in own], axis=0)
+        costs = np.median([o.costs for o in own], axis=0)
+        print(f"{policy}: over full knowledge {np.median(cost / full):.3f} (median; worst {np.max(cost / full):.3f}; aim 1.05)")
+        print(f"  worse than the first gains: {int(np.sum(cost > began))} of {len(own)}")
+        print(f"  model error by round [N]: {' '.join(f'{e:.3f}' for e in errors)}")
+        print(f"  cost by round: {' '.join(f'{c:.4f}' for c in costs)}")
+        named = [" + ".join(o.named) for o in own if o.named]
+        print(f"  named: {', '.join(named) or 'nothing'}")
