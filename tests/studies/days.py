@@ -1,8 +1,9 @@
 """python -m tests.studies days: does a rig's day (`vpp twin`) make model and controller better, and which policy does?
 
-Emulated rigs of the paper's size, each a little different, are identified from a campaign; from the second round on something is
-hidden in them. Each rig has the same day under each policy: gains that stay, retuned on the model alone, searched on the rig alone,
-and both. In the end what each left flies beside gains that were searched on the rig itself for so long that it is known in full.
+Emulated rigs of the paper's size, each a little different, are identified from a campaign; from the second round on something
+is hidden in them. Each rig has the same day under each policy: gains that stay, that are retuned on the model alone, that are
+searched on the rig alone, and both. In the end what each left flies beside gains that were searched on the rig itself for so
+long that it is known in full.
 
 Aims: the cost of both side by side within 5 % of that; nothing ends worse than it began.
 """
@@ -118,9 +119,7 @@ def _cost(setup: Setup, gains: Mapping[str, float], profile: Record, folder: Pat
 
 def _show(change: str, policies: list[str], found: list[tuple[float, float, dict[str, Told]]]) -> None:
     began, full = np.array([f[0] for f in found]), np.array([f[1] for f in found])
-    print(
-        f"\n{change}, {len(found)} rigs: cost of the first gains {np.median(began):.4f}, of full knowledge {np.median(full):.4f}"
-    )
+    print(f"\n{change}, {len(found)} rigs: the first gains cost {np.median(began):.4f}, full knowledge {np.median(full):.4f}")
     for policy in policies:
         own = [f[2][policy] for f in found]
         cost = np.array([o.cost for o in own])
