@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.cycle import PERIOD
+from hil.rig import RunEnded
 from hil.twin.band import read_band
 from identification.tune.profile import rig_profile
 from vpp_fmu.cli import hil_options, main
@@ -124,3 +125,19 @@ def days_setup(told, hidden):
     parser.add_argument("--parameters", default=str(told / "parameters.json"))
     hil_options.add_rig(parser)
     return hil_options.setup_of(parser.parse_args(["--virtual", "--hide", hidden]))
+
+
+def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):
+    """An operator's stop in the middle of a search must not begin the next flight."""
+    flown = []
+
+    def stopped(setup, settings, profile, folder, twins=None):
+        flown.append(folder.name)
+        return SimpleNamespace(ended="operator: Ctrl-C")
+
+    monkeypatch.setattr(days, "fly", stopped)
+    day = days.new_day(read_parameters(told / "parameters.json", plant), SETTINGS)
+    rig = days.Rig(lambda number, flight: None, lambda what: None, lambda number: ())
+    with pytest.raises(RunEnded, match="Ctrl-C"):
+        days.next_round(day, rig, read_band(told / "identification.json"), "both", tmp_path, 0, 1, lambda text: None)
+    assert flown == ["flight_01"]

@@ -144,7 +144,7 @@ def summary(done: Round) -> dict:
         return number if math.isfinite(number) else None
 
     models = [{"name": m.name, "fitted": m.fitted, "unseen": known(m.unseen), "unit": "N"} for m in done.models]
-    costs: Mapping[str, list] = {name: [known(c) for c in each] for name, each in done.costs.items()}
+    costs: Mapping[str, list] = {name: list(each) for name, each in done.costs.items()}
     return {
         "round": done.number,
         "hidden": list(done.hidden),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.rig import RunEnded
 from hil.session import Setup
 from hil.twin.adaptive import adaptable
 from hil.twin.band import Band
@@ -18,7 +19,6 @@ from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.day.flight import GAINS, Flight, Twins, fly, mission
 from vpp_fmu.day.policy import Referee, Search, retuned, task
-from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
@@ -107,7 +107,7 @@ def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
 def next_round(
     day: Day, rig: Rig, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
 ) -> Round:
-    """Fly one round; its logs go to `folder`. BadInput, SimulationFailed for a flight that ended before its time."""
+    """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended before its time."""
     number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
     model, flies = day.parameters, day.flies
     low, high = common_reach(model, {"dual": flies})
@@ -116,7 +116,7 @@ def next_round(
 
     def flown(k: int) -> Flight:
         wanted = mission(low, high, pace, 1000 * seed + 10 * number + k)
-        return flights.needed(f"mission {k}", flies, wanted, Twins(model, band))
+        return flights(f"mission {k}", flies, wanted, Twins(model, band))
 
     stage("mission")
     first = flown(1)
@@ -208,16 +208,13 @@ class _Flights:
         self._rig, self._number, self._folder, self._count = rig, number, folder, 0
 
     def __call__(self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None) -> Flight:
+        """RunEnded for one that ended early: whoever stopped it, or whatever tripped, does not want the next one to begin."""
         self._rig.word(f"round {self._number}: {what}")
         self._count += 1
         setup = self._rig.setup(self._number, self._count)
-        return fly(setup, settings, profile, self._folder / f"flight_{self._count:02d}", twins)
-
-    def needed(self, what: str, *flight) -> Flight:
-        """One that has to come to its end. SimulationFailed."""
-        done = self(what, *flight)
+        done = fly(setup, settings, profile, self._folder / f"flight_{self._count:02d}", twins)
         if done.ended:
-            raise SimulationFailed(f"round {self._number}: {what}: {done.ended}")
+            raise RunEnded(f"round {self._number}: {what}: {done.ended}")
         return done
 
 

@@ -62,8 +62,7 @@ def fly(setup: Setup, settings: Mapping[str, float], profile: Record, folder: Pa
     found += [(at, f"most like {what}") for at, what in learning.alarms] if learning else []
     began = float(done.log.time[rows[0]]) if len(rows) else 0.0
     alarms = tuple((at - began, what) for at, what in sorted(found))
-    cost = np.inf if done.ended else measured_cost(done.record, settings)
-    return Flight(done.record, told, alarms, cost, done.ended)
+    return Flight(done.record, told, alarms, measured_cost(done.record, settings), done.ended)
 
 
 def measured_cost(record: Record, settings: Mapping[str, float]) -> float:

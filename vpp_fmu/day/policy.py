@@ -95,5 +95,4 @@ class Search:
 
     def told(self, costs: Sequence[float]) -> None:
         """What the generation cost, in its order."""
-        worst = max((c for c in costs if np.isfinite(c)), default=1.0)
-        self._search.tell(self._asked, [c if np.isfinite(c) else 10.0 * worst for c in costs])
+        self._search.tell(self._asked, list(costs))

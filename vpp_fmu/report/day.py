@@ -43,7 +43,7 @@ def costs_by_round(costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequen
     names = list(dict.fromkeys(name for each in costs for name in each))
     colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
     for name in names:
-        at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ()) if np.isfinite(cost)]
+        at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ())]
         told = np.array(at).reshape(-1, 2)
         fig.add_scatter(
             x=told[:, 0], y=told[:, 1], mode="markers", name=name, marker={"color": colours.get(name, style.FIT), "size": 10}
