@@ -1,6 +1,7 @@
 """The notebooks run from top to bottom in a kernel of their own, and their numbers make sense."""
 
 import ast
+import asyncio
 import os
 import re
 from pathlib import Path
@@ -24,7 +25,8 @@ def run(name: str, folder: Path, asked: str, **replaced: str):
         cell = next(cell for cell in notebook.cells if re.search(rf"^{old} = .*$", cell.source, re.MULTILINE))
         cell.source = re.sub(rf"^{old} = .*$", lambda _, new=new, old=old: f"{old} = {new}", cell.source, flags=re.MULTILINE)
     notebook.cells.append(nbformat.v4.new_code_cell(f"print(repr({asked}))"))
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
+    client = NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}})
+    asyncio.run(client.async_execute())  # its own `execute` leaves an event loop open
     return ast.literal_eval(notebook.cells[-1].outputs[0].text)
 
 

@@ -13,6 +13,7 @@ from hil.twin.band import read_band
 from identification.tune.profile import rig_profile
 from vpp_fmu.cli import hil_options, main
 from vpp_fmu.day import day as days
+from vpp_fmu.day import flight
 from vpp_fmu.day.flight import GAINS, HOLDS, MISSION, measured_cost, mission
 from vpp_fmu.day.policy import FARTHEST, SENSITIVITY, Referee, Search, task
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -87,7 +88,8 @@ def told(tmp_path_factory):
     return folder
 
 
-def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, capsys):
+def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(flight, "MISSION", 30.0)
     folder = tmp_path / "day"
     options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(told / "parameters.json")]
     assert main(["twin", str(folder), *options]) == 0
@@ -106,6 +108,7 @@ def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, cap
 def test_after_a_loss_of_thrust_the_adapted_model_goes_on(told, tmp_path, monkeypatch):
     """The load cell reads 0.85 of the thrust from the second round on; no diagnosis, which has tests of its own."""
     monkeypatch.setattr(days, "diagnose", lambda *_, **__: SimpleNamespace(verdict="unexplained"))
+    monkeypatch.setattr(flight, "MISSION", 45.0)
     parameters = read_parameters(told / "parameters.json", plant)
     day = days.new_day(parameters, SETTINGS)
     setup = days_setup(told, "load_cell_gain=0.85")
