@@ -144,3 +144,22 @@ def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):
     with pytest.raises(RunEnded, match="Ctrl-C"):
         days.next_round(day, rig, read_band(told / "identification.json"), "both", tmp_path, 0, 1, lambda text: None)
     assert flown == ["flight_01"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--parameters", "{}/alone/parameters.json"], "identification.json"),
+        (["--parameters", "{}/parameters.json", "--rig", "real"], "--calibration"),
+        (["--parameters", "{}/parameters.json", "--gains", "{}/parameters.json"], "parameters.json"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_leaves_no_folder(told, tmp_path, capsys, options, said):
+    (told / "alone").mkdir(exist_ok=True)
+    (told / "alone" / "parameters.json").write_text((told / "parameters.json").read_text())
+    virtual = [] if "real" in options else ["--virtual"]
+    assert main(["twin", str(tmp_path / "day"), *virtual, *(option.format(told) for option in options)]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert said in line
+    assert not (tmp_path / "day").exists()

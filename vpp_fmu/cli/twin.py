@@ -43,7 +43,7 @@ def configure(parser):
 
 
 def run(options):
-    folder = _new(options.day)
+    _check_new(options.day)
     setup, parameters = hil_options.setup_of(options), hil_options.plant_of(options)
     told = Path(options.parameters).with_name("identification.json")
     band = read_band(told)
@@ -55,6 +55,7 @@ def run(options):
         raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
     hil_options.say_allowed(setup.allowed)
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
+    folder = OutputFolder(options.day)
     for number in range(1, options.rounds + 1):
         with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
 
@@ -70,10 +71,11 @@ def run(options):
     print(f"written to {folder.path}")
 
 
-def _new(path: str) -> OutputFolder:
-    if Path(path).exists() and any(Path(path).iterdir()):
-        raise BadInput("command line", "DAY", f"{path}, which holds files", "a folder that is not there yet, or empty")
-    return OutputFolder(path)
+def _check_new(path: str) -> None:
+    there = Path(path)
+    if there.exists() and (not there.is_dir() or any(there.iterdir())):
+        found = f"{path}, which holds files" if there.is_dir() else f"{path}, a file"
+        raise BadInput("command line", "DAY", found, "a folder that is not there yet, or empty")
 
 
 def _rig(options, setup: Setup) -> Rig:
