@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from builders import OPTIONAL
 from fmpy.validation import validate_fmu
+from scipy.interpolate import RegularGridInterpolator
 
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance
+from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.twin import BROUGHT, DAILY, adapted_by_default, threshold, twin, watched
+from vpp_fmu.kernel.twin import BETWEEN, BROUGHT, DAILY, NODE, NODES, adapted_by_default, threshold, twin, watched
+from vpp_fmu.kernel.twin.noises import weights
 from vpp_fmu.native import Simulator, stepper
 from vpp_fmu.native.stepper import Stepper
 
@@ -106,17 +109,50 @@ def test_beside_its_own_plant_it_is_that_plant():
 
 
 def test_one_parameter_at_rest_is_learned_as_bayes_has_it():
-    """At a place: reading = offset + error there + white noise, whose mean of n is known to var / n; the rest is a share."""
+    """At a place: reading = offset + error there + white noise, whose mean of n is known to var / n; the rest is a share.
+
+    The error there is that of the four nodes around, at 3/4 of speed and 3/5 of pitch, and what is between them."""
     model, rows = twin(PLANT, ["sensor_drift.offset"]), 5000
     at = {"omega_ref": np.full(rows, 4500.0), "beta_ref": np.full(rows, 4.0)}
     told = Simulation(PLANT).start({name: column[0] for name, column in at.items()})
     inputs = at | {"thrust": np.full(rows, told["thrust"] + 0.05), "omega": np.full(rows, told["omega"])}
-    own, there, white = 0.1**2, 0.03**2, 0.05**2
+    by_speed, by_pitch = (0.75, 0.25), (0.2, 0.8)
+    nodes = sum((x * y) ** 2 for x in by_speed for y in by_pitch)
+    own, there, white = 0.1**2, (NODE**2 * nodes + BETWEEN**2) * 0.03**2, 0.05**2
     shown = ran(inputs, {"slow": 0.0, "steady": 0.03, "white": 0.05, "prior.sensor_drift.offset": 0.1}, model)
     n = rows - 1
     assert shown["adapted.sensor_drift.offset"][-1] == pytest.approx(0.05 * own / (own + there + white / n), rel=1e-6)
     expected = own - own**2 / (own + there + white / n)
     assert shown["std.sensor_drift.offset"][-1] == pytest.approx(np.sqrt(expected), rel=1e-6)
+
+
+def test_shares_of_the_nodes_are_linear_interpolation():
+    rng = np.random.default_rng(3)
+    at = np.column_stack([rng.uniform(1.0 / 3.0, 1.0, 50), rng.uniform(0.0, 1.0, 50)])
+    ones = np.eye(12).reshape(3, 4, 12)
+    for (w, b), expected in zip(at, RegularGridInterpolator(NODES, ones)(at), strict=True):
+        assert weights(NUMBERS, w, b) == pytest.approx(expected, abs=1e-12)
+    assert weights(NUMBERS, 0.1, 1.3) == [0.0, 0.0, 0.0, 1.0] + 8 * [0.0]  # beyond, the nearest one's
+
+
+def test_an_error_that_was_there_before_is_none_of_a_change():
+    """Back at the two places where the model has always been off, the twin learns nothing; at the same places with a thrust
+    that has changed by a plausible share it alarms."""
+    rows, hold = 30_000, 1500
+    at = np.arange(rows) // hold % 2
+    told = {"omega_ref": np.choose(at, (3500.0, 5000.0)), "beta_ref": np.choose(at, (2.0, 6.0))}
+    values, steps = PLANT.values(), np.full(rows - 1, DT)
+    shown = Simulator(PLANT).simulate(values, told, steps)
+    off = np.interp(shown[:, 1], (3500.0, 5000.0), (0.15, -0.15))
+    inputs = noisy(told | {"thrust": shown[:, 0] + off, "omega": shown[:, 1]})
+    same = ran(inputs, {"steady": 0.1})
+    assert not np.any(same["alarm"])
+    std = same["std.sensor_gain.gain"]
+    assert std[-1] > 0.9 * std[rows // 3]  # the tenth visit tells no more than the third
+    inputs["thrust"] = inputs["thrust"] * np.where(np.arange(rows) < rows // 2, 1.0, 0.9)
+    changed = ran(inputs, {"steady": 0.1})
+    assert not np.any(changed["alarm"][: rows // 2])
+    assert np.any(changed["alarm"][rows // 2 :])
 
 
 def test_a_set_point_that_stands_teaches_one_visit_and_no_more():

@@ -9,11 +9,9 @@ from scipy.stats import t
 
 from hil.twin.band import Band
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.ops import NUMBERS
-from vpp_fmu.kernel.plant import BETA_REF, LIBRARY, OMEGA_REF
+from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.kernel.twin import BORNE, BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
-from vpp_fmu.kernel.types import start
+from vpp_fmu.kernel.twin import BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import Estimate, ParameterSet
 
@@ -57,35 +55,17 @@ def adaptive(
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
     sample_time = model.values()["sample_time"]
     found = values | noises | {"threshold": threshold(false_alarms, sums(len(watched(parameters.model, adapted))), sample_time)}
-    allowed = {p.name: p for p in model.parameters}
+    allowed, shows = {p.name: p for p in model.parameters}, watched(parameters.model, adapted)
     for name in adapted:
         size = plausible_change(parameters.model, name, values[name])
-        slope = abs(_settled_slope(parameters, name, 1e-3 * size))
-        change = max(size, 2.0 * BORNE * steady / slope) if slope > 0.0 else size
         estimate = parameters.estimates.get(name)
-        known = 0.0 if estimate is None or estimate.std is None or slope == 0.0 else estimate.std
-        prior = known or size
-        for kind, value in (("change", change), ("prior", prior)):
+        prior = estimate.std if estimate and name in shows else None
+        for kind, value in (("change", size), ("prior", prior or size)):
             own = allowed[f"{kind}.{name}"]
             found[own.name] = min(max(value, own.minimum), own.maximum)
     known = {name: e.std for name, e in parameters.estimates.items()}
     estimates = {name: Estimate(value, known.get(name), allowed[name].unit) for name, value in found.items()}
     return ParameterSet(model, estimates, parameters.source)
-
-
-def _settled_slope(parameters: ParameterSet, name: str, step: float) -> float:
-    """N for each unit of a parameter, settled in the middle of the rig's range; next to 0 for what only acts on the way."""
-    rig, model = parameters.rig, parameters.model
-    at = {OMEGA_REF.name: 0.5 * sum(rig.speed), BETA_REF.name: 0.5 * sum(rig.pitch)}
-    inputs = model.measured_inputs | at
-
-    def thrust(value: float) -> float:
-        values = parameters.values | {name: value}
-        return float(start(model, NUMBERS, inputs, values)[0]["thrust"])
-
-    value = parameters.values[name]
-    slope = (thrust(value + step) - thrust(value - step)) / (2.0 * step)
-    return slope if abs(slope) * step > 1e-9 * parameters.values["thrust_scale"] else 0.0
 
 
 TRIED = 200

@@ -11,7 +11,7 @@ from hil.twin.adaptive import Adaptive, adaptable, adaptive
 from hil.twin.band import Band
 from vpp_fmu.cli import main
 from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.twin import BORNE, DAILY, sums, threshold
+from vpp_fmu.kernel.twin import DAILY, sums, threshold
 from vpp_fmu.parameters import ParameterSet
 
 BAND = Band(0.12, 0.05, 0.15, 0.1, 0.04, 20.0)
@@ -42,7 +42,7 @@ def test_its_values_are_the_bands_and_the_identifications(identified):
     assert values["steady"] == pytest.approx(steady)
     assert (values["white"], values["slow"], values["moving"]) == (0.12, 0.05, 0.04)
     assert values["threshold"] == threshold(0.01, sums(3), DT)
-    assert values["change.sensor_drift.offset"] == pytest.approx(max(0.1, 2.0 * BORNE * steady))
+    assert values["change.sensor_drift.offset"] == 0.1
     assert values["change.tau_beta_2"] == values["prior.tau_beta_2"] == pytest.approx(0.15)
     chosen = adaptive(adaptable(identified, "here"), BAND, ["c20"]).values
     assert chosen["prior.c20"] == 0.002

@@ -18,6 +18,7 @@ from math import exp, sqrt
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import lfilter
 
 from hil import commands
@@ -42,7 +43,7 @@ from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.twin import BLOCK, BROUGHT, HALVES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
+from vpp_fmu.kernel.twin import BETWEEN, BLOCK, BROUGHT, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.native.stepper import Stepper
@@ -101,15 +102,17 @@ def constant(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     twin, adapted = adaptive(parameters, CONSTANT), _adapted(adaptive(parameters, CONSTANT))
     plain = Simulator(parameters.model, adapted)
     shown, slopes = plain.sensitivities(parameters.values, told, np.full(rows - 1, DT))
-    moves, gone = _moves(parameters.values, shown)
+    moves, gone = _moves(parameters.values, shown, told)
     fading, staying = _variances(twin.values, moves, gone)
+    nodes = _at_nodes(parameters.values, shown)
     noise = _markov(rng, fading, exp(-DT / CONSTANT.slow_time)) + _markov(rng, *staying)
+    noise += nodes @ (NODE * twin.values["steady"] * rng.standard_normal(nodes.shape[1]))
     thrust = shown[:, 0] + noise + CONSTANT.white * rng.standard_normal(rows)
     lasting = _lasting(twin.values, shown[:, 1])
     speed = shown[:, 1] + np.sqrt(lasting) * rng.standard_normal(rows)
     found = _ran(twin, told | {"thrust": thrust, "omega": speed})
     errors = np.array([found[f"adapted.{name}"][-1] - parameters.values[name] for name in adapted])
-    bound = _bound(twin.values, slopes, fading, staying, lasting, adapted)
+    bound = _bound(twin.values, slopes, nodes, fading, staying, lasting, adapted)
     inside = np.mean(np.abs(found["residual"][rows // 10 :]) < found["band"][rows // 10 :])
     return errors, bound, float(inside)
 
@@ -124,16 +127,24 @@ def _adapted(twin: ParameterSet) -> tuple[str, ...]:
     return tuple(y.name.removeprefix("adapted.") for y in twin.model.outputs if y.name.startswith("adapted."))
 
 
-def _moves(values: dict[str, float], shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N that is left of the thrust's moves, distance that the place has gone) at each row: the model's own definitions, in
-    numpy."""
+def _moves(values: dict[str, float], shown: np.ndarray, told: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(N that is left of the thrust's moves, and still to come; distance that the place has gone) at each row: the model's own
+    definitions, in numpy."""
     w, b = shown[:, 1] / values["omega_scale"], (shown[:, 2] + values["beta_offset"]) / values["beta_scale"]
 
     def mapped(w, b):
         v = values
         return v["thrust_scale"] * w * (w * (v["c20"] + v["c21"] * b + v["c30"] * w) + b * (v["c11"] + v["c12"] * b))
 
-    moved = np.abs(mapped(w[1:], b[:-1]) - mapped(w[:-1], b[:-1])) + np.abs(mapped(w[1:], b[1:]) - mapped(w[1:], b[:-1]))
+    def path(w, b, w_end, b_end):
+        return np.abs(mapped(w_end, b) - mapped(w, b)) + np.abs(mapped(w_end, b_end) - mapped(w_end, b))
+
+    moved = path(w[:-1], b[:-1], w[1:], b[1:])
+    to_speed, to_pitch = (
+        told["omega_ref"] / values["omega_scale"],
+        (told["beta_ref"] + values["beta_offset"]) / values["beta_scale"],
+    )
+    to_come = path(w[1:], b[1:], to_speed[:-1], to_pitch[:-1])
     moves, left = np.zeros(len(w)), HALVES ** (DT / BLOCK)
     gone, at = np.zeros(len(w)), np.array([w[0], b[0]])
     for k in range(1, len(w)):
@@ -143,15 +154,23 @@ def _moves(values: dict[str, float], shown: np.ndarray) -> tuple[np.ndarray, np.
         if distance > 0.5 * PLACE:
             gone[k] = distance - 0.5 * PLACE
             at = at + away * (gone[k] / distance)
-    return moves, gone
+    return moves + np.r_[0.0, to_come], gone
+
+
+def _at_nodes(values: dict[str, float], shown: np.ndarray) -> np.ndarray:
+    """Shares (rows, nodes) of a model's error at the nodes in what it is off at each row: scipy's interpolation of ones."""
+    w, b = shown[:, 1] / values["omega_scale"], (shown[:, 2] + values["beta_offset"]) / values["beta_scale"]
+    at = np.column_stack([np.clip(x, nodes[0], nodes[-1]) for x, nodes in zip((w, b), NODES, strict=True)])
+    ones = np.eye(len(NODES[0]) * len(NODES[1])).reshape(len(NODES[0]), len(NODES[1]), -1)
+    return RegularGridInterpolator(NODES, ones)(at)
 
 
 def _variances(values, moves, gone):
-    """(variance of the noise that fades, (that of the model's error in place, what a row keeps of it)), (rows,)."""
+    """(variance of the noise that fades, (that of the rest of the model's error in place, what a row keeps of it)), (rows,)."""
     share = values["slow_time"] / BLOCK
     averaged = 2.0 * share * (1.0 - share * (1.0 - exp(-1.0 / share)))
     fading = values["slow"] ** 2 + (values["moving"] ** 2 / averaged + ON_THE_WAY**2) * moves**2
-    return fading, (np.full(len(moves), values["steady"] ** 2), np.exp(-gone / PLACE))
+    return fading, (np.full(len(moves), (BETWEEN * values["steady"]) ** 2), np.exp(-gone / PLACE))
 
 
 def _lasting(values, speed: np.ndarray) -> np.ndarray:
@@ -170,23 +189,27 @@ def _markov(rng, variance, keeps) -> np.ndarray:
     return x
 
 
-def _bound(values, slopes, fading, staying, lasting, adapted) -> np.ndarray:
-    """Standard deviations by the information of the record: its noises' own innovations whiten the slopes, prior added."""
+def _bound(values, slopes, nodes, fading, staying, lasting, adapted) -> np.ndarray:
+    """Standard deviations by the information of the record: its noises' own innovations whiten the slopes by parameters and by
+    the model's error at the nodes, priors added."""
     a, P, gone = exp(-DT / values["slow_time"]), np.diag([fading[0], staying[0][0]]), staying[1]
-    taken = np.zeros((2, len(adapted)))
-    information = np.diag([values[f"prior.{name}"] ** -2.0 for name in adapted])
+    by = np.column_stack([slopes[:, 0], nodes])
+    taken = np.zeros((2, by.shape[1]))
+    known = [values[f"prior.{name}"] for name in adapted] + nodes.shape[1] * [NODE * values["steady"]]
+    information = np.diag(np.array(known) ** -2.0)
     for k in range(1, len(fading)):
         keeps = np.array([a, gone[k]])
         P = P * np.outer(keeps, keeps) + np.diag((1.0 - keeps**2) * [fading[k], staying[0][k]])
         taken = taken * keeps[:, None]
         S = P.sum() + values["white"] ** 2
-        left = slopes[k, 0] - taken.sum(axis=0)
+        left = by[k] - taken.sum(axis=0)
         gain = P.sum(axis=1) / S
         taken = taken + np.outer(gain, left)
         P = P - np.outer(gain, gain) * S
         information += np.outer(left, left) / S
-    information += slopes[:, 1].T @ (slopes[:, 1] / lasting[:, None])
-    return np.sqrt(np.diag(np.linalg.inv(information)))
+    own = slice(len(adapted))
+    information[own, own] += slopes[:, 1].T @ (slopes[:, 1] / lasting[:, None])
+    return np.sqrt(np.diag(np.linalg.inv(information)))[own]
 
 
 IDLE = 10

@@ -1,11 +1,13 @@
 """The adaptive twin: a plant that runs beside the rig, learns from what is read of it, and says when it can't.
 
     x, T = plant(x, u, p),   p = p0 + change theta                          the plant's own step, with its derivatives in theta
-    reading = T + n1 + n2 + w,   n1 = a1 n1 + q1,   n2 = a2 n2 + q2         noise that fades in time, the model's error in place
+    reading = T + n1 + n2 + sum(f_k h_k) + w,   n1 = a1 n1 + q1,   n2 = a2 n2 + q2
 
-is an extended Kalman filter in (theta, n1, n2) (Ljung, IEEE Trans. Automatic Control 24, 1979), one reading after the other. n1
-is the reading's slow noise and what the model is off while thrust moves; n2 is what it is off where it stands, another one at
-every place of the thrust map. Its a2 = exp(-distance / PLACE) counts how far the operating point has gone, so that a set-point
+is an extended Kalman filter in (theta, n1, n2, f) (Ljung, IEEE Trans. Automatic Control 24, 1979), one reading after the other.
+n1 is the reading's slow noise and what the model is off while thrust moves, and fades in time. f is what the model is off at
+the nodes of a grid over the thrust map, h the weights of linear interpolation between them: it stays, so that a rig that comes
+back to a place tells no more of theta than before, and one that comes back to find another error there has changed. n2 is what
+the interpolation leaves; its a2 = exp(-distance / PLACE) counts how far the operating point has gone, so that a set-point
 that never moves teaches no more than one visit, however long it stands. For the same reason what is known is forgotten by
 distance, along the direction that is excited and no other (Kulhavy and Karny, 9th IFAC World Congress, 1984): P gains
 
@@ -17,16 +19,19 @@ Six effects, one idea each; whoever reads a state of another one does so by a si
 """
 
 from vpp_fmu.kernel.twin.model import DAILY, adapted_by_default, plausible_change, twin
-from vpp_fmu.kernel.twin.noises import BLOCK, BORNE, HALVES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY, WITHIN
+from vpp_fmu.kernel.twin.noises import BETWEEN, BLOCK, BORNE, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY, WITHIN
 from vpp_fmu.kernel.twin.prediction import BROUGHT
 from vpp_fmu.kernel.twin.watch import sums, threshold, watched
 
 __all__ = [
+    "BETWEEN",
     "BLOCK",
     "BORNE",
     "BROUGHT",
     "DAILY",
     "HALVES",
+    "NODE",
+    "NODES",
     "ON_THE_WAY",
     "PLACE",
     "SPEED_ON_THE_WAY",

@@ -8,6 +8,7 @@ from typing import Any
 from vpp_fmu.kernel.duals import TINY
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.kernel.twin.noises import (
+    BETWEEN,
     BLOCK,
     HALVES,
     ON_THE_WAY,
@@ -19,6 +20,7 @@ from vpp_fmu.kernel.twin.noises import (
     nothing,
     pairs,
     times,
+    weights,
 )
 from vpp_fmu.kernel.types import Effect, State
 
@@ -33,11 +35,11 @@ def motion() -> Effect:
         away = ops.sqrt(dw * dw + db * db)
         gone = ops.maximum(away - 0.5 * PLACE, 0.0)
         drawn = gone / ops.maximum(away, 0.5 * PLACE)
-        by_speed = normalised_thrust(at, at.w, x.b) - normalised_thrust(at, x.w, x.b)
-        by_pitch = normalised_thrust(at, at.w, at.b) - normalised_thrust(at, at.w, x.b)
         halved = ops.exp(dt * (log(HALVES) / BLOCK))
-        move = halved * x.move + at.thrust_scale * (ops.abs(by_speed) + ops.abs(by_pitch))
+        moved = halved * x.move + _path(ops, at, (x.w, x.b), (at.w, at.b))
         turned = halved * x.turned + ops.abs(s.predicted_speed - x.predicted)
+        # Whoever is late is so from the beginning of a move on: what is still to come of it counts as well.
+        move = moved + _path(ops, at, (at.w, at.b), s.commanded)
 
         # A block's mean of first-order noise has a share of its variance; what the model is off in a move is known by blocks.
         share = known.slow_time / BLOCK
@@ -49,13 +51,15 @@ def motion() -> Effect:
         said = {
             "moved": gone,
             "on_the_way": on_the_way,
-            "stationary": (fading, staying),
+            "stationary": (fading, BETWEEN * BETWEEN * staying),
             "keeps": (ops.exp(-dt / known.slow_time), ops.exp(-gone / PLACE)),
+            "shares": (1.0, 1.0, *weights(ops, at.w, at.b)),
+            "band": (fading, staying),
             "standing": staying / (staying + on_the_way),
             "lasting": off * (2.0 * known.slow_time / dt),
         }
         ahead = {"w_place": x.w_place + drawn * dw, "b_place": x.b_place + drawn * db, "w": at.w, "b": at.b}
-        return said, ahead | {"move": move, "turned": turned, "predicted": s.predicted_speed}
+        return said, ahead | {"move": moved, "turned": turned, "predicted": s.predicted_speed}
 
     states = (
         State("w_place", "1", "normalised speed of the place that it is at", lambda ops, s, p: s.at.w),
@@ -69,28 +73,30 @@ def motion() -> Effect:
     return Effect("motion", "how far the operating point has gone", taken, states=states)
 
 
-def innovation(settled: tuple[bool, ...]) -> Effect:
-    """The filter's update by one sample. `settled`: of each adapted parameter, whether it shows while everything stands."""
-    m = len(settled)
+def _path(ops: Any, at: Any, start: Sequence, end: Sequence) -> Any:
+    """N that the thrust goes through between two points of the map, by speed and then by pitch, added up."""
+    (w, b), (w_end, b_end) = start, end
+    by_speed = normalised_thrust(at, w_end, b) - normalised_thrust(at, w, b)
+    by_pitch = normalised_thrust(at, w_end, b_end) - normalised_thrust(at, w_end, b)
+    return at.thrust_scale * (ops.abs(by_speed) + ops.abs(by_pitch))
+
+
+def innovation(m: int) -> Effect:
+    """The filter's update by one sample, of `m` parameters."""
 
     def taken(ops, s, x, p, dt):
         known = s.noise_model
         noises, P = _faded(s, m)
         white = known.white * known.white
-        Pg = times(P, (*s.thrust_slopes, 1.0, 1.0))
-        S = dot((*s.thrust_slopes, 1.0, 1.0), Pg) + white
+        Pg = times(P, (*s.thrust_slopes, *s.shares))
+        S = dot((*s.thrust_slopes, *s.shares), Pg) + white
         residual = s.thrust - s.predicted_thrust
         limit = OUTLIER * ops.sqrt(S)
-        pulls = ops.clip(residual - noises[0] - noises[1], -limit, limit)
+        pulls = ops.clip(residual - dot(s.shares, noises), -limit, limit)
         own = times({key: P[key] for key in pairs(m)}, s.thrust_slopes)
         spread = dot(s.thrust_slopes, own)
-
-        # What a model is off on the way is no noise: it comes back with each move. What shows where all stands is learned there
-        # only while it is known to less than that. A gain that isn't the best one leaves more (Joseph's form).
-        fading, staying = s.stationary
-        coarse = (spread + staying) / (spread + staying + s.on_the_way)
-        K = [(coarse if i < m and settled[i] else 1.0) * v / S for i, v in enumerate(Pg)]
-        learned = {(i, j): P[i, j] - (K[i] * Pg[j] + Pg[i] * K[j] - K[i] * K[j] * S) for i, j in P}
+        K = [v / S for v in Pg]
+        learned = {(i, j): P[i, j] - K[i] * Pg[j] for i, j in P}
         delta = [k * pulls for k in K]
         speed = None
         if any(d is not None for d in s.speed_slopes):
@@ -99,8 +105,9 @@ def innovation(settled: tuple[bool, ...]) -> Effect:
         forgets = s.moved / known.memory / ops.maximum(spread, TINY)
         for i, j in pairs(m):
             learned[i, j] = learned[i, j] + forgets * own[i] * own[j]
-        band = WITHIN * ops.sqrt(spread + fading + staying + white)
-        said = {"residual": residual, "band": band, "pulls": pulls, "S": S, "gain": K, "speed": speed}
+        band = WITHIN * ops.sqrt(spread + sum(s.band) + white)
+        said = {"residual": residual, "band": band, "pulls": pulls, "S": S, "speed": speed}
+        said["takes"] = K[m], K[m + 1], dot(s.shares[2:], K[m + 2 :])
         return said | {"learned": learned, "delta": delta, "noises": noises}, {"speed": s.omega}
 
     state = State("speed", "rpm", "last reading of the speed", lambda ops, s, p: s.omega)
@@ -108,19 +115,20 @@ def innovation(settled: tuple[bool, ...]) -> Effect:
 
 
 def _faded(s: Any, m: int) -> tuple[list, dict]:
-    """(estimates of the noises, covariance) a sample on: the noises fade, and others come in their place."""
-    P = dict(s.P)
+    """(estimates of the noises, covariance) a sample on: what fades does, and other such noise comes in its place."""
+    P, noises = dict(s.P), list(s.noises)
     for k, (a, variance) in enumerate(zip(s.keeps, s.stationary, strict=True)):
-        for i in range(m + 2):
+        noises[k] = a * noises[k]
+        for i in range(m + len(noises)):
             at = min(i, m + k), max(i, m + k)
             P[at] = P[at] * a
         P[m + k, m + k] = P[m + k, m + k] * a + (1.0 - a * a) * variance
-    return [a * n for a, n in zip(s.keeps, s.noises, strict=True)], P
+    return noises, P
 
 
 def _by_speed(ops: Any, s: Any, x: Any, P: Mapping, delta: Sequence) -> tuple[SimpleNamespace, dict, list]:
     """(innovation of the speed, covariance, update) behind a reading of the speed, where it is a new one."""
-    Ph = times(P, (*s.speed_slopes, None, None))
+    Ph = times(P, (*s.speed_slopes, *[None] * len(s.noises)))
     variance = dot(s.speed_slopes, Ph) + s.lasting
     limit = OUTLIER * ops.sqrt(variance)
     misses = ops.clip(s.omega - s.predicted_speed - dot(s.speed_slopes, delta), -limit, limit)

@@ -5,8 +5,8 @@ from math import ceil
 
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.twin.innovation import innovation, motion
-from vpp_fmu.kernel.twin.noises import nothing, pairs
-from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction, settled_ones
+from vpp_fmu.kernel.twin.noises import BETWEEN, NODE, NODES, nothing, pairs
+from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction
 from vpp_fmu.kernel.twin.watch import ACKNOWLEDGE, watch, watched
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Signal, State
 
@@ -79,7 +79,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             adaptation(plant, parts, bounds),
             prediction(plant, adapted, pieces),
             motion(),
-            innovation(settled_ones(plant, adapted)),
+            innovation(len(adapted)),
             watch(adapted, watched(plant, adapted), sample_time),
             update(parts),
         ),
@@ -102,12 +102,13 @@ def _listed(names: Iterable[str]) -> str:
 
 def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter) -> Effect:
     m, defaults = len(parts), plant.values()
-    entries = pairs(m + 2)
+    nodes = [f"map_error_{i}_{j}" for i, _ in enumerate(NODES[0]) for j, _ in enumerate(NODES[1])]
+    entries = pairs(m + 2 + len(nodes))
 
     def step(ops, s, x, p, dt):
         return {
             "theta": [getattr(x, f"theta.{q.name}") for q in parts],
-            "noises": [x.slow_noise, x.map_error],
+            "noises": [x.slow_noise, x.between, *(getattr(x, name) for name in nodes)],
             "P": {(i, j): getattr(x, f"covariance_{i}_{j}") for i, j in entries},
             "change": [getattr(p, f"change.{q.name}") for q in parts],
             "noise_model": p,
@@ -120,7 +121,10 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
             if i < m:
                 share = getattr(p, f"prior.{parts[i].name}") / getattr(p, f"change.{parts[i].name}")
                 return ops.minimum(share * share, 1.0)
-            return p.slow * p.slow if i == m else p.steady * p.steady
+            if i == m:
+                return p.slow * p.slow
+            share = BETWEEN if i == m + 1 else NODE
+            return share * share * (p.steady * p.steady)
 
         return at_start
 
@@ -160,7 +164,11 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
             for i, q in enumerate(parts)
         ),
         State("slow_noise", "N", "estimate of the slow noise", nothing, "next.noise.0"),
-        State("map_error", "N", "estimate of the model's error at this place", nothing, "next.noise.1"),
+        State("between", "N", "estimate of the model's error at this place beyond the map's", nothing, "next.noise.1"),
+        *(
+            State(name, "N", "estimate of the model's error at a node of the map", nothing, f"next.noise.{k}")
+            for k, name in enumerate(nodes, 2)
+        ),
         *(State(f"covariance_{i}_{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in entries),
     ]
     said = "the parameters as they are known, and how well"
@@ -178,14 +186,19 @@ def update(parts: Sequence[Parameter]) -> Effect:
             new = ops.clip(s.theta[i] + s.delta[i], low, high)
             theta.append(ops.where(s.returns > 0.5, s.kept[i], ops.where(learns, new, s.theta[i])))
             told[f"next.theta.{i}"] = theta[i]
-        for k in range(2):
+        for k in range(len(s.noises)):
             told[f"next.noise.{k}"] = ops.where(learns, s.noises[k] + s.delta[m + k], s.noises[k])
 
         # What is known stays below what is known of a plausible change, whose variance is 1.
-        shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)] + [1.0, 1.0]
+        shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)]
         for i, j in s.learned:
-            bounded = s.learned[i, j] * (shrinks[i] * shrinks[j])
-            unknown = (1.0 if i < m else s.stationary[i - m]) if i == j else 0.0
+            bounded = s.learned[i, j]
+            for k in (i, j):
+                bounded = bounded * shrinks[k] if k < m else bounded
+            # After an alarm only the model's error over the map is known as before.
+            unknown = s.P[i, j]
+            if i < m + 2:
+                unknown = (1.0 if i < m else s.stationary[i - m]) if i == j else 0.0
             told[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
 
         # The plant's states are where these parameters would have taken them, to first order: the filter's own correction.

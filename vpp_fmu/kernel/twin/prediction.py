@@ -1,6 +1,6 @@
 """The plant's step on dual numbers: what a twin predicts, and how that depends on what it adapts."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +9,7 @@ from vpp_fmu.kernel.duals import Dual, Duals
 from vpp_fmu.kernel.effects.dead_time import dead_time
 from vpp_fmu.kernel.effects.thrust_map import THRUST_MAP
 from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.kernel.twin.noises import nothing
 from vpp_fmu.kernel.types import Effect, Model, State, start, step
 
@@ -140,6 +141,7 @@ def prediction(plant: Model, adapted: tuple[str, ...], pieces: int) -> Effect:
         found = {
             "plant_states": states,
             "at": SimpleNamespace(**point),
+            "commanded": _normalised(x, known),
             "start_values": [getattr(p, name) for name in adapted],
             "adapted": [known[name].value for name in adapted],
             "predicted_thrust": signals["thrust"].value,
@@ -171,6 +173,12 @@ def prediction(plant: Model, adapted: tuple[str, ...], pieces: int) -> Effect:
     parameters = tuple(replace(p, scale="", tunable=False) for p in one.model.parameters)
     extra = tuple(u for u in one.measured if u.name in plant.measured_inputs)
     return Effect("prediction", "the plant's step with its derivatives", taken, parameters, tuple(states()), inputs=extra)
+
+
+def _normalised(x: Any, known: Mapping[str, Dual]) -> tuple[Any, Any]:
+    """The commands that have acted, as speed and pitch of the thrust map."""
+    pitch = getattr(x, _held(BETA_REF.name)) + known["beta_offset"].value
+    return getattr(x, _held(OMEGA_REF.name)) / known["omega_scale"].value, pitch / known["beta_scale"].value
 
 
 def ahead_of(name: str) -> str:

@@ -16,7 +16,7 @@ from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, Stat
 ACKNOWLEDGE = Signal("acknowledge", "1", "somebody has seen the alarm: adapt again", 0.0, 1.0, kind=BOOLEAN)
 
 UP, DOWN = "up", "down"
-NOISES = "fading", "staying"
+NOISES = "fading", "between", "map"
 WATCHING, FOLLOWING, STOPPED = 0.0, 1.0, 2.0
 
 
@@ -51,7 +51,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
                 ahead[f"sum.{name}.{way}"] = height
                 heights.append(height)
                 for k, a in enumerate(absorbed):
-                    after = a if shape is None else a + s.gain[m + k] * shape
+                    after = a if shape is None else a + s.takes[k] * shape
                     ahead[f"absorbed.{name}.{way}.{NOISES[k]}"] = ops.where(height > 0.0, after, 0.0)
             found.append(ops.maximum(*heights))
 
@@ -113,7 +113,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         for name in names:
             for way in (UP, DOWN):
                 yield State(f"sum.{name}.{way}", "1", f"log-likelihood ratio of a change of {name}, {way}", nothing)
-                for k in range(2):
+                for k in range(len(NOISES)):
                     said = "what of such a change the noises' estimates have taken up"
                     yield State(f"absorbed.{name}.{way}.{NOISES[k]}", "N", said, nothing)
         yield State("unlike", "1", "log-likelihood ratio of twice the variance", nothing)
@@ -140,12 +140,13 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     The ratio is of normal innovations; what the estimates take up of a change is none of it. A power of it below 1 bears
     innovations that are not independent, and is no larger on average (Jensen).
     """
-    absorbed = [a * getattr(x, f"absorbed.{name}.{NOISES[k]}") for k, a in enumerate(s.keeps)]
+    keeps = (*s.keeps, s.keeps[1])  # elsewhere the map takes up anew
+    absorbed = [a * getattr(x, f"absorbed.{name}.{noise}") for noise, a in zip(NOISES, keeps, strict=True)]
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
         looked_for = by_thrust * by_thrust
         counts = looked_for / (looked_for + (2.0 * BORNE) * (2.0 * BORNE) * s.on_the_way + TINY)
-        shape = by_thrust - absorbed[0] - absorbed[1]
+        shape = by_thrust - sum(absorbed[1:], absorbed[0])
         more = counts * (sign * s.pulls - 0.5 * shape) * shape / s.S
     by_speed = s.speed_slopes[i]
     if by_speed is not None:
