@@ -162,12 +162,14 @@ def diagnose(
     smallest: float | None = None,
     records: Mapping[str, Record] | None = None,
     accept: Iterable[str] = (),
+    learned: bool = True,
 ) -> Diagnosis:
     """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. Fitted are the open-loop
     record, its repeat and further `records`; the validation record is opened when the model stands. `smallest` [N]: the least
-    size of interest. BadInput where the campaign has no record to fit.
+    size of interest. `learned`: a term of no list is looked for where the effects of the list leave something. BadInput where
+    the campaign has no record to fit.
     """
     with (
         threadpool_limits(1),
@@ -204,7 +206,7 @@ def diagnose(
         lacks = before if refuted else after
         word = unnamed(before) if refuted else word  # what was found is not it
         attempt = Attempt()
-        if word in ("unexplained", "partly") and lacks.found:
+        if learned and word in ("unexplained", "partly") and lacks.found:
             besides = [base, selection.final] if word == "partly" else [base]
 
             def learned_beside(beside: Fit) -> Attempt:

@@ -127,7 +127,8 @@ def next_round(
         models.append(_adapted(model, first))
     if alarm:
         stage("diagnose")
-        found = diagnose(_campaign(first.record, folder, model), given=model, workers=workers)
+        # A mission is too short to learn a term of no list from, and the rig waits.
+        found = diagnose(_campaign(first.record, folder, model), given=model, workers=workers, learned=False)
         verdict = found.verdict
         if verdict in CHANGED and found.final.effects:
             named = tuple(e for e in found.final.effects if e not in model.model.optional)
