@@ -185,8 +185,9 @@ def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
     stopped = ran(inputs)
     assert stopped["alarm"][-1] == 1.0
     begins = np.flatnonzero(stopped["alarm"])[0]
-    for name in ADAPTED:
-        assert stopped[f"adapted.{name}"][-1] == pytest.approx(stopped[f"adapted.{name}"][begins - 1], abs=1e-12)
+    for name in ADAPTED:  # back to where they were when nothing was suspicious yet
+        path, left = stopped[f"adapted.{name}"], stopped[f"adapted.{name}"][-1]
+        assert np.min(np.abs(path[at - 250 : begins] - left)) < 1e-12
     inputs["thrust"] -= shaken * (np.arange(rows) >= 25_000)
     inputs["acknowledge"] = (np.arange(rows) == 26_000).astype(float)
     assert ran(inputs)["alarm"][-1] == 0.0

@@ -5,7 +5,7 @@ from math import ceil
 
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.twin.innovation import innovation, motion
-from vpp_fmu.kernel.twin.noises import BETWEEN, NODE, NODES, nothing, pairs
+from vpp_fmu.kernel.twin.noises import AT_NODES, BETWEEN, NODE, nothing, pairs
 from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME, ahead_of, prediction
 from vpp_fmu.kernel.twin.watch import ACKNOWLEDGE, watch, watched
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Signal, State
@@ -102,13 +102,12 @@ def _listed(names: Iterable[str]) -> str:
 
 def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter) -> Effect:
     m, defaults = len(parts), plant.values()
-    nodes = [f"map_error_{i}_{j}" for i, _ in enumerate(NODES[0]) for j, _ in enumerate(NODES[1])]
-    entries = pairs(m + 2 + len(nodes))
+    entries = pairs(m + 2 + len(AT_NODES))
 
     def step(ops, s, x, p, dt):
         return {
             "theta": [getattr(x, f"theta.{q.name}") for q in parts],
-            "noises": [x.slow_noise, x.between, *(getattr(x, name) for name in nodes)],
+            "noises": [x.slow_noise, x.between, *(getattr(x, name) for name in AT_NODES)],
             "P": {(i, j): getattr(x, f"covariance_{i}_{j}") for i, j in entries},
             "change": [getattr(p, f"change.{q.name}") for q in parts],
             "noise_model": p,
@@ -167,7 +166,7 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         State("between", "N", "estimate of the model's error at this place beyond the map's", nothing, "next.noise.1"),
         *(
             State(name, "N", "estimate of the model's error at a node of the map", nothing, f"next.noise.{k}")
-            for k, name in enumerate(nodes, 2)
+            for k, name in enumerate(AT_NODES, 2)
         ),
         *(State(f"covariance_{i}_{j}", "1", "of what is known", of_prior(i, j), f"next.P.{i}.{j}") for i, j in entries),
     ]
@@ -180,14 +179,16 @@ def update(parts: Sequence[Parameter]) -> Effect:
 
     def taken(ops, s, x, p, dt):
         learns, opens = s.learns > 0.5, s.opens > 0.5
+        back = s.starts + s.returns > 0.5  # to before what is, or was not, one of these parameters
         told, theta = {}, []
         for i, q in enumerate(parts):
             low, high = (q.minimum - s.start_values[i]) / s.change[i], (q.maximum - s.start_values[i]) / s.change[i]
             new = ops.clip(s.theta[i] + s.delta[i], low, high)
-            theta.append(ops.where(s.returns > 0.5, s.kept[i], ops.where(learns, new, s.theta[i])))
+            theta.append(ops.where(back, s.kept[i], ops.where(learns, new, s.theta[i])))
             told[f"next.theta.{i}"] = theta[i]
-        for k in range(len(s.noises)):
-            told[f"next.noise.{k}"] = ops.where(learns, s.noises[k] + s.delta[m + k], s.noises[k])
+        for k, noise in enumerate(s.noises):
+            new = ops.where(learns, noise + s.delta[m + k], noise)
+            told[f"next.noise.{k}"] = ops.where(back, s.kept[m + k - 2], new) if k > 1 else new
 
         # What is known stays below what is known of a plausible change, whose variance is 1.
         shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)]

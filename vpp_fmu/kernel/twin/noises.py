@@ -15,6 +15,9 @@ BLOCK, HALVES = 0.5, 0.5
 NODES = (1.0 / 3.0, 2.0 / 3.0, 1.0), (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Normalised speeds and pitches of a grid over the map, between which the model's error is interpolated; beyond, it stays."""
 
+AT_NODES = tuple(f"map_error_{i}_{j}" for i, _ in enumerate(NODES[0]) for j, _ in enumerate(NODES[1]))
+"""States of the error at the nodes, speed by speed."""
+
 BETWEEN = 0.4
 """Share of the model's error over the map that such an interpolation leaves, standard deviation: the largest of twelve emulated
 rigs, each identified, whose error at rest was fitted by it; 0.11 to 0.39."""

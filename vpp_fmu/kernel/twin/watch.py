@@ -9,7 +9,7 @@ from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import BORNE, PLACE, nothing
+from vpp_fmu.kernel.twin.noises import AT_NODES, BORNE, PLACE, nothing
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -18,6 +18,10 @@ ACKNOWLEDGE = Signal("acknowledge", "1", "somebody has seen the alarm: adapt aga
 UP, DOWN = "up", "down"
 NOISES = "fading", "between", "map"
 WATCHING, FOLLOWING, STOPPED = 0.0, 1.0, 2.0
+
+SUSPECT = log(100.0)
+"""Of a log-likelihood sum: one in a hundred rises so far from where it begins while nothing changes (Ville, 1939). What was
+learned since the largest stood below it was perhaps learned of a change."""
 
 
 def threshold(false_alarms: float, count: int, sample_time: float) -> float:
@@ -39,6 +43,7 @@ def sums(count: int) -> int:
 
 def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) -> Effect:
     m, places = len(adapted), [adapted.index(name) for name in names]
+    kept = (*adapted, *AT_NODES)
 
     def taken(ops, s, x, p, dt):
         watching = ops.where(x.mode < 0.5, 1.0, 0.0)
@@ -62,6 +67,8 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         for height in found:
             largest = ops.maximum(largest, height)
         starts = ops.where(largest > p.threshold, watching, 0.0)
+        calm = ops.where(largest < SUSPECT, watching, 0.0) > 0.5
+        known = {name: ops.where(calm, now, getattr(x, f"kept.{name}")) for name, now in zip(kept, _now(s), strict=True)}
         points, best = 0.0, 0.0
         for i, height in zip(places, found, strict=True):
             points, best = ops.where(height > best, float(i + 1), points), ops.maximum(height, best)
@@ -75,20 +82,15 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         stopped = ops.where(x.mode > 1.5, 1.0, 0.0)
         goes_on = ops.where(s.acknowledge > 0.5, stopped, 0.0)
 
-        # Which parameter has moved by most plausible changes, as far as it is known.
-        moved_most, most = x.direction, 0.0
-        for i in range(m):
-            by = s.theta[i] - getattr(x, f"kept.{adapted[i]}")
-            sure = by * by * (1.0 - s.P[i, i])
-            moved_most, most = ops.where(sure > most, float(i + 1), moved_most), ops.maximum(sure, most)
-        direction = ops.where(starts > 0.5, points, ops.where(explained > 0.5, moved_most, x.direction))
+        direction = ops.where(
+            starts > 0.5, points, ops.where(explained > 0.5, _moved_most(ops, s, x, known.values()), x.direction)
+        )
         mode = ops.where(
             starts > 0.5,
             FOLLOWING,
             ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode)),
         )
         changes = x.changes + explained
-        kept = [ops.where(starts > 0.5, s.theta[i], getattr(x, f"kept.{adapted[i]}")) for i in range(m)]
         ahead |= {
             "unlike": nothing_else,
             "doubt": ops.where(starts > 0.5, 0.0, doubt),
@@ -96,16 +98,17 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             "mode": mode,
             "direction": direction,
             "changes": changes,
-            **{f"kept.{adapted[i]}": value for i, value in enumerate(kept)},
+            **{f"kept.{name}": value for name, value in known.items()},
         }
         said = {
             "alarm": ops.where(mode > 0.5, 1.0, 0.0),
             "direction": direction,
             "changes": changes,
+            "starts": starts,
             "opens": starts + goes_on,
             "returns": stops,
             "learns": ops.where(mode > 1.5, 0.0, ops.where(x.mode > 1.5, 0.0, 1.0)),
-            "kept": kept,
+            "kept": list(known.values()),
         }
         return said, ahead
 
@@ -122,8 +125,8 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         yield State("mode", "1", "0 watches, 1 follows a change, 2 has stopped", nothing)
         yield State("direction", "1", "what the last alarm points to", nothing)
         yield State("changes", "1", "changes that were followed", nothing)
-        for name in adapted:
-            yield State(f"kept.{name}", "1", f"{name} before the alarm, in plausible changes", nothing)
+        for name in kept:
+            yield State(f"kept.{name}", "1", f"{name} when no sum was suspicious, parameters in plausible changes", nothing)
 
     usual = threshold(0.01, sums(len(names)), sample_time)
     said = "log-likelihood ratio at which a change counts as one: ln(sums x samples between false alarms)"
@@ -131,6 +134,20 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
     return Effect(
         "watch", "whether a parameter explains what is read", taken, parameters, tuple(states()), inputs=(ACKNOWLEDGE,)
     )
+
+
+def _moved_most(ops: Any, s: Any, x: Any, before: Iterable) -> Any:
+    """Which parameter has moved by most plausible changes, as far as it is known, counted from 1."""
+    which, most = x.direction, 0.0
+    for i, (now, was) in enumerate(zip(s.theta, before, strict=False)):
+        sure = (now - was) * (now - was) * (1.0 - s.P[i, i])
+        which, most = ops.where(sure > most, float(i + 1), which), ops.maximum(sure, most)
+    return which
+
+
+def _now(s: Any) -> list:
+    """Parameters, and the model's error at the nodes of the map."""
+    return [*s.theta, *s.noises[2:]]
 
 
 def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, list]:
