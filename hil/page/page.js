@@ -136,7 +136,7 @@ function values() {
   if (supply.length) tiles.push(["supply", supply[0], supply.slice(1).join(", ")]);
   if (part.band) tiles.push(["off its twin", text(now.residual, 2, "N"), now.alarm ? "ALARM: not as its model" : `band ± ${text(part.band, 2, "N")}`, now.alarm]);
   const twin = now.twin || {};
-  if (told.adaptive_twin) tiles.push(["off the adaptive twin", text(twin.residual, 2, "N"), twin.alarm ? `ALARM: most like ${cause(twin)}` : `band ± ${text(twin.band, 2, "N")}`, twin.alarm]);
+  if (told.adaptive_twin) tiles.push(["off the adaptive twin", text(now["twin.residual"], 2, "N"), twin.alarm ? `ALARM: most like ${cause(twin)}` : `band ± ${text(now["twin.band"], 2, "N")}`, twin.alarm]);
   at("tiles").replaceChildren(...tiles.map(([label, value, small, alarm]) => {
     const tile = element("div", "", alarm ? "tile alarm" : "tile");
     tile.append(element("div", label, "label"), element("div", value, "value"), element("div", small, "small"));

@@ -20,9 +20,9 @@ MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
 """Of a point, behind its time [s]: N, rpm, N above the twin; the commands as they stood last: N, rpm, deg. Where an adaptive
 twin runs its residual [N] is among the means, its band [N] and what it adapts, each in its unit, among the latest."""
-VALUES = ("time", *MEANS, *LATEST, "throttle", "thrust_age", "omega_age", "late", "voltage", "current", "temperature")
-UNKNOWN = (math.nan,)
-"""A column that the log has not."""
+SUPPLY = ("voltage", "current", "temperature")
+RESIDUAL, BAND = f"{LEARNED}residual", f"{LEARNED}band"
+VALUES = ("time", *MEANS, *LATEST, RESIDUAL, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
 
 
 class Story:
@@ -49,8 +49,8 @@ class Story:
             self.told = message["told"]
             adapted = self.told.get("adaptive_twin", {}).get("adapted")
             if adapted:
-                self._means = (*MEANS, f"{LEARNED}residual")
-                self._latest = (*LATEST, f"{LEARNED}band", *(f"{LEARNED}adapted.{name}" for name in adapted))
+                self._means = (*MEANS, RESIDUAL)
+                self._latest = (*LATEST, BAND, *(f"{LEARNED}adapted.{name}" for name in adapted))
         if "part" in message:
             self._begin(message)
         if "log" in message:
@@ -108,7 +108,8 @@ class Story:
         point = [_known(row[0])]
         point += [_known(sum(columns[name]) / len(self._bin)) for name in self._means]
         self.points.append(point + [_known(columns[name][-1]) for name in self._latest])
-        if math.isfinite(columns.get(f"{LEARNED}band", UNKNOWN)[-1]):  # else the loop is open, and what it said last stays
+        band = columns.get(BAND)
+        if band and math.isfinite(band[-1]):  # else the loop is open, and what it said last stays
             self._twin = {k.removeprefix(LEARNED): _known(values[-1]) for k, values in columns.items() if k.startswith(LEARNED)}
         self._bin = []
         if len(self.points) > 2 * KEPT:

@@ -201,6 +201,7 @@ def test_what_the_adaptive_twin_learns_is_part_of_the_story(tmp_path):
     assert by_name["twin.adapted.sensor_gain.gain"][10:] == (1.0,) * 14 + (0.8,) * 12 + (None,) * 4
     twin = found["now"]["twin"]  # as it was when the loop was closed last
     assert (twin["alarm"], twin["direction"], twin["adapted.sensor_gain.gain"]) == (1.0, 1.0, 0.8)
+    assert found["now"]["twin.residual"] is None
     assert json.loads(json.dumps(found, allow_nan=False)) == json.loads(json.dumps(found))
 
 
