@@ -40,6 +40,7 @@ class Story:
         self.counters: dict = {}
         self.ended = ""
         self._means, self._latest = MEANS, LATEST
+        self._span: Mapping | None = None  # asked for by a browser that comes before the first part
         self._reader: Reader | None = None
         self._events: _Tail | None = None
 

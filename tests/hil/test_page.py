@@ -205,6 +205,10 @@ def test_what_the_adaptive_twin_learns_is_part_of_the_story(tmp_path):
     assert json.loads(json.dumps(found, allow_nan=False)) == json.loads(json.dumps(found))
 
 
+def test_a_browser_may_come_before_the_first_part():
+    assert Story().since(-1, 0, 0, 0)["now"]["done"] is None
+
+
 def test_a_story_without_an_adaptive_twin_has_nothing_of_it():
     story = Story()
     story.tell({"told": {"rig": "emulated"}}, [])
