@@ -1,5 +1,7 @@
 """What a tick leaves in the log, and what the live view shows of it."""
 
+from collections.abc import Mapping, Sequence
+
 from hil.log import Column
 from hil.safety.states import SafetyState
 
@@ -49,6 +51,8 @@ SHOWN = (
     ("throttle", "4.2f", ""),
     ("off its twin", "+6.2f", "N"),
     ("twin", "s", ""),
+    ("adaptive twin", "s", ""),
+    ("adapted", "#7.4g", ""),
     ("voltage", "5.1f", "V"),
     ("current", "5.1f", "A"),
     ("temperature", "4.0f", "degC"),
@@ -58,5 +62,22 @@ SHOWN = (
 )
 """What the live view shows of it: name, format, unit."""
 
-WORDS = {"state": STATES, "twin": ("", "ALARM: not as its model"), "page": ("", "the page is gone")}
+WORDS = {
+    "state": STATES,
+    "twin": ("", "ALARM: not as its model"),
+    "adaptive twin": ("",),
+    "page": ("", "the page is gone"),
+}
 """For the numbers of SHOWN that stand for words."""
+
+
+def shown_beside(adapted: Mapping[str, str]) -> tuple[tuple[tuple[str, str, str], ...], dict[str, Sequence[str]]]:
+    """SHOWN and WORDS where an adaptive twin runs beside the rig. `adapted`: units of what it adapts, by name and in its order.
+
+    The line has room for one of them, the first: by default the thrust's gain. The one that is furthest from where it started
+    would be a lag, on a sound rig too: motor and actuator are none.
+    """
+    name, unit = next(iter(adapted.items()))
+    own = {"adapted": (name, "#7.4g", "" if unit == "1" else unit)}
+    alarms = ("", *(f"adaptive twin: most like {cause}" for cause in ("no parameter", *adapted)))
+    return tuple(own.get(label[0], label) for label in SHOWN), {**WORDS, "adaptive twin": alarms}

@@ -28,6 +28,9 @@ COUNTED = 250
 NOBODY = (math.nan, math.nan)
 """What a controller wants while there is none."""
 
+UNLEARNED = (math.nan, math.nan)
+"""What the live view has of an adaptive twin while there is none."""
+
 
 class Cycle:
     """The ticks with all that they touch, and the states that they may change.
@@ -35,7 +38,7 @@ class Cycle:
     `wanted`: what the controller follows [N]. `throttle` [1] and `commands` [rpm, deg] stand on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
     `page`: the operator's, whose end is told and ends nothing. `adapted`: the adaptive twin's outputs, so many as `beside`, for
-    the log.
+    the log; `learned`: what the live view has of them (`Adaptive.shown`).
     """
 
     def __init__(
@@ -67,8 +70,13 @@ class Cycle:
         self._supply_limits = SupplyLimits(self.limits)
         self.throttle, self.commands = 0.0, (0.0, self.bench.calibration.rest_pitch)
         self.residual, self.alarm, self.asked = math.nan, False, ""
-        self.adapted: Sequence[float] = self._nothing
+        self.forget()
         self._woke, self._driven_since = self.bench.clock.now(), None
+
+    def forget(self) -> None:
+        """No adaptive twin says anything any more."""
+        self.adapted: Sequence[float] = self._nothing
+        self.learned = UNLEARNED
 
     def wake(self) -> None:
         """Before the first tick after a break."""
@@ -163,7 +171,7 @@ class Cycle:
         )
         self._view.show(
             *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.alarm, *senses.supply.values()),
+            *(self.throttle, self.residual, self.alarm, *self.learned, *senses.supply.values()),
             *(self.ticks.missed, self.done, self._page_gone),
         )
         if self.ticks.ticks % COUNTED == 0:

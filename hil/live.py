@@ -78,13 +78,15 @@ def view(labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]]
 
 
 def line(labels: Sequence[tuple[str, str, str]], words: dict[str, Sequence[str]], values: Sequence[float], width: int) -> str:
-    """The line that is shown."""
+    """The line that is shown: what is not known (NaN) is left out."""
     cells = []
     for (name, form, unit), value in zip(labels, values, strict=True):
+        if math.isnan(value):
+            continue
         if name in words:
             word = words[name][int(value)]
             cells += [f"{word:9}"] * bool(word)
-        elif not math.isnan(value):
+        else:
             cells.append(f"{name} {value:{form}} {unit}".rstrip())
     return " | ".join(cells)[: width - 1]
 

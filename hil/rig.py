@@ -138,11 +138,12 @@ class Rig:
         return self.last
 
     def _adapt(self, adaptive: Adaptive, omega_ref: float, beta_ref: float) -> None:
-        """What the adaptive twin makes of the last readings, for the log; its alarms are noted and end nothing."""
-        known = len(adaptive.alarms)
-        self._cycle.adapted = adaptive.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
+        """What the adaptive twin makes of the last readings, for log and view; its alarms are noted and end nothing."""
+        known, cycle = len(adaptive.alarms), self._cycle
+        cycle.adapted = adaptive.update(self.ticks.time, omega_ref, beta_ref, self.last.thrust, self.last.omega)
+        cycle.learned = adaptive.shown(cycle.adapted)
         for _, points in adaptive.alarms[known:]:
-            self._cycle.note(f"adaptive twin: alarm, most like {points}")
+            cycle.note(f"adaptive twin: alarm, most like {points}")
 
     def _alarm(self, residual: float) -> None:
         """The twin's alarm: kept with its time, and the end of the run where that was wanted."""
@@ -315,7 +316,7 @@ class Rig:
         """Close the throttle along its slope; no sensor is needed for it. A fault that can't wait cuts it short."""
         cycle = self._cycle
         cycle.residual = cycle.wanted = math.nan
-        cycle.adapted = (math.nan,) * len(cycle.adapted)
+        cycle.forget()
         while self.states.state is SafetyState.RAMPDOWN and cycle.throttle > 0.0:
             commands = self._limiter.ramp(0.0, self.bench.calibration.rest_pitch, cycle.passed)[:2]
             cycle.tick(*commands, max(0.0, cycle.throttle - cycle.passed / RAMP))

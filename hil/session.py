@@ -17,7 +17,7 @@ import numpy as np
 from hil.bench import Bench, Wiring, real_bench
 from hil.calibration import Calibration
 from hil.clock import VirtualClock
-from hil.columns import COLUMNS, LEARNED, SHOWN, WORDS
+from hil.columns import COLUMNS, LEARNED, SHOWN, WORDS, shown_beside
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.process import real_time_bench
@@ -151,7 +151,8 @@ def session(
         log = MemoryLog(folder / log_name, columns) if in_virtual_time else ProcessLog(folder / log_name, columns, after)
         if page:
             page.follow(log)
-        shown = NoView() if in_virtual_time or not watch else view(SHOWN, WORDS)
+        labels = shown_beside({name: one.unit for name, one in adaptive.adapted.items()}) if adaptive else (SHOWN, WORDS)
+        shown = NoView() if in_virtual_time or not watch else view(*labels)
         ends.callback(shown.close)
         report = folder / REPORT
         report.unlink(missing_ok=True)

@@ -2,11 +2,10 @@
 "use strict";
 const at = (id) => document.getElementById(id);
 const SHOWN = 60; // s of the curves
-const COLUMNS = ["time", "thrust", "omega", "residual", "thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted"];
+const LEARNED = 180; // s of what the adaptive twin makes of them: it takes minutes
 const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"]];
-const curves = Object.fromEntries(COLUMNS.map((name) => [name, []]));
 const dark = matchMedia("(prefers-color-scheme: dark)");
-let told = {}, part = {}, number = -1, now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false;
+let told = {}, part = {}, number = -1, columns = [], curves = {time: []}, alarms = [], now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false, learns = false;
 
 function text(value, digits, unit) {
   return value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`.trim();
@@ -54,13 +53,15 @@ stream.onmessage = (event) => {
   const message = JSON.parse(event.data);
   heard = performance.now();
   if (message.number !== number) begin(message);
-  for (const point of message.curves) point.forEach((value, k) => curves[COLUMNS[k]].push(value));
-  const old = curves.time.findIndex((t) => t > curves.time[curves.time.length - 1] - SHOWN - 5);
-  if (old > 200) for (const name of COLUMNS) curves[name].splice(0, old);
+  for (const point of message.curves) point.forEach((value, k) => curves[columns[k]].push(value));
+  const old = firstOf((told.adaptive_twin ? LEARNED : SHOWN) + 5);
+  if (old > 200) for (const name of columns) curves[name].splice(0, old);
   now = message.now;
   news ||= message.curves.length > 0;
+  learns ||= message.curves.length > 0;
   for (const one of message.events) {
     const alarm = /alarm/.test(one.why) || one.state === "fault" || /^page:/.test(one.why);
+    if (/^adaptive twin: alarm/.test(one.why)) alarms.push(one.time);
     at("events").prepend(row([text(one.time, 2, ""), one.state, one.why], alarm ? "alarm" : ""));
   }
   map.push(...message.map);
@@ -68,13 +69,18 @@ stream.onmessage = (event) => {
   at("counters").replaceChildren(...healed(message.counters));
   if (message.ended) { ended = message.ended; stream.close(); }
   values();
+  twinSays();
   banner();
 };
 
+function firstOf(seconds) {
+  return curves.time.findIndex((t) => t > curves.time[curves.time.length - 1] - seconds);
+}
+
 function begin(message) {
-  ({number, told, part} = message);
-  for (const name of COLUMNS) curves[name].length = 0;
-  map = [];
+  ({number, told, part, columns} = message);
+  curves = Object.fromEntries(columns.map((name) => [name, []]));
+  [map, alarms] = [[], []];
   at("events").replaceChildren();
   const who = [told.operator, told.host].filter(Boolean).join(" on ");
   const over = told.profile ? `, ${told.profile.file}` : "";
@@ -85,6 +91,8 @@ function begin(message) {
   const current = (part.parts || []).indexOf(part.part);
   at("parts").replaceChildren(...(part.parts || []).map((name, k) =>
     element("li", `${k < current ? "✓ " : ""}${name.replaceAll("_", " ")}`, k === current ? "now" : "")));
+  at("twin").hidden = !told.adaptive_twin;
+  if (told.adaptive_twin) captions();
   at("map-figure").hidden = !part.grid;
   if (part.grid) drawMap();
   if (part.band) at("caption").textContent =
@@ -127,6 +135,8 @@ function values() {
   const supply = SUPPLY.filter(([name]) => (told.supply || []).includes(name)).map(([name, digits, unit]) => text(now[name], digits, unit));
   if (supply.length) tiles.push(["supply", supply[0], supply.slice(1).join(", ")]);
   if (part.band) tiles.push(["off its twin", text(now.residual, 2, "N"), now.alarm ? "ALARM: not as its model" : `band ± ${text(part.band, 2, "N")}`, now.alarm]);
+  const twin = now.twin || {};
+  if (told.adaptive_twin) tiles.push(["off the adaptive twin", text(now["twin.residual"], 2, "N"), twin.alarm ? `ALARM: most like ${cause(twin)}` : `band ± ${text(now["twin.band"], 2, "N")}`, twin.alarm]);
   at("tiles").replaceChildren(...tiles.map(([label, value, small, alarm]) => {
     const tile = element("div", "", alarm ? "tile alarm" : "tile");
     tile.append(element("div", label, "label"), element("div", value, "value"), element("div", small, "small"));
@@ -139,6 +149,49 @@ function values() {
     const count = part.grid ? `, ${map.length} of ${part.grid.speeds.length * part.grid.pitches.length} points` : "";
     at("done").textContent = `${(part.part || "").replaceAll("_", " ")} ${Math.floor(100 * done)} %${count}`;
   }
+}
+
+// --- The adaptive twin: what it says last stays when the loop is no longer closed
+
+function cause(twin) {
+  return ["no parameter", ...Object.keys(told.adaptive_twin.adapted)][twin.direction];
+}
+
+function unitOf(one) {
+  return one.unit === "1" ? "" : one.unit;
+}
+
+function digits(uncertainty) { // decimals of two digits of a standard deviation
+  return uncertainty > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(uncertainty)), 0), 9) : 4;
+}
+
+function captions() {
+  const adapted = Object.entries(told.adaptive_twin.adapted);
+  const sizes = adapted.map(([name, one]) => `${name} ${text(one.change, digits(one.change), unitOf(one))}`);
+  at("learned-caption").textContent = `The last three minutes. Above: measured thrust less the adapted model's, in the band that holds 95 % of it while nothing new happens. `
+    + `Below: each parameter's distance from its start, in plausible changes: ${sizes.join(", ")}.`;
+  at("adapted-caption").textContent = `Arrow: moved by more than ${told.adaptive_twin.certain} standard deviations since the start. `
+    + "Lags do so on a sound rig, too: motor and actuator are none.";
+}
+
+function twinSays() {
+  if (!told.adaptive_twin) return;
+  const {adapted, certain} = told.adaptive_twin, twin = now.twin || {}, known = twin.band !== undefined;
+  const followed = twin.changes ? ` Changes followed: ${twin.changes}, the last most like ${cause(twin)}.` : " No change followed yet.";
+  const points = twin.direction ? `Most like a change of ${cause(twin)} (${adapted[cause(twin)]?.description})` : "It is like no change of one parameter";
+  at("twin-says").className = twin.alarm ? "alarm" : "";
+  at("twin-says").textContent = !known ? "It begins when the loop is closed." : twin.alarm
+    ? `ALARM: the rig does not do what the adapted model says. ${points}. This alarm is a note: it stops nothing.`
+    : `No alarm.${followed}`;
+  at("adapted").replaceChildren(...Object.entries(adapted).map(([name, one]) => {
+    const [value, std] = [twin[`adapted.${name}`], twin[`std.${name}`]], places = digits(std ?? one.change);
+    const moved = known && Math.abs(value - one.start) > certain * std;
+    const made = row([name, one.unit, text(one.start, places, ""), `${moved ? (value > one.start ? "↑ " : "↓ ") : ""}${text(value, places, "")}`, text(std, places, "")],
+      moved ? "moved" : "", [2, 3, 4]);
+    made.children[0].append(element("span", one.description));
+    made.children[3].classList.add("now");
+    return made;
+  }));
 }
 
 function banner() {
@@ -157,8 +210,10 @@ setInterval(banner, 500);
 
 function colours() {
   return dark.matches
-    ? {ink: "#e4e9ee", grid: "#2a333b", axis: "#6b7885", measured: "#d7dde3", set: "#f0a94e", twin: "#56b4e9", band: "rgba(86,180,233,0.18)", back: "#14191e"}
-    : {ink: "#1f2933", grid: "#e8ecef", axis: "#9aa5b1", measured: "#4d4d4d", set: "#e08214", twin: "#0072b2", band: "rgba(0,114,178,0.14)", back: "#ffffff"};
+    ? {ink: "#e4e9ee", grid: "#2a333b", axis: "#6b7885", measured: "#d7dde3", set: "#f0a94e", twin: "#56b4e9", band: "rgba(86,180,233,0.18)", back: "#14191e", alarm: "#ffb4ab",
+      others: ["#4fb0ea", "#33c79d", "#e09cc4", "#f0a24d", "#d8689f", "#a3d5f5"]}
+    : {ink: "#1f2933", grid: "#e8ecef", axis: "#9aa5b1", measured: "#4d4d4d", set: "#e08214", twin: "#0072b2", band: "rgba(0,114,178,0.14)", back: "#ffffff", alarm: "#b3261e",
+      others: ["#0072b2", "#009e73", "#cc79a7", "#e08214", "#882255", "#56b4e9"]};
 }
 
 function axis(own, c) {
@@ -173,39 +228,75 @@ function layout(own, c) {
 }
 const settings = {responsive: true, displayModeBar: false};
 
+function line(x, y, name, color, axes, more) {
+  return {x, y, name, type: "scatter", mode: "lines", line: {color, width: 1.8}, yaxis: axes, hoverinfo: "name+y", ...more};
+}
+
+function envelope(x, low, high, name, axes, c) {
+  return [line(x, low, "", c.band, axes, {line: {width: 0}, showlegend: false, hoverinfo: "skip"}),
+    line(x, high, name, c.band, axes, {line: {width: 0}, fill: "tonexty", fillcolor: c.band, hoverinfo: "skip"})];
+}
+
+function lastOf(x, seconds) {
+  const last = x[x.length - 1];
+  return [Math.max(last - seconds, x[0]), Math.max(last, x[0] + 10)];
+}
+
 function draw() {
   if (document.hidden || !news) return;
   news = false;
-  const c = colours(), x = curves.time, last = x[x.length - 1];
-  const twin = x.map((_, k) => (curves.residual[k] === null ? null : curves.thrust[k] - curves.residual[k]));
-  const line = (y, name, color, axes, more) => ({x, y, name, type: "scatter", mode: "lines", line: {color, width: 1.8}, yaxis: axes, hoverinfo: "name+y", ...more});
+  const c = colours(), from = firstOf(SHOWN + 5), of = (name) => curves[name].slice(from);
+  const [x, thrust, residual] = ["time", "thrust", "residual"].map(of);
+  const twin = residual.map((off, k) => (off === null ? null : thrust[k] - off));
   const dashed = (color) => ({line: {color, width: 1.6, dash: "dash", shape: "hv"}});
   const traces = [];
   if (part.band) {
     const edge = (side) => twin.map((value) => (value === null ? null : value + side * part.band));
-    traces.push(line(edge(-1), "", c.band, "y", {line: {width: 0}, showlegend: false, hoverinfo: "skip"}));
-    traces.push(line(edge(1), "twin's band", c.band, "y", {line: {width: 0}, fill: "tonexty", fillcolor: c.band, hoverinfo: "skip"}));
-    traces.push(line(twin, "twin", c.twin, "y", {line: {color: c.twin, width: 1.4}}));
+    traces.push(...envelope(x, edge(-1), edge(1), "twin's band", "y", c));
+    traces.push(line(x, twin, "twin", c.twin, "y", {line: {color: c.twin, width: 1.4}}));
   }
-  traces.push(line(curves.thrust, "measured", c.measured, "y"), line(curves.thrust_set, "set-point, command", c.set, "y", dashed(c.set)));
-  traces.push(line(curves.omega, "speed", c.measured, "y2", {showlegend: false}), line(curves.omega_ref, "command", c.set, "y2", {...dashed(c.set), showlegend: false}));
-  traces.push(line(curves.beta_wanted, "wanted by the controller", c.axis, "y3", {line: {color: c.axis, width: 1.2, dash: "dot", shape: "hv"}}));
-  traces.push(line(curves.beta_ref, "command", c.set, "y3", {showlegend: false, line: {color: c.set, width: 1.8, shape: "hv"}}));
+  traces.push(line(x, thrust, "measured", c.measured, "y"), line(x, of("thrust_set"), "set-point, command", c.set, "y", dashed(c.set)));
+  traces.push(line(x, of("omega"), "speed", c.measured, "y2", {showlegend: false}), line(x, of("omega_ref"), "command", c.set, "y2", {...dashed(c.set), showlegend: false}));
+  traces.push(line(x, of("beta_wanted"), "wanted by the controller", c.axis, "y3", {line: {color: c.axis, width: 1.2, dash: "dot", shape: "hv"}}));
+  traces.push(line(x, of("beta_ref"), "command", c.set, "y3", {showlegend: false, line: {color: c.set, width: 1.8, shape: "hv"}}));
   drawn += 1;
   Plotly.react("curves", traces, layout({
     datarevision: drawn,
-    xaxis: axis({title: {text: "time [s]"}, range: [Math.max(last - SHOWN, x[0]), Math.max(last, x[0] + 10)], anchor: "y3"}, c),
+    xaxis: axis({title: {text: "time [s]"}, range: lastOf(x, SHOWN), anchor: "y3"}, c),
     yaxis: axis({title: {text: "thrust [N]"}, domain: [0.56, 1.0]}, c),
     yaxis2: axis({title: {text: "speed [rpm]"}, domain: [0.28, 0.52]}, c),
     yaxis3: axis({title: {text: "pitch [deg]"}, domain: [0.0, 0.24]}, c),
   }, c), settings);
 }
 setInterval(draw, 250);
-function drawAnew() { news = curves.time.length > 0; draw(); drawMap(); }
+
+function drawLearned() {
+  if (document.hidden || !learns || !told.adaptive_twin) return;
+  learns = false;
+  const c = colours(), x = curves.time, band = curves["twin.band"];
+  const below = band.map((half) => (half === null ? null : -half));
+  const traces = [...envelope(x, below, band, "95 % expected", "y", c), line(x, curves["twin.residual"], "rig − adaptive twin", c.measured, "y", {line: {color: c.measured, width: 1.2}})];
+  Object.entries(told.adaptive_twin.adapted).forEach(([name, one], k) => {
+    const moved = curves[`twin.adapted.${name}`].map((value) => (value === null ? null : (value - one.start) / one.change));
+    const dash = k < c.others.length ? "solid" : "dash";
+    traces.push(line(x, moved, name, c.others[k % c.others.length], "y2", {line: {color: c.others[k % c.others.length], width: 1.8, dash}}));
+  });
+  drawn += 1;
+  Plotly.react("learned", traces, layout({
+    datarevision: drawn,
+    xaxis: axis({title: {text: "time [s]"}, range: lastOf(x, LEARNED), anchor: "y2"}, c),
+    yaxis: axis({title: {text: "residual [N]"}, domain: [0.56, 1.0]}, c),
+    yaxis2: axis({title: {text: "moved [plausible<br>changes]"}, domain: [0.0, 0.5], zeroline: true, zerolinecolor: c.axis}, c),
+    legend: {orientation: "h", x: 0, y: 1.0, yanchor: "bottom", traceorder: "normal"},
+    shapes: alarms.map((time) => ({type: "line", x0: time, x1: time, yref: "paper", y0: 0, y1: 1, line: {color: c.alarm, width: 1.6, dash: "dash"}})),
+  }, c), settings);
+}
+setInterval(drawLearned, 1000);
+function drawAnew() { news = learns = curves.time.length > 0; draw(); drawLearned(); drawMap(); }
 dark.addEventListener("change", drawAnew);
 document.addEventListener("visibilitychange", drawAnew);
 new ResizeObserver(() => {
-  for (const name of ["curves", "map"]) if (at(name).layout && at(name).clientWidth) Plotly.Plots.resize(name);
+  for (const name of ["curves", "learned", "map"]) if (at(name).layout && at(name).clientWidth) Plotly.Plots.resize(name);
 }).observe(at("curves"));
 
 function drawMap() {

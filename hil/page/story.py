@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from hil.columns import LEARNED
 from hil.cycle import PERIOD
 from hil.log import Reader
 
@@ -17,9 +18,11 @@ KEPT = 1800
 
 MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
-CURVES = ("time", *MEANS, *LATEST)
-"""Of a point: s, N, rpm, N above the twin; the commands as they stood last: N, rpm, deg."""
-VALUES = (*CURVES, "throttle", "thrust_age", "omega_age", "late", "voltage", "current", "temperature")
+"""Of a point, behind its time [s]: N, rpm, N above the twin; the commands as they stood last: N, rpm, deg. Where an adaptive
+twin runs its residual [N] is among the means, its band [N] and what it adapts, each in its unit, among the latest."""
+SUPPLY = ("voltage", "current", "temperature")
+RESIDUAL, BAND = f"{LEARNED}residual", f"{LEARNED}band"
+VALUES = ("time", *MEANS, *LATEST, RESIDUAL, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
 
 
 class Story:
@@ -36,6 +39,8 @@ class Story:
         self.map: list[list[float]] = []
         self.counters: dict = {}
         self.ended = ""
+        self._means, self._latest = MEANS, LATEST
+        self._span: Mapping | None = None  # asked for by a browser that comes before the first part
         self._reader: Reader | None = None
         self._events: _Tail | None = None
 
@@ -43,6 +48,10 @@ class Story:
         """What the loop's process says between the runs."""
         if "told" in message:
             self.told = message["told"]
+            adapted = self.told.get("adaptive_twin", {}).get("adapted")
+            if adapted:
+                self._means = (*MEANS, RESIDUAL)
+                self._latest = (*LATEST, BAND, *(f"{LEARNED}adapted.{name}" for name in adapted))
         if "part" in message:
             self._begin(message)
         if "log" in message:
@@ -73,7 +82,7 @@ class Story:
         told: dict = {"now": {**self.now, "age": self._age(), "done": self._done()}, "counters": self.counters}
         if number != self.number:
             point = event = mapped = 0
-            told |= {"told": self.told, "part": self.part}
+            told |= {"told": self.told, "part": self.part, "columns": ["time", *self._means, *self._latest]}
         told |= {"number": self.number, "curves": self.points[max(0, point - self.first) :], "events": self.events[event:]}
         told |= {"map": self.map[mapped:], "seen": [self.first + len(self.points), len(self.events), len(self.map)]}
         return told | ({"ended": self.ended} if self.ended else {})
@@ -83,6 +92,7 @@ class Story:
         self.part, self.number = {k: v for k, v in message.items() if k != "before"}, self.number + 1
         self.points, self.first, self.events, self.map, self.counters = [], 0, [], [], {}
         self._reader, self._loop, self._whole, self._span, self._heard = None, 0, 0, None, time.monotonic()
+        self._twin: dict[str, float | None] = {}
         for path in message["before"]:
             for event in _Tail(Path(path)).new():
                 if "point" in event or "recorded" in event:
@@ -97,8 +107,11 @@ class Story:
             return
         columns = dict(zip(self._names, zip(*self._bin, strict=True), strict=True))
         point = [_known(row[0])]
-        point += [_known(sum(columns[name]) / len(self._bin)) for name in MEANS]
-        self.points.append(point + [_known(columns[name][-1]) for name in LATEST])
+        point += [_known(sum(columns[name]) / len(self._bin)) for name in self._means]
+        self.points.append(point + [_known(columns[name][-1]) for name in self._latest])
+        band = columns.get(BAND)
+        if band and math.isfinite(band[-1]):  # else the loop is open, and what it said last stays
+            self._twin = {k.removeprefix(LEARNED): _known(values[-1]) for k, values in columns.items() if k.startswith(LEARNED)}
         self._bin = []
         if len(self.points) > 2 * KEPT:
             self.first += len(self.points) - KEPT
@@ -121,6 +134,7 @@ class Story:
         self.now = {name: _known(row.get(name, math.nan)) for name in VALUES}
         self.now["state"] = self._words["state"][int(row["state"])]
         self.now["alarm"] = bool(row["alarm"])
+        self.now["twin"] = self._twin
 
     def _age(self) -> float | None:
         """s since the last tick."""

@@ -3,7 +3,7 @@ and that twin beside a rig, a sample a tick."""
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from scipy.stats import t
 
@@ -17,6 +17,10 @@ from vpp_fmu.parameters import Estimate, ParameterSet
 
 FALSE_ALARMS = 0.01
 """An hour, at most, while nothing changes."""
+
+CERTAIN = 2.0
+"""Standard deviations by which an adapted parameter has moved from where it started for that to count: where nothing has
+changed one look in 20 finds as much."""
 
 
 def adaptable(parameters: ParameterSet, where: str, adapted: Sequence[str] | None = None) -> ParameterSet:
@@ -72,16 +76,33 @@ TRIED = 200
 """Steps before a run from which the twin's time in a tick is told: their median."""
 
 
+@dataclass(frozen=True)
+class Adapted:
+    """A parameter that a twin adapts: its value at the start, and a plausible change of it, in its unit."""
+
+    start: float
+    change: float
+    unit: str
+    description: str
+
+
 class Adaptive:
     """The twin that `adaptive` made, in this process; `outputs` are the names of what `update` tells.
 
+    `adapted`: what it adapts, by name, in the order of the outputs.
     `alarms`: (time [s], what it points to) of each; `microseconds`: that a step takes on this machine.
     """
 
     def __init__(self, twin: ParameterSet, dt: float):
         self.outputs = tuple(y.name for y in twin.model.outputs)
         self.units = {y.name: y.unit for y in twin.model.outputs}
-        self._adapted = tuple(name.removeprefix("adapted.") for name in self.outputs if name.startswith("adapted."))
+        values, parts = twin.values, {p.name: p for p in twin.model.parameters}
+        self._first = next(k for k, name in enumerate(self.outputs) if name.startswith("adapted."))
+        self.adapted = {
+            name: Adapted(values[name], values[f"change.{name}"], parts[name].unit, parts[name].description)
+            for name in (y.removeprefix("adapted.") for y in self.outputs if y.startswith("adapted."))
+        }
+        self._causes = ("no parameter", *self.adapted)
         self._inputs = [u.start for u in twin.model.inputs]
         self._at = [[u.name for u in twin.model.inputs].index(name) for name in ("omega_ref", "beta_ref", "thrust", "omega")]
         self._alarm, self._points = self.outputs.index("alarm"), self.outputs.index("direction")
@@ -103,10 +124,14 @@ class Adaptive:
         self._before, self._time = self._given(omega_ref, beta_ref, thrust, omega), t
         told = self._stepper.step(self._before, self._dt)
         if told[self._alarm] > 0.5 and not self._alarmed:
-            place = int(told[self._points])
-            self.alarms.append((t, self._adapted[place - 1] if place else "no parameter"))
+            self.alarms.append((t, self._causes[int(told[self._points])]))
         self._alarmed = told[self._alarm] > 0.5
         return told
+
+    def shown(self, told: Sequence[float]) -> tuple[float, float]:
+        """For the live view (`hil.columns.shown_beside`), of what `update` told: 0, or while it alarms 1 and the place of what
+        that points to; the first of the adapted parameters."""
+        return told[self._alarm] * (1.0 + told[self._points]), told[self._first]
 
     def _given(self, *values: float) -> list[float]:
         given = list(self._inputs)

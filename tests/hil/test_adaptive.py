@@ -5,9 +5,13 @@ import zipfile
 
 import numpy as np
 import pytest
+from rigs import virtual_rig
 from scipy.stats import t
 
-from hil.twin.adaptive import Adaptive, adaptable, adaptive
+from hil.columns import COLUMNS, LEARNED, SHOWN
+from hil.live import NoView
+from hil.log import Column
+from hil.twin.adaptive import CERTAIN, Adaptive, adaptable, adaptive
 from hil.twin.band import Band
 from vpp_fmu.cli import main
 from vpp_fmu.kernel.plant import plant
@@ -66,6 +70,40 @@ def test_ticks_that_were_missed_are_gone_through(identified):
     assert one.update(8 * DT, 4000.0, 2.0, 3.0, 3500.0) == other.update(8 * DT, 4000.0, 2.0, 3.0, 3500.0)
 
 
+class Seen(NoView):
+    """Keeps what the live view is told, by its labels."""
+
+    def __init__(self):
+        self.rows = []
+
+    def show(self, *values):
+        self.rows.append(dict(zip((name for name, *_ in SHOWN), values, strict=True)))
+
+
+def test_the_live_view_is_told_while_a_loop_is_closed(identified):
+    twin, seen = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT), Seen()
+    columns = (*COLUMNS, *(Column(LEARNED + name) for name in twin.outputs))
+    rig, log = virtual_rig(columns, adaptive=twin, view=seen)
+    rig.start(3000.0, 2.0)
+    before = len(seen.rows)
+    for _ in range(5):
+        rig.step(3000.0, 2.0)
+    rig.stop()
+    rig.close()
+    shown = np.array([[row["adaptive twin"], row["adapted"]] for row in seen.rows])
+    assert np.isfinite(shown).all(axis=1).nonzero()[0].tolist() == list(range(before, before + 5))
+    assert shown[:, 1].tolist() == pytest.approx(log["twin.adapted.sensor_gain.gain"].tolist(), nan_ok=True)
+    assert shown[before : before + 5, 0].tolist() == [0.0] * 5
+
+
+def test_what_an_alarm_points_to_is_a_word_of_the_live_view(identified):
+    twin = Adaptive(adaptive(adaptable(identified, "here"), BAND), DT)
+    told = dict.fromkeys(twin.outputs, 0.0) | {"adapted.sensor_gain.gain": 0.9, "direction": 2.0}
+    assert twin.shown(list(told.values())) == (0.0, 0.9)  # of an alarm that is over
+    assert twin.shown(list((told | {"alarm": 1.0}).values())) == (3.0, 0.9)
+    assert twin.shown(list((told | {"alarm": 1.0, "direction": 0.0}).values())) == (1.0, 0.9)  # no parameter
+
+
 def test_export_and_cosim(told, tmp_path, capsys):
     """Beside the plant that it is made of, the twin says that nothing is amiss, whatever its flavour."""
     files = ["--parameters", str(told / "parameters.json"), "--twin", "--flavour", "both", "-o", str(tmp_path / "fmus")]
@@ -117,4 +155,9 @@ def test_it_runs_in_the_loop_of_a_rig(told, tmp_path, capsys):
     assert 0.5 < shown[-1] < 1.5
     content = json.loads((folder / "hil.json").read_text())
     assert content["adaptive_twin"]["microseconds"] > 0.0
+    assert content["adaptive_twin"]["certain"] == CERTAIN
+    adapted = content["adaptive_twin"]["adapted"]
+    assert [f"twin.adapted.{name}" for name in adapted] == [name for name in names if name.startswith("twin.adapted.")]
+    lag = adapted["tau_beta_2"]
+    assert (lag["start"], lag["change"], lag["unit"]) == (0.3, pytest.approx(0.15), "s")
     assert "Adapted parameters" in (folder / "report.html").read_text()

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from hil.columns import SHOWN
+from hil.columns import SHOWN, shown_beside
 from hil.columns import WORDS as SHOWN_WORDS
 from hil.live import NoView, line, view
 
@@ -23,14 +23,31 @@ def test_a_line_tells_names_numbers_and_units():
 
 def test_what_is_not_known_is_left_out_and_a_narrow_terminal_is_not_broken():
     assert line(LABELS, WORDS, (0.0, math.nan, 10.0), 80) == "safe      | speed    10 rpm"
+    assert line(LABELS, WORDS, (math.nan, 7.256, math.nan), 80) == "thrust   7.26 N"
     assert len(line(LABELS, WORDS, (1.0, 7.256, 4321.4), 20)) == 19
 
 
 def test_every_label_of_the_rig_can_be_shown():
     told = line(SHOWN, SHOWN_WORDS, [0.0] * len(SHOWN), 500)
-    assert told.count("|") == len(SHOWN) - 3  # the twin and the page have nothing to say
+    assert told.count("|") == len(SHOWN) - 4  # the twins and the page have nothing to say
     alarmed = line(SHOWN, SHOWN_WORDS, [1.0 if name == "twin" else 0.0 for name, *_ in SHOWN], 500)
     assert "| ALARM: not as its model |" in alarmed
+
+
+def test_an_adaptive_twin_tells_the_first_that_it_adapts_and_what_its_alarm_is_most_like():
+    names = [name for name, *_ in SHOWN]
+    labels, words = shown_beside({"pitch_offset.offset": "deg", "sensor_gain.gain": "1"})
+
+    def told(alarm, value, labels=labels, words=words):
+        own = {"adaptive twin": alarm, "adapted": value, "thrust": 5.0}
+        return line(labels, words, [own.get(name, math.nan) for name in names], 500)
+
+    assert told(0.0, -0.25) == "thrust   5.00 N | pitch_offset.offset -0.2500 deg"
+    assert told(1.0, 0.5).startswith("thrust   5.00 N | adaptive twin: most like no parameter | pitch")
+    assert told(3.0, 0.5).startswith("thrust   5.00 N | adaptive twin: most like sensor_gain.gain | pitch")
+    assert told(math.nan, math.nan) == "thrust   5.00 N"  # while no loop is closed
+    assert told(math.nan, math.nan, SHOWN, SHOWN_WORDS) == "thrust   5.00 N"  # where none runs
+    assert shown_beside({"sensor_gain.gain": "1"})[0][names.index("adapted")] == ("sensor_gain.gain", "#7.4g", "")
 
 
 @pytest.mark.parametrize("columns", [60, 200])

@@ -18,10 +18,11 @@ from browser import browser
 from rigs import CALIBRATION, step_profile, virtual_rig
 
 from hil.calibration import to_json
-from hil.columns import COLUMNS
+from hil.columns import COLUMNS, LEARNED
 from hil.devices.supply import Input
 from hil.log import Column, ProcessLog
 from hil.page.operator_page import OperatorPage
+from hil.page.story import Story
 from hil.safety.faults import FaultKind
 from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
@@ -29,6 +30,8 @@ from hil.session import read_log
 from tests.hil.faults import CUT, RAMP
 from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import write_record
 
 ROOT = Path(__file__).parents[2]
@@ -150,6 +153,99 @@ def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_pa
     assert found["events"] == [{"time": 1.0, "state": "run", "why": "twin: alarm: off"}]
 
 
+TWIN = {
+    "certain": 2.0,
+    "adapted": {
+        "sensor_gain.gain": {"start": 1.0, "change": 0.25, "unit": "1", "description": "thrust reading over thrust"},
+        "tau_beta_1": {"start": 0.16, "change": 0.08, "unit": "s", "description": "time constant of a lag"},
+    },
+}
+"""What hil.json says at the start of an adaptive twin that adapts these."""
+PARTS = [f"{kind}.{name}" for kind in ("adapted", "std") for name in TWIN["adapted"]]
+LEARNS = ("residual", "band", "alarm", "direction", "changes", *PARTS)
+"""Outputs of the twin that the page reads."""
+
+
+def learned(folder: Path, rows: int, closed: range, alarm: int) -> ProcessLog:
+    """A log with an adaptive twin beside the loop in the rows `closed`, whose residual is the row's number in mN; from the row
+    `alarm` on the gain has moved to 0.8 +- 0.05, and it says so."""
+    columns = [*COLUMNS, *(Column(LEARNED + name) for name in LEARNS)]
+    log = ProcessLog(folder / "log.csv", columns)
+    for k in range(rows):
+        row = dict.fromkeys((column.name for column in columns), float("nan"))
+        row |= {"time": 0.004 * k, "state": COLUMNS[1].words.index("run"), "thrust": 5.0, "alarm": 0.0}
+        if k in closed:
+            alarmed = k >= alarm
+            says = [0.001 * k, 0.5, alarmed, alarmed, 0.0, 0.8 if alarmed else 1.0, 0.17, 0.05, 0.01]
+            row |= dict(zip((LEARNED + name for name in LEARNS), says, strict=True))
+        log.put(*row.values())
+    return log
+
+
+def test_what_the_adaptive_twin_learns_is_part_of_the_story(tmp_path):
+    log, story = learned(tmp_path, 1001, range(250, 900), 600), Story()
+    story.tell({"told": {"adaptive_twin": TWIN}}, [])
+    story.tell({"part": "run", "before": []}, [])
+    columns = [[column.name, list(column.words)] for column in log.columns]
+    story.tell({"log": {"columns": columns, "slots": log.slots, "events": str(tmp_path / "none")}}, [log.shared])
+    while len(story.points) < 30:
+        story.look()
+    while not story.points[-1][0] > 3.9:
+        story.look()
+    found = story.since(-1, 0, 0, 0)
+    log.close()
+    by_name = dict(zip(found["columns"], zip(*found["curves"], strict=True), strict=True))
+    assert by_name["twin.residual"][:10] == (None,) * 10
+    assert by_name["twin.residual"][10:36] == pytest.approx([0.001 * (25 * k + 12) for k in range(10, 36)])  # means
+    assert by_name["twin.band"][10:36] == (0.5,) * 26
+    assert by_name["twin.adapted.sensor_gain.gain"][10:] == (1.0,) * 14 + (0.8,) * 12 + (None,) * 4
+    twin = found["now"]["twin"]  # as it was when the loop was closed last
+    assert (twin["alarm"], twin["direction"], twin["adapted.sensor_gain.gain"]) == (1.0, 1.0, 0.8)
+    assert found["now"]["twin.residual"] is None
+    assert json.loads(json.dumps(found, allow_nan=False)) == json.loads(json.dumps(found))
+
+
+def test_a_browser_may_come_before_the_first_part():
+    assert Story().since(-1, 0, 0, 0)["now"]["done"] is None
+
+
+def test_a_story_without_an_adaptive_twin_has_nothing_of_it():
+    story = Story()
+    story.tell({"told": {"rig": "emulated"}}, [])
+    story.tell({"part": "run", "before": []}, [])
+    assert not any("twin" in name for name in story.since(-1, 0, 0, 0)["columns"])
+
+
+def test_the_adaptive_twin_stands_on_the_page_in_plain_words(tmp_path):
+    page = OperatorPage({"rig": "emulated", "calibration": {}, "adaptive_twin": TWIN})
+    try:
+        with browser(tmp_path / "browser") as seen:
+            page.part("run", rows=1000)
+            log = learned(tmp_path, 1000, range(250, 1000), 600)
+            page.follow(log)
+            seen.window(390, 800, dark=True)
+            seen.open(page.address)
+            seen.wait_for("document.getElementById('twin-says').className === 'alarm'")
+            said = seen.evaluate("document.getElementById('twin-says').textContent")
+            assert said.startswith("ALARM: the rig does not do what the adapted model says.")
+            assert "Most like a change of sensor_gain.gain (thrust reading over thrust)" in said
+            cells = "[row.className, ...[...row.cells].map((cell) => cell.innerText)]"
+            moved, stays = seen.evaluate(f"[...document.querySelectorAll('#adapted tr')].map((row) => {cells})")
+            assert moved == ["moved", "sensor_gain.gain\nthrust reading over thrust", "1", "1.000", "↓ 0.800", "0.050"]
+            assert stays == ["", "tau_beta_1\ntime constant of a lag", "s", "0.160", "0.170", "0.010"]
+            curve = "document.getElementById('learned').data.find((line) => line.name === '{}').y"
+            seen.wait_for("document.getElementById('learned').data && " + curve.format("sensor_gain.gain") + ".at(-1) < 0")
+            assert seen.evaluate(curve.format("sensor_gain.gain") + ".at(-1)") == pytest.approx(-0.8)  # in plausible changes
+            assert seen.evaluate(curve.format("95 % expected") + ".at(-1)") == 0.5
+            assert seen.evaluate("document.getElementById('learned').layout.yaxis.title.text") == "residual [N]"
+            assert "ALARM: most like sensor_gain.gain" in seen.evaluate("document.querySelector('.tile.alarm').textContent")
+            assert seen.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            seen.picture(tmp_path / "twin.png")
+            log.close()
+    finally:
+        page.close("as planned")
+
+
 COLUMNS_SHOWN = [column.name for column in COLUMNS if column.name not in ("time", "state", "alarm")] + ["alarm"]
 
 
@@ -252,7 +348,12 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
     wired = tmp_path / "calibration.json"
     supply = {"voltage": Input("AIN0", 0.0, 11.0), "current": Input("AIN1", -25.0, 50.0)}
     wired.write_text(to_json(replace(CALIBRATION, supply=supply)))
-    with browser(tmp_path / "browser") as seen, running(tmp_path, "--calibration", str(wired)) as (process, address):
+    ParameterSet(plant()).save(tmp_path)
+    error = {"steady": 0.5, "moving": 0.5, "freedom": 20}  # wide: no alarm is wanted here
+    content = {"noise_floor_thrust": 0.13, "model_error": error, "effects": [], "parameters": {}}
+    (tmp_path / "identification.json").write_text(json.dumps(content))
+    words = ("--calibration", str(wired), "--parameters", str(tmp_path / "parameters.json"), "--twin")
+    with browser(tmp_path / "browser") as seen, running(tmp_path, *words) as (process, address):
         seen.window(1100, 1400)
         seen.open(address)
         seen.wait_for("document.getElementById('state').textContent === 'run'")
@@ -263,6 +364,9 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
         seen.wait_for(f"{speed} > 1500")
         tiles = seen.evaluate("document.getElementById('tiles').textContent")
         assert re.search(r"supply2[34]\.\d V-?\d+\.\d A", tiles)  # what is wired, and no temperature
+        assert seen.evaluate("document.querySelectorAll('#adapted tr').length") == 5
+        seen.wait_for("document.getElementById('twin-says').textContent.startsWith('No alarm')")  # the loop is closed
+        seen.wait_for("document.getElementById('learned').data?.find((line) => line.name === 'sensor_gain.gain').y.at(-1)")
         assert "lowest voltage" in seen.evaluate("document.getElementById('limits').textContent")
         assert seen.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor") == "rgb(198, 40, 40)"
         for name, *window in (("light", 1100, 1400, False), ("dark", 1100, 1400, True), ("phone", 390, 800, True)):

@@ -4,7 +4,7 @@ Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second on
 
 import contextlib
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from hil.run import LOG, ON_ALARM, LimitedPlant, Run, run_on_rig, write_run
 from hil.runs import run_folder, told_by_files
 from hil.safety.limits import Limits
 from hil.session import Setup
-from hil.twin.adaptive import Adaptive, adaptable, adaptive
+from hil.twin.adaptive import CERTAIN, Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from vpp_fmu.cli import hil_options
@@ -179,7 +179,8 @@ def _of_twin(twin: Twin | None, band: Band | None, adaptive: Adaptive | None) ->
         return {}
     told = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
     print(f"adaptive twin: {adaptive.microseconds:.0f} us of a tick")
-    learns = {"microseconds": adaptive.microseconds, "units": adaptive.units}
+    adapted = {name: asdict(one) for name, one in adaptive.adapted.items()}
+    learns = {"microseconds": adaptive.microseconds, "units": adaptive.units, "adapted": adapted, "certain": CERTAIN}
     return {"twin": told | {"noise": band.noise}, "adaptive_twin": learns}
 
 

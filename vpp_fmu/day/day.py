@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.rig import RunEnded
 from hil.session import Setup
-from hil.twin.adaptive import adaptable
+from hil.twin.adaptive import CERTAIN, adaptable
 from hil.twin.band import Band
 from identification.assessment.prediction import predict
 from identification.diagnose.diagnose import CHANGED, diagnose
@@ -179,11 +179,6 @@ def _campaign(record: Record, folder: Path, model: ParameterSet) -> Campaign:
     return Campaign(folder, None, (), _measured(record), None, None, rig=model.rig)
 
 
-CERTAIN = 2.0
-"""Standard deviations by which a parameter has moved in a mission for the adapted model to be one to look at; which one goes on
-is decided by another mission."""
-
-
 def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
     """(values, standard deviations) of the adapted parameters at a mission's end."""
     own = {n.removeprefix("adapted."): float(c[-1]) for n, c in flight.twin.items() if n.startswith("adapted.")}
@@ -191,6 +186,7 @@ def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _moved(model: ParameterSet, flight: Flight) -> bool:
+    """Whether the adapted model is one to look at; which one goes on is decided by another mission."""
     before, (own, std) = adaptable(model, "vpp twin").values, _learned(flight)
     return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
 
