@@ -13,14 +13,17 @@ from identification.diagnose.crossval import HeldOut, cross_validated, folds, ri
 from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
 from identification.diagnose.lack import spectra
+from identification.diagnose.search.fits import Searcher
 from identification.diagnose.selection import _ranked
 from identification.diagnose.verdict import unnamed
 from identification.fit.experiment import Experiment
-from identification.fit.noise import Blocks, Colour, colour_of
+from identification.fit.noise import Blocks, Colour, colour_of, independent
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
-from identification.roles import Unseen, roles
+from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 RNG = np.random.default_rng(20)
@@ -297,6 +300,34 @@ def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, ag
     last = estimate("again")
     fit = estimate("found", as_identified=last, agreed=estimate("agreed", as_identified=last))
     assert diagnose._estimated(judge, object(), estimate("present"), fit).name == chosen
+
+
+@pytest.mark.parametrize(("name", "widened"), [("pitch_asymmetry", False), ("map_terms", True)])
+def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened):
+    """Records that put a coefficient of the thrust map five of the map's standard deviations elsewhere. An effect on the way
+    can't have brought the points there; terms of the map itself may have."""
+    effect = next(e for e in LIBRARY if e.name == name)
+    model, rng = plant([name]), np.random.default_rng(4)
+    free = [n for n in effect.probe if effect.full(n) not in ("pitch_asymmetry.form",)]
+    values = model.values({effect.full(n): effect.probe[n] for n in free})
+    told = {
+        "omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 40), 50),
+        "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 40), 50),
+    }
+    shown = Simulator(model).simulate(values, told, np.full(1999, 0.01))
+    columns = {"time": 0.01 * np.arange(2000), **told, "omega": shown[:, 1]}
+    record = Record(columns | {"thrust": shown[:, 0] + 0.1 * rng.standard_normal(2000)}, "drawn")
+    names = ["tau_beta_1", "tau_beta_2", "c20", "c11"]
+    knowledge = Prior(("c20",), np.array([values["c20"] + 0.05]), np.array([[0.01**2]]))
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, knowledge, values, LIBRARY)
+    found = searcher.fit([name], {}, [effect.full(n) for n in free], values)
+    assert found.at_rest is widened
+    agreed = found.agreed(knowledge)
+    if widened:
+        assert agreed.problem.prior.wider_than(knowledge) > 3.0
+        assert abs(agreed.values["c20"] - values["c20"]) < abs(found.values["c20"] - values["c20"])
+    else:
+        assert agreed is found
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,11 @@ class Prior:
         """The same knowledge with standard deviations `factor` times as large."""
         return Prior(self.names, self.mean, self.covariance * factor**2)
 
+    def wider_than(self, other: "Prior") -> float:
+        """How many times the standard deviations of `other`, which it was loosened from, its own are."""
+        own, its = (knowledge.covariance[0, 0] for knowledge in (self, other.of(self.names)))
+        return float(np.sqrt(own / its))
+
 
 @dataclass(frozen=True)
 class Score:

@@ -7,6 +7,7 @@ already biased towards what is missing.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -18,9 +19,14 @@ from identification.fit.noise import independent
 from identification.fit.problem import Prior, Problem, Score
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, WIDEST, Uncertainty, disagreement, uncertainty
-from vpp_fmu.kernel.plant import plant
-from vpp_fmu.kernel.types import Effect
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.kernel.types import Effect, Model, start
 from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+NOTHING = 1e-9
+"""Share of the thrust's scale: as far as numbers go."""
 
 BIASED = 0.15
 """Log-likelihood a row that generic shapes gain beside the base from which its fit counts as biased: they then take up more
@@ -64,11 +70,28 @@ class Fit:
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
     def agreed(self, knowledge: Prior) -> "Fit":
-        """The same effects, with `knowledge` made as wide as the records disagree with it beside these effects: beside fewer
-        they may have disagreed for what was missing."""
+        """The same effects, with `knowledge` of the thrust at rest made as wide as the records disagree with it beside these
+        effects: beside fewer they may have disagreed for what was missing. Effects that show on the way alone have bent no
+        point at rest: beside them it is made no wider than it was."""
         loose = self._with_prior(knowledge.loosened(WIDEST))
-        factor = disagreement(knowledge, loose.uncertainty)
+        factor, prior = disagreement(knowledge, loose.uncertainty), self.problem.prior
+        if prior is not None and factor >= prior.wider_than(knowledge) and not self.at_rest:
+            return self
         return loose if factor == WIDEST else loose._with_prior(knowledge.loosened(factor))
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the effects change what any of the records' commands settle at."""
+        model, off = self.problem.model, {}
+        for e in model.effects:
+            if e.name in self.effects:
+                off |= {e.full(name): value for name, value in (e.off or {}).items()}
+        return any(
+            abs(_settled(model, self.values, at) - _settled(model, self.values | off, at))
+            > NOTHING * self.values["thrust_scale"]
+            for e in self.problem.experiments
+            for at in _corners(e.record)
+        )
 
     def _with_prior(self, prior: Prior) -> "Fit":
         again = self._anew(self.problem.experiments, prior)
@@ -198,3 +221,16 @@ class Searcher:
                 moved |= tangents[:, e.compared, len(self.names) :].any(axis=(0, 1))
         smooth = [n for n, does in zip(free, moved, strict=True) if does]
         return smooth, [n for n in free if n not in smooth and piecewise_constant(model, self.experiments, values, n)]
+
+
+def _corners(record: Record) -> Iterable[dict[str, float]]:
+    """The least and the largest of each command of a record, by name, in every combination."""
+    spans = {u: (float(record[u].min()), float(record[u].max())) for u in (OMEGA_REF.name, BETA_REF.name) if u in record}
+    return (dict(zip(spans, at, strict=True)) for at in product(*spans.values()))
+
+
+def _settled(model: Model, values: Mapping[str, float], at: Mapping[str, float]) -> float:
+    """Thrust [N] that commands settle at."""
+    return float(
+        start(model, NUMBERS, {u.name: u.start for u in model.inputs} | model.measured_inputs | at, values)[0]["thrust"]
+    )
