@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hil.cycle import PERIOD
 from hil.rig import RunEnded
 from hil.twin.band import read_band
+from identification.assessment.prediction import predict
 from identification.tune.profile import rig_profile
 from vpp_fmu.cli import hil_options, main
 from vpp_fmu.day import day as days
@@ -105,21 +107,67 @@ def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, cap
     assert "DAY" in capsys.readouterr().err
 
 
-def test_after_a_loss_of_thrust_the_adapted_model_goes_on(told, tmp_path, monkeypatch):
-    """The load cell reads 0.85 of the thrust from the second round on; no diagnosis, which has tests of its own."""
-    monkeypatch.setattr(days, "diagnose", lambda *_, **__: SimpleNamespace(verdict="unexplained"))
+def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_path, monkeypatch):
+    """The load cell reads 0.85 of the thrust: nothing is left for a diagnosis."""
+    monkeypatch.setattr(days, "diagnose", no_diagnosis)
     monkeypatch.setattr(flight, "MISSION", 45.0)
-    parameters = read_parameters(told / "parameters.json", plant)
-    day = days.new_day(parameters, SETTINGS)
-    setup = days_setup(told, "load_cell_gain=0.85")
-    rig = days.Rig(lambda number, flight: setup, lambda what: None, lambda number: ("load_cell_gain",))
-    done = days.next_round(day, rig, read_band(told / "identification.json"), "fixed", tmp_path, 0, 1, lambda text: None)
+    done = a_round(told, tmp_path, "load_cell_gain=0.85")
     assert done.alarm
+    assert done.verdict == ""
     was, adapted = (next(m for m in done.models if m.name == name) for name in ("as it was", "adapted"))
     assert done.chosen is adapted
     assert adapted.unseen < 0.5 * was.unseen
     gain = adapted.parameters.values["sensor_gain.gain"]
     assert 0.8 < gain < 0.97
+    assert np.sqrt(np.mean(done.usual)) == pytest.approx(adapted.unseen, rel=0.2)  # levels are of unequal length
+
+
+def test_what_hides_within_the_models_own_error_shows_from_mission_to_mission(told, tmp_path, monkeypatch):
+    """An actuator that moves only after 3 deg, which no parameter of a twin explains."""
+    monkeypatch.setattr(flight, "MISSION", 45.0)
+    monkeypatch.setattr(days, "diagnose", no_diagnosis)
+    before = a_round(told, tmp_path / "before", "")
+    assert not before.alarm
+    with pytest.raises(AssertionError, match="diagnose"):
+        a_round(told, tmp_path / "after", "lac_command_deadband=3", before)
+
+
+def no_diagnosis(*_, **__):
+    raise AssertionError("nothing is left to diagnose")
+
+
+def a_round(told, folder, hidden, before=None):
+    """The next round of a day with fixed gains on the emulated rig."""
+    day = days.new_day(read_parameters(told / "parameters.json", plant), SETTINGS)
+    day.rounds += [before] if before else []
+    setup = days_setup(told, hidden)
+    rig = days.Rig(
+        lambda number, flight: replace(setup, emulated=replace(setup.emulated, seed=number)),
+        lambda what: None,
+        lambda number: (),
+    )
+    folder.mkdir(exist_ok=True)
+    return days.next_round(day, rig, read_band(told / "identification.json"), "fixed", folder, 0, 1, lambda text: None)
+
+
+def test_the_error_of_a_mission_by_level():
+    """Two levels at which the reading is 2 N and 3 N above the model's thrust: 4 and 9 N^2."""
+    shown = Record({"time": PERIOD * np.arange(1000), "omega_ref": np.full(1000, 4000.0), "beta_ref": np.full(1000, 4.0)}, "")
+    thrust = predict(PLANT.model, PLANT.values, shown).thrust
+    wanted = np.where(np.arange(1000) < 400, 5.0, 6.0)
+    read = thrust + np.where(wanted == 5.0, 2.0, 3.0)
+    record = Record(shown.columns | {"thrust_set": wanted, "thrust": read, "omega": thrust}, "")
+    profile = Record({"time": np.array([0.0, 400 * PERIOD, 1000 * PERIOD]), "thrust_set": np.array([5.0, 6.0, 6.0])}, "")
+    assert days.by_level(PLANT, record, profile) == pytest.approx([4.0, 9.0])
+
+
+def test_a_mission_again_is_judged_level_for_level():
+    """Signed ranks by their definition: ten levels that are all worse come up once in 2^10."""
+    usual = np.linspace(1.0, 5.0, 10)
+    assert days.worse(usual * np.linspace(1.01, 1.1, 10), usual) == pytest.approx(2.0**-10)
+    assert days.worse(usual / 1.1, usual) == pytest.approx(1.0)
+    mixed = usual * np.where(np.arange(10) < 2, 100.0, np.linspace(0.8, 0.99, 10))
+    assert days.worse(mixed, usual) > 0.5
 
 
 def days_setup(told, hidden):
@@ -127,7 +175,7 @@ def days_setup(told, hidden):
     parser = argparse.ArgumentParser()
     parser.add_argument("--parameters", default=str(told / "parameters.json"))
     hil_options.add_rig(parser)
-    return hil_options.setup_of(parser.parse_args(["--virtual", "--hide", hidden]))
+    return hil_options.setup_of(parser.parse_args(["--virtual", *(["--hide", hidden] if hidden else [])]))
 
 
 def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):

@@ -9,7 +9,11 @@ Aims: the cost of both side by side within 5 % of that; nothing ends worse than 
 """
 
 import argparse
+import json
+import re
 import tempfile
+import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
@@ -33,6 +37,7 @@ from vpp_fmu.day.flight import GAINS, fly
 from vpp_fmu.day.policy import task
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.twin import BROUGHT
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native.closed_loop import ClosedLoop
 from vpp_fmu.parameters import ParameterSet
@@ -54,63 +59,77 @@ CAREFUL = 0.5
 """Of the paper's gains, what a day begins with: they are near the best there are, and would leave little to find."""
 
 
-@dataclass(frozen=True)
-class Told:
-    """A day: model error [N] and cost of what flies next, round by round; what was named; final `cost` on fresh noise."""
-
-    errors: tuple[float, ...]
-    costs: tuple[float, ...]
-    named: tuple[str, ...]
-    cost: float
-
-
 def main(arguments: list[str]) -> None:
-    """Run the study."""
+    """Run the study; a line of the file for each rig, and one that is there is not flown again."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies days", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="rigs for each change (default: %(default)s)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="(default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=4, metavar="N", help="of a day (default: %(default)s)")
-    parser.add_argument("--policies", default=",".join(POLICIES), metavar="A,B", help="(default: %(default)s)")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="days side by side (default: %(default)s)")
+    parser.add_argument("--changes", default=",".join(HIDDEN), metavar="A,B", help="(default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of a day (default: %(default)s)")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="rigs side by side (default: %(default)s)")
+    parser.add_argument("-o", "--output", default="out/days.jsonl", metavar="F", help="lines (default: %(default)s)")
+    parser.add_argument("--only-table", action="store_true", help="no new days: the table of the file's lines")
     options = parser.parse_args(arguments)
-    policies = options.policies.split(",")
-    for change in HIDDEN:
+    path = Path(options.output)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not options.only_table:
+        known = {(row["change"], row["seed"]) for row in _rows(path)}
         seeds = range(options.first_seed, options.first_seed + options.seeds)
-        found = spread(partial(days, change, policies, options.rounds), seeds, options.workers, what=change)
-        _show(change, policies, found)
+        wanted = [(change, seed) for seed in seeds for change in options.changes.split(",") if (change, seed) not in known]
+        spread(partial(_kept, path, options.rounds), wanted, options.workers, what="rigs")
+    for change in HIDDEN:
+        found = [row for row in _rows(path) if row["change"] == change]
+        if found:
+            _show(change, found)
 
 
-def days(change: str, policies: list[str], count: int, seed: int) -> tuple[float, float, dict[str, Told]]:
-    """(cost of the first gains in the end, of those that know the rig in full, a day of each policy) on one rig."""
+def _rows(path: Path) -> list[dict]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _kept(path: Path, count: int, wanted: tuple[str, int]) -> None:
+    change, seed = wanted
+    row = {"change": change, "seed": seed, **days(change, count, seed)}
+    with path.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+def days(change: str, count: int, seed: int) -> dict:
+    """What became of one rig: final costs of the first gains (`began`) and of those that know the rig in full (`full`), on
+    noise that no day had; and for each policy, round by round, the error of the model that goes on [N], what flies next costs,
+    alarms with their verdicts, and effects of the model in the end; its final cost, and CPU seconds."""
     known = identified(3 * seed)  # of a campaign as long as the paper's
     parameters = ParameterSet(plant()).replaced(known.values)
     settings = {name: (CAREFUL if name in GAINS else 1.0) * value for name, value in CONTROLLER.values().items()}
-    day = new_day(parameters, settings)
+    day, (names, sizes) = new_day(parameters, settings), HIDDEN[change]
     with tempfile.TemporaryDirectory() as folder:
 
         def setup(hidden: bool, flight: int) -> Setup:
-            names, sizes = HIDDEN[change] if hidden else ((), {})
-            own = Emulated({**known.own, **sizes}, names, 1000 * seed + flight)
+            own = Emulated({**known.own, **(sizes if hidden else {})}, names if hidden else (), 1000 * seed + flight)
             return Setup(read_calibration(EMULATED), Limits(), own, virtual=True, plant=parameters.values)
 
         def final(gains: Mapping[str, float]) -> float:
             return float(np.mean([_cost(setup(True, 900 + k), gains, day.profile, Path(folder)) for k in range(FINAL)]))
 
         told = {}
-        for policy in policies:
-            one = new_day(parameters, settings)
+        for policy in POLICIES:
+            one, began = new_day(parameters, settings), time.process_time()
             rig = Rig(lambda number, flight: setup(number >= FROM, 50 * number + flight), lambda what: None, lambda number: ())
             for number in range(1, count + 1):
                 place = Path(folder) / policy / str(number)
                 place.mkdir(parents=True)
                 one.rounds.append(next_round(one, rig, known.band, policy, place, seed, 1, lambda text: None))
-            errors = tuple(r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen for r in one.rounds)
-            named = tuple(n for r in one.rounds for n in r.named)
-            told[policy] = Told(errors, tuple(r.cost for r in one.rounds), named, final(one.flies))
-        names, sizes = HIDDEN[change]
-        wanted = task(parameters, day.profile, known.band.noise, settings["sample_time"], seed)
-        full = _known_in_full(wanted, settings, {**known.own, **sizes}, names)
-        return final(settings), final(full), told
+            told[policy] = {
+                "errors": [r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen for r in one.rounds],
+                "costs": [r.cost for r in one.rounds],
+                "alarms": [f"{r.alarm[1]}: {r.verdict or 'explained'}" if r.alarm else "" for r in one.rounds],
+                "effects": [e for e in one.parameters.model.optional if e not in BROUGHT],
+                "cost": final(one.flies),
+                "seconds": time.process_time() - began,
+            }
+        tuning = task(parameters, day.profile, known.band.noise, settings["sample_time"], seed)
+        full = _known_in_full(tuning, settings, {**known.own, **sizes}, names)
+        return {"began": final(settings), "full": final(full), "policies": told}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,17 +175,25 @@ def _cost(setup: Setup, gains: Mapping[str, float], profile: Record, folder: Pat
     return fly(replace(setup), gains, profile, folder / "flight").cost
 
 
-def _show(change: str, policies: list[str], found: list[tuple[float, float, dict[str, Told]]]) -> None:
-    began, full = np.array([f[0] for f in found]), np.array([f[1] for f in found])
+def _show(change: str, found: list[dict]) -> None:
+    began, full = (np.array([row[name] for row in found]) for name in ("began", "full"))
     print(f"\n{change}, {len(found)} rigs: the first gains cost {np.median(began):.4f}, full knowledge {np.median(full):.4f}")
-    for policy in policies:
-        own = [f[2][policy] for f in found]
-        cost = np.array([o.cost for o in own])
-        errors = np.median([o.errors for o in own], axis=0)
-        costs = np.median([o.costs for o in own], axis=0)
-        print(f"{policy}: over full knowledge {np.median(cost / full):.3f} (median; worst {np.max(cost / full):.3f}; aim 1.05)")
-        print(f"  worse than the first gains: {int(np.sum(cost > began))} of {len(own)}")
-        print(f"  model error by round [N]: {' '.join(f'{e:.3f}' for e in errors)}")
-        print(f"  cost by round: {' '.join(f'{c:.4f}' for c in costs)}")
-        named = [" + ".join(o.named) for o in own if o.named]
-        print(f"  named: {', '.join(named) or 'nothing'}")
+    for policy in POLICIES:
+        own = [row["policies"][policy] for row in found]
+        cost = np.array([o["cost"] for o in own])
+        least, most = np.quantile(cost / full, [0.0, 1.0])
+        print(f"{policy}: over full knowledge {np.median(cost / full):.3f} ({least:.3f} to {most:.3f}; aim 1.05)")
+        print(f"  over the first gains {np.median(cost / began):.3f}; costlier than they in {int(np.sum(cost > began))}")
+        for name, what in (("errors", "model error by round [N]"), ("costs", "cost by round")):
+            print(f"  {what}: {' '.join(f'{x:.4f}' for x in np.median([o[name] for o in own], axis=0))}")
+        for number in range(len(own[0]["alarms"])):
+            words = Counter(_kind(o["alarms"][number]) for o in own)
+            print(f"  round {number + 1}: {', '.join(f'{n} {word}' for word, n in words.most_common())}")
+        effects = Counter(e for o in own for e in o["effects"])
+        print(f"  effects in the end: {', '.join(f'{n} {e}' for e, n in effects.most_common()) or 'none'}")
+        print(f"  CPU seconds of a day: {np.median([o['seconds'] for o in own]):.0f}")
+
+
+def _kind(alarm: str) -> str:
+    """An alarm without its size."""
+    return re.sub(r" x? ?[-+]?\d[\d.]*( \S+)?(?=:)", "", alarm) or "without an alarm"

@@ -1,7 +1,8 @@
 """A rig's day: model and controller improve each other round by round, while the rig flies.
 
-Each round flies a mission with the adaptive twin beside it. After an alarm the mission's own record goes to the diagnosis
-against the twin's model, and the model that predicts the next mission best goes on. Gains are retuned on that model and
+Each round flies a mission with the adaptive twin beside it. After an alarm, or where the model predicts the mission worse than
+the last one, and the adapted model does not explain it, the mission's own record goes to the diagnosis against the twin's
+model; the model that predicts the next mission best goes on. Gains are retuned on that model and
 searched on the rig, the model refusing what breaks limits; those that cost least on the rig fly next. Nothing that is worse
 than what flies takes its place. On the real rig each flight waits for the operator's word."""
 
@@ -105,9 +106,10 @@ def said(done: Round) -> list[str]:
     if done.alarm:
         at, what = done.alarm
         named = f" {' + '.join(done.named)}" if done.named else ""
-        lines = [
-            f"round {done.number}: alarm after {at:.0f} s, {what}; diagnosed from the mission's record: {done.verdict}{named}"
-        ]
+        became = (
+            f"diagnosed from the mission's record: {done.verdict}{named}" if done.verdict else "the adapted model explains it"
+        )
+        lines = [f"round {done.number}: alarm after {at:.0f} s, {what}; {became}"]
     if len(done.models) > 1:
         lines.append(
             f"  error of the thrust on a mission that nobody fitted: {_models(done)}; the model {done.chosen.name} goes on"

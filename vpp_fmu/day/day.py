@@ -1,32 +1,47 @@
-"""The rounds of a day. In each: a mission under what flies, the twin beside it; after its alarm the mission's own record goes
-to the diagnosis against the twin's model; gains are retuned on the model and searched on the rig; the better of them, by what
-the rig measures, flies next, and nothing that is worse than what flies takes its place (Reinforcement Twinning: Schena,
-Marques, Poletti, Ahizi, Van den Berghe, Mendez, 2024)."""
+"""The rounds of a day.
+
+In each a mission is flown with the twin beside it. An alarm, or that the model predicts the mission worse than when it was
+flown before, is explained where the adapted model leaves none of it; what is not goes to the diagnosis, the mission's own
+record against the twin's model. Gains are retuned on the model and searched on the rig; the better of them, by what the rig
+measures, flies next, and nothing that is worse than what flies takes its place (Reinforcement Twinning: Schena, Marques,
+Poletti, Ahizi, Van den Berghe, Mendez, 2024).
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import wilcoxon
 
 from hil.rig import RunEnded
 from hil.session import Setup
 from hil.twin.adaptive import CERTAIN, adaptable
 from hil.twin.band import Band
+from hil.twin.twin import Twin
 from identification.assessment.prediction import predict
-from identification.diagnose.diagnose import CHANGED, diagnose
+from identification.diagnose.diagnose import diagnose
 from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.day.flight import GAINS, Flight, Twins, fly, mission
 from vpp_fmu.day.policy import Referee, Search, retuned, task
 from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.kernel.twin import watched
 from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.plants import KernelPlant
 from vpp_fmu.record import Record
 
 FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "model-free", "both")
 
 TWICE = 2
 """Flights by which finalists are compared: the best of many single ones would owe it to its noise."""
+
+WORSE = 0.01
+"""Probability with which a mission that is flown again counts as predicted worse: one needless alarm in a hundred rounds."""
+
+LEFT = 0.1
+"""The same after an alarm: a diagnosis for nothing costs a minute, an effect that passes for a changed parameter stays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +55,27 @@ class Model:
     unseen: float
 
 
-@dataclass(frozen=True, eq=False)
-class Round:
-    """`mission`: as it was flown; `alarm`: (s, what it pointed to), None without; `models`: those that were compared after it,
-    the `chosen` by its error on a mission that none of them saw; `named`: effects that the diagnosis added, and its `verdict`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Modelled:
+    """A round's model: `mission`: as it was flown; `alarm`: (s, what it pointed to), None without; `models`: those that were
+    compared after it, the `chosen` by its error on a mission that none of them saw; `named`: effects that the diagnosis added,
+    and its `verdict`, "" where none was asked for. `wanted`: the round's last mission, which the next one flies again, and
+    `usual` the chosen model's mean square error at each of its levels, (levels,) N^2.
+    """
+
+    mission: Flight
+    alarm: tuple[float, str] | None
+    models: tuple[Model, ...]
+    chosen: Model
+    verdict: str
+    named: tuple[str, ...]
+    wanted: Record
+    usual: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Round(Modelled):
+    """A round, its `number` from 1, with what was `hidden` in the rig.
 
     `costs`: by branch, what the finalists cost on the rig, flight by flight; `tries`: single flights of the search, `refused`:
     how many of its gains the model did not let fly. `winner`: the branch that flies next, with `settings`.
@@ -51,12 +83,6 @@ class Round:
 
     number: int
     hidden: tuple[str, ...]
-    mission: Flight
-    alarm: tuple[float, str] | None
-    models: tuple[Model, ...]
-    chosen: Model
-    verdict: str
-    named: tuple[str, ...]
     costs: Mapping[str, tuple[float, ...]]
     tries: tuple[float, ...]
     refused: int
@@ -109,46 +135,19 @@ def next_round(
 ) -> Round:
     """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended before its time."""
     number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
-    model, flies = day.parameters, day.flies
-    low, high = common_reach(model, {"dual": flies})
-    low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
-    pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
-
-    def flown(k: int) -> Flight:
-        wanted = mission(low, high, pace, 1000 * seed + 10 * number + k)
-        return flights(f"mission {k}", flies, wanted, Twins(model, band))
-
-    stage("mission")
-    first = flown(1)
-    alarm = first.alarms[0] if first.alarms else None
-    known = Model("as it was", model, error(model, first.record), np.nan)
-    models, verdict, named = [known], "", ()
-    if _moved(model, first):
-        models.append(_adapted(model, first))
-    if alarm:
-        stage("diagnose")
-        # A mission is too short to learn a term of no list from, and the rig waits.
-        found = diagnose(_campaign(first.record, folder, model), given=model, workers=workers, learned=False)
-        verdict = found.verdict
-        if verdict in CHANGED and found.final.effects:
-            named = tuple(e for e in found.final.effects if e not in model.model.optional)
-            own = found.parameters(found.final)
-            own = replace(own, source={**model.source, **own.source})
-            models.append(Model("diagnosed", own, error(own, first.record), np.nan))
-    if len(models) > 1:
-        stage("mission again")
-        second = flown(2)
-        models = [replace(m, unseen=error(m.parameters, second.record)) for m in models]
-    chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else known
-    wanted = task(chosen.parameters, day.profile, band.noise, flies["sample_time"], seed)
+    flies = day.flies
+    modelled = _modelled(day, flights, band, seed, workers, stage)
+    chosen, as_it_was = modelled.chosen, modelled.models[0]
+    tuning = task(chosen.parameters, day.profile, band.noise, flies["sample_time"], seed)
     finalists: dict[str, Mapping[str, float]] = {"what flew": flies}
-    tries, refused = [], 0
-    if policy in (MODEL_BASED, BOTH) and (number == 1 or chosen is not known):
+    tries: list[float] = []
+    refused = 0
+    if policy in (MODEL_BASED, BOTH) and (number == 1 or chosen is not as_it_was):
         stage("retune on the model")
-        finalists["model-based"] = retuned(wanted, flies)
+        finalists["model-based"] = retuned(tuning, flies)
     if policy in (MODEL_FREE, BOTH):
         stage("search on the rig")
-        best, tries, refused = _searched(day, flights, Referee(wanted, flies), flies, 1000 * seed + number)
+        best, tries, refused = _searched(day, flights, Referee(tuning, flies), flies, 1000 * seed + number)
         if best is not None:
             finalists["model-free"] = best
     stage("compare on the rig")
@@ -160,14 +159,110 @@ def next_round(
     if winner == "model-based":
         day.search = None  # it was about other gains
     return Round(
-        number, rig.hidden(number), first, alarm, tuple(models), chosen, verdict, named, costs, tuple(tries), refused, winner,
-        dict(finalists[winner]),
-    )  # fmt: skip
+        **vars(modelled),
+        number=number,
+        hidden=rig.hidden(number),
+        costs=costs,
+        tries=tuple(tries),
+        refused=refused,
+        winner=winner,
+        settings=dict(finalists[winner]),
+    )
+
+
+def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int, stage: Callable[[str], None]) -> Modelled:
+    """Fly the round's missions, and choose the model that goes on."""
+    number, model, flies = len(day.rounds) + 1, day.parameters, day.flies
+    low, high = common_reach(model, {"dual": flies})
+    low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
+    pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
+
+    def flown(k: int, profile: Record) -> Flight:
+        return flights(f"mission {k}", flies, profile, Twins(model, band))
+
+    def fresh(k: int) -> Record:
+        return mission(low, high, pace, 1000 * seed + 10 * number + k)
+
+    stage("mission")
+    before = day.rounds[-1] if day.rounds else None
+    wanted = within(before.wanted, low, high) if before else fresh(1)
+    first = last = flown(1, wanted)
+
+    def improbable(parameters: ParameterSet) -> float:
+        return worse(by_level(parameters, first.record, before.wanted), before.usual) if before else 1.0
+
+    alarm = first.alarms[0] if first.alarms else None
+    if not alarm and improbable(model) < WORSE:
+        alarm = float(first.record.time[-1] - first.record.time[0]), "predicted worse than when it was flown before"
+    models, verdict = [Model("as it was", model, error(model, first.record), np.nan)], ""
+    named: tuple[str, ...] = ()
+    if _moved(model, first):
+        models.append(_adapted(model, first))
+    if alarm or len(models) > 1:
+        stage("mission again")
+        wanted = fresh(2)
+        last = flown(2, wanted)
+
+    def explains(adapted: ParameterSet) -> bool:
+        return not _alarms(adapted, band, last.record) if first.alarms else improbable(adapted) > LEFT
+
+    if alarm and not (len(models) > 1 and explains(models[1].parameters)):
+        stage("diagnose")
+        # A mission is too short to learn a term of no list from, and the rig waits.
+        found = diagnose(_campaign(first.record, flights.folder, model), given=model, workers=workers, learned=False)
+        verdict = found.verdict
+        # What explains a part competes, too: another mission decides here.
+        best = found.final if found.final.effects else found.selection.final
+        if best.effects and not found.refuted:
+            named = tuple(e for e in best.effects if e not in model.model.optional)
+            own = found.parameters(best)
+            own = replace(own, source={**model.source, **own.source})
+            models.append(Model("diagnosed", own, error(own, first.record), np.nan))
+    if last is not first:
+        models = [replace(m, unseen=error(m.parameters, last.record)) for m in models]
+    chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else models[0]
+    return Modelled(
+        mission=first,
+        alarm=alarm,
+        models=tuple(models),
+        chosen=chosen,
+        verdict=verdict,
+        named=named,
+        wanted=wanted,
+        usual=by_level(chosen.parameters, last.record, wanted),
+    )
 
 
 def error(parameters: ParameterSet, record: Record) -> float:
     """N: rms of the thrust that the model predicts for a record's commands."""
     return float(predict(parameters.model, parameters.values, _measured(record)).rmse_thrust)
+
+
+def by_level(parameters: ParameterSet, record: Record, profile: Record) -> np.ndarray:
+    """(levels,) N^2: mean square of that error at each level of a mission's profile."""
+    errors = predict(parameters.model, parameters.values, _measured(record)).thrust - record["thrust"]
+    begins = np.searchsorted(record.time - record.time[0], profile.time[1:-1])
+    return np.array([np.nanmean(own**2) for own in np.split(errors, begins)])
+
+
+def worse(errors: np.ndarray, usual: np.ndarray) -> float:
+    """How rarely a mission that was flown before is predicted so much worse by chance, (levels,) mean squares level for level
+    (signed ranks of their ratios; Wilcoxon, Biometrics Bulletin 1, 1945): what lies within a model's own error everywhere
+    shows in the sum."""
+    return float(wilcoxon(np.log(errors / usual), alternative="greater").pvalue)
+
+
+def within(profile: Record, low: float, high: float) -> Record:
+    """A mission with its levels between these [N]."""
+    return Record(profile.columns | {"thrust_set": np.clip(profile["thrust_set"], low, high)}, profile.source)
+
+
+def _alarms(parameters: ParameterSet, band: Band, record: Record) -> bool:
+    """Whether a twin with this model would have raised an alarm in a mission."""
+    twin = Twin(KernelPlant(parameters.model, parameters.values), band, rig=parameters.rig)
+    rows = np.column_stack([record[name] for name in ("time", "omega_ref", "beta_ref", "thrust")]).tolist()
+    twin.start(*rows[0][:3])
+    return any(twin.update(*row).alarmed for row in rows)
 
 
 def _measured(record: Record) -> Record:
@@ -192,24 +287,33 @@ def _moved(model: ParameterSet, flight: Flight) -> bool:
 
 
 def _adapted(model: ParameterSet, flight: Flight) -> Model:
-    """The model with what the twin had made of its parameters in the end."""
+    """The model with what the twin had made of its parameters in the end: those that show at rest together, which it knows
+    together, and each that shows on the way alone; of these the ones with which the mission is predicted best. A twin goes on
+    learning a lag from moves that are none's, beside an actuator at its limit, and what it learns there holds nowhere else."""
     wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
-    changed = wider.replaced(own, std)
-    return Model("adapted", changed, error(changed, flight.record), np.nan)
+    at_rest = watched(wider.model, tuple(own))
+    groups = [[name for name in own if name in at_rest], *([name] for name in own if name not in at_rest)]
+    kept = (
+        [n for group, taken in zip(groups, wanted, strict=True) if taken for n in group]
+        for wanted in product((True, False), repeat=len(groups))
+    )
+    tried = [wider.replaced({n: own[n] for n in names}, {n: std[n] for n in names}) for names in kept if names]
+    errors = [error(one, flight.record) for one in tried]
+    return Model("adapted", tried[int(np.argmin(errors))], min(errors), np.nan)
 
 
 class _Flights:
-    """Flights of a round, each with a folder of its own."""
+    """Flights of a round, each with a folder of its own in `folder`."""
 
     def __init__(self, rig: Rig, number: int, folder: Path):
-        self._rig, self._number, self._folder, self._count = rig, number, folder, 0
+        self._rig, self._number, self.folder, self._count = rig, number, folder, 0
 
     def __call__(self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None) -> Flight:
         """RunEnded for one that ended early: whoever stopped it, or whatever tripped, does not want the next one to begin."""
         self._rig.word(f"round {self._number}: {what}")
         self._count += 1
         setup = self._rig.setup(self._number, self._count)
-        done = fly(setup, settings, profile, self._folder / f"flight_{self._count:02d}", twins)
+        done = fly(setup, settings, profile, self.folder / f"flight_{self._count:02d}", twins)
         if done.ended:
             raise RunEnded(f"round {self._number}: {what}: {done.ended}")
         return done

@@ -7,7 +7,10 @@ from vpp_fmu.report import Page, adapted_parameters, closed_loop, thinning
 from vpp_fmu.report.day import costs_by_round, errors_by_round, framework
 
 FRAMEWORK = (
-    ("digital twin", "the adaptive twin beside the mission; after an alarm the model that the diagnosis makes of its record"),
+    (
+        "digital twin",
+        "the adaptive twin beside the mission; what it does not explain of an alarm, the diagnosis of its record does",
+    ),
     ("model-based policy", "gains retuned on that model, within limits on overshoot and sensitivity"),
     ("model-free policy", "covariance matrix adaptation on the rig's own cost, a generation a round"),
     ("which of them leads", "that whose gains cost less on the rig, two flights each; what flies stays where neither does"),
@@ -42,7 +45,7 @@ def day_page(day: Day) -> Page:
             str(r.number),
             ", ".join(r.hidden) or "-",
             f"{r.alarm[1]}, after {r.alarm[0]:.0f} s" if r.alarm else "none",
-            f"{r.verdict} {' + '.join(r.named)}".strip() or "-",
+            f"{r.verdict} {' + '.join(r.named)}".strip() or ("explained without" if r.alarm else "-"),
             r.chosen.name,
             r.winner,
         )
