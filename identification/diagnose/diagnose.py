@@ -162,14 +162,14 @@ def diagnose(
     smallest: float | None = None,
     records: Mapping[str, Record] | None = None,
     accept: Iterable[str] = (),
-    learned: bool = True,
+    thorough: bool = True,
 ) -> Diagnosis:
     """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. Fitted are the open-loop
     record, its repeat and further `records`; the validation record is opened when the model stands. `smallest` [N]: the least
-    size of interest. `learned`: a term of no list is looked for where the effects of the list leave something. BadInput where
-    the campaign has no record to fit.
+    size of interest. `thorough`: where what was tried leaves something, more candidates are refitted, and a term of no list is
+    looked for. BadInput where the campaign has no record to fit.
     """
     with (
         threadpool_limits(1),
@@ -194,7 +194,7 @@ def diagnose(
         stage("what can be told apart")
         apart = distinguishability(base, options, at.library, pool.map)
         give_back()
-        selection = select(searcher, base, options, judge, lambda fit: lack_of_fit(fit, least).found, pool, stage)
+        selection = select(searcher, base, options, judge, lambda fit: thorough and lack_of_fit(fit, least).found, pool, stage)
         give_back()
         after = with_turning(lack_of_fit(selection.final, least), selection.final)
         word = verdict(base, selection.final, before, after, selection.family)
@@ -206,7 +206,7 @@ def diagnose(
         lacks = before if refuted else after
         word = unnamed(before) if refuted else word  # what was found is not it
         attempt = Attempt()
-        if learned and word in ("unexplained", "partly") and lacks.found:
+        if thorough and word in ("unexplained", "partly") and lacks.found:
             besides = [base, selection.final] if word == "partly" else [base]
 
             def learned_beside(beside: Fit) -> Attempt:

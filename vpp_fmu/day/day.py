@@ -208,8 +208,8 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
 
     if alarm and not (len(models) > 1 and explains(models[1].parameters)):
         stage("diagnose")
-        # A mission is too short to learn a term of no list from, and the rig waits.
-        found = diagnose(_campaign(first.record, flights.folder, model), given=model, workers=workers, learned=False)
+        # The rig waits, and a mission is too short to learn a term of no list from.
+        found = diagnose(_campaign(first.record, flights.folder, model), given=model, workers=workers, thorough=False)
         verdict = found.verdict
         # What explains a part competes, too: another mission decides here.
         best = found.final if found.final.effects else found.selection.final
