@@ -19,7 +19,7 @@ from identification.tune.controllers import controllers
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.options import WORKERS, whole
 from vpp_fmu.cli.output import as_json, dated
-from vpp_fmu.day.day import BOTH, POLICIES, Day, Rig, Round, new_day, next_round
+from vpp_fmu.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.day.page import day_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -105,10 +105,8 @@ def said(done: Round) -> list[str]:
     lines = [f"round {done.number}: no alarm"]
     if done.alarm:
         at, what = done.alarm
-        named = f" {' + '.join(done.named)}" if done.named else ""
-        became = (
-            f"diagnosed from the mission's record: {done.verdict}{named}" if done.verdict else "the adapted model explains it"
-        )
+        found = diagnosed(done)
+        became = f"diagnosed from the mission's record: {found}" if found else "the adapted model explains it"
         lines = [f"round {done.number}: alarm after {at:.0f} s, {what}; {became}"]
     if len(done.models) > 1:
         lines.append(

@@ -21,7 +21,7 @@ from hil.twin.adaptive import CERTAIN, adaptable
 from hil.twin.band import Band
 from hil.twin.twin import Twin
 from identification.assessment.prediction import predict
-from identification.diagnose.diagnose import diagnose
+from identification.diagnose.diagnose import CHANGED, diagnose
 from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.day.flight import GAINS, Flight, Twins, fly, mission
@@ -33,6 +33,9 @@ from vpp_fmu.plants import KernelPlant
 from vpp_fmu.record import Record
 
 FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "model-free", "both")
+
+DIAGNOSED = "diagnosed"
+"""Name of the model that a diagnosis made of a mission."""
 
 TWICE = 2
 """Flights by which finalists are compared: the best of many single ones would owe it to its noise."""
@@ -217,7 +220,7 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
             named = tuple(e for e in best.effects if e not in model.model.optional)
             own = found.parameters(best)
             own = replace(own, source={**model.source, **own.source})
-            models.append(Model("diagnosed", own, error(own, first.record), np.nan))
+            models.append(Model(DIAGNOSED, own, error(own, first.record), np.nan))
     if last is not first:
         models = [replace(m, unseen=error(m.parameters, last.record)) for m in models]
     chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else models[0]
@@ -231,6 +234,13 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
         wanted=wanted,
         usual=by_level(chosen.parameters, last.record, wanted),
     )
+
+
+def diagnosed(done: Round) -> str:
+    """What a round's diagnosis found, in words; "" where none was asked for."""
+    if done.verdict in CHANGED or not done.named:
+        return f"{done.verdict} {' + '.join(done.named)}".strip()
+    return f"{done.verdict}: a part by {' + '.join(done.named)}"
 
 
 def error(parameters: ParameterSet, record: Record) -> float:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vpp_fmu.day.day import Day, Round
+from vpp_fmu.day.day import DIAGNOSED, Day, Round, diagnosed
 from vpp_fmu.report import Page, adapted_parameters, closed_loop, thinning
 from vpp_fmu.report.day import costs_by_round, errors_by_round, framework
 
@@ -22,13 +22,14 @@ def day_page(day: Day) -> Page:
     """Model and controller round by round."""
     first, last = day.rounds[0], day.rounds[-1]
     began = float(np.mean(first.costs["what flew"]))
+    added = [n for r in day.rounds if r.chosen.name == DIAGNOSED for n in r.named]
     page = Page("A day of the rig", _summary(day), day.begun.label)
     page.tiles(
         [
             ("cost on the rig, as it began", began, "eq. 21, of measured thrust"),
             ("cost of what flies now", last.cost, f"{100.0 * (last.cost / began - 1.0):+.1f} %"),
             ("error of the model's thrust [N]", _error(last), "in the last mission"),
-            ("effects added", ", ".join(n for r in day.rounds for n in r.named) or "none", ""),
+            ("effects added", str(len(added)), ", ".join(added)),
         ]
     )
     page.section("The model, round by round")
@@ -45,7 +46,7 @@ def day_page(day: Day) -> Page:
             str(r.number),
             ", ".join(r.hidden) or "-",
             f"{r.alarm[1]}, after {r.alarm[0]:.0f} s" if r.alarm else "none",
-            f"{r.verdict} {' + '.join(r.named)}".strip() or ("explained without" if r.alarm else "-"),
+            diagnosed(r) or ("explained without" if r.alarm else "-"),
             r.chosen.name,
             r.winner,
         )
