@@ -42,8 +42,9 @@ def test_a_constant_error_costs_its_square_and_the_gains_theirs():
 def test_a_mission_holds_levels_within_its_range(pace):
     found = mission(2.0, 9.0, pace, seed=3)
     assert (found.time[0], found.time[-1]) == (0.0, MISSION * pace)
-    holds, levels = np.diff(found.time)[:-1] / pace, found["thrust_set"]
-    assert np.all((holds >= HOLDS[0] - 1e-9) & (holds <= HOLDS[1] + 1e-9))
+    holds, levels = np.diff(found.time) / pace, found["thrust_set"]
+    assert np.all(holds >= HOLDS[0] - 1e-9)
+    assert np.all(holds[:-1] <= HOLDS[1] + 1e-9)
     assert np.all((levels >= 2.0) & (levels <= 9.0))
     assert not np.array_equal(found["thrust_set"], mission(2.0, 9.0, pace, seed=4)["thrust_set"])
 
@@ -168,6 +169,8 @@ def test_a_mission_again_is_judged_level_for_level():
     assert days.worse(usual / 1.1, usual) == pytest.approx(1.0)
     mixed = usual * np.where(np.arange(10) < 2, 100.0, np.linspace(0.8, 0.99, 10))
     assert days.worse(mixed, usual) > 0.5
+    unread = np.r_[usual * np.linspace(1.01, 1.1, 10), np.nan]
+    assert days.worse(unread, np.r_[usual, 1.0]) == pytest.approx(2.0**-10)
 
 
 def days_setup(told, hidden):

@@ -259,7 +259,9 @@ def worse(errors: np.ndarray, usual: np.ndarray) -> float:
     """How rarely a mission that was flown before is predicted so much worse by chance, (levels,) mean squares level for level
     (signed ranks of their ratios; Wilcoxon, Biometrics Bulletin 1, 1945): what lies within a model's own error everywhere
     shows in the sum."""
-    return float(wilcoxon(np.log(errors / usual), alternative="greater").pvalue)
+    ratio = np.log(errors / usual)
+    ratio = ratio[np.isfinite(ratio)]  # not of a level without readings
+    return float(wilcoxon(ratio, alternative="greater").pvalue) if len(ratio) else 1.0
 
 
 def within(profile: Record, low: float, high: float) -> Record:

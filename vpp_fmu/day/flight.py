@@ -85,7 +85,7 @@ def mission(low: float, high: float, pace: float, seed: int) -> Record:
     a twin can learn from. `time` [s], `thrust_set` [N]."""
     rng, seconds = np.random.default_rng(seed), MISSION * pace
     time = np.cumsum(np.r_[0.0, rng.uniform(*HOLDS, int(seconds / (HOLDS[0] * pace))) * pace])
-    time = np.r_[time[time < seconds], seconds]
+    time = np.r_[time[time < seconds - HOLDS[0] * pace], seconds]  # the last level, too, is held as long
     levels = rng.uniform(low, high, len(time))
     levels[-1] = levels[-2]  # the last row ends the record
     return Record({"time": time, "thrust_set": levels}, "mission")
