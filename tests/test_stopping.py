@@ -1,5 +1,6 @@
 """Signals end a command in order: the exit code says which, one line says it, and nothing is left: no process, no file."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from vpp_fmu.campaign import NEED
 from vpp_fmu.cli import main
 from vpp_fmu.errors import WorkerLost
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.record import read_record, write_record
 from vpp_fmu.scratch import Scratch
 from vpp_fmu.stopping import SIGNALS, Stopped, stoppable, unbroken
@@ -163,6 +165,26 @@ def test_a_signal_waits_for_what_may_not_be_torn():
     with pytest.raises(Stopped), stoppable("vpp test"):
         work()
     assert done == ["whole"]
+
+
+def test_a_signal_within_an_fmus_own_python_is_no_error_of_its_model(fmu_files):
+    fmu = Fmu(fmu_files["plain"])
+    instance = FmuInstance(fmu, ["omega_ref", "beta_ref"], ["thrust"])
+    instance.start([5000.0, 5.0])
+    (slave,) = [o for o in gc.get_objects() if type(o).__name__ == "GeneratedSlave" and o.time == 0.0]
+    take, own = instance.stepper(0.01), slave._take
+
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGTERM)
+        own(*arguments)
+
+    slave._take = interrupted
+    with pytest.raises(Stopped) as stopped, stoppable("vpp test"):
+        take([6000.0, 5.0])
+    assert stopped.value.code == 143
+    assert slave.time == 0.01  # the step was whole
+    instance.close()
+    fmu.close()
 
 
 def test_in_another_thread_there_are_no_signals_to_hear():

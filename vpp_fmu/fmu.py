@@ -24,6 +24,7 @@ from vpp_fmu.archive import DESCRIPTION, unpacked
 from vpp_fmu.errors import BadInput, SimulationFailed, VppError
 from vpp_fmu.native.master import Entry
 from vpp_fmu.record import Record
+from vpp_fmu.stopping import act, foreign
 
 WARNING = 1
 TYPES = {"Real": (ctypes.c_double, float), "Integer": (ctypes.c_int, round), "Boolean": (ctypes.c_int, bool)}
@@ -115,6 +116,7 @@ def _blocks(fmu: Fmu, names: Sequence[str], causality: str) -> list[_Block]:
 class FmuInstance:
     """One instance of an FMU with chosen inputs and outputs, in the order given."""
 
+    @foreign
     def __init__(self, fmu: Fmu, inputs: Sequence[str], outputs: Sequence[str], parameters: Mapping[str, float] | None = None):
         self.fmu, self._messages = fmu, []
         parameters = dict(parameters or {})
@@ -125,6 +127,7 @@ class FmuInstance:
         try:
             self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
         except Exception as problem:  # fmpy raises plain Exception
+            act()
             raise SimulationFailed(f"{fmu.path}: {self._said() or problem}") from problem
         # An instance that outlives the interpreter's end takes the process down with it.
         self.close = weakref.finalize(self, _end, self._slave)
@@ -135,6 +138,7 @@ class FmuInstance:
             block.put(list(parameters.values()))
             self._call(f"fmi2Set{block.kind}", *block.arguments)
         self._call("fmi2EnterInitializationMode")
+        act()
 
     def start(self, values: Sequence[float]) -> list[float]:
         """Settle on the inputs and leave the initialisation; returns the outputs. Time is 0."""
@@ -157,12 +161,14 @@ class FmuInstance:
         inputs, outputs, written, read = writing.values, reading.values, writing.arguments, reading.arguments
         at, step, go_on, count = ctypes.c_double(0.0), ctypes.c_double(dt), ctypes.c_int(1), itertools.count()
 
+        @foreign
         def take(values):
             inputs[:] = values
             at.value = next(count) * dt
             status = set_real(component, *written) or do_step(component, at, step, go_on) or get_real(component, *read)
             if status > WARNING:
                 self._check(status, f"the step at {at.value:.6g} s with inputs {list(values)}")
+            act()
             return outputs[:]
 
         return take
@@ -195,6 +201,7 @@ class FmuInstance:
         do_step, at, step = dll["fmi2DoStep"], ctypes.c_double(0.0), ctypes.c_double(dt)
         found = [0.0] * sum(len(block.positions) for block in self._reads)
 
+        @foreign
         def take(values):
             for block, function in setting:
                 block.put(values)
@@ -205,6 +212,7 @@ class FmuInstance:
                 self._check(function(component, *block.arguments), f"fmi2Get{block.kind}")
                 for i, value in zip(block.positions, block.values, strict=True):
                     found[i] = float(value)
+            act()
             return found[:]
 
         return take
@@ -222,8 +230,10 @@ class FmuInstance:
                 found[i] = float(value)
         return found
 
+    @foreign
     def _call(self, name, *args):
         self._check(self._slave.dll[name](self._component, *args), name)
+        act()
 
     def _check(self, status, what):
         if status > WARNING:
@@ -250,12 +260,15 @@ def _fmpys(refusal: Callable[[str], VppError]) -> Iterator[None]:
     before = Path.cwd()
     try:
         yield
+        act()
     except Exception as problem:  # it raises Exception itself, and whatever readers of XML raise
+        act()
         os.chdir(before)  # it goes to the library's folder, and stays there if that can't be loaded
         said = " ".join(str(problem).split()) or type(problem).__name__
         raise refusal(said if len(said) <= 200 else f"{said[:197]}...") from problem
 
 
+@foreign
 def _end(slave: FMU2Slave) -> None:
     """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then."""
     with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
@@ -268,6 +281,7 @@ def problems(path: str | Path) -> list[str]:
     return validate_fmu(str(path))
 
 
+@foreign
 def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
     """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation, under `held` inputs by name, each for one
     communication step of `step` seconds; the last one stands for the last point alone. SimulationFailed."""
@@ -280,6 +294,7 @@ def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: f
     return np.column_stack([np.asarray(result[name], float) for name in outputs])
 
 
+@foreign
 def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:
     """Thrust (rows,) N of a plant FMU under a record's commands, by fmpy's own simulation, at the record's times."""
     names = ("time", "omega_ref", "beta_ref")

@@ -1,8 +1,9 @@
 """Ctrl-C, SIGTERM and a closed terminal end a verb in order: what it holds is let go, then one line and the signal's exit code.
 
-The handler raises in the main thread, so that every `with` and `finally` on the way out does its part. Code that never comes
-back to the interpreter (an FMU that hangs) would swallow the signal so: a second thread hears it too and, GRACE later, ends the
-process itself.
+The handler raises in the main thread, so that every `with` and `finally` on the way out does its part. An FMU's own Python
+would take that for an error of its model: within its calls the signal is kept, and acts after them (`foreign`, `act`). Code
+that never comes back to the interpreter (an FMU that hangs) would swallow the signal so: a second thread hears it too and,
+GRACE later, ends the process itself.
 """
 
 import contextlib
@@ -11,7 +12,9 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import CodeType, FrameType
+from typing import TypeVar
 
 from vpp_fmu.scratch import remove_scratch
 
@@ -36,6 +39,32 @@ def said(verb: str, why: Stopped) -> str:
     return f"{verb}: stopped by {why}; files that were not complete are not kept"
 
 
+F = TypeVar("F", bound=Callable)
+
+_foreign: set[CodeType] = set()
+_kept: list[int] = []
+
+
+def foreign(function: F) -> F:
+    """Mark a function that calls somebody else's code: a signal that comes while that runs is kept until `act`."""
+    _foreign.add(function.__code__)
+    return function
+
+
+def act() -> None:
+    """Raise Stopped for a signal that was kept."""
+    if _kept:
+        raise Stopped(_kept.pop())
+
+
+def _in_foreign(frame: FrameType | None) -> bool:
+    while frame:
+        frame = frame.f_back  # the function itself may be left at any point, what it has called may not
+        if frame and frame.f_code in _foreign:
+            return True
+    return False
+
+
 @contextlib.contextmanager
 def stoppable(verb: str) -> Iterator[None]:
     """Within: a first signal raises Stopped, further ones do nothing. A signal that is ignored already (nohup) stays ignored.
@@ -46,10 +75,13 @@ def stoppable(verb: str) -> Iterator[None]:
         yield
         return
 
-    def stop(number, _frame):
+    def stop(number, frame):
         for each in before:
             signal.signal(each, signal.SIG_IGN)  # letting go is not to be torn
-        raise Stopped(number)
+        if _in_foreign(frame):
+            _kept.append(number)
+        else:
+            raise Stopped(number)
 
     before = {n: signal.getsignal(n) for n in SIGNALS if signal.getsignal(n) in (signal.SIG_DFL, signal.default_int_handler)}
     with _watched(verb, before, stop):
@@ -57,7 +89,9 @@ def stoppable(verb: str) -> Iterator[None]:
             signal.signal(each, stop)
         try:
             yield
+            act()
         finally:
+            _kept.clear()
             for each, handler in before.items():
                 signal.signal(each, handler)
 
