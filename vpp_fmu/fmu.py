@@ -270,10 +270,17 @@ def _fmpys(refusal: Callable[[str], VppError]) -> Iterator[None]:
 
 @foreign
 def _end(slave: FMU2Slave) -> None:
-    """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then."""
+    """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then.
+
+    A library of pythonfmu's lets go of the interpreter twice as it is unloaded, if only with the process, and the second time
+    writes to memory that is somebody else's by then. Asked to let go before, it does not: instances that live hold on by
+    themselves.
+    """
     with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
         slave.terminate()
     slave.fmi2FreeInstance(slave.component)
+    if let_go := getattr(slave.dll, "finalizePythonInterpreter", None):
+        let_go()
 
 
 def problems(path: str | Path) -> list[str]:
