@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from vpp_fmu.errors import BadInput, WorkerLost
-from vpp_fmu.stopping import SIGNALS
+from vpp_fmu.stopping import SIGNALS, unbroken
 
 
 def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | None = None, what: str = "") -> list:
@@ -56,16 +56,17 @@ def _on_one_thread(work: Callable, item):
 @contextlib.contextmanager
 def _deaf() -> Iterator[None]:
     """While processes are started: they inherit it, so that what is sent to all (Ctrl-C, that a terminal closes) is for this
-    process alone. Those are the pool's workers, and a tracker of what they share. What comes meanwhile waits here: in the midst
-    of a start it would leave half a worker."""
+    process alone. Those are the pool's workers, and a tracker of what they share. What comes meanwhile waits here, even where
+    another thread hears it: in the midst of a start it would leave half a worker."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with unbroken():
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -198,6 +200,22 @@ def test_in_another_thread_there_are_no_signals_to_hear():
     thread.start()
     thread.join()
     assert found == [signal.getsignal(signal.SIGTERM)]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
+def test_workers_are_started_whole_though_another_thread_hears_the_signal(monkeypatch):
+    own, done = ProcessPoolExecutor.map, []
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGTERM)  # this thread is deaf to it, the one that watches is not
+        time.sleep(0.1)
+        done.append("whole")
+        return own(*arguments)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "map", interrupted)
+    with pytest.raises(Stopped), stoppable("vpp test"):
+        spread(float, ["1.0", "2.0"], workers=2)
+    assert done == ["whole"]
 
 
 def test_a_worker_that_dies_is_said():
