@@ -13,7 +13,10 @@ from identification.diagnose.crossval import HeldOut, cross_validated, folds, ri
 from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
 from identification.diagnose.lack import spectra
+from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
+from identification.diagnose.search.screening import Screening
+from identification.diagnose.search.threshold import FINE, FINEST, divided
 from identification.diagnose.selection import _ranked
 from identification.diagnose.verdict import unnamed
 from identification.fit.experiment import Experiment
@@ -23,7 +26,9 @@ from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.loop import run
 from vpp_fmu.native import Simulator
+from vpp_fmu.plants import KernelController, KernelPlant
 from vpp_fmu.record import Record
 
 RNG = np.random.default_rng(20)
@@ -328,6 +333,51 @@ def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened
         assert abs(agreed.values["c20"] - values["c20"]) < abs(found.values["c20"] - values["c20"])
     else:
         assert agreed is found
+
+
+def test_a_function_constant_in_pieces_is_met_on_every_piece_wide_enough():
+    """Edges that are known: a grid misses most of the pieces, halving meets those wider than its finest part."""
+    edges, grid = np.sort(np.random.default_rng(9).uniform(0.5, 3.0, 300)), np.geomspace(0.02, 4.5, FINE).tolist()
+    asked = []
+
+    def piece(at):
+        asked.append(at)
+        return float(np.searchsorted(edges, at))
+
+    found = divided(piece, grid)
+    assert len(asked) == len(set(asked)) <= FINEST + FINE
+    first = min(b for b in grid if b > edges[-1])  # beyond it nothing changes
+    wide = np.flatnonzero(np.diff(edges) > first / FINEST) + 1
+    assert len(wide) > 150
+    assert set(wide) <= set(found.values())
+    assert len(set(wide) & {piece(at) for at in grid}) < 0.3 * len(wide)
+    asked.clear()
+    assert set(divided(piece, [3.5, 4.0, 4.5]).values()) == {300.0}  # all the same: nothing to halve
+    assert len(asked) == 3
+
+
+@pytest.mark.parametrize("half_width", [0.731, 1.618])
+def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width):
+    """Commands of a loop creep: beside the very dead band the next ones explain nothing, and a grid passes it by."""
+    model, rng = plant(["pitch_command_deadband"]), np.random.default_rng(12)
+    name, time = "pitch_command_deadband.half_width", np.cumsum(np.r_[0.0, rng.uniform(1.5, 4.0, 20)])
+    wanted = Record({"time": time, "thrust_set": rng.uniform(3.0, 11.0, len(time))}, "wanted")
+    flown = run(KernelPlant(model, {name: half_width}), KernelController(), wanted)
+
+    def shown(at):
+        return Simulator(model).simulate(model.values({name: at}), flown.columns, flown.steps)[:, 0]
+
+    read = shown(half_width) + 0.05 * rng.standard_normal(len(flown))
+    record = Record({n: flown[n] for n in ("time", "omega_ref", "beta_ref")} | {"thrust": read}, "flown")
+    names, values = ["tau_omega_1", "tau_beta_1", "tau_beta_2", "c20"], plant().values()
+    searcher = Searcher([Experiment([Fitted("flown", record)], independent(15.0))], names, None, values, LIBRARY)
+    (candidate,) = candidates([e for e in LIBRARY if e.name == "pitch_command_deadband"], [record])
+    seen = Screening(searcher.fit([], {}, [], values), searcher.start, LIBRARY, biased=False).at(candidate)
+    assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # no more than the noise tells them apart
+    found = searcher.fit(["pitch_command_deadband"], {}, [name], {**values, name: 1.0})
+    low, high = found.thresholds[name]
+    assert low - 1e-3 < half_width < high + 1e-3
+    assert high - low < 0.05
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import numpy as np
 
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.threshold import divided
 from identification.fit.linearised import Linearised
 from identification.fit.problem import Problem
 from vpp_fmu.kernel.plant import plant
@@ -101,6 +102,8 @@ class _Screened:
         candidate = trace.candidate
         axes = {n: candidate.axis(n) for n in candidate.sizes}
         if len(axes) == 1 and trace.sharp(shape, axes):
+            if trace.stepwise(shape):
+                return self._divided(trace, shape)
             axes = {n: candidate.fine_axis(n) for n in axes}
         if len(axes) == 2:  # a limit on speed is sharp, for speed is measured well
             axes |= {n: candidate.fine_axis(n) for n in axes if trace.limited(shape, n)}
@@ -113,6 +116,13 @@ class _Screened:
             for name, values in axes.items():
                 best = max([best, *(self._best(trace, best[1] | {name: v}) for v in values)], key=lambda pair: pair[0])
         return self._closer(trace, best)
+
+    def _divided(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
+        """The best value of a threshold."""
+        (name,) = trace.candidate.sizes
+        falls = divided(lambda value: self._fall(trace.at(shape | {name: value})), trace.candidate.fine_axis(name))
+        best = max(falls, key=falls.__getitem__)
+        return falls[best], shape | {name: best}
 
     def _closer(self, trace: "_Trace", best: tuple[float, dict[str, float]]) -> tuple[float, dict[str, float]]:
         """From the best point of a grid of several sizes, some way down along their tangents."""
@@ -165,6 +175,10 @@ class _Trace:
         powers = [float(t @ t) for t in traces]
         alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
         return not all(alike)
+
+    def stepwise(self, shape) -> bool:
+        """Whether what is shown has no tangent in the sizes, wherever they stand: a threshold."""
+        return not any(self.tangents(shape | {n: v}).any() for n in self.candidate.sizes for v in self.candidate.axis(n))
 
     def limited(self, shape, name: str) -> bool:
         """Whether a size is a level that these records reach, in this form."""
