@@ -174,6 +174,7 @@ def test_a_change_is_found_named_and_followed(name, before, after):
     assert np.flatnonzero(shown["alarm"])[0] < at + 30.0 / DT
     assert shown["alarm"][-1] == 0.0
     assert shown["changes"][-1] >= 1
+    assert np.all(shown["learning"][1:] == 1.0)
     assert shown[f"adapted.{name}"][-1] == pytest.approx(after, abs=0.15 * abs(after - before))
 
 
@@ -185,12 +186,19 @@ def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
     stopped = ran(inputs)
     assert stopped["alarm"][-1] == 1.0
     begins = np.flatnonzero(stopped["alarm"])[0]
+    gives_up = (
+        1 + np.flatnonzero(stopped["learning"][1:] == 0.0)[0]
+    )  # not at once: it follows first, to see whether that explains it
+    assert begins < gives_up
+    assert not np.any(stopped["learning"][gives_up:])
     for name in ADAPTED:  # back to where they were when nothing was suspicious yet
         path, left = stopped[f"adapted.{name}"], stopped[f"adapted.{name}"][-1]
         assert np.min(np.abs(path[at - 250 : begins] - left)) < 1e-12
     inputs["thrust"] -= shaken * (np.arange(rows) >= 25_000)
     inputs["acknowledge"] = (np.arange(rows) == 26_000).astype(float)
-    assert ran(inputs)["alarm"][-1] == 0.0
+    seen = ran(inputs)
+    assert seen["learning"][25_999] == 0.0
+    assert (seen["alarm"][-1], seen["learning"][-1]) == (0.0, 1.0)
 
 
 def test_bounds_hold():

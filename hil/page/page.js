@@ -180,8 +180,9 @@ function twinSays() {
   const followed = twin.changes ? ` Changes followed: ${twin.changes}, the last most like ${cause(twin)}.` : " No change followed yet.";
   const points = twin.direction ? `Most like a change of ${cause(twin)} (${adapted[cause(twin)]?.description})` : "It is like no change of one parameter";
   at("twin-says").className = twin.alarm ? "alarm" : "";
+  const learns = twin.learning ? "It follows the rig, to see whether its parameters explain it." : "No parameter explains it: it has stopped learning, for vpp diagnose to look at.";
   at("twin-says").textContent = !known ? "It begins when the loop is closed." : twin.alarm
-    ? `ALARM: the rig does not do what the adapted model says. ${points}. This alarm is a note: it stops nothing.`
+    ? `ALARM: the rig does not do what the adapted model says. ${points}. ${learns} This alarm is a note: it stops nothing.`
     : `No alarm.${followed}`;
   at("adapted").replaceChildren(...Object.entries(adapted).map(([name, one]) => {
     const [value, std] = [twin[`adapted.${name}`], twin[`std.${name}`]], places = digits(std ?? one.change);

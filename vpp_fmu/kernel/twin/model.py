@@ -63,6 +63,9 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
         Signal("alarm", "1", "the rig is not what the model says", 0.0, 1.0, kind=BOOLEAN),
         Signal("direction", "1", f"what the last alarm points to: {_listed(adapted)}", 0.0, float(len(adapted)), kind=INTEGER),
         Signal("changes", "1", "changes that were followed", 0.0, 1e9, kind=INTEGER),
+        Signal(
+            "learning", "1", "it adapts; not once no parameter explains an alarm, until acknowledge", 1.0, 1.0, kind=BOOLEAN
+        ),
         *(Signal(f"adapted.{p.name}", p.unit, f"adapted: {p.description}", p.minimum, p.maximum, p.nominal) for p in parts),
         *(
             Signal(f"std.{p.name}", p.unit, f"standard deviation: {p.description}", 0.0, p.maximum - p.minimum, p.nominal)

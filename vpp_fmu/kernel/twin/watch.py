@@ -104,6 +104,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             "alarm": ops.where(mode > 0.5, 1.0, 0.0),
             "direction": direction,
             "changes": changes,
+            "learning": ops.where(mode > 1.5, 0.0, 1.0),
             "starts": starts,
             "opens": starts + goes_on,
             "returns": stops,
