@@ -13,7 +13,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import wilcoxon
+from scipy.stats import ttest_ind, wilcoxon
 
 from hil.rig import RunEnded
 from hil.session import Setup
@@ -37,8 +37,13 @@ FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "mode
 DIAGNOSED = "diagnosed"
 """Name of the model that a diagnosis made of a mission."""
 
-TWICE = 2
-"""Flights by which finalists are compared: the best of many single ones would owe it to its noise."""
+TIMES = 4
+"""How often a finalist goes through the profile: the step's cost scatters by 2 % from one time to the next, the best gains are
+that much better than fair ones, and each time lasts as long as a try of the search."""
+
+BETTER = 0.1
+"""Probability with which gains that are no better than what flies take its place (t test): lowered, better ones are passed
+over, which may come again in the next round."""
 
 WORSE = 0.01
 """Probability with which a mission that is flown again counts as predicted worse: one needless alarm in a hundred rounds."""
@@ -80,7 +85,7 @@ class Modelled:
 class Round(Modelled):
     """A round, its `number` from 1, with what was `hidden` in the rig.
 
-    `costs`: by branch, what the finalists cost on the rig, flight by flight; `tries`: single flights of the search, `refused`:
+    `costs`: by branch, what the finalists cost on the rig, time by time; `tries`: single flights of the search, `refused`:
     how many of its gains the model did not let fly. `winner`: the branch that flies next, with `settings`.
     """
 
@@ -145,21 +150,19 @@ def next_round(
     finalists: dict[str, Mapping[str, float]] = {"what flew": flies}
     tries: list[float] = []
     refused = 0
-    if policy in (MODEL_BASED, BOTH) and (number == 1 or chosen is not as_it_was):
+    flies_already = bool(day.rounds) and day.rounds[-1].winner == MODEL_BASED and chosen is as_it_was
+    if policy in (MODEL_BASED, BOTH) and not flies_already:
         stage("retune on the model")
-        finalists["model-based"] = retuned(tuning, flies)
+        finalists[MODEL_BASED] = retuned(tuning, flies)
     if policy in (MODEL_FREE, BOTH):
         stage("search on the rig")
         best, tries, refused = _searched(day, flights, Referee(tuning, flies), flies, 1000 * seed + number)
         if best is not None:
-            finalists["model-free"] = best
+            finalists[MODEL_FREE] = best
     stage("compare on the rig")
-    costs = {
-        name: tuple(flights(f"{name} {k + 1}", each, day.profile).cost for k in range(TWICE))
-        for name, each in finalists.items()
-    }
-    winner = min(costs, key=lambda name: float(np.mean(costs[name])))
-    if winner == "model-based":
+    costs = {name: flights(name, each, day.profile, times=TIMES).costs for name, each in finalists.items()}
+    winner = best_of(costs)
+    if winner == MODEL_BASED:
         day.search = None  # it was about other gains
     return Round(
         **vars(modelled),
@@ -234,6 +237,12 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
         wanted=wanted,
         usual=by_level(chosen.parameters, last.record, wanted),
     )
+
+
+def best_of(costs: Mapping[str, tuple[float, ...]]) -> str:
+    """Whose gains fly next: the cheapest, or what flew, which comes first, where that may well be as cheap."""
+    flew, best = next(iter(costs)), min(costs, key=lambda name: float(np.mean(costs[name])))
+    return best if best == flew or ttest_ind(costs[best], costs[flew], alternative="less").pvalue < BETTER else flew
 
 
 def diagnosed(done: Round) -> str:
@@ -320,12 +329,14 @@ class _Flights:
     def __init__(self, rig: Rig, number: int, folder: Path):
         self._rig, self._number, self.folder, self._count = rig, number, folder, 0
 
-    def __call__(self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None) -> Flight:
+    def __call__(
+        self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None, times: int = 1
+    ) -> Flight:
         """RunEnded for one that ended early: whoever stopped it, or whatever tripped, does not want the next one to begin."""
         self._rig.word(f"round {self._number}: {what}")
         self._count += 1
         setup = self._rig.setup(self._number, self._count)
-        done = fly(setup, settings, profile, self.folder / f"flight_{self._count:02d}", twins)
+        done = fly(setup, settings, profile, self.folder / f"flight_{self._count:02d}", twins, times)
         if done.ended:
             raise RunEnded(f"round {self._number}: {what}: {done.ended}")
         return done
@@ -334,9 +345,10 @@ class _Flights:
 def _searched(
     day: Day, flights: _Flights, referee: Referee, flies: Mapping[str, float], seed: int
 ) -> tuple[Mapping[str, float] | None, list[float], int]:
-    """(the best gains of the search's next generation, None: none flew; the costs of those that did; how many were refused).
+    """(where the search's next generation has led it, None: none flew, or the model refuses that; the costs of those that flew;
+    how many were refused).
 
-    A refused one costs what the model predicts, against what flies."""
+    A refused one costs what the model predicts, against what flies. The cheapest of a generation would owe it to its noise."""
     if day.search is None:
         day.search = Search(flies, GAINS, seed)
     generation = day.search.asked()
@@ -349,5 +361,5 @@ def _searched(
     if flew:
         usual = float(np.median(flew))
         day.search.told([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
-    best = generation[int(np.nanargmin(costs))] if flew else None
-    return best, flew, int(np.isnan(costs).sum())
+    there = day.search.favourite
+    return there if flew and referee.predicted(there)[1] else None, flew, int(np.isnan(costs).sum())

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +28,19 @@ GAINS = tuple(DUAL)
 @dataclass(frozen=True, eq=False)
 class Flight:
     """`record`: as run.csv has it; `twin`: outputs of the adaptive twin (rows,) by name, none where none ran; `alarms`: (s from
-    the record's start, in words) of both twins; `cost`: the paper's (eq. 21), of measured thrust; `ended`: why it ended early,
-    ""."""
+    the record's start, in words) of both twins; `costs`: the paper's (eq. 21), of measured thrust, each time that the profile
+    was gone through, none where it ended early; `ended`: why it did, ""."""
 
     record: Record
     twin: Mapping[str, np.ndarray]
     alarms: tuple[tuple[float, str], ...]
-    cost: float
+    costs: tuple[float, ...]
     ended: str
+
+    @property
+    def cost(self) -> float:
+        """Their mean."""
+        return float(np.mean(self.costs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +56,14 @@ class Twins:
         return as_it_is, Adaptive(adaptive(adaptable(self.parameters, "vpp twin"), self.band), PERIOD)
 
 
-def fly(setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twins: Twins | None = None) -> Flight:
-    """Close the loop on the rig over a profile under the controller's `settings`; log and run.csv go to `folder`. BadInput."""
+def fly(
+    setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twins: Twins | None = None, times: int = 1
+) -> Flight:
+    """Close the loop on the rig over a profile, gone through so many `times`, under the controller's `settings`; log and
+    run.csv go to `folder`. BadInput."""
     OutputFolder(folder)
     twin, learning = twins.beside(setup) if twins else (None, None)
-    done = run_on_rig(setup, KernelController(settings, PERIOD), profile, folder, twin=twin, adaptive=learning)
+    done = run_on_rig(setup, KernelController(settings, PERIOD), repeated(profile, times), folder, twin=twin, adaptive=learning)
     write_run(folder / "run.csv", done.record)
     rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
     told = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
@@ -62,7 +71,24 @@ def fly(setup: Setup, settings: Mapping[str, float], profile: Record, folder: Pa
     found += [(at, f"most like {what}") for at, what in learning.alarms] if learning else []
     began = float(done.log.time[rows[0]]) if len(rows) else 0.0
     alarms = tuple((at - began, what) for at, what in sorted(found))
-    return Flight(done.record, told, alarms, measured_cost(done.record, settings), done.ended)
+    went = [] if done.ended else passes(done.record, profile, times)
+    costs = tuple(measured_cost(done.record.part(rows), settings) for rows in went)
+    return Flight(done.record, told, alarms, costs, done.ended)
+
+
+def repeated(profile: Record, times: int) -> Record:
+    """A profile gone through several times without a pause; its last row stands for the first of the next."""
+    length = float(profile.time[-1] - profile.time[0])
+    rows = {n: np.concatenate([*(times - 1) * [column[:-1]], column]) for n, column in profile.columns.items()}
+    counts = [*(times - 1) * [len(profile) - 1], len(profile)]
+    return Record(rows | {"time": rows["time"] + length * np.repeat(np.arange(times), counts)}, profile.source)
+
+
+def passes(record: Record, profile: Record, times: int) -> list[slice]:
+    """Rows of a run over a profile `repeated` so many `times`, each time that it was gone through."""
+    length = float(profile.time[-1] - profile.time[0])
+    edges = np.searchsorted(record.time - record.time[0], length * np.arange(1, times) - 0.5 * PERIOD)
+    return [slice(a, b) for a, b in pairwise([0, *edges.tolist(), len(record)])]
 
 
 def measured_cost(record: Record, settings: Mapping[str, float]) -> float:

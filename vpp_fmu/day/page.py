@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vpp_fmu.day.day import DIAGNOSED, Day, Round, diagnosed
+from vpp_fmu.day.day import BETTER, DIAGNOSED, TIMES, Day, Round, diagnosed
 from vpp_fmu.report import Page, adapted_parameters, closed_loop, thinning
 from vpp_fmu.report.day import costs_by_round, errors_by_round, framework
 
@@ -13,7 +13,7 @@ FRAMEWORK = (
     ),
     ("model-based policy", "gains retuned on that model, within limits on overshoot and sensitivity"),
     ("model-free policy", "covariance matrix adaptation on the rig's own cost, a generation a round"),
-    ("which of them leads", "that whose gains cost less on the rig, two flights each; what flies stays where neither does"),
+    ("which of them leads", f"that whose gains cost less on the rig (p < {BETTER:g}); what flies stays where neither does"),
     ("safety", "the model refuses gains that break limits before they fly; limits and watchdogs of the rig as always"),
 )
 
@@ -40,7 +40,8 @@ def day_page(day: Day) -> Page:
         "Where there is another model they are held against a mission that none of them saw; the noise is a single reading's.",
     )
     page.section("The controller, round by round")
-    page.figure(costs_by_round([r.costs for r in day.rounds], [r.tries for r in day.rounds]), "Two flights of each finalist.")
+    costs = costs_by_round([r.costs for r in day.rounds], [r.tries for r in day.rounds], [r.winner for r in day.rounds])
+    page.figure(costs, f"Each finalist goes through the profile {TIMES} times.")
     rows = [
         (
             str(r.number),
@@ -70,8 +71,11 @@ def day_page(day: Day) -> Page:
         thinning(len(last.mission.record)),
     )
     page.section("The paper's framework, and what stands for its parts here")
-    costs = {name: f"{np.mean(c):.4f}" for name, c in last.costs.items()}
-    told = {**costs, "twin": f"{_error(last):.3g} N off", "flies": f"{last.winner}, {last.cost:.4f}"}
+    told = {
+        **{name: f"{np.mean(c):.4f}" for name, c in last.costs.items()},
+        "twin": f"{_error(last):.3g} N off",
+        "flies": f"{last.winner}, {last.cost:.4f}",
+    }
     title = "Twin and policies teach each other; the rig's measured cost decides"
     page.diagram(framework(told), title, f"With what each had to say in round {last.number}.")
     page.table(("Reinforcement Twinning", "here"), FRAMEWORK, "Who gives what.")

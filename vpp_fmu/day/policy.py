@@ -24,9 +24,12 @@ with warnings.catch_warnings():  # of plots that nobody asks it for
     warnings.simplefilter("ignore")
     import cma
 
-STEP, FARTHEST = 0.1, 0.5
-"""Of a gain's logarithm: the first standard deviation of the search, and how far it may go from where it began. A sensitivity
-of 2 is a gain margin of 2 at least, half of which is left."""
+FARTHEST = 0.5
+"""Of a gain's logarithm: how far a search may go from where it began. A sensitivity of 2 is a gain margin of 2 at least, half
+of which is left."""
+
+STEP = FARTHEST / 3.0
+"""The same: its first standard deviation. What is looked for is to lie within three of them."""
 
 TRIES = 8
 """Flights of a round's search: a generation of four to six gains has 8 or 9 (Hansen's default)."""
@@ -88,10 +91,16 @@ class Search:
     def asked(self) -> list[dict[str, float]]:
         """The next generation's settings."""
         self._asked = self._search.ask()
-        factors = ([exp(x) for x in one] for one in self._asked)
-        return [
-            {**self._settings, **{n: self._settings[n] * f for n, f in zip(self._names, each, strict=True)}} for each in factors
-        ]
+        return [self._at(each) for each in self._asked]
+
+    @property
+    def favourite(self) -> dict[str, float]:
+        """The settings that it is about by now: the mean of the better half of each generation, its noise with it."""
+        return self._at(self._search.result.xfavorite)
+
+    def _at(self, logarithms: np.ndarray) -> dict[str, float]:
+        changed = {n: self._settings[n] * exp(x) for n, x in zip(self._names, logarithms, strict=True)}
+        return {**self._settings, **changed}
 
     def told(self, costs: Sequence[float]) -> None:
         """What the generation cost, in its order."""

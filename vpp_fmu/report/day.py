@@ -32,9 +32,13 @@ def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str]
     return _by_rounds(fig, len(errors))
 
 
-def costs_by_round(costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequence[Sequence[float]]) -> go.Figure:
-    """Measured cost of each branch's finalists, flight by flight, one mapping a round; `tries`: the search's single flights."""
-    first, last = np.mean(next(iter(costs[0].values()))), min(float(np.mean(c)) for c in costs[-1].values())
+def costs_by_round(
+    costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequence[Sequence[float]], winners: Sequence[str]
+) -> go.Figure:
+    """Measured cost of each branch's finalists, time by time, one mapping a round, and whose fly next; `tries`: the search's
+    single flights."""
+    flies = np.array([np.mean(each[name]) for each, name in zip(costs, winners, strict=True)])
+    first, last = np.mean(next(iter(costs[0].values()))), flies[-1]
     fig = style.figure(f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end", 360)
     x = np.concatenate([np.full(len(each), k + 1.0) for k, each in enumerate(tries)]) if tries else np.zeros(0)
     if len(x):
@@ -48,9 +52,8 @@ def costs_by_round(costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequen
         fig.add_scatter(
             x=told[:, 0], y=told[:, 1], mode="markers", name=name, marker={"color": colours.get(name, style.FIT), "size": 10}
         )
-    best = np.array([min(float(np.mean(c)) for c in each.values()) for each in costs])
     fig.add_scatter(
-        x=np.arange(1, len(best) + 1), y=best, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}
+        x=np.arange(1, len(flies) + 1), y=flies, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}
     )
     fig.update_yaxes(title_text="integral of (error / scale)² [s]")
     return _by_rounds(fig, len(costs))
