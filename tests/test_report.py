@@ -8,6 +8,7 @@ import pytest
 
 from vpp_fmu.report import (
     Page,
+    adapted_parameters,
     autocorrelation,
     closed_loop,
     correlation_heatmap,
@@ -307,3 +308,9 @@ def test_the_same_thing_has_the_same_colour_everywhere():
     assert [bar.marker.color for bar in sections.data] == [BEFORE, AFTER]
     lines = {trace.name.split(",")[0]: trace.line.color for trace in prediction().data}
     assert (lines["measured"], lines["before"], lines["after"]) == (MEASURED, BEFORE, AFTER)
+
+
+def test_an_effects_parameter_is_folded_between_their_names():
+    told = {f"{kind}pitch_offset.offset": np.array([0.1, 0.2, 0.3]) for kind in ("adapted.", "std.")}
+    figure = adapted_parameters(np.arange(3.0), told, {"pitch_offset.offset": "deg"})
+    assert figure.layout.yaxis.title.text == "pitch_offset.<br>offset [deg]"

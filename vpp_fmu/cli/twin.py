@@ -115,7 +115,9 @@ def said(done: Round) -> list[str]:
     else:
         lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
     costs = ", ".join(f"{name} {sum(c) / len(c):.4f}" for name, c in done.costs.items())
-    lines.append(f"  cost on the rig: {costs}; {done.winner} flies next")
+    cheapest = min(done.costs, key=lambda name: sum(done.costs[name]))
+    doubt = "" if cheapest == done.winner else f", {cheapest} may be no cheaper"
+    lines.append(f"  cost on the rig: {costs}; {done.winner} flies next{doubt}")
     if done.refused:
         lines.append(f"  the model refused {done.refused} of the gains that were to be tried")
     return lines

@@ -1,5 +1,6 @@
 """Panels over one common time axis: zoom and hover act on all of them."""
 
+import re
 import textwrap
 from collections.abc import Sequence
 
@@ -77,7 +78,8 @@ def add_envelope(
 
 def _folded(label: str, height: int) -> str:
     """The label broken into lines that fit along `height` pixels, at some 8 pixels a letter."""
-    return "<br>".join(textwrap.wrap(label, height // 8))
+    at_dots = re.sub(r"\.(?=[a-z])", ". ", label)  # an effect's name, and its parameter's
+    return "<br>".join(line.replace(". ", ".") for line in textwrap.wrap(at_dots, height // 8))
 
 
 def _axis(kind: str, panel: int) -> str:
