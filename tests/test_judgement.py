@@ -335,9 +335,13 @@ def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened
         assert agreed is found
 
 
-def test_a_function_constant_in_pieces_is_met_on_every_piece_wide_enough():
+@pytest.mark.parametrize(
+    ("low", "grid"),
+    [(0.5, np.geomspace(0.02, 4.5, FINE)), (-4.0, np.linspace(-4.5, 4.5, FINE)), (-4.0, np.linspace(-4.5, -0.5, FINE))],
+)
+def test_a_function_constant_in_pieces_is_met_on_every_piece_wide_enough(low, grid):
     """Edges that are known: a grid misses most of the pieces, halving meets those wider than its finest part."""
-    edges, grid = np.sort(np.random.default_rng(9).uniform(0.5, 3.0, 300)), np.geomspace(0.02, 4.5, FINE).tolist()
+    edges, grid = np.sort(np.random.default_rng(9).uniform(low, low + 2.5, 300)), grid.tolist()
     asked = []
 
     def piece(at):
@@ -346,18 +350,19 @@ def test_a_function_constant_in_pieces_is_met_on_every_piece_wide_enough():
 
     found = divided(piece, grid)
     assert len(asked) == len(set(asked)) <= FINEST + FINE
-    first = min(b for b in grid if b > edges[-1])  # beyond it nothing changes
-    wide = np.flatnonzero(np.diff(edges) > first / FINEST) + 1
+    changing = min(b for b in grid if b > edges[-1]) - max(a for a in grid if a < edges[0])
+    wide = np.flatnonzero(np.diff(edges) > changing / FINEST) + 1
     assert len(wide) > 150
     assert set(wide) <= set(found.values())
     assert len(set(wide) & {piece(at) for at in grid}) < 0.3 * len(wide)
     asked.clear()
-    assert set(divided(piece, [3.5, 4.0, 4.5]).values()) == {300.0}  # all the same: nothing to halve
+    above = edges[-1] + 0.5
+    assert set(divided(piece, [above, above + 0.5, above + 1.0]).values()) == {300.0}  # all the same: nothing to halve
     assert len(asked) == 3
 
 
-@pytest.mark.parametrize("half_width", [0.731, 1.618])
-def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width):
+@pytest.mark.parametrize(("half_width", "start"), [(0.731, 1.0), (1.618, 0.0)])
+def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width, start):
     """Commands of a loop creep: beside the very dead band the next ones explain nothing, and a grid passes it by."""
     model, rng = plant(["pitch_command_deadband"]), np.random.default_rng(12)
     name, time = "pitch_command_deadband.half_width", np.cumsum(np.r_[0.0, rng.uniform(1.5, 4.0, 20)])
@@ -374,7 +379,7 @@ def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width):
     (candidate,) = candidates([e for e in LIBRARY if e.name == "pitch_command_deadband"], [record])
     seen = Screening(searcher.fit([], {}, [], values), searcher.start, LIBRARY, biased=False).at(candidate)
     assert np.std(shown(seen.values[name]) - shown(half_width)) < 0.05  # no more than the noise tells them apart
-    found = searcher.fit(["pitch_command_deadband"], {}, [name], {**values, name: 1.0})
+    found = searcher.fit(["pitch_command_deadband"], {}, [name], {**values, name: start})
     low, high = found.thresholds[name]
     assert low - 1e-3 < half_width < high + 1e-3
     assert high - low < 0.05

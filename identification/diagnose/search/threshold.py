@@ -61,10 +61,10 @@ def _grid(model: Model, name: str, count: int) -> np.ndarray:
 
 def divided(value: Callable[[float], float], grid: Sequence[float]) -> dict[float, float]:
     """{point: value} of a function that is constant in pieces: of a grid, halved where its neighbours differ, down to the
-    FINEST-th part of where the last of them do."""
+    FINEST-th part of the range in which they do."""
     found = {point: value(point) for point in grid}
     pending = [(a, b) for a, b in pairwise(grid) if found[a] != found[b]]
-    least = max((b for _, b in pending), default=0.0) / FINEST
+    least = (max((b for _, b in pending), default=0.0) - min((a for a, _ in pending), default=0.0)) / FINEST
     while pending:
         a, b = pending.pop()
         if b - a > least:
@@ -88,13 +88,15 @@ def scan(
         spread = near if problem.values[name] > 0.0 else None  # nothing is near 0 by ratio
         about = Linearised.of(problem, solution)
         whole = _grid(problem.model, name, FINE)
-        ends = problem.values[name] / (spread or 1.0), min(whole[-1], problem.values[name] * (spread or 1.0))
 
         def cost(value, about=about):
             return about.cost(simulator, {name: value})
 
-        near_it = np.geomspace(*ends, 25).tolist()
-        costs = divided(cost, whole.tolist()) if spread is None else {value: cost(value) for value in near_it}
+        if spread is None:
+            costs = divided(cost, whole.tolist())
+        else:
+            ends = problem.values[name] / spread, min(whole[-1], problem.values[name] * spread)
+            costs = {value: cost(value) for value in np.geomspace(*ends, 25).tolist()}
         best = min(costs, key=costs.__getitem__)
         moved = costs[best] < cost(problem.values[name]) * (1.0 - SAME)
         # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
