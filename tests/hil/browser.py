@@ -92,15 +92,16 @@ def browser(folder: Path) -> Iterator[Browser]:
     switches = ("headless", "no-sandbox", "disable-gpu", "remote-debugging-port=0", f"user-data-dir={folder}", "no-first-run")
     command = [chromium(), *(f"--{switch}" for switch in switches), "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    loop = asyncio.new_event_loop()
+    loop, connection = asyncio.new_event_loop(), None
     try:
         port = _port(folder, process)
         connection = loop.run_until_complete(_connected(port))
         page = Browser(loop, connection)
         page.call("Page.enable")
         yield page
-        connection.close()
     finally:
+        if connection is not None:  # of a test that fails too: whichever comes next would hear of it
+            connection.close()
         process.terminate()
         process.wait()
         loop.run_until_complete(asyncio.sleep(0))
