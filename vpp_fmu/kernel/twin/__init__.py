@@ -9,11 +9,13 @@ the nodes of a grid over the thrust map, h the weights of linear interpolation b
 back to a place tells no more of theta than before, and one that comes back to find another error there has changed. n2 is what
 the interpolation leaves; its a2 = exp(-distance / PLACE) counts how far the operating point has gone, so that a set-point
 that never moves teaches no more than one visit, however long it stands. For the same reason what is known is forgotten by
-distance, along the direction that is excited and no other (Kulhavy and Karny, 9th IFAC World Congress, 1984): P gains
+distance, and what is not excited is not (after Kulhavy and Karny, 9th IFAC World Congress, 1984): of each parameter as far as a
+plausible change of it, 1, would show in the reading, whose innovation has the variance S,
 
-    distance / memory  P g g' P / (g' P g),   g = d T / d theta
+    P <- D P D,   D_i^2 = 1 + distance / memory  g_i^2 / (g_i^2 + S),   g = d T / d theta
 
-and stays below a plausible change's, 1. The speed's reading is another one of theta, of white noise, at each of its new values.
+and P stays below a plausible change's, 1. The speed's reading is another one of theta, of white noise, at each of its new
+values.
 
 Six effects, one idea each; whoever reads a state of another one does so by a signal.
 """

@@ -5,7 +5,6 @@ from math import log
 from types import SimpleNamespace
 from typing import Any
 
-from vpp_fmu.kernel.duals import TINY
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.kernel.twin.noises import (
     BETWEEN,
@@ -93,18 +92,18 @@ def innovation(m: int) -> Effect:
         residual = s.thrust - s.predicted_thrust
         limit = OUTLIER * ops.sqrt(S)
         pulls = ops.clip(residual - dot(s.shares, noises), -limit, limit)
-        own = times({key: P[key] for key in pairs(m)}, s.thrust_slopes)
-        spread = dot(s.thrust_slopes, own)
+        spread = dot(s.thrust_slopes, times({key: P[key] for key in pairs(m)}, s.thrust_slopes))
         K = [v / S for v in Pg]
         learned = {(i, j): P[i, j] - K[i] * Pg[j] for i, j in P}
         delta = [k * pulls for k in K]
         speed = None
         if any(d is not None for d in s.speed_slopes):
             speed, learned, delta = _by_speed(ops, s, x, learned, delta)
-        # What is known of the excited direction is forgotten as the operating point goes on.
-        forgets = s.moved / known.memory / ops.maximum(spread, TINY)
-        for i, j in pairs(m):
-            learned[i, j] = learned[i, j] + forgets * own[i] * own[j]
+        # What is known of a parameter is forgotten as the operating point goes on, as far as a change of it would show.
+        wider = [1.0 if d is None else ops.sqrt(1.0 + s.moved / known.memory * (d * d / (d * d + S))) for d in s.thrust_slopes]
+        for i, j in learned:
+            for k in (i, j):
+                learned[i, j] = learned[i, j] * wider[k] if k < m else learned[i, j]
         band = WITHIN * ops.sqrt(spread + sum(s.band) + white)
         said = {"residual": residual, "band": band, "pulls": pulls, "S": S, "speed": speed}
         said["takes"] = K[m], K[m + 1], dot(s.shares[2:], K[m + 2 :])

@@ -13,10 +13,10 @@ from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Sig
 DAILY = ("sensor_gain.gain", "pitch_offset.offset", "sensor_drift.offset")
 """Adapted by default, with each channel's slower lag: the thrust's gain, the pitch's offset, the reading's offset."""
 
-MEMORY = 400.0
-"""Scales of the map that the operating point goes. Random steps over the whole of it make 3 in 5 s: half of 20 min.
-Exponential forgetting over half of a record costs 15 % of the standard deviation: (L/2T) coth(L/2T) = 1.31 of the variance at
-L = 2T."""
+MEMORY = 40.0
+"""Scales of the map that the operating point goes. Random steps over the whole of it make one in 9 s, and of these 0.2 to 0.4
+count, as far as a change shows: 15 min of what shows best. Exponential forgetting over as long a record costs 4 % of the
+standard deviation: (L/2T) coth(L/2T) = 1.08 of the variance at L = T."""
 
 
 def adapted_by_default(values: Mapping[str, float]) -> tuple[str, ...]:
@@ -157,7 +157,13 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
             20.0,
         ),
         Parameter(
-            "memory", "1", MEMORY, 10.0, 1e9, "distance after which what is known counts 1/e, in scales of the map", 100.0
+            "memory",
+            "1",
+            MEMORY,
+            10.0,
+            1e9,
+            "distance after which what shows fully is known 1/e as well, in scales of the map",
+            100.0,
         ),
     )
     states = [
