@@ -162,22 +162,22 @@ def test_a_set_point_that_stands_teaches_one_visit_and_no_more():
     assert shown["changes"][-1] == 0
 
 
-def test_what_shows_is_forgotten_on_the_way_and_what_does_not_is_not():
+def test_a_lag_is_forgotten_as_far_as_it_shows_and_what_is_watched_is_not():
     """Pitch moves for a minute and stands for four, while speed goes on: of the pitch's lag what is known stays, whatever the
-    memory; of the speed's lag a shorter one keeps less, and never more than a plausible change."""
+    memory; of the speed's lag a shorter one keeps less, and never more than a plausible change; the gain knows of none."""
     inputs = driven(75_000)
     still = np.where(np.arange(75_000) < 15_000, inputs["beta_ref"], 3.0)
     inputs["thrust"] = Simulator(PLANT).simulate({}, inputs | {"beta_ref": still}, np.full(74_999, DT))[:, 0]
     inputs["beta_ref"] = still
-    by_pitch, by_speed = ADAPTED[-2:]
-    ends = {}
+    gain, (by_pitch, by_speed) = ADAPTED[0], ADAPTED[-2:]
+    lags, gains = {}, {}
     for memory in (2.0, 20.0, 1e9):
         shown = ran(inputs, {"memory": memory, "speed_error": 1e5})  # thrust alone tells
-        lag = shown[f"std.{by_pitch}"]
-        assert np.all(np.diff(lag[16_000:]) < 1e-9)  # others that are learned tell of it, too
-        ends[memory] = shown[f"std.{by_speed}"][-1]
-    assert 1.5 * ends[1e9] < ends[2.0] < TWIN.values()[f"change.{by_speed}"]
-    assert ends[1e9] < ends[20.0] < ends[2.0]
+        assert np.all(np.diff(shown[f"std.{by_pitch}"][16_000:]) < 1e-9)  # others that are learned tell of it, too
+        lags[memory], gains[memory] = shown[f"std.{by_speed}"][-1], shown[f"std.{gain}"][-1]
+    assert 1.5 * lags[1e9] < lags[2.0] < TWIN.values()[f"change.{by_speed}"]
+    assert lags[1e9] < lags[20.0] < lags[2.0]
+    assert gains[2.0] == pytest.approx(gains[1e9], rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ n1 is the reading's slow noise and what the model is off while thrust moves, and
 the nodes of a grid over the thrust map, h the weights of linear interpolation between them: it stays, so that a rig that comes
 back to a place tells no more of theta than before, and one that comes back to find another error there has changed. n2 is what
 the interpolation leaves; its a2 = exp(-distance / PLACE) counts how far the operating point has gone, so that a set-point
-that never moves teaches no more than one visit, however long it stands. For the same reason what is known is forgotten by
-distance, and what is not excited is not (after Kulhavy and Karny, 9th IFAC World Congress, 1984): of each parameter as far as a
-plausible change of it, 1, would show in the reading, whose innovation has the variance S,
+that never moves teaches no more than one visit, however long it stands. What is watched for changes is followed after an alarm.
+What is not, a lag, is forgotten instead, by distance as well, and as far as it is excited (after Kulhavy and Karny, 9th IFAC
+World Congress, 1984): as far as a plausible change of it, 1, would show in the reading, whose innovation has the variance S,
 
     P <- D P D,   D_i^2 = 1 + distance / memory  g_i^2 / (g_i^2 + S),   g = d T / d theta
 

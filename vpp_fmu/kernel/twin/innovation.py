@@ -80,8 +80,9 @@ def _path(ops: Any, at: Any, start: Sequence, end: Sequence) -> Any:
     return at.thrust_scale * (ops.abs(by_speed) + ops.abs(by_pitch))
 
 
-def innovation(m: int) -> Effect:
-    """The filter's update by one sample, of `m` parameters."""
+def innovation(forgotten: Sequence[bool]) -> Effect:
+    """The filter's update by one sample; of each parameter, whether what is known of it is forgotten."""
+    m = len(forgotten)
 
     def taken(ops, s, x, p, dt):
         known = s.noise_model
@@ -99,11 +100,14 @@ def innovation(m: int) -> Effect:
         speed = None
         if any(d is not None for d in s.speed_slopes):
             speed, learned, delta = _by_speed(ops, s, x, learned, delta)
-        # What is known of a parameter is forgotten as the operating point goes on, as far as a change of it would show.
-        wider = [1.0 if d is None else ops.sqrt(1.0 + s.moved / known.memory * (d * d / (d * d + S))) for d in s.thrust_slopes]
-        for i, j in learned:
-            for k in (i, j):
-                learned[i, j] = learned[i, j] * wider[k] if k < m else learned[i, j]
+        # As the operating point goes on, and as far as a change of it would show.
+        wider = {}
+        for i, d in enumerate(s.thrust_slopes):
+            if forgotten[i] and d is not None:
+                wider[i] = ops.sqrt(1.0 + s.moved / known.memory * (d * d / (d * d + S)))
+        for at in learned:
+            for k in at:
+                learned[at] = learned[at] * wider.get(k, 1.0)
         band = WITHIN * ops.sqrt(spread + sum(s.band) + white)
         said = {"residual": residual, "band": band, "pulls": pulls, "S": S, "speed": speed}
         said["takes"] = K[m], K[m + 1], dot(s.shares[2:], K[m + 2 :])

@@ -13,10 +13,10 @@ from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Effect, Model, Parameter, Sig
 DAILY = ("sensor_gain.gain", "pitch_offset.offset", "sensor_drift.offset")
 """Adapted by default, with each channel's slower lag: the thrust's gain, the pitch's offset, the reading's offset."""
 
-MEMORY = 40.0
-"""Scales of the map that the operating point goes. Random steps over the whole of it make one in 9 s, and of these 0.2 to 0.4
-count, as far as a change shows: 15 min of what shows best. Exponential forgetting over as long a record costs 4 % of the
-standard deviation: (L/2T) coth(L/2T) = 1.08 of the variance at L = T."""
+MEMORY = 20.0
+"""Scales of the map that the operating point goes. Random steps over the whole of it make one in 9 s, of which 0.2 counts, as
+far as a change of a lag shows: 15 min. Over a record of L exponential forgetting costs (L/2T) coth(L/2T) of the variance,
+8 % at L = T; of the lags' standard deviation over 15 min it costs 9 %."""
 
 
 def adapted_by_default(values: Mapping[str, float]) -> tuple[str, ...]:
@@ -46,7 +46,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
     """
     adapted = tuple(adapted)
     own = {p.name: p for p in plant.parameters}
-    parts = [own[name] for name in adapted]
+    parts, followed = [own[name] for name in adapted], watched(plant, adapted)
     largest = min((e.largest_step for e in plant.effects if e.largest_step is not None), default=None)
     pieces = 1 if largest is None else ceil(sample_time / largest - 1e-9)
     longest = 0.1 if largest is None else pieces * largest
@@ -82,8 +82,8 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
             adaptation(plant, parts, bounds),
             prediction(plant, adapted, pieces),
             motion(),
-            innovation(len(adapted)),
-            watch(adapted, watched(plant, adapted), sample_time),
+            innovation([name not in followed for name in adapted]),
+            watch(adapted, followed, sample_time),
             update(parts),
         ),
         sample_time="sample_time",
