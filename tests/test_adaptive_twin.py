@@ -204,10 +204,8 @@ def test_what_no_parameter_explains_stops_it_and_nothing_of_it_is_learned():
     stopped = ran(inputs)
     assert stopped["alarm"][-1] == 1.0
     begins = np.flatnonzero(stopped["alarm"])[0]
-    gives_up = (
-        1 + np.flatnonzero(stopped["learning"][1:] == 0.0)[0]
-    )  # not at once: it follows first, to see whether that explains it
-    assert begins < gives_up
+    gives_up = 1 + np.flatnonzero(stopped["learning"][1:] == 0.0)[0]
+    assert begins < gives_up  # it follows first, to see whether that explains it
     assert not np.any(stopped["learning"][gives_up:])
     for name in ADAPTED:  # back to where they were when nothing was suspicious yet
         path, left = stopped[f"adapted.{name}"], stopped[f"adapted.{name}"][-1]

@@ -107,7 +107,7 @@ def innovation(forgotten: Sequence[bool]) -> Effect:
                 wider[i] = ops.sqrt(1.0 + s.moved / known.memory * (d * d / (d * d + S)))
         for at in learned:
             for k in at:
-                learned[at] = learned[at] * wider.get(k, 1.0)
+                learned[at] = learned[at] * wider[k] if k in wider else learned[at]
         band = WITHIN * ops.sqrt(spread + sum(s.band) + white)
         said = {"residual": residual, "band": band, "pulls": pulls, "S": S, "speed": speed}
         said["takes"] = K[m], K[m + 1], dot(s.shares[2:], K[m + 2 :])

@@ -160,9 +160,9 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
             "memory",
             "1",
             MEMORY,
-            10.0,
+            1.0,
             1e9,
-            "distance after which what shows fully is known 1/e as well, in scales of the map",
+            "distance in which what is known of a lag falls to 1/e, in scales of the map",
             100.0,
         ),
     )
