@@ -339,26 +339,48 @@ def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened
     ("low", "grid"),
     [(0.5, np.geomspace(0.02, 4.5, FINE)), (-4.0, np.linspace(-4.5, 4.5, FINE)), (-4.0, np.linspace(-4.5, -0.5, FINE))],
 )
-def test_a_function_constant_in_pieces_is_met_on_every_piece_wide_enough(low, grid):
-    """Edges that are known: a grid misses most of the pieces, halving meets those wider than its finest part."""
-    edges, grid = np.sort(np.random.default_rng(9).uniform(low, low + 2.5, 300)), grid.tolist()
-    asked = []
-
-    def piece(at):
-        asked.append(at)
-        return float(np.searchsorted(edges, at))
-
-    found = divided(piece, grid)
-    assert len(asked) == len(set(asked)) <= FINEST + FINE
+def test_pieces_that_look_like_no_other_are_all_met(low, grid):
+    """Edges that are known, and each piece's rows at a right angle to all others': a grid misses most of the pieces, halving
+    meets those wider than its finest part, so the right one, whichever it is."""
+    edges, grid, rows = np.sort(np.random.default_rng(9).uniform(low, low + 2.5, 300)), grid.tolist(), 30.0 * np.eye(301)
     changing = min(b for b in grid if b > edges[-1]) - max(a for a in grid if a < edges[0])
     wide = np.flatnonzero(np.diff(edges) > changing / FINEST) + 1
     assert len(wide) > 150
-    assert set(wide) <= set(found.values())
-    assert len(set(wide) & {piece(at) for at in grid}) < 0.3 * len(wide)
+    assert len(set(wide) & set(np.searchsorted(edges, grid))) < 0.3 * len(wide)
+    for right in wide[:: len(wide) // 10]:
+        asked = []
+
+        def left(at, right=right, asked=asked):
+            asked.append(at)
+            return rows[np.searchsorted(edges, at)] - rows[right]
+
+        found = divided(left, grid)
+        assert min(found.values()) == 0.0
+        assert len(asked) == len(set(asked)) <= FINEST + FINE
     asked.clear()
     above = edges[-1] + 0.5
-    assert set(divided(piece, [above, above + 0.5, above + 1.0]).values()) == {300.0}  # all the same: nothing to halve
+    divided(left, [above, above + 0.5, above + 1.0])  # all the same: nothing to halve
     assert len(asked) == 3
+
+
+def test_pieces_that_look_alike_are_met_where_the_best_may_be():
+    """A bump whose place goes in 3000 small pieces, in noise: of all of them none is better than the one that was met by more
+    than half the finest step costs, and few are looked at."""
+    edges, axis, width = np.linspace(0.5, 3.0, 3001), np.linspace(-1.0, 5.0, 600), 0.3
+    bumps = 4.0 * np.exp(-(((axis - edges[:, None]) / width) ** 2))
+    curvature = 4.0**2 * np.sqrt(0.5 * np.pi) / width / (axis[1] - axis[0])  # of half the squared distance of two bumps
+    worse = 0.5 * curvature * (0.5 * 4.5 / FINEST + edges[1] - edges[0]) ** 2
+    for seed in range(40):
+        rng, asked = np.random.default_rng(seed), []
+        read = bumps[rng.integers(len(edges))] + rng.standard_normal(len(axis))
+
+        def left(at, read=read, asked=asked):
+            asked.append(at)
+            return bumps[np.abs(edges - at).argmin()] - read
+
+        best = 0.5 * float(np.min(np.sum((bumps - read) ** 2, axis=1)))
+        assert min(divided(left, np.geomspace(0.1, 4.5, FINE).tolist()).values()) - best < 2.0 * worse  # noise bends it, too
+        assert len(asked) < FINEST / 4
 
 
 @pytest.mark.parametrize(("half_width", "start"), [(0.731, 1.0), (1.618, 0.0)])

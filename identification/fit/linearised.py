@@ -75,7 +75,11 @@ class Linearised:
         columns = problem.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
         return np.vstack([c / problem.scale[k] for k, c in columns.items()])
 
+    def left(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
+        """(rows,) residual with `changes`, the fitted parameters following as far as they can."""
+        return self.apart(self.rows(simulator, changes))
+
     def cost(self, simulator: Simulator, changes: Mapping[str, float]) -> float:
-        """Half sum of squares with `changes`, the fitted parameters following as far as they can."""
-        left = self.apart(self.rows(simulator, changes))
+        """Half the sum of its squares."""
+        left = self.left(simulator, changes)
         return 0.5 * float(left @ left)

@@ -120,9 +120,10 @@ class _Screened:
     def _divided(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
         """The best value of a threshold."""
         (name,) = trace.candidate.sizes
-        falls = divided(lambda value: self._fall(trace.at(shape | {name: value})), trace.candidate.fine_axis(name))
-        best = max(falls, key=falls.__getitem__)
-        return falls[best], shape | {name: best}
+        there, about = trace.at, self._about
+        costs = divided(lambda value: about.residual + there(shape | {name: value}), trace.candidate.fine_axis(name))
+        best = min(costs, key=costs.__getitem__)
+        return self._cost - costs[best], shape | {name: best}
 
     def _closer(self, trace: "_Trace", best: tuple[float, dict[str, float]]) -> tuple[float, dict[str, float]]:
         """From the best point of a grid of several sizes, some way down along their tangents."""

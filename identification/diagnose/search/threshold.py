@@ -30,6 +30,9 @@ FINEST = 1024
 """Into how many parts the range in which anything changes is divided at most. Commands that a loop has made differ from each
 other by anything: in 90 s of one a dead band of 2 deg shows where it is known to 0.006 deg, and is worse than none beside."""
 
+NOISE = 3.0
+"""Standard deviations of what noise adds to a comparison of two values that are looked between."""
+
 SAME = 1e-9
 """Share by which costs on one flat may differ."""
 
@@ -59,19 +62,46 @@ def _grid(model: Model, name: str, count: int) -> np.ndarray:
     return np.linspace(low, high, count) if low < 0.0 else np.geomspace(max(low, high / 200), high, count)
 
 
-def divided(value: Callable[[float], float], grid: Sequence[float]) -> dict[float, float]:
-    """{point: value} of a function that is constant in pieces: of a grid, halved where its neighbours differ, down to the
-    FINEST-th part of the range in which they do."""
-    found = {point: value(point) for point in grid}
-    pending = [(a, b) for a, b in pairwise(grid) if found[a] != found[b]]
-    least = (max((b for _, b in pending), default=0.0) - min((a for a, _ in pending), default=0.0)) / FINEST
+def divided(left: Callable[[float], np.ndarray], grid: Sequence[float]) -> dict[float, float]:
+    """{point: half sum of squares of what is `left` (rows,) there} of a grid, halved where what lies between may be the best.
+
+    What is left is constant in pieces. Were the right value between two neighbours whose rows are d apart, the better of them
+    would be no further from it than that: worse by d^2 / 2, give or take d for each standard deviation of noise. So they are
+    halved as long as it is no more than that behind the best of all, the most promising first, down to the FINEST-th part of
+    the range in which anything changes. Where commands creep, each value looks like no other; else a few dozen tell.
+    """
+    rows = {point: left(point) for point in grid}
+    found = {point: 0.5 * float(there @ there) for point, there in rows.items()}
+    pending = [_Between(a, b, rows[a], rows[b], min(found[a], found[b])) for a, b in pairwise(grid)]
+    pending = [each for each in pending if each.apart > 0.0]
+    least = (max((each.b for each in pending), default=0.0) - min((each.a for each in pending), default=0.0)) / FINEST
+    best = min(found.values())
+    pending.sort(key=lambda each: -each.promise)
+    del rows
     while pending:
-        a, b = pending.pop()
-        if b - a > least:
-            middle = 0.5 * (a + b)
-            found[middle] = value(middle)
-            pending += [(x, y) for x, y in ((a, middle), (middle, b)) if found[x] != found[y]]
+        each = pending.pop()
+        if each.b - each.a <= least or each.promise >= best:
+            continue
+        middle = 0.5 * (each.a + each.b)
+        there = left(middle)
+        found[middle] = cost = 0.5 * float(there @ there)
+        best = min(best, cost)
+        halves = [
+            _Between(each.a, middle, each.left_a, there, min(found[each.a], cost)),
+            _Between(middle, each.b, there, each.left_b, min(found[each.b], cost)),
+        ]
+        pending += sorted((half for half in halves if half.apart > 0.0), key=lambda half: -half.promise)
     return found
+
+
+class _Between:
+    """Two neighbours `a` < `b`, with what is left there (rows,); `cost`: the better one's."""
+
+    def __init__(self, a: float, b: float, left_a: np.ndarray, left_b: np.ndarray, cost: float):
+        self.a, self.b, self.left_a, self.left_b = a, b, left_a, left_b
+        change = left_b - left_a
+        self.apart = float(np.sqrt(change @ change))
+        self.promise = cost - 0.5 * self.apart**2 - NOISE * self.apart
 
 
 def scan(
@@ -89,16 +119,13 @@ def scan(
         about = Linearised.of(problem, solution)
         whole = _grid(problem.model, name, FINE)
 
-        def cost(value, about=about):
-            return about.cost(simulator, {name: value})
-
         if spread is None:
-            costs = divided(cost, whole.tolist())
+            costs = divided(lambda value, about=about: about.left(simulator, {name: value}), whole.tolist())
         else:
             ends = problem.values[name] / spread, min(whole[-1], problem.values[name] * spread)
-            costs = {value: cost(value) for value in np.geomspace(*ends, 25).tolist()}
+            costs = {value: about.cost(simulator, {name: value}) for value in np.geomspace(*ends, 25).tolist()}
         best = min(costs, key=costs.__getitem__)
-        moved = costs[best] < cost(problem.values[name]) * (1.0 - SAME)
+        moved = costs[best] < about.cost(simulator, {}) * (1.0 - SAME)
         # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
         problem.values[name] = 0.5 * sum(_edges(about, simulator, name, best, costs[best] * (1.0 + SAME), whole))
         solution = problem.refit(solution.value)
