@@ -194,7 +194,7 @@ def test_three_rigs_are_identified_as_well_as_their_bound_allows():
 
 
 ROW = {"kind": "single", "hidden": ["pitch_backlash"], "verdict": "attributed", "effects": ["pitch_backlash"], "family": {}}
-ROW |= {"equal": [], "evidence": 100.0, "true_error": [0.2, 0.02], "failed": None}
+ROW |= {"equal": {}, "evidence": 100.0, "true_error": [0.2, 0.02], "failed": None}
 
 
 @pytest.mark.parametrize(
@@ -210,6 +210,12 @@ ROW |= {"equal": [], "evidence": 100.0, "true_error": [0.2, 0.02], "failed": Non
         ({"effects": [], "verdict": "none"}, set()),
         ({"hidden": ["pitch_backlash", "sensor_lag"], "kind": "pair"}, {"passed_over"}),
         ({"hidden": ["pitch_backlash", "sensor_lag"], "kind": "pair", "verdict": "partly"}, {"honest"}),
+        ({"hidden": ["pitch_backlash", "sensor_lag"], "kind": "pair", "effects": ["pitch_backlash", "cell"]}, {"wrong"}),
+        (
+            {"hidden": ["pitch_backlash", "sensor_lag"], "kind": "pair", "effects": ["pitch_backlash", "cell"]}
+            | {"equal": {"sensor_lag": ["cell"]}},
+            {"hit"},
+        ),
         ({"hidden": ["stick_slip"], "kind": "outside"}, {"wrong"}),
         ({"hidden": ["stick_slip"], "kind": "outside", "effects": ["pitch_stop_band"]}, {"passed_over"}),  # a relative
         ({"hidden": [], "kind": "none"}, {"wrong"}),
@@ -228,7 +234,7 @@ def done(case, **change):
         "verdict": "none",
         "effects": [],
         "family": {},
-        "equal": [],
+        "equal": {},
         "evidence": 50.0,
         "seconds": 9.0,
         "cpu": 8.0,

@@ -8,6 +8,7 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ class Record:
         """(n,) s."""
         return self.columns["time"]
 
-    @property
+    @cached_property
     def steps(self) -> np.ndarray:
         """(n - 1,) s from row to row, rounded to the nanosecond: a grid written as 0.004 s gives exactly 0.004 each time."""
         return np.round(np.diff(self.time), 9)

@@ -260,13 +260,16 @@ def _all_on(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
 
 def _rivals(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) -> list[tuple[Candidate, Fit]]:
     """What came near an effect, refitted in its place; of what comes near there, all forms: another one may fit as well."""
-    fits = [(tried.candidate, _in_place(searcher, rest, tried)) for tried in _near(found, effect)]
+    near = _near(found, effect)
+    fits = list(zip([t.candidate for t in near], pool.map(lambda t: _in_place(searcher, rest, t), near), strict=True))
     enough = REACH * evidence_over(found.final, rest)
-    near = {candidate.name for candidate, fit in fits if evidence_over(fit, rest) >= enough}
+    names = {candidate.name for candidate, fit in fits if evidence_over(fit, rest) >= enough}
     tried = {candidate.label for candidate, _ in fits}
-    every = {t.candidate.label: t.candidate for round_ in found.rounds for t in round_ if t.candidate.name in near}
+    every = {t.candidate.label: t.candidate for round_ in found.rounds for t in round_ if t.candidate.name in names}
     further = [candidate for label, candidate in every.items() if label not in tried]
-    return fits + [(c, refitted(searcher, rest, c, seen)) for c, seen in screened(searcher, rest, further, pool)]
+    seen = screened(searcher, rest, further, pool)
+    again = pool.map(lambda pair: refitted(searcher, rest, *pair), seen)
+    return fits + list(zip([c for c, _ in seen], again, strict=True))
 
 
 def _near(found: Selection, effect: str) -> list[CandidateFit]:

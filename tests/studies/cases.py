@@ -158,16 +158,22 @@ class Case:
 
         Of a pair, of its fainter effect, with the other one known.
         """
-        known = [{k: v for other in self.each if other != name for k, v in self.each[other].items()} for name in self.each]
-        return min((self._over(record, known=others) for others in known), default=0.0)
+        return min((self._over(record, known=self._others(name)) for name in self.each), default=0.0)
 
-    def equals(self, record: Record) -> list[str]:
-        """Names of special cases that these records can't tell from the single effect that is hidden."""
-        if self.kind != "single":
-            return []
-        ((name, own),) = self.each.items()
-        special = {other: settings(own) for other, settings in HIDDEN[name].special.items()}
-        return [other for other, sizes in special.items() if self._over(record, free=sizes) < LIMIT]
+    def equals(self, record: Record) -> dict[str, list[str]]:
+        """By hidden effect, names of special cases that these records can't tell from it, the others known."""
+        if self.kind not in ("single", "pair"):
+            return {}
+        found = {}
+        for name, own in self.each.items():
+            special = {other: settings(own) for other, settings in HIDDEN[name].special.items()}
+            known = self._others(name)
+            found[name] = [other for other, sizes in special.items() if self._over(record, known, sizes) < LIMIT]
+        return found
+
+    def _others(self, name: str) -> dict:
+        """Settings of what is hidden but for one effect."""
+        return {k: v for other, own in self.each.items() if other != name for k, v in own.items()}
 
     def _over(self, record: Record, known: Mapping[str, float] | None = None, free: Mapping[str, float] | None = None) -> float:
         records = 1 + self.factors.repeat

@@ -40,12 +40,12 @@ def right(c: dict) -> set[str]:
     """Names that are no mistake: what is hidden, what these data can't tell from it; of what the list lacks, its relatives."""
     lacks = c["kind"] in ("outside", "deleted")
     relatives = {r for h in c["hidden"] for r in HIDDEN[h].relatives} if lacks else set()
-    return {*c["hidden"], *c["equal"], *relatives}
+    return {*c["hidden"], *relatives}.union(*c["equal"].values())
 
 
 def hit(c: dict) -> bool:
     """Every hidden effect claimed, or what these data can't tell from it, no other found beside."""
-    known = set(c["hidden"]) <= named(c) or bool(set(c["equal"]) & named(c))
+    known = all({h, *c["equal"].get(h, ())} & named(c) for h in c["hidden"])
     return known and len(found(c)) == len(c["hidden"])
 
 

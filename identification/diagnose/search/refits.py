@@ -1,6 +1,6 @@
 """One round: all candidates beside a fit looked at, those that promise most refitted, the best of these as well as can be."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
@@ -72,18 +72,22 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
     give_back()
     refits = dict(zip(chosen, pool.map(lambda c: refitted(searcher, fit, c, at[c.label]), chosen), strict=True))
 
-    def improve(some: Sequence[Candidate], how: Callable[[Candidate], Fit]) -> None:
-        refits.update(zip(some, pool.map(how, some), strict=True))
+    def improve(starts: Iterable[tuple[Candidate, Start]], thorough: bool) -> None:
+        """Each candidate's refit, or a better one from another start; all of them side by side."""
+        starts = list(starts)
+        fits = pool.map(lambda pair: added(searcher, fit, pair[0], *pair[1], thorough), starts)
+        for (c, _), new in zip(starts, fits, strict=True):
+            refits[c] = min(refits.get(c, new), new, key=Fit.bic)
 
     leader = min(refits, key=lambda c: refits[c].bic())
     near = {leader.name, *leader.effect.contains}
     others = [t.candidate for t in tried if t.candidate.name in near and t.candidate is not leader and t.fit is None]
-    improve(others, lambda c: _near(searcher, fit, c, refits.get(c), leader, refits[leader]))
+    improve(((c, start) for c in others for start in _near(c, leader, refits[leader])), thorough=False)
     best = sorted(refits, key=lambda c: refits[c].bic())[:REORDERED]
     best = [c for c in best if evidence_over(refits[c], fit) >= REACH * evidence_over(refits[best[0]], fit)]
-    improve(best, lambda c: _reordered(searcher, fit, c, refits[c]))
+    improve(((c, start) for c in best for start in _reordered(fit, c, refits[c])), thorough=True)
     leaders = {c.name: refits[c] for c in sorted(best, key=lambda c: -refits[c].bic())}
-    improve(best, lambda c: _widened(searcher, fit, c, refits[c], leaders))
+    refits.update(zip(best, pool.map(lambda c: _widened(searcher, fit, c, refits[c], leaders), best), strict=True))
     for wide in best:
         for special, known in list(refits.items()):
             if start := _narrowed(wide, refits[wide], special):
@@ -92,9 +96,13 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
     return [replace(t, fit=new, evidence=evidence_over(new, fit)) if (new := refits.get(t.candidate)) else t for t in tried]
 
 
-def _near(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit | None, leader: Candidate, there: Fit) -> Fit:
-    """The refit of another form, or of a special case, of the effect that leads, or a better one from where that stands, in
-    both orders of the lags.
+Start = tuple[Mapping[str, float], Mapping[str, bool]]
+"""Values that a fit starts from, and the order of the lags."""
+
+
+def _near(candidate: Candidate, leader: Candidate, there: Fit) -> list[Start]:
+    """Where another form, or a special case, of the effect that leads may be better: where that stands, in both orders of the
+    lags.
 
     In another form a large effect asks for other lags: where the base's stand, a look sees nothing of it.
     """
@@ -104,10 +112,8 @@ def _near(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit | None,
     if candidate.name == leader.name:
         values |= {n: there.values[n] for n in candidate.free}
     flipped = {u: not there.slow_first.get(u, True) for u in candidate.effect.channels}
-    orders = [there.slow_first, {**there.slow_first, **flipped}]
-    starts = [values, values | {a: values[b] for u in flipped for a, b in permutations((f"tau_{u}_1", f"tau_{u}_2"))}]
-    found = [added(searcher, fit, candidate, v, o, thorough=False) for v, o in zip(starts, orders, strict=True)]
-    return min([*([refit] if refit else []), *found], key=Fit.bic)
+    swapped = {a: values[b] for u in flipped for a, b in permutations((f"tau_{u}_1", f"tau_{u}_2"))}
+    return [(values, there.slow_first), (values | swapped, {**there.slow_first, **flipped})]
 
 
 def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
@@ -133,14 +139,13 @@ def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fi
     return min(found, added(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
 
 
-def _reordered(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit) -> Fit:
-    """The candidate's refit, or a better one with a channel's lags in the other order."""
+def _reordered(fit: Fit, candidate: Candidate, refit: Fit) -> list[Start]:
+    """Where a refit of a candidate may be better: with a channel's lags in the other order."""
     orders = [{**refit.slow_first, u: not refit.slow_first.get(u, True)} for u in candidate.effect.channels]
     if _exchangeable(refit, candidate.effect.channels):
         orders = []
     # Beside a threshold that stood already it was scanned nearby only.
-    starts = [*orders, refit.slow_first] if fit.thresholds else orders
-    return min([refit, *(added(searcher, fit, candidate, refit.values, order) for order in starts)], key=Fit.bic)
+    return [(refit.values, order) for order in ([*orders, refit.slow_first] if fit.thresholds else orders)]
 
 
 def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:

@@ -156,10 +156,13 @@ class _Trace:
     def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
         self.candidate, self._about, self._simulator = candidate, about, simulator
         self._quiet = about.outputs(simulator, {**candidate.form, **candidate.off})
+        self._known: dict[tuple[float, ...], np.ndarray] = {}
         self.points = 0
 
     def at(self, point) -> np.ndarray:
         """(rows,)"""
+        if (here := tuple(point.values())) in self._known:
+            return self._known[here]
         self.points += 1
         changed = self._changed(point)
         return self._about.apart(changed) if changed.any() else changed
@@ -170,9 +173,14 @@ class _Trace:
         return self._about.change([y - quiet for y, quiet in zip(shown, self._quiet, strict=True)])
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
-        """Whether neighbours on the axis of the only size look different: a resonance, or a threshold, shows where it is."""
+        """Whether neighbours on the axis of the only size look different: a resonance, or a threshold, shows where it is.
+
+        Their traces are kept until the next shape's: the grid is of the same points.
+        """
         ((name, values),) = axes.items()
-        traces = [self.at(shape | {name: v}) for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
+        points = [shape | {name: v} for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
+        traces = [self.at(point) for point in points]
+        self._known = {tuple(point.values()): trace for point, trace in zip(points, traces, strict=True)}
         powers = [float(t @ t) for t in traces]
         alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
         return not all(alike)
