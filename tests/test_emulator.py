@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from studies import diagnosis, orders, rigs, scores
 from studies.apart import Failed, apart
 from studies.cases import KINDS, WHOLE, Case, draw
-from studies.detectable import evidence
+from studies.detectable import STEP, behind, evidence
 from studies.missing import HIDDEN, LISTED, Draw
 from studies.noise import HUM, SPIKE, SPIKES, Noise
 from studies.noise import KINDS as NOISES
@@ -177,6 +177,18 @@ def test_evidence_is_none_without_an_effect_and_the_sum_over_records_with_one():
     assert quiet == pytest.approx(4.0 * two, rel=0.02)
 
 
+def test_a_model_is_behind_the_truth_by_half_the_square_of_what_it_misses():
+    rig = Rig(dict(PAPER), rate=100.0)
+    record, true = rig.observed(np.random.default_rng(0), commands(rig.clock), "")
+    omega = rig.run(record["omega_ref"], record["beta_ref"], STEP).omega * rig.size.speed
+    n, turns = len(true), 7 / len(true)
+    missed = 0.01 * np.sin(2.0 * np.pi * turns * np.arange(n))
+    integrated = behind(rig, record, true, omega, 1)  # in other steps than the record
+    assert integrated < 0.5
+    power = float(rig.noise.power(np.array([turns]))[0])  # of a wave's n / 2 squares, in units of the noise there
+    assert behind(rig, record, true + missed, omega, 2) == pytest.approx(2 * 0.5 * (n / 2) * 0.01**2 / power, rel=0.1)
+
+
 def test_a_pair_is_as_detectable_as_its_fainter_effect():
     case = draw(0, "pair", hidden=("pitch_delay", "supply_sag"), size="paper", rate=100, noise="AR", seconds=30.0, repeat=True)
     record = case.rig.record(case.random(3), commands(case.rig.clock, 30.0), "")
@@ -194,7 +206,7 @@ def test_three_rigs_are_identified_as_well_as_their_bound_allows():
 
 
 ROW = {"kind": "single", "hidden": ["pitch_backlash"], "verdict": "attributed", "effects": ["pitch_backlash"], "family": {}}
-ROW |= {"equal": {}, "evidence": 100.0, "true_error": [0.2, 0.02], "failed": None}
+ROW |= {"equal": {}, "evidence": 100.0, "behind": 7.0, "true_error": [0.2, 0.02], "failed": None}
 
 
 @pytest.mark.parametrize(
@@ -236,6 +248,7 @@ def done(case, **change):
         "family": {},
         "equal": {},
         "evidence": 50.0,
+        "behind": 7.0,
         "seconds": 9.0,
         "cpu": 8.0,
     }

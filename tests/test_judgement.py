@@ -8,11 +8,11 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
-from identification.diagnose import crossval, diagnose, selection
+from identification.diagnose import crossval, diagnose, lack, selection
 from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
 from identification.diagnose.following import Following, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
-from identification.diagnose.lack import spectra
+from identification.diagnose.lack import Band, spectra
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
 from identification.diagnose.search.screening import Screening
@@ -530,6 +530,20 @@ def test_a_term_takes_the_place_of_effects_that_explain_a_part_only_where_it_exp
     )
     assert (seen, final.name) == (looks, shipped)
     assert (attempt.learned is None) == (shipped == "present")
+
+
+@pytest.mark.parametrize(
+    ("effects", "p", "certain"), [((), 0.0005, True), ((), 0.002, False), (("one",), 0.002, True), (("one",), 0.02, False)]
+)
+def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
+    """Five bands and a score test, six times the smallest p-value."""
+    monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, q) for q in (p / 6, *[0.5] * 4)))
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
+    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
+    found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
+    assert found.p == pytest.approx(p)
+    assert (found.certain, found.found) == (certain, certain)
+    assert not lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).found  # it is 0.22 N
 
 
 @pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])

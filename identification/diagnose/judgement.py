@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 LEVEL = 0.01
 """Share of rigs that lack nothing in which the best of all candidates may pass for an effect: the family-wise level of the
-likelihood ratio test, shared evenly among the points that the search looks at (Bonferroni)."""
+likelihood ratio test, shared evenly among the points that the search looks at (Bonferroni). And of models that explain all,
+those that may be taken to leave something: who claims to know it all must pass each test of lack of fit at this level."""
 
 STRONG = 5.0
 """Natural logarithm of the penalised likelihood ratio (half a difference of the BIC) from which evidence is very strong (Kass
@@ -21,7 +22,8 @@ FORM = 0.0025
 form is a rig's own, and what one leaves of an effect that it describes to 5 % of its amplitude is 0.25 % of its power."""
 
 CERTAIN = 0.001
-"""Level of each test of lack of fit: of the pure error in a band, and of the score test on generic shapes."""
+"""Level of each test of lack of fit where nothing is claimed: of the pure error in a band, and of the score test on generic
+shapes. Most rigs that are looked at lack nothing, and to look for what a rig lacks takes days."""
 
 SMALLEST = 0.002
 """Least size of interest where the user names none: the power that an effect adds below SLOW, as a share of the noise's there.

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from identification.diagnose.following import Following, following
-from identification.diagnose.judgement import CERTAIN, HALF, SLOW
+from identification.diagnose.judgement import CERTAIN, HALF, LEVEL, SLOW
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.turning import UNTURNED, Turning, turning
 from identification.fit.noise import blocks
@@ -41,20 +41,21 @@ class Lack:
     """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes; `p` of both.
 
     `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
-    interest. `turning`: a line at once a revolution, which counts from `most` [N] rms on."""
+    interest. `level`: of the tests. `turning`: a line at once a revolution, which counts from `most` [N] rms on."""
 
     bands: tuple[Band, ...]
     score: Following
     p: float
     size: float
     least: float
+    level: float
     turning: Turning = UNTURNED
     most: float = 0.0
 
     @property
     def certain(self) -> bool:
         """Whether a test says that more than noise is left."""
-        return self.p < CERTAIN
+        return self.p < self.level
 
     @property
     def found(self) -> bool:
@@ -64,7 +65,7 @@ class Lack:
     @property
     def turns(self) -> bool:
         """Whether most of what passes for noise turns with the rotor."""
-        return self.turning.p < CERTAIN and self.turning.size > self.most
+        return self.turning.p < self.level and self.turning.size > self.most
 
     def summary(self) -> dict:
         """For diagnosis.json."""
@@ -85,12 +86,13 @@ class Lack:
 
 
 def lack_of_fit(fit: Fit, least: float) -> Lack:
-    """Both tests on a fit. The smallest p-value counts, times the number of tests (Bonferroni)."""
+    """Both tests on a fit, stricter with one that has effects: it claims to know what was missing. The smallest p-value counts,
+    times the number of tests (Bonferroni)."""
     bands, score = pure_error(fit), following(fit)
     tests = [b.p for b in bands] + ([score.p] if score.count else [])
     p = min(1.0, len(tests) * min(tests, default=1.0))
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
-    return Lack(bands, score, p, float(max(sizes)), least)
+    return Lack(bands, score, p, float(max(sizes)), least, LEVEL if fit.effects else CERTAIN)
 
 
 def with_turning(lack: Lack, fit: Fit) -> Lack:

@@ -15,7 +15,7 @@ from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
 
 from . import orders
-from .detectable import LIMIT, evidence
+from .detectable import LIMIT, behind, evidence
 from .missing import HIDDEN, LISTED, OUTSIDE, PAIRS, Draw
 from .noise import KINDS as NOISES
 from .physics import BASE, in_time
@@ -170,6 +170,10 @@ class Case:
             known = self._others(name)
             found[name] = [other for other, sizes in special.items() if self._over(record, known, sizes) < LIMIT]
         return found
+
+    def behind(self, record: Record, thrust: np.ndarray, omega: np.ndarray) -> float:
+        """Log-likelihood by which a model that predicts this of the record and its repeat is behind the truth."""
+        return behind(self.rig, record, thrust, omega, 1 + self.factors.repeat)
 
     def _others(self, name: str) -> dict:
         """Settings of what is hidden but for one effect."""

@@ -10,6 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from vpp_fmu.record import Record
+
 from .physics import BASE, Run
 from .rig import JITTER, Rig
 
@@ -52,6 +54,16 @@ def evidence(
 
     best = least_squares(error, np.zeros(len(names)), diff_step=1e-4, bounds=(-4.0, 4.0), max_nfev=8)
     return records * float(best.cost)
+
+
+def behind(rig: Rig, record: Record, thrust: np.ndarray, omega: np.ndarray, records: int) -> float:
+    """Log-likelihood by which a model is behind the truth on so many records of these commands, that predicts this thrust
+    (rows,) N and speed (rows,) rpm of them. A right one is behind by half a nat, on average, for each fitted parameter."""
+    speed, pitch = record["omega_ref"], record["beta_ref"]
+    found = rig.run(speed, pitch, STEP)
+    heard = _blocks(rig, omega / rig.size.speed - _told(rig, found)) / _speed_noise(rig, found)
+    away = np.concatenate([_over_noise(rig, thrust - rig.force(found, speed, pitch)), heard])
+    return records * 0.5 * float(away @ away)
 
 
 def _white(one: Rig, found: Run, speed: np.ndarray, pitch: np.ndarray, uncertain: np.ndarray) -> np.ndarray:

@@ -150,6 +150,7 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
     row |= {"verdict": content["verdict"], "effects": [e["name"] for e in content["effects"]]}
     row |= {"family": content["family"], "lack_of_fit": content.get("lack_of_fit")}
     row |= {"parameters": compared(content, case.truth()), "true_error": _true_errors(case, before, after)}
+    row |= {"behind": case.behind(measured.open_loop, *_outputs(after, measured.open_loop)[:, :2].T)}
     if case.deleted and scores.wrong(row):
         # Whether anything told the other name from the true one, had that been there.
         again, *_ = told(measured, whole, threads)
@@ -174,13 +175,12 @@ def told(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tup
 def _true_errors(case: Case, before: ParameterSet, after: ParameterSet) -> list[float]:
     """[before, after] rms N of a model's thrust on a record that nobody saw, against what was really there."""
     record, true = case.unseen()
-    return [_rms(_thrust(found, record) - true) for found in (before, after)]
+    return [_rms(_outputs(found, record)[:, 0] - true) for found in (before, after)]
 
 
-def _thrust(found: ParameterSet, record: Record) -> np.ndarray:
-    simulator = Simulator(found.model)
-    outputs = simulator.simulate(found.values, record.columns, record.steps)
-    return outputs[:, simulator.outputs.index("thrust")]
+def _outputs(found: ParameterSet, record: Record) -> np.ndarray:
+    """(rows, 3) thrust [N], speed [rpm], pitch [deg]."""
+    return Simulator(found.model).simulate(found.values, record.columns, record.steps)
 
 
 def _rms(error: np.ndarray) -> float:

@@ -73,6 +73,11 @@ def detectable(c: dict) -> bool:
     return c["evidence"] >= LIMIT
 
 
+def betrayed(c: dict) -> bool:
+    """Called wrong, by a model that these records tell from the truth."""
+    return wrong(c) and c["behind"] >= LIMIT
+
+
 def removed(c: dict) -> float:
     """Share of the true error's power that the model which ships removes, on a record that nobody saw."""
     before, after = c["true_error"]
@@ -220,7 +225,7 @@ def _noteworthy(rows: Rows) -> list[str]:
             lines.append(f"{'FALSE' if found(c) else 'missing':7} {_case(c)}: {_said(c)}")
         elif wrong(c):
             own = f"; with its own name in the list: {', '.join(c['with_own_name'])}" if "with_own_name" in c else ""
-            lines.append(f"WRONG   {_case(c)}: {_said(c)}{own}")
+            lines.append(f"WRONG   {_case(c)}: {_said(c)}; {c['behind']:.0f} behind the truth{own}")
         elif c["kind"] in ("single", "pair") and detectable(c) and not hit(c):
             lines.append(f"missed  {_case(c)}: {_said(c)}")
         if not c["failed"] and worse(c):
@@ -257,6 +262,7 @@ def figures(rows: Rows) -> list[str]:
     lines.append(share("  one or none, and says so", honest, pairs))
     lines.append(share("  called wrong", wrong, pairs))
     lines.append(share("in no list, or deleted from it: called wrong (aim <= 1 %)", wrong, lacking))
+    lines.append(share("  by a model that these records tell from the truth", betrayed, lacking))
     told = [c for c in lacking if "with_own_name" in c]
     lines.append(
         share("  of these, with its own name in the list called so", lambda c: c["hidden"][0] in c["with_own_name"], told)
