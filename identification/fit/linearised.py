@@ -29,6 +29,11 @@ class Linearised:
         """What of `rows` the fitted parameters can't follow."""
         return rows - self._columns @ (self._inverse @ (self._columns.T @ rows))
 
+    def products(self, rows: np.ndarray) -> tuple[float, float]:
+        """Of what of `rows` the parameters can't follow: its product with the residual, and with itself."""
+        followed = self._columns.T @ rows
+        return float(self.residual @ rows), max(float(rows @ rows - followed @ self._inverse @ followed), 0.0)
+
     def thrust_apart(self, rows: np.ndarray) -> np.ndarray:
         """As `apart`, of many rows (k, n) of thrust alone, in place; returns the products (k, k) of all that is left.
 

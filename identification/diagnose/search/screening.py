@@ -31,6 +31,9 @@ PROPORTIONAL = 0.03
 SHARP = 0.7
 """Squared cosine of the traces of two sizes a factor of 2 apart below which a grid of such steps may miss the right one."""
 
+ROUNDING = 1e-9
+"""Share of the speed by which it may change and still be the same: it is compiled another way, and rounds another way."""
+
 CLOSER = 3
 """Steps along the tangents from the best point of a grid of several sizes: what binds in one corner only is between points."""
 
@@ -77,6 +80,7 @@ class _Screened:
 
     def __init__(self, about: Linearised, cost: float, effects: Iterable[str], library: tuple[Effect, ...]):
         self._about, self._cost, self._effects, self._library = about, cost, tuple(effects), library
+        self._nothing = cost - 0.5 * float(about.residual @ about.residual)  # the fall where a candidate adds nothing
 
     def at(self, candidate: Candidate) -> tuple[float, dict[str, float], int]:
         """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed;
@@ -139,11 +143,10 @@ class _Screened:
 
     def _best(self, trace: "_Trace", point) -> tuple[float, dict[str, float]]:
         """The fall at a point, its sizes stretched a little where that helps."""
-        shown = trace.at(point)
-        power = float(shown @ shown)
-        stretch = float(np.clip(-float(self._about.residual @ shown) / power, *STRETCH)) if power else 1.0
+        along, power = trace.products(point)
+        stretch = float(np.clip(-along / power, *STRETCH)) if power else 1.0
         sizes = trace.candidate.within({n: point[n] * stretch for n, v in trace.candidate.off.items() if v == 0.0})
-        return self._fall(stretch * shown), point | sizes
+        return self._nothing - stretch * (along + 0.5 * stretch * power), point | sizes
 
     def _fall(self, shown: np.ndarray) -> float:
         left = self._about.residual + shown
@@ -156,31 +159,41 @@ class _Trace:
     def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
         self.candidate, self._about, self._simulator = candidate, about, simulator
         self._quiet = about.outputs(simulator, {**candidate.form, **candidate.off})
+        self._speed = [np.abs(quiet[:, 1]).max() for quiet in self._quiet]
         self._known: dict[tuple[float, ...], np.ndarray] = {}
         self.points = 0
 
     def at(self, point) -> np.ndarray:
         """(rows,)"""
-        if (here := tuple(point.values())) in self._known:
-            return self._known[here]
-        self.points += 1
         changed = self._changed(point)
         return self._about.apart(changed) if changed.any() else changed
 
+    def products(self, point) -> tuple[float, float]:
+        """Of what is added, with the residual and with itself."""
+        changed = self._changed(point)
+        return self._about.products(changed) if changed.any() else (0.0, 0.0)
+
     def _changed(self, point) -> np.ndarray:
         """(rows,): the scaled residual's change from where the candidate is off; it is linear in the outputs'."""
+        if (here := tuple(point.values())) in self._known:
+            return self._known[here]
+        self.points += 1
         shown = self._about.outputs(self._simulator, {**self.candidate.form, **point})
-        return self._about.change([y - quiet for y, quiet in zip(shown, self._quiet, strict=True)])
+        changes = [y - quiet for y, quiet in zip(shown, self._quiet, strict=True)]
+        for change, speed in zip(changes, self._speed, strict=True):
+            if np.abs(change[:, 1]).max() <= ROUNDING * speed:
+                change[:, 1] = 0.0
+        return self._about.change(changes)
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
         """Whether neighbours on the axis of the only size look different: a resonance, or a threshold, shows where it is.
 
-        Their traces are kept until the next shape's: the grid is of the same points.
+        What they change is kept until the next shape's: the grid is of the same points.
         """
         ((name, values),) = axes.items()
         points = [shape | {name: v} for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
+        self._known = {tuple(point.values()): self._changed(point) for point in points}
         traces = [self.at(point) for point in points]
-        self._known = {tuple(point.values()): trace for point, trace in zip(points, traces, strict=True)}
         powers = [float(t @ t) for t in traces]
         alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
         return not all(alike)
