@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from identification.diagnose.crossval import thirds
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import LEVEL
 from identification.diagnose.learned.columns import Course, hats, holds, lagged, plays, relay
-from identification.diagnose.learned.description import FILE
+from identification.diagnose.learned.description import FILE, source
 from identification.diagnose.learned.learn import by_chance
+from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
 from identification.diagnose.report.page import diagnosis_page
@@ -27,9 +29,10 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.kernel.learned import PORTS, learned, placed
 from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.native import Simulator
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import read_parameters
+from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.record import write_record
 
 NOISE = 0.05  # N
@@ -173,6 +176,21 @@ def test_its_files_are_read_exported_and_reported(found, tmp_path):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(told["after"]["rmse_thrust"], rel=1e-3)
     page = diagnosis_page(found).html()
     assert "enters at the thrust, driven by the rate of pitch" in page
+
+
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
+def test_a_value_on_its_bound_is_one_that_its_file_allows(tmp_path, end):
+    """The bounds go by the driver's range, which no short number is."""
+    lead = SimpleNamespace(port="pitch_rate", driver="pitch_to_go", shape="sign", lag=None, times="", form=2.0)
+    lead.values, lead.span = {"gain": -1.23456789, "width": 0.5}, (-1.95791771, 1.95791772)
+    effect = effect_of(lead, "learned", PAPER)
+    width = next(getattr(p, end) for p in effect.parameters if p.name == "width")
+    library = placed(LIBRARY, effect, PORTS[lead.port])
+    values = plant(["learned"], library).values({"learned.gain": -1.23456789, "learned.width": width})
+    (tmp_path / FILE).write_text(source(Term(lead, effect, library, SimpleNamespace(values=values)), PAPER, "a rig"))
+    ParameterSet(plant(["learned"], library)).replaced(values).save(tmp_path)
+    own = library_with([tmp_path / FILE])
+    assert read_parameters(tmp_path / "parameters.json", lambda names: plant(names, own)).values == values
 
 
 OWN = """

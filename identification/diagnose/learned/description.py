@@ -102,14 +102,13 @@ def block(found: Learned, std: dict[str, float | None]) -> dict:
 
 
 def source(term: Term, scales: Scales, campaign: str) -> str:
-    """The effect as a Python file."""
+    """The effect as a Python file, to all digits: a value may stand on its bound, and the bounds go by the range."""
     lead = term.lead
-    values = {n: _rounded(v) for n, v in term.values.items() if n not in ("lag", "form")}
-    lines = "".join(f'        "{n}": {v!r},\n' for n, v in values.items())
-    lag = f"    lag={_rounded(term.values['lag'])!r},\n" if "lag" in term.values else ""
+    lines = "".join(f'        "{n}": {float(v)!r},\n' for n, v in term.values.items() if n not in ("lag", "form"))
+    lag = f"    lag={float(term.values['lag'])!r},\n" if "lag" in term.values else ""
     times = f'    times="{lead.times}",\n' if lead.times else ""
     form = f"    form={term.values['form']!r},\n" if "form" in term.values else ""
-    span = tuple(_rounded(v) for v in lead.span)
+    span = tuple(map(float, lead.span))
     sizes = ", ".join(f"{n}={getattr(scales, n)!r}" for n in vars(scales))
     return f'''"""Learned from {campaign} by vpp diagnose: a term that {sentence(term)}.
 
@@ -141,7 +140,3 @@ def _equation(term: Term) -> str:
     line = SHAPES[term.lead.shape].equation
     how = "port * (1 + f)" if port.name.endswith("share") else "port + f"
     return f"    f = {line},   port <- {how}\n    v: {driver.words} [{driver.unit}]; f [{port.unit}]\n"
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
