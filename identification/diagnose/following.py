@@ -4,7 +4,7 @@ Forms that differ little (a play, a dead zone, a stop) leave little beside each 
 show in the power of the repeatable error, and with the right form not among the candidates no further name takes it up. But any
 hysteresis that does not depend on rate is a sum of plays (Prandtl and Ishlinskii; Brokate and Sprekels, Hysteresis and Phase
 Transitions, 1996, chapter 2), and what a drive does late or not at all is a function of the way still to go. A few of each,
-as they are and lagged, and a warming rig's trends, span what such forms leave.
+as they are and lagged, a map's higher powers, and a warming rig's trends span what such forms leave.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from scipy.signal import lfilter
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
@@ -27,6 +28,9 @@ WIDTHS = (0.012, 0.03, 0.08, 0.2)
 
 LAGS = (0.0, 0.1, 0.35)
 """Lags of the shapes, as shares of the time that the slower channel takes: about those of the actuators."""
+
+POWER = 4
+"""Of polynomials over speed and pitch, for a map of another form at rest: one more than the map's own."""
 
 DEPENDENT = 0.05
 """Size of a direction, over that of the strongest, below which columns count as the same one."""
@@ -124,7 +128,8 @@ def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:
-    """Each (rows,) N: what a change of pitch or of speed in these forms would do to the thrust, and trends in time.
+    """Each (rows,) N: what a change of pitch or of speed in these forms would do to the thrust, maps of another form at rest,
+    and trends in time.
 
     `outputs` (rows, 3): thrust, speed and pitch of a model at `values`.
     """
@@ -140,6 +145,8 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
     for slope, u, output in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
         for shape in _shapes(record[f"{u}_ref"], output, step):
             yield from (slope * _lagged(shape, lag, step) for lag in lags)
+    over_speed, over_pitch = _polynomials(speed), _polynomials(pitch)
+    yield from (over_speed[i] * over_pitch[j] for i in range(POWER + 1) for j in range(POWER + 1 - i) if i + j)
     since = record.time / record.time[-1]
     yield from (since, since**2, since * thrust)
 
@@ -188,6 +195,12 @@ def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.nda
     widths = [share * np.ptp(output) for share in WIDTHS]
     bounded, plays = [np.clip(to_go, -w, w) for w in widths], [output - _play(output, w) for w in widths[:-1]]
     return [*bounded, *plays, rate, np.abs(rate)]
+
+
+def _polynomials(signal: np.ndarray) -> np.ndarray:
+    """(POWER + 1, rows) Legendre polynomials over the range of a signal (rows,)."""
+    middle, half = 0.5 * (signal.max() + signal.min()), 0.5 * np.ptp(signal)
+    return legvander((signal - middle) / half if half > 0.0 else np.zeros(len(signal)), POWER).T
 
 
 def _play(signal: np.ndarray, width: float) -> np.ndarray:
