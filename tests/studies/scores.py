@@ -261,6 +261,7 @@ def figures(rows: Rows) -> list[str]:
     lines.append(share("pairs: both", hit, pairs))
     lines.append(share("  one or none, and says so", honest, pairs))
     lines.append(share("  called wrong", wrong, pairs))
+    lines.append(share("    by a model that these records tell from the truth", betrayed, pairs))
     lines.append(share("in no list, or deleted from it: called wrong (aim <= 1 %)", wrong, lacking))
     lines.append(share("  by a model that these records tell from the truth", betrayed, lacking))
     told = [c for c in lacking if "with_own_name" in c]
