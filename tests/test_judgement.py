@@ -536,8 +536,9 @@ def test_a_term_takes_the_place_of_effects_that_explain_a_part_only_where_it_exp
     ("effects", "p", "certain"), [((), 0.0005, True), ((), 0.002, False), (("one",), 0.002, True), (("one",), 0.02, False)]
 )
 def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
-    """Five bands and a score test, six times the smallest p-value."""
-    monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, q) for q in (p / 6, *[0.5] * 4)))
+    """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
+    q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
+    monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
     monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
     monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
     found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)

@@ -86,11 +86,12 @@ class Lack:
 
 
 def lack_of_fit(fit: Fit, least: float) -> Lack:
-    """Both tests on a fit, stricter with one that has effects: it claims to know what was missing. The smallest p-value counts,
-    times the number of tests (Bonferroni)."""
+    """Both tests on a fit, stricter with one that has effects: it claims to know what was missing. Of the p-values the smallest
+    counts, for as many independent ones (Sidak, 1967)."""
     bands, score = pure_error(fit), following(fit)
     tests = [b.p for b in bands] + ([score.p] if score.count else [])
-    p = min(1.0, len(tests) * min(tests, default=1.0))
+    smallest = min(tests, default=1.0)
+    p = -float(np.expm1(len(tests) * np.log1p(-smallest))) if smallest < 1.0 else 1.0
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
     return Lack(bands, score, p, float(max(sizes)), least, LEVEL if fit.effects else CERTAIN)
 
