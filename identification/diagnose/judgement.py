@@ -35,15 +35,8 @@ SLOW = 10.0
 MOST = 3
 """Effects that one diagnosis may name."""
 
-REFITTED = (6, 3)
-"""Effects that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
-of them stands and a lack of fit says that something is missing, as many again are."""
-
 FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
-
-TERMS = 5
-"""Learned terms that are refitted after the first look: seconds against rank."""
 
 RIVALS = 10.0
 """Nats within which a term at another port, or with another driver, counts as one that these records do not tell from it: twice

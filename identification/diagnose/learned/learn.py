@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated, fall, thirds
-from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, TERMS, Judgement
+from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, Judgement
 from identification.diagnose.lack import lack_of_fit
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
@@ -28,8 +28,8 @@ from vpp_fmu.record import Record
 NAME = "learned"
 """Of the effect."""
 
-AGAIN = 3
-"""Leads refitted after each further look."""
+FIRST, AGAIN = 5, 3
+"""Leads refitted after the first look and after each further one: seconds against rank."""
 
 ROUNDS = 3
 """Further comparisons, each from where the best term leaves the base, while something is lacking and a better one turns up."""
@@ -95,7 +95,7 @@ def learn(
     comparisons = len(leads)
     searcher.points = max(searcher.points, comparisons)
     judge = Carried(searcher, beside, smallest, runs)
-    chosen = short_list(leads, (), TERMS)
+    chosen = short_list(leads, (), FIRST)
     stage(f"refit {len(chosen)} of {comparisons} terms")
     terms = _refitted(searcher, beside, chosen, scales, pool)
     if not terms:

@@ -6,11 +6,15 @@ from itertools import permutations, product
 
 import numpy as np
 
-from identification.diagnose.judgement import REFITTED, STRONG
+from identification.diagnose.judgement import STRONG
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.screening import Screening, Seen
 from vpp_fmu.native.memory import give_back
+
+REFITTED = (6, 3)
+"""Effects that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
+of them stands and a lack of fit says that something is missing, as many again are."""
 
 SAME_RESPONSE = 1e-6
 """Standard deviations of noise by which two responses may differ by rounding."""
