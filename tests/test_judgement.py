@@ -11,7 +11,7 @@ from scipy.stats import chi2, kstest
 from identification.diagnose import crossval, diagnose, lack, selection
 from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
 from identification.diagnose.following import Following, scores_covariance
-from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, needed_fall, refusals
+from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, Judgement, needed_fall, refusals
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
@@ -449,6 +449,36 @@ def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monk
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held[name(one)])
     judge = SimpleNamespace(held_out=lambda one: held[name(one)], on_runs=lambda one: runs[name(one)], runs=[1])
     assert diagnose._refuted(judge, shipped, shipped, found, found, None) == told
+
+
+@pytest.mark.parametrize(
+    ("refuted", "taken", "family"),
+    [(set(), "band", {"band": ["hold", "lag"]}), ({"band"}, "hold", {"hold": ["lag"]}), ({"band", "hold", "lag"}, None, None)],
+)
+def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_refuted_too(monkeypatch, refuted, taken, family):
+    """Three rivals of a limit, the most evidence first."""
+    fits = {n: SimpleNamespace(effects=(n,), bic=lambda k=k: float(k)) for k, n in enumerate(("band", "hold", "lag"))}
+    stands = Judgement("", 9.0, 5.0, 8.0, {}, 0.2, 0.1)
+    found = selection.Selection(None, None, {"limit": stands}, rivals={"limit": dict(reversed(fits.items()))})
+    monkeypatch.setattr(selection, "without", lambda *_: None)
+    for name in ("lack_of_fit", "with_turning"):
+        monkeypatch.setattr(diagnose, name, lambda one, other: "nothing")
+    monkeypatch.setattr(diagnose, "verdict", lambda base, final, before, after, family: "attributed")
+    judged = type("Judged", (), {"searcher": None, "least": lambda _: 0.01, "__call__": lambda *_: stands})()
+
+    def shipped(fit, partly):
+        assert not partly
+        return fit, "rises" if fit.effects[0] in refuted else ""
+
+    other = diagnose._not_refuted(found, "rises there", judged, None, None, shipped)
+    if taken is None:
+        assert other is None
+        return
+    chosen, lack, final = other
+    assert (chosen.final, final, lack) == (fits[taken], fits[taken], "nothing")
+    assert (chosen.family, chosen.judgements) == (family, {taken: stands})
+    why = {n: j.refused for n, j in chosen.refused.items()}
+    assert why == {"limit": ("rises there",)} | dict.fromkeys(refuted, ("rises",))
 
 
 def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may_leave():

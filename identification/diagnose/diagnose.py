@@ -22,7 +22,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, refitted, screened
-from identification.diagnose.selection import Judge, Selection, select
+from identification.diagnose.selection import Judge, Selection, alternatives, select
 from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
@@ -203,6 +203,9 @@ def diagnose(
         final, refuted = identified, ""
         if word in CHANGED:
             final, refuted = shipped(identified, base, selection.final, word == "partly")
+        if refuted and (others := _not_refuted(selection, refuted, judge, base, before, partial(shipped, identified, base))):
+            (selection, after, final), refuted = others, ""
+            word = verdict(base, selection.final, before, after, selection.family)
         lacks = before if refuted else after
         word = unnamed(before) if refuted else word  # what was found is not it
         attempt = Attempt()
@@ -242,6 +245,32 @@ def diagnose(
         )
 
 
+def _not_refuted(
+    found: Selection, refuted: str, judge: Judge, base: Fit, before: Lack, shipped: Callable[[Fit, bool], tuple[Fit, str]]
+) -> tuple[Selection, Lack, Fit] | None:
+    """(selection, what it lacks, what ships) of what the fitted data do not tell from what was `refuted`, and which is not.
+
+    What no fit took tells more than they do: the one of most evidence is taken, the others are its family.
+    """
+    standing, refused = [], {}
+    for effect, name, other in alternatives(judge.searcher, found, judge):
+        lack = with_turning(lack_of_fit(other.final, judge.least()), other.final)
+        word = verdict(base, other.final, before, lack, other.family)
+        if word not in CHANGED:
+            continue
+        final, why = shipped(other.final, word == "partly")
+        if why:
+            refused[name] = replace(other.judgements[name], refused=(why,))
+        else:
+            standing.append((effect, name, other, lack, final))
+    if not standing:
+        return None
+    (effect, name, other, lack, final), *rest = standing
+    family = {n: selection.final for e, n, selection, *_ in rest if e == effect}
+    refused = {**other.refused, effect: replace(found.judgements[effect], refused=(refuted,)), **refused}
+    return replace(other, rivals={**other.rivals, name: family}, refused=refused), lack, final
+
+
 def _learned(
     learned_beside: Callable[[Fit], Attempt],
     besides: Sequence[Fit],
@@ -279,8 +308,8 @@ def _with(selection: Selection, learned: Learned) -> Selection:
     """A selection whose final set is that beside which a term was learned, and the term."""
     kept, name = learned.beside.effects, learned.term.effect.name
     judgements = {n: j for n, j in selection.judgements.items() if n in kept} | {name: learned.judgement}
-    family = {n: others for n, others in selection.family.items() if n in kept}
-    return replace(selection, final=learned.term.fit, judgements=judgements, family=family)
+    rivals = {n: fits for n, fits in selection.rivals.items() if n in kept}
+    return replace(selection, final=learned.term.fit, judgements=judgements, rivals=rivals)
 
 
 def _shipped(

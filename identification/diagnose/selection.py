@@ -1,6 +1,6 @@
 """Which effects are missing: add the best that stands, refit all, repeat; then drop what the others have made superfluous."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,7 +30,8 @@ MORE_ROUNDS = 2
 class Selection:
     """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round.
 
-    `refused`: what was looked into and does not stand. `family`: for each effect, others that these data do not tell from it.
+    `refused`: what was looked into and does not stand. `rivals`: for each effect, others that these data do not tell from it,
+    by name the set with that one in its place.
     """
 
     base: Fit
@@ -38,7 +39,12 @@ class Selection:
     judgements: dict[str, Judgement] = field(default_factory=dict)
     rounds: list[list[CandidateFit]] = field(default_factory=list)
     refused: dict[str, Judgement] = field(default_factory=dict)
-    family: dict[str, list[str]] = field(default_factory=dict)
+    rivals: dict[str, dict[str, Fit]] = field(default_factory=dict)
+
+    @property
+    def family(self) -> dict[str, list[str]]:
+        """For each effect, the names of those that these data do not tell from it."""
+        return {effect: sorted(fits) for effect, fits in self.rivals.items()}
 
 
 class Judge:
@@ -143,8 +149,18 @@ def select(
     stage("judge")
     _narrow(searcher, found, judge)
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
-    found.family = {effect: _family(searcher, found, effect, judge, pool) for effect in found.final.effects}
+    found.rivals = {effect: _rivals(searcher, found, effect, judge, pool) for effect in found.final.effects}
     return found
+
+
+def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator[tuple[str, str, Selection]]:
+    """(effect, its rival, the selection with the rival in its place), the most evidence first."""
+    pairs = [(effect, name) for effect, fits in found.rivals.items() for name in fits]
+    for effect, name in sorted(pairs, key=lambda pair: found.rivals[pair[0]][pair[1]].bic()):
+        fit = found.rivals[effect][name]
+        judgements = {n: judge(n, fit, without(searcher, found.base, fit, n)) for n in fit.effects}
+        rivals = {e: fits for e, fits in found.rivals.items() if e != effect} | {name: {}}
+        yield effect, name, replace(found, final=fit, judgements=judgements, rivals=rivals)
 
 
 def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[CandidateFit], judge: Judge) -> Fit | None:
@@ -232,23 +248,23 @@ def _in_place(searcher: Searcher, rest: Fit, tried: CandidateFit) -> Fit:
     return added(searcher, rest, tried.candidate, start, tried.fit.slow_first, thorough=False)
 
 
-def _family(searcher: Searcher, found: Selection, effect: str, judge: Judge, pool) -> list[str]:
+def _rivals(searcher: Searcher, found: Selection, effect: str, judge: Judge, pool) -> dict[str, Fit]:
     """Other effects that, in the place of one, have evidence within STRONG of its own, refitted beside the rest of the set.
 
     An effect that contains it fits as well always. It is a rival where the records leave open how large what it adds is (a
     speed that was limited at one load: does the limit fall with the load?), else only where that makes it the better one.
     """
-    final, names = found.final, set()
+    final, stand = found.final, {}
     rest = without(searcher, found.base, final, effect)
-    for candidate, refit in _rivals(searcher, found, effect, rest, pool):
+    for candidate, refit in _near_in_place(searcher, found, effect, rest, pool):
         wider, other = effect in candidate.effect.contains, refit
         if wider and (whole := _all_on(searcher, candidate, refit)).leaves_open(candidate.effect):
             other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # the BIC charges for what no record tells
         else:
             behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * STRONG else evidence_over(final, refit)
         if not refit.idle and behind <= STRONG and not judge(candidate.name, other, rest).refused:
-            names.add(candidate.name)
-    return sorted(names)
+            stand[candidate.name] = min(stand.get(candidate.name, other), other, key=Fit.bic)
+    return stand
 
 
 def _all_on(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
@@ -258,7 +274,7 @@ def _all_on(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
     return searcher.fit(fit.effects, fit.forms, [*fit.free, *off], start, fit.slow_first, thorough=False) if off else fit
 
 
-def _rivals(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) -> list[tuple[Candidate, Fit]]:
+def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) -> list[tuple[Candidate, Fit]]:
     """What came near an effect, refitted in its place; of what comes near there, all forms: another one may fit as well."""
     near = _near(found, effect)
     fits = list(zip([t.candidate for t in near], pool.map(lambda t: _in_place(searcher, rest, t), near), strict=True))
