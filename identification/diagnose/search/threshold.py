@@ -126,12 +126,13 @@ def scan(
             costs = {value: about.cost(simulator, {name: value}) for value in np.geomspace(*ends, 25).tolist()}
         best = min(costs, key=costs.__getitem__)
         moved = costs[best] < about.cost(simulator, {}) * (1.0 - SAME)
-        # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
-        problem.values[name] = 0.5 * sum(_edges(about, simulator, name, best, costs[best] * (1.0 + SAME), whole))
+        problem.values[name] = best
         solution = problem.refit(solution.value)
     about = Linearised.of(problem, solution)
-    level = about.cost(simulator, {}) + 0.5 * CHI2_95
-    return solution, _edges(about, simulator, name, problem.values[name], level, whole)
+    least = about.cost(simulator, {})
+    # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
+    problem.values[name] = 0.5 * sum(_edges(about, simulator, name, best, least * (1.0 + SAME), whole))
+    return solution, _edges(about, simulator, name, problem.values[name], least + 0.5 * CHI2_95, whole)
 
 
 def _edges(
