@@ -19,6 +19,7 @@ from identification.diagnose.report.page import diagnosis_page, key_figures
 from identification.diagnose.report.residual import moves
 from identification.diagnose.report.summary import summary
 from identification.identify import identify
+from identification.static.static_map import TERMS, design
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis
@@ -205,6 +206,37 @@ def test_what_no_name_takes_up_is_a_lack_of_fit(missing):
     assert found.final.effects == (("learned",) if found.learned else ())
     if found.learned:
         assert found.errors(found.final)[0] < found.errors(found.base)[0]
+
+
+def map_at(omega, beta):
+    """Thrust [N] at rest by the paper's eq. 8."""
+    values = plant(()).values(TRUTH)
+    return design(omega, beta, values) @ [values[n] for n in TERMS] * values["thrust_scale"]
+
+
+@pytest.mark.parametrize("drift", [0.0, 30.0])
+def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit(drift):
+    """rpm, in proportion to time: of a mean square D^2 / 3 beside noise of 5 rpm, which the parameters can take nothing of."""
+    campaign, rng, noise = rig(), np.random.default_rng(5), 5.0
+
+    def heard(record):
+        model = plant(())
+        omega = Simulator(model).simulate(model.values(TRUTH), record.columns, record.steps)[:, 1]
+        late = drift * record.time / record.time[-1]
+        return record.with_columns(omega=omega + late + noise * rng.standard_normal(len(record)))
+
+    records = {n: heard(getattr(campaign, n)) for n in ("open_loop", "repeat", "validation")}
+    found = diagnose(replace(campaign, **records), some("sensor_lag"), thorough=False)
+    share = drift**2 / 3.0 / (drift**2 / 3.0 + noise**2)
+    assert found.before.speed == pytest.approx(share, abs=0.02)
+    assert found.before.p > CERTAIN  # thrust is right
+    assert (found.verdict, found.before.lacks_speed) == (("unexplained", True) if drift else ("none", False))
+    if drift:  # N: the slope of the map in speed, by differences of the thrust itself at rest
+        y = Simulator(plant(())).simulate(plant(()).values(TRUTH), records["open_loop"].columns, records["open_loop"].steps)
+        steady, change = ({"omega": y[:, 1] * factor, "beta": y[:, 2]} for factor in (1.0, 1.001))
+        slope = (map_at(**change) - map_at(**steady)) / (0.001 * y[:, 1])
+        late = drift * np.linspace(0.0, 1.0, len(y))
+        assert found.before.speed_size == pytest.approx(np.sqrt(np.mean((slope * late) ** 2)), rel=0.1)
 
 
 def test_one_record_is_enough_and_all_of_it_is_used():

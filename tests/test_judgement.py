@@ -579,10 +579,24 @@ def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatc
     monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
     monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
     monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
     found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
     assert found.p == pytest.approx(p)
     assert (found.certain, found.found) == (certain, certain)
     assert not lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).found  # it is 0.22 N
+
+
+@pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])
+def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
+    """More than half of what is left of it, worth more than 0.1 N."""
+    monkeypatch.setattr(lack, "pure_error", lambda fit: ())
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
+    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack, "speed_share", lambda fit: share)
+    monkeypatch.setattr(lack, "speed_size", lambda fit, told: size)
+    found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1)
+    assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
+    assert found.summary()["speed"]["share"] == share
 
 
 @pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])

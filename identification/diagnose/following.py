@@ -20,6 +20,8 @@ from scipy.stats import f as f_distribution
 from identification.diagnose.search.fits import Fit
 from identification.fit.bands import ORDINATES, banded, starts
 from identification.fit.coordinates import slowest
+from identification.fit.experiment import CHANNELS, Experiment
+from identification.fit.linearised import Linearised
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.record import Record
 
@@ -60,43 +62,97 @@ class Following:
 
 def following(fit: Fit) -> Following:
     """How far the thrust residual of a fit follows the commands still, beyond what its parameters could take up."""
-    about, (columns, parts) = fit.linearised(), _columns(fit)
-    residual = about.residual[: columns.shape[1]]
-    followed, whole = columns @ residual, np.einsum("kn,kn->k", columns, columns)
-    gram = about.thrust_apart(columns)
+    about, parts = fit.linearised(), _places(fit, "thrust")
+    columns, at = _columns(fit, "thrust", parts), slice(parts[0].start, parts[-1].stop)
+    turned, score = _scores(about, columns, at)
+    if not len(score):
+        return Following(0.0, 0)
+    if all(e.noise.verified for e in fit.problem.experiments):
+        return Following(0.5 * float(np.sum(score**2 - 1.0)), len(score))
+    left, fitted = about.residual[at] - columns.T @ (turned.T @ score), about.directions(at)
+    covariance, degrees = scores_covariance([(turned @ columns[:, i], left[i], fitted[:, i]) for i in parts])
+    return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), degrees)
+
+
+def speed_share(fit: Fit) -> float:
+    """Share of the speed residual's power, 1 at most, that follows the commands still, beyond what the fit's parameters could
+    take up (adjusted for the number of shapes, Ezekiel, 1930); 0 where no speed was measured.
+
+    It is no test: a tachometer's errors go with the speed's rate, for a pulse may fall anywhere between two rows, so that they
+    are neither of one size nor of one colour, and repeat in part.
+    """
+    parts = _places(fit, "omega")
+    if not parts:
+        return 0.0
+    about, at = fit.linearised(), slice(parts[0].start, parts[-1].stop)
+    _, score = _scores(about, _columns(fit, "omega", parts), at)
+    whole, rows = float(np.sum(about.residual[at] ** 2)), at.stop - at.start
+    if not len(score) or rows <= len(score) or whole == 0.0:
+        return 0.0
+    left = (1.0 - float(score @ score) / whole) * rows / (rows - len(score))
+    return min(max(1.0 - left, 0.0), 1.0)
+
+
+def speed_size(fit: Fit, share: float) -> float:
+    """N, rms below 10 Hz: what such a share of the speed's error is worth as thrust, by the map's slope at rest."""
+    power, count = 0.0, 0
+    for e in fit.problem.experiments:
+        outputs = _outputs(fit, e)
+        _, to_speed = _slopes(fit.values, outputs[:, 1], outputs[:, 2])
+        for sensor in e.tachometers:
+            wrong = np.interp(e.record.time, e.record.time[sensor.rows], sensor.shows(outputs[:, 1]) - sensor.measured)
+            worth = e.slow_thrust(to_speed * wrong)
+            power, count = power + float(worth @ worth), count + len(worth)
+    return float(np.sqrt(share * power / max(count, 1)))
+
+
+def _outputs(fit: Fit, e: Experiment) -> np.ndarray:
+    return fit.problem.simulator.simulate(fit.values, e.record.columns, e.record.steps)
+
+
+def _places(fit: Fit, channel: str) -> list[slice]:
+    """Where a channel of each experiment stands in the residual; none where nothing was measured of it."""
+    experiments = fit.problem.experiments
+    sizes = [e.sizes.get(c, 0) for c in CHANNELS for e in experiments]
+    ends = np.cumsum(sizes).tolist()
+    first = CHANNELS.index(channel) * len(experiments)
+    places = [slice(end - n, end) for end, n in zip(ends, sizes, strict=True)][first : first + len(experiments)]
+    return places if places[-1].stop > places[0].start else []
+
+
+def _columns(fit: Fit, channel: str, parts: Sequence[slice]) -> np.ndarray:
+    """(k, n) what the shapes would do to the whitened residual of a channel in all experiments."""
+    first, found = parts[0].start, np.empty((0, 0))
+    for e, at in zip(fit.problem.experiments, parts, strict=True):
+        outputs = _outputs(fit, e)
+        # One after the other: side by side and unwhitened the shapes of a long record would be the largest thing in memory.
+        if channel == "thrust":
+            own = [e.thrust_columns(shape) for shape in thrust_shapes(fit.values, e.record, outputs)]
+        else:
+            own = [e.omega_columns(shape) for shape in speed_shapes(fit.values, e.record, outputs)]
+        if not len(found):
+            found = np.empty((len(own), parts[-1].stop - first))
+        while own:
+            found[len(own) - 1, at.start - first : at.stop - first] = own.pop()
+    found /= fit.problem.scale[channel]
+    return found
+
+
+def _scores(about: Linearised, columns: np.ndarray, at: slice) -> tuple[np.ndarray, np.ndarray]:
+    """(`turned` (m, k): turned @ columns are orthonormal directions that no parameter can follow; the residual's share (m,) in
+    each). `columns` (k, n), of the rows `at`, are made apart from the parameters, and of one length, in place."""
+    followed, whole = columns @ about.residual[at], np.einsum("kn,kn->k", columns, columns)
+    gram = about.channel_apart(columns, at)
     told = np.diag(gram) > np.finfo(float).eps * whole  # of a rotor that stands, nothing but rounding
     if not told.any():
-        return Following(0.0, 0)
+        return np.zeros((0, len(columns))), np.zeros(0)
     size = np.sqrt(np.where(told, np.diag(gram), 1.0))
     columns /= size[:, None]
     columns[~told] = 0.0
     power, directions = np.linalg.eigh(np.where(np.outer(told, told), gram, 0.0) / np.outer(size, size))
     kept = power > DEPENDENT**2 * power[-1]
     turned = (directions[:, kept] / np.sqrt(power[kept])).T
-    score = turned @ (followed / size)  # what the parameters follow has no share in the residual
-    if all(e.noise.verified for e in fit.problem.experiments):
-        return Following(0.5 * float(np.sum(score**2 - 1.0)), int(kept.sum()))
-    left = residual - columns.T @ (turned.T @ score)
-    fitted = about.thrust_directions(columns.shape[1])
-    covariance, degrees = scores_covariance([(turned @ columns[:, at], left[at], fitted[:, at]) for at in parts])
-    return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), int(kept.sum()), degrees)
-
-
-def _columns(fit: Fit) -> tuple[np.ndarray, list[slice]]:
-    """((k, n) what the shapes would do to the whitened thrust of all experiments, the columns of each experiment)."""
-    experiments, simulator = fit.problem.experiments, fit.problem.simulator
-    ends = np.cumsum([e.sizes["thrust"] for e in experiments]).tolist()
-    parts, found = [slice(end - e.sizes["thrust"], end) for e, end in zip(experiments, ends, strict=True)], np.empty((0, 0))
-    for e, at in zip(experiments, parts, strict=True):
-        outputs = simulator.simulate(fit.values, e.record.columns, e.record.steps)
-        # One after the other: side by side and unwhitened the shapes of a long record would be the largest thing in memory.
-        own = [e.thrust_columns(shape) for shape in thrust_shapes(fit.values, e.record, outputs)]
-        if not len(found):
-            found = np.empty((len(own), ends[-1]))
-        while own:
-            found[len(own) - 1, at] = own.pop()
-    found /= fit.problem.scale["thrust"]
-    return found, parts
+    return turned, turned @ (followed / size)  # what the parameters follow has no share in the residual
 
 
 def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
@@ -134,12 +190,7 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
     `outputs` (rows, 3): thrust, speed and pitch of a model at `values`.
     """
     thrust, speed, pitch = outputs.T
-    base = SimpleNamespace(**{n: v for n, v in values.items() if "." not in n})
-    w, b = speed / base.omega_scale, (pitch + base.beta_offset) / base.beta_scale
-    tiny = 1e-30  # the map's slopes by complex step: exact
-    to_pitch, to_speed = (
-        normalised_thrust(base, w + tiny * 1j * (1 - of_b), b + tiny * 1j * of_b).imag / tiny for of_b in (1, 0)
-    )
+    to_pitch, to_speed = _slopes(values, speed, pitch)
     step, takes = float(np.median(record.steps)), slowest(values, values)
     lags = [share * takes for share in LAGS]
     for slope, u, output in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
@@ -151,6 +202,17 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
     yield from (since, since**2, since * thrust)
 
 
+def _slopes(values: Mapping[str, float], speed: np.ndarray, pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N/deg, N/rpm) of the map at rest at speeds and pitches, each (rows,)."""
+    base = SimpleNamespace(**{n: v for n, v in values.items() if "." not in n})
+    w, b = speed / base.omega_scale, (pitch + base.beta_offset) / base.beta_scale
+    tiny = 1e-30  # by complex step: exact
+    to_pitch, to_speed = (
+        normalised_thrust(base, w + tiny * 1j * (1 - of_b), b + tiny * 1j * of_b).imag / tiny for of_b in (1, 0)
+    )
+    return base.thrust_scale / base.beta_scale * to_pitch, base.thrust_scale / base.omega_scale * to_speed
+
+
 def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:
     """Each (rows,) rpm: the same for the speed: its own forms, what pitch and its rate do to it, levels and trends."""
     _, speed, pitch = outputs.T
@@ -158,7 +220,8 @@ def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarra
     rate, since = np.gradient(pitch, step), record.time / record.time[-1]
     for shape in (*_shapes(record["omega_ref"], speed, step), rate, np.abs(rate)):
         yield from (_lagged(shape, share * takes, step) for share in LAGS)
-    yield from (np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)), since)
+    yield from (np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)))
+    yield from (since, since**2, since * speed)
 
 
 def beyond(

@@ -1,10 +1,12 @@
-"""Lack of fit: whether a model leaves more than noise, tested in three ways that need no name for what is missing.
+"""Lack of fit: whether a model leaves more than noise, tested in four ways that need no name for what is missing.
 
 Pure error: what records of the same commands share beyond the model is the model's error, whatever the noise is. Their
 mean's power is held against that of their differences in bands below 10 Hz (analysis of variance). Score test: generic
 shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
-left is larger than the least size of interest. And a line that turns with the rotor (`turning`) is no noise, though no repeat
-shares its phase: every rig has a little of it, so it counts where it is more than HALF of what passes for noise.
+left is larger than the least size of interest. A thrust may come out right of a wrong speed: where speed is measured, it counts
+if more than HALF of what is left of it follows the commands, and what that is worth as thrust is larger than the least size.
+And a line that turns with the rotor (`turning`) is no noise, though no repeat shares its phase: every rig has a little of it,
+so it counts where it is more than HALF of what passes for noise.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from identification.diagnose.following import Following, following
+from identification.diagnose.following import Following, following, speed_share, speed_size
 from identification.diagnose.judgement import CERTAIN, HALF, LEVEL, SLOW
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.turning import UNTURNED, Turning, turning
@@ -41,7 +43,9 @@ class Lack:
     """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes; `p` of both.
 
     `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
-    interest. `level`: of the tests. `turning`: a line at once a revolution, which counts from `most` [N] rms on."""
+    interest. `speed`: the share of what is left of the speed that follows the commands, and `speed_size` [N] what that is
+    worth as thrust, 0 where it is less than HALF. `level`: of the tests. `turning`: a line at once a revolution, which counts
+    from `most` [N] rms on."""
 
     bands: tuple[Band, ...]
     score: Following
@@ -49,6 +53,8 @@ class Lack:
     size: float
     least: float
     level: float
+    speed: float = 0.0
+    speed_size: float = 0.0
     turning: Turning = UNTURNED
     most: float = 0.0
 
@@ -60,7 +66,12 @@ class Lack:
     @property
     def found(self) -> bool:
         """Whether something is lacking that is worth a name."""
-        return self.certain and self.size > self.least
+        return (self.certain and self.size > self.least) or self.lacks_speed
+
+    @property
+    def lacks_speed(self) -> bool:
+        """Whether it is the speed that something worth a name is lacking of."""
+        return self.speed > HALF and self.speed_size > self.least
 
     @property
     def turns(self) -> bool:
@@ -73,6 +84,11 @@ class Lack:
             "p": self.p,
             "size": {"value": self.size, "unit": "N"},
             "least_size": {"value": self.least, "unit": "N"},
+            "speed": {
+                "share": self.speed,
+                "least_share": HALF,
+                "size": {"value": self.speed_size, "unit": "N"},
+            },
             "turning": {
                 "p": self.turning.p,
                 "size": {"value": self.turning.size, "unit": "N"},
@@ -86,14 +102,16 @@ class Lack:
 
 
 def lack_of_fit(fit: Fit, least: float) -> Lack:
-    """Both tests on a fit, stricter with one that has effects: it claims to know what was missing. Of the p-values the smallest
+    """The tests on a fit, stricter with one that has effects: it claims to know what was missing. Of the p-values the smallest
     counts, for as many independent ones (Sidak, 1967)."""
     bands, score = pure_error(fit), following(fit)
     tests = [b.p for b in bands] + ([score.p] if score.count else [])
     smallest = min(tests, default=1.0)
     p = -float(np.expm1(len(tests) * np.log1p(-smallest))) if smallest < 1.0 else 1.0
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
-    return Lack(bands, score, p, float(max(sizes)), least, LEVEL if fit.effects else CERTAIN)
+    share = speed_share(fit)
+    worth = speed_size(fit, share) if share > HALF else 0.0
+    return Lack(bands, score, p, float(max(sizes)), least, LEVEL if fit.effects else CERTAIN, share, worth)
 
 
 def with_turning(lack: Lack, fit: Fit) -> Lack:

@@ -34,22 +34,23 @@ class Linearised:
         followed = self._columns.T @ rows
         return float(self.residual @ rows), max(float(rows @ rows - followed @ self._inverse @ followed), 0.0)
 
-    def thrust_apart(self, rows: np.ndarray) -> np.ndarray:
-        """As `apart`, of many rows (k, n) of thrust alone, in place; returns the products (k, k) of all that is left.
+    def channel_apart(self, rows: np.ndarray, at: slice) -> np.ndarray:
+        """As `apart`, of many rows (k, n) that are nothing outside one channel's place `at` in the residual, in place; returns
+        the products (k, k) of all that is left.
 
-        What the parameters follow moves the speed, too, whose rows are many times as many: of these the products will do.
+        What the parameters follow moves the other channel, too: of its rows the products will do.
         """
-        thrust, speed = np.split(self._columns, [rows.shape[1]])
-        shares = self._inverse @ (thrust.T @ rows.T)
+        own = self._columns[at]
+        other = self._columns.T @ self._columns - own.T @ own
+        shares = self._inverse @ (own.T @ rows.T)
         for row, share in zip(rows, shares.T, strict=True):
-            np.subtract(row, thrust @ share, out=row)
-        return rows @ rows.T + shares.T @ (speed.T @ speed) @ shares
+            np.subtract(row, own @ share, out=row)
+        return rows @ rows.T + shares.T @ other @ shares
 
-    def thrust_directions(self, count: int) -> np.ndarray:
-        """(parameters, count): rows whose squares sum to the share of noise in the first `count` rows, thrust's, that the fit
-        has taken up."""
+    def directions(self, at: slice) -> np.ndarray:
+        """(parameters, n): rows whose squares sum to the share of noise in the rows `at` that the fit has taken up."""
         power, turned = np.linalg.eigh(self._inverse)
-        return (self._columns[:count] @ (turned * np.sqrt(np.maximum(power, 0.0)))).T
+        return (self._columns[at] @ (turned * np.sqrt(np.maximum(power, 0.0)))).T
 
     def followed(self, rows: np.ndarray) -> dict[str, float]:
         """Values of the fitted parameters once they have followed residual `rows` as far as they can."""

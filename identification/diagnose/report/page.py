@@ -220,15 +220,22 @@ def _add_lack(page: Page, found: Diagnosis) -> None:
     tests = [("generic shapes of the commands", "-", old.gain, old.p, new.gain, new.p)]
     for one, other in zip(before.bands, after.bands, strict=True):
         tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
+    if before.speed or after.speed:
+        tests.append(("share of the speed's error that follows the commands", "-", before.speed, None, after.speed, None))
     one, other = before.turning, after.turning
     tests.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))
-    rows = [(what, unit, first, chance(p), last, chance(now)) for what, unit, first, p, last, now in tests]
+    rows = [(what, unit, first, _chance(p), last, _chance(now)) for what, unit, first, p, last, now in tests]
     columns = ("test", "unit", "before", "p", "after", "p ")
     page.table(
         columns,
         rows,
         "Lack of fit: the score test's log-likelihood, what two records of the same commands share by band, and a vibration.",
     )
+
+
+def _chance(p: float | None) -> str:
+    """Of a test; nothing of what is none."""
+    return "" if p is None else chance(p)
 
 
 def _commanded(section: str) -> str:
