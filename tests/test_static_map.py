@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification.static.at_rest import AtRest
 from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, static_fit, thrust_coefficient
 from identification.static.steady import samples_needed, steady_points
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.record import Record
 from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
 
@@ -179,6 +180,60 @@ def test_blades_that_stall_beyond_what_records_use_are_no_matter_of_the_map(tmp_
     for points, used in ((static, 100), (stalled, 70)):
         campaign = Campaign(tmp_path, points, (), record, None, None)
         assert static_fit(campaign, SCALES).used.sum() == used
+
+
+BENT, ERROR = 0.2, 0.02
+
+
+def bent() -> StaticMap:
+    """The grid of blades that stall by 0.2 w b^3 of the thrust scale, each mean to 0.02 N."""
+    w, b = grid().omega / SCALES["omega_scale"], (grid().beta_ref + SCALES["beta_offset"]) / SCALES["beta_scale"]
+    static = grid(ERROR, seed=4)
+    return replace(static, thrust=static.thrust + BENT * w * b**3 * SCALES["thrust_scale"])
+
+
+def told_beside(*effects: str, free: tuple[str, ...], **values: float):
+    """What bent points tell of the map and of `free` beside effects, at other values than the points'."""
+    static, model = bent(), plant(effects)
+    knowledge = AtRest(static, fit_static_map(static, SCALES), SCALES)
+    return knowledge(model, model.values(values), ["tau_omega_1", *TERMS, *free])
+
+
+def test_points_that_a_term_has_bent_tell_it_beside_the_map():
+    """By linear least squares of the six columns, written out: coefficients, and covariance by what they leave."""
+    static = bent()
+    columns = design(static.omega, static.beta_ref, SCALES, [*TERMS.values(), (1, 3)])
+    thrust = static.thrust / SCALES["thrust_scale"]
+    best, left, *_ = np.linalg.lstsq(columns, thrust, rcond=None)
+    covariance = np.linalg.inv(columns.T @ columns) * left[0] / (len(thrust) - 6)
+    told = told_beside("map_terms", free=("map_terms.stall",), **{"map_terms.form": 1.0, "map_terms.stall": -0.1})
+    assert told.names == (*TERMS, "map_terms.stall")
+    np.testing.assert_allclose(told.mean, best, rtol=1e-5)
+    np.testing.assert_allclose(told.covariance, covariance, rtol=1e-4)
+    std = np.sqrt(np.diag(told.covariance))
+    assert np.all(np.abs(told.mean - [*KNOWN, BENT]) < 4.0 * std)
+    alone = told_beside(free=())
+    assert np.max(np.abs(alone.mean - KNOWN) / std[:5]) > 30.0  # by itself the polynomial has taken up the stall
+
+
+@pytest.mark.parametrize(
+    ("effect", "free"),
+    [("recirculation", "share"), ("sensor_drift", "offset"), ("pitch_asymmetry", "asymmetry"), ("speed_saturation", "maximum")],
+)
+def test_what_points_do_not_show_at_once_they_tell_nothing_of(effect, free):
+    """An effect with memory, of the reading, on the way alone, or of a speed that was measured: the map by itself remains."""
+    limit = {"speed_saturation.maximum": 4000.0} if effect == "speed_saturation" else {}
+    told, alone = told_beside(effect, free=(f"{effect}.{free}",), **limit), told_beside(free=())
+    assert told.names == alone.names == tuple(TERMS)
+    np.testing.assert_array_equal(told.mean, alone.mean)
+
+
+def test_knowledge_of_terms_that_make_up_each_other_has_a_root():
+    """Of all further terms of the map beside it some sums are known ten decades better than others; whitened, all are one."""
+    free = tuple(f"map_terms.{n}" for n in ("c10", "c22", "stall", "knee"))
+    told = told_beside("map_terms", free=free, **{"map_terms.form": 2.0, "map_terms.knee": 3.0, "map_terms.stall": -0.1})
+    root = told.root()
+    np.testing.assert_allclose(root @ told.covariance @ root.T, np.eye(len(told.names)), atol=0.05)
 
 
 def test_thrust_coefficient():

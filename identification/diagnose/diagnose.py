@@ -27,7 +27,6 @@ from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
 from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
-from identification.fit.problem import Prior
 from identification.fit.refine import run_ins
 from identification.fit.tachometer import Tachometer
 from identification.fit.uncertainty import WIDEST, disagreement
@@ -35,6 +34,7 @@ from identification.gate.finding import Finding
 from identification.gate.gate import passed
 from identification.identify import Identification, off_bounds
 from identification.roles import Fitted, Unseen, roles
+from identification.static.at_rest import Knowledge
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model
@@ -313,7 +313,7 @@ def _with(selection: Selection, learned: Learned) -> Selection:
 
 
 def _shipped(
-    judge: Judge, knowledge: Prior | None, unseen: Unseen | None, present: Fit, base: Fit, found: Fit, partly: bool = False
+    judge: Judge, knowledge: Knowledge | None, unseen: Unseen | None, present: Fit, base: Fit, found: Fit, partly: bool = False
 ) -> tuple[Fit, str]:
     """(what ships, why what was `found` does not take the place of the `present` model, in words; "" where it does)."""
     final = _estimated(judge, knowledge, present, found)
@@ -321,7 +321,7 @@ def _shipped(
     return (present, why) if why else (final, "")
 
 
-def _estimated(judge: Judge, knowledge: Prior | None, present: Fit, found: Fit) -> Fit:
+def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit) -> Fit:
     """What was found, estimated as it predicts best what no fit saw; left-out folds and step runs choose, and nothing else.
 
     What the static map tells was made as wide as the records disagreed with it beside the base, for what was missing perhaps:
@@ -407,21 +407,18 @@ def _based(
 ) -> tuple[Searcher, Fit]:
     """A searcher on experiments of this noise, and the base fitted to them; a run-in that was not settled gets no weight."""
     experiments = [Experiment(group, noise) for group in groups]
-    knowledge = at.knowledge and at.knowledge.loosened(WIDEST)
 
-    def fitted(values: Mapping[str, float]) -> tuple[Searcher, Fit]:
-        searcher = Searcher(experiments, at.names, knowledge, at.first, at.library)
+    def fitted(values: Mapping[str, float], factor: float) -> tuple[Searcher, Fit]:
+        searcher = Searcher(experiments, at.names, at.knowledge, at.first, at.library, factor)
         return searcher, searcher.fit((), {}, (), values)
 
-    searcher, base = fitted(values)
+    searcher, base = fitted(values, WIDEST)
     skips = run_ins(base.problem, base.values)
     if any(skips):
         experiments = [e.but(skip=skip) for e, skip in zip(experiments, skips, strict=True)]
-        searcher, base = fitted(base.values)
-    if at.knowledge:
-        factor = disagreement(at.knowledge, base.uncertainty)
-        knowledge = at.knowledge.loosened(factor)
-        searcher, base = fitted(base.values)
+        searcher, base = fitted(base.values, WIDEST)
+    if at.knowledge and (told := base.told(at.knowledge)):
+        searcher, base = fitted(base.values, disagreement(told, base.uncertainty))
     return searcher, base
 
 

@@ -8,13 +8,11 @@ cost. Thresholds and forms stay as they are given.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
-import numpy as np
-
-from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.fit.uncertainty import Uncertainty
 from identification.gate.gate import Passed
 from identification.identify import Identification, identify
+from identification.static.at_rest import AtRest, Knowledge
 from identification.static.static_map import StaticFit, static_fit
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
@@ -50,15 +48,15 @@ def exportable(model: Model) -> Model:
 @dataclass(frozen=True)
 class InitialModel:
     """Library, sized for the `rig`, and free base parameters of a search; the `refinement` to start from, with its
-    `uncertainty`, and the values before any fit (`first`); what the static map tells as it stands; `identification` where all
-    this is from one."""
+    `uncertainty`, and the values before any fit (`first`); what the steady points tell, None where there are none;
+    `identification` where all this is from one."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
     refinement: Refinement
     uncertainty: Uncertainty
     first: Mapping[str, float]
-    knowledge: Prior | None
+    knowledge: Knowledge | None
     rig: Rig
     identification: Identification | None = None
 
@@ -72,7 +70,7 @@ def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effe
     """Start at what an identification of the campaign, and of further records, finds; `gate`: what may be used of them."""
     found = identify(campaign, seed=seed, gate=gate)
     names = tuple(found.refinement.names)
-    rig, knowledge = found.parameters.rig, _knowledge(found.static, names)
+    rig, knowledge = found.parameters.rig, _knowledge(gate.campaign, found.static, found.parameters.values)
     return InitialModel(
         sized(library, rig.scales), names, found.refinement, found.uncertainty, found.start, knowledge, rig, found
     )
@@ -89,16 +87,12 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
     model = plant((), library)
     own = [e.full(p.name) for e in model.effects if e.name in kept for p in e.parameters if not p.choices]
     free = [*BASE_PARAMETERS, *own]
-    knowledge = _knowledge(static_fit(campaign, given.values), free)
-    found = refine(model, fitted, given.values, free, knowledge)
+    knowledge = _knowledge(campaign, static_fit(campaign, given.values), given.values)
+    found = refine(model, fitted, given.values, free, knowledge and knowledge(model, model.values(given.values), free))
     rig = replace(campaign.rig, scales=given.rig.scales)
-    known = knowledge and knowledge.of(found.names)
-    return InitialModel(library, found.names, found, found.uncertainty, given.values, known, rig)
+    return InitialModel(library, found.names, found, found.uncertainty, given.values, knowledge, rig)
 
 
-def _knowledge(static: StaticFit | None, names: Sequence[str]) -> Prior | None:
-    """What the steady points tell of the map."""
-    if static is None:
-        return None
-    coefficients = static.coefficients
-    return Prior(tuple(coefficients), np.array(list(coefficients.values())), static.covariance).of(names)
+def _knowledge(campaign: Campaign, static: StaticFit | None, scales: Mapping[str, float]) -> Knowledge | None:
+    """What the steady points tell, normalised by these `scales`."""
+    return AtRest(campaign.static, static, scales) if static is not None else None

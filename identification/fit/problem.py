@@ -40,7 +40,11 @@ class Prior:
 
     def root(self) -> np.ndarray:
         """L (k, k) with L.T @ L the inverse covariance: L (p - mean) has unit variance."""
-        return np.linalg.cholesky(np.linalg.inv(self.covariance)).T
+        std = np.sqrt(np.diag(self.covariance))
+        # Terms that nearly make up each other are known together ten decades better than each: no Cholesky factor stands that.
+        power, axes = np.linalg.eigh(self.covariance / np.outer(std, std))
+        least = len(std) * np.finfo(float).eps * max(power[-1], 0.0) if len(std) else 0.0
+        return axes.T / np.sqrt(np.maximum(power, least))[:, None] / std
 
     def rows(self, values: Mapping[str, float], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """(residual (k,) of unit variance at parameter values, its derivatives (k, len(names)) in the free ones)."""

@@ -1,6 +1,6 @@
 """Leads refitted beside a fit with all parameters free, by the search's own machinery: a term is an effect like any other."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,9 +8,10 @@ import numpy as np
 from identification.diagnose.learned.screening import Lead
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.fit.problem import Prior
+from identification.static.at_rest import Knowledge
 from vpp_fmu.kernel.learned import PORTS, learned, placed
 from vpp_fmu.kernel.scales import Scales
-from vpp_fmu.kernel.types import Effect
+from vpp_fmu.kernel.types import Effect, Model
 
 WILD = 2.0
 """Standard deviation of a term's sizes beforehand, over the largest in the look: half a nat at twice that."""
@@ -53,7 +54,7 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
     library = placed(searcher.library, effect, PORTS[lead.port])
     fixed = {"form", "side", *lead.pinned}
     sizes = {effect.full(n): effect.probe[n] for n in effect.off if n not in fixed}
-    own = Searcher(searcher.experiments, searcher.names, _calmed(searcher.prior, sizes), searcher.start, library)
+    own = Searcher(searcher.experiments, searcher.names, _calmed(searcher, sizes), searcher.start, library)
     forms = {effect.full(n): v for n, v in effect.probe.items() if n in fixed}
     free = [effect.full(n) for n in effect.probe if n not in fixed]
     values = {**beside.values, **(start.values if start else {}), **{effect.full(n): v for n, v in effect.probe.items()}}
@@ -74,13 +75,18 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
     return Term(lead, effect, library, fit) if told else None
 
 
-def _calmed(prior: Prior | None, sizes: Mapping[str, float]) -> Prior:
-    """A prior that also keeps sizes of a term, which hardly any data may tell, from running away: none is WILD times as large
-    as the largest that the look has seen."""
+def _calmed(searcher: Searcher, sizes: Mapping[str, float]) -> Knowledge:
+    """A searcher's knowledge that also keeps sizes of a term, which hardly any data may tell, from running away: none is WILD
+    times as large as the largest that the look has seen."""
     wide = WILD * max(abs(v) for v in sizes.values()) or 1.0
-    known = prior or Prior((), np.zeros(0), np.zeros((0, 0)))
-    count = len(known.names)
-    covariance = np.zeros((count + len(sizes), count + len(sizes)))
-    covariance[:count, :count] = known.covariance
-    covariance[count:, count:] = wide**2 * np.eye(len(sizes))
-    return Prior((*known.names, *sizes), np.append(known.mean, np.zeros(len(sizes))), covariance)
+
+    def knowledge(model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior:
+        known = searcher.known(model, values, names) or Prior((), np.zeros(0), np.zeros((0, 0)))
+        further = [n for n in sizes if n not in known.names]
+        count = len(known.names)
+        covariance = np.zeros((count + len(further), count + len(further)))
+        covariance[:count, :count] = known.covariance
+        covariance[count:, count:] = wide**2 * np.eye(len(further))
+        return Prior((*known.names, *further), np.append(known.mean, np.zeros(len(further))), covariance)
+
+    return knowledge

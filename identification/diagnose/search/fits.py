@@ -19,6 +19,7 @@ from identification.fit.noise import independent
 from identification.fit.problem import Prior, Problem, Score
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, WIDEST, Uncertainty, disagreement, uncertainty
+from identification.static.at_rest import Knowledge
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.kernel.types import Effect, Model, start
@@ -62,22 +63,29 @@ class Fit:
         values = {**self.values, **found.values}
         return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=uncertainty)
 
-    def as_identified(self, knowledge: Prior | None) -> "Fit":
+    def told(self, knowledge: Knowledge | None) -> Prior | None:
+        """What is known beforehand of what is free here."""
+        return knowledge and knowledge(self.problem.model, self.values, self.problem.coordinates.names)
+
+    def as_identified(self, knowledge: Knowledge | None) -> "Fit":
         """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent, and
         with `knowledge` as it stands."""
         scale = self.values["thrust_scale"]
-        again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], knowledge)
+        again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], self.told(knowledge))
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
-    def agreed(self, knowledge: Prior) -> "Fit":
+    def agreed(self, knowledge: Knowledge) -> "Fit":
         """The same effects, with `knowledge` of the thrust at rest made as wide as the records disagree with it beside these
         effects: beside fewer they may have disagreed for what was missing. Effects that show on the way alone have bent no
         point at rest: beside them it is made no wider than it was."""
-        loose = self._with_prior(knowledge.loosened(WIDEST))
-        factor, prior = disagreement(knowledge, loose.uncertainty), self.problem.prior
-        if prior is not None and factor >= prior.wider_than(knowledge) and not self.at_rest:
+        told = self.told(knowledge)
+        if told is None:
             return self
-        return loose if factor == WIDEST else loose._with_prior(knowledge.loosened(factor))
+        loose = self._with_prior(told.loosened(WIDEST))
+        factor, prior = disagreement(told, loose.uncertainty), self.problem.prior
+        if prior is not None and factor >= prior.wider_than(told) and not self.at_rest:
+            return self
+        return loose if factor == WIDEST else loose._with_prior(told.loosened(factor))
 
     @property
     def at_rest(self) -> bool:
@@ -153,18 +161,20 @@ class Fit:
 
 
 class Searcher:
-    """Fits on given experiments with given knowledge; `names` are the base parameters that the data can tell, `start` where
-    they stood before any fit."""
+    """Fits on given experiments with given knowledge, its standard deviations made `factor` times as wide; `names` are the base
+    parameters that the data can tell, `start` where they stood before any fit."""
 
     def __init__(
         self,
         experiments: Sequence[Experiment],
         names: Sequence[str],
-        prior: Prior | None,
+        knowledge: Knowledge | None,
         start: Mapping[str, float],
         library: Iterable[Effect],
+        factor: float = 1.0,
     ):
-        self.experiments, self.names, self.prior, self.library = experiments, tuple(names), prior, tuple(library)
+        self.experiments, self.names, self.library = experiments, tuple(names), tuple(library)
+        self.knowledge, self.factor = knowledge, factor
         self.start = {n: start[n] for n in names}
         self.screened: dict[tuple, dict] = {}
         self.lacking = 0.0  # log-likelihood that generic shapes would gain beside the base
@@ -190,7 +200,8 @@ class Searcher:
         idle = [n for n in free if n not in smooth and n not in stuck]
         # What these data don't reach, where a look left it, others might: it is off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
-        problem = Problem(model, self.experiments, values, [*self.names, *smooth], self.prior, slow_first)
+        prior = self.known(model, values, [*self.names, *smooth])
+        problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
         solution, intervals = problem.fit(values), {}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
             solution, intervals[name] = scan(problem, solution, name, WHOLE if thorough else NEAR)
@@ -200,6 +211,11 @@ class Searcher:
         return Fit(
             tuple(effects), dict(forms), told, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
         )
+
+    def known(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior | None:
+        """What is known beforehand of what is free in a model, as wide as it is taken."""
+        told = self.knowledge and self.knowledge(model, values, names)
+        return told and told.loosened(self.factor)
 
     def biased(self, fit: Fit) -> bool:
         """Whether what is missing is so large that the base, fitted without it, is biased by it."""
