@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import ttest_1samp
 
+from identification.assessment.prediction import Prediction
 from identification.diagnose.judgement import CARRIED, FOLD_BLOCK, FOLDS
 from identification.diagnose.search.fits import Fit
+from identification.fit.noise import Noise, blocks
+from identification.fit.tachometer import Tachometer
 from vpp_fmu.native import Simulator
 
 FEWEST_BLOCKS = 2
@@ -116,6 +119,26 @@ def fall(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Se
 def rises(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
     """Whether an error is larger than another for certain; `parts` as in `fall`, `further` rises of mean squares."""
     return fall([(time, new, old) for time, old, new in parts], further) < CARRIED
+
+
+def gained(noise: Noise, before: Prediction, after: Prediction) -> dict[str, float]:
+    """Log-likelihood of a record that nobody fitted that one prediction has over another, by channel, of whitened errors; noise
+    variances unknown."""
+    found = {}
+    was, now = _whitened(noise, before), _whitened(noise, after)
+    for channel in was:
+        squares = (max(float(np.nansum(each[channel] ** 2)), 1e-300) for each in (was, now))
+        found[channel] = 0.5 * int(np.isfinite(was[channel]).sum()) * float(np.log(next(squares) / next(squares)))
+    return found
+
+
+def _whitened(noise: Noise, shown: Prediction) -> dict[str, np.ndarray]:
+    """Errors of a prediction by channel."""
+    record = shown.record
+    found = {"thrust": noise.colour.whiten(blocks(record, noise.block).mean(shown.thrust - record["thrust"]))}
+    if "omega" in record and len(sensor := Tachometer(record)):
+        found["omega"] = noise.speed.whiten((sensor.shows(shown.omega) - sensor.measured) / sensor.std)
+    return found
 
 
 def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from identification.assessment.pairs import agreed_order, exchangeable
 from identification.assessment.prediction import Prediction, predict
-from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises, thirds
+from identification.diagnose.crossval import HeldOut, cross_validated, folds, gained, rises, thirds
 from identification.diagnose.distinguish import Distinguishability, distinguishability
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
@@ -354,8 +354,8 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unse
     On left-out folds `found` predicts thrust worse than the same likelihood does without the effects (`base`), or `final` worse
     than what is `shipped`: for certain on folds or thirds, or in the step runs by more than the folds gain, certain or not
     (they go where the other commands hardly go, and a limit that was hardly reached may spoil some runs and no others), or at
-    all in the figure that a report calls after: on the unseen record, else on the folds. What explains a part only must carry
-    over to whole thirds of the records, certain or not. Judged once."""
+    all in the figure that a report calls after: on the folds, or on the `unseen` record where there is one (`_refuted_by`). What
+    explains a part only must carry over to whole thirds of the records, certain or not. Judged once."""
     before, after = judge.held_out(base), judge.held_out(found)
     if after.rmse_thrust > before.rmse_thrust and after.gain(before)["thrust"] < 0.0:
         return _rises(FOLDED, before.rmse_thrust, after.rmse_thrust)
@@ -369,11 +369,23 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unse
         old, new = judge.on_runs(shipped), judge.on_runs(final)
         if np.mean(new - old) > was**2 - now**2:
             return _rises("thrust error of the step runs", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
-    what = FOLDED
-    if unseen is not None:
-        what = f"thrust error on {unseen.name}.csv"
-        was, now = (predict(fit.problem.model, fit.values, unseen.record).rmse_thrust for fit in (shipped, final))
-    return _rises(what, was, now) if now > was else ""
+    if unseen is None:
+        return _rises(FOLDED, was, now) if now > was else ""
+    return _refuted_by(unseen, judge.searcher.experiments[0].noise, shipped, final)
+
+
+def _refuted_by(unseen: Unseen, noise: Noise, shipped: Fit, final: Fit) -> str:
+    """Why the unseen record refutes a model, in words: its thrust is predicted worse.
+
+    A speed that was measured may confirm what the thrust's noise hides: where the evidence of both is strong, and that of the
+    thrust alone not strong against it, a rise of the thrust's error refutes nothing."""
+    was, now = (predict(fit.problem.model, fit.values, unseen.record) for fit in (shipped, final))
+    if now.rmse_thrust <= was.rmse_thrust:
+        return ""
+    gain = gained(noise, was, now)
+    if sum(gain.values()) > STRONG and gain["thrust"] > -STRONG:
+        return ""
+    return _rises(f"thrust error on {unseen.name}.csv", was.rmse_thrust, now.rmse_thrust)
 
 
 FOLDED = "cross-validated thrust error"
