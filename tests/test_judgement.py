@@ -288,7 +288,8 @@ class Estimates:
 def estimate(name: str, **others):
     """A fit, and what it is when it is estimated otherwise."""
     problem = SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=TIME))])
-    return SimpleNamespace(name=name, problem=problem, **{n: lambda *_, one=one: one for n, one in others.items()})
+    made = {n: lambda *_, one=one: one for n, one in others.items()}
+    return SimpleNamespace(name=name, problem=problem, at_rest=False, **made)
 
 
 @pytest.mark.parametrize(
@@ -301,10 +302,29 @@ def estimate(name: str, **others):
     ],
 )
 def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, again, chosen):
-    judge = Estimates(present=0.1, found=found, agreed=agreed, again=again)
-    last = estimate("again")
-    fit = estimate("found", as_identified=last, agreed=estimate("agreed", as_identified=last))
+    judge = Estimates(present=0.1, found=found, agreed=agreed, again=again, held=0.2)
+    last = estimate("again", with_map_of=estimate("held"))
+    own = {"as_identified": last, "with_map_of": estimate("held")}
+    fit = estimate("found", **own, agreed=estimate("agreed", **own))
     assert diagnose._estimated(judge, object(), estimate("present"), fit).name == chosen
+
+
+@pytest.mark.parametrize(
+    ("at_rest", "held", "runs", "chosen"),
+    [
+        (False, 0.09, 0.01, "held"),  # neither estimate of its own goes where the step runs go, and the map was known before
+        (False, 0.11, 0.01, "again"),
+        (False, 0.09, 0.03, "again"),
+        (True, 0.09, 0.01, "again"),  # it has bent the map
+    ],
+)
+def test_the_map_stays_what_it_was_where_records_of_an_effect_on_the_way_do_not_tell_it(at_rest, held, runs, chosen):
+    judge = Estimates(present=0.1, found=0.08, again=0.07, held=held)
+    judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.02, "held": runs}.get(fit.name, 0.05))
+    last = estimate("again", with_map_of=estimate("held"))
+    last.at_rest = at_rest
+    fit = estimate("found", as_identified=last)
+    assert diagnose._estimated(judge, None, estimate("present"), fit).name == chosen
 
 
 @pytest.mark.parametrize(("name", "widened"), [("pitch_asymmetry", False), ("map_terms", True)])
@@ -337,6 +357,25 @@ def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened
         assert abs(agreed.values["c20"] - values["c20"]) < abs(found.values["c20"] - values["c20"])
     else:
         assert agreed is found
+
+
+def test_an_estimate_with_the_map_of_another_fit_moves_the_lags_alone_and_carries_its_uncertainty():
+    """Records of a rotor that is slower one way: map and its standard deviations stay as they were, to the digit."""
+    model, rng, name = plant(["speed_asymmetry"]), np.random.default_rng(6), "speed_asymmetry.asymmetry"
+    told = {"omega_ref": np.repeat(rng.uniform(2500.0, 5800.0, 40), 50), "beta_ref": np.repeat(rng.uniform(-3.0, 9.0, 40), 50)}
+    shown = Simulator(model).simulate(model.values({name: 0.3}), told, np.full(1999, 0.01))
+    read = shown[:, 0] + 0.1 * rng.standard_normal(2000)
+    record = Record({"time": 0.01 * np.arange(2000), **told, "omega": shown[:, 1], "thrust": read}, "drawn")
+    names, values = ["tau_omega_1", "tau_omega_2", "c20", "c11"], plant(()).values()
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], names, None, values, LIBRARY)
+    other, found = searcher.fit((), {}, (), values), searcher.fit(["speed_asymmetry"], {}, [name], values)
+    held = found.with_map_of(other)
+    assert {n: held.values[n] for n in ("c20", "c11")} == {n: other.values[n] for n in ("c20", "c11")}
+    assert held.values[name] == pytest.approx(0.3, abs=0.03)
+    assert held.values["tau_omega_1"] != other.values["tau_omega_1"]
+    for n in ("c20", "c11"):
+        assert held.std()[n] == pytest.approx(other.std()[n], rel=1e-12)
+    assert held.std()[name] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -415,9 +454,10 @@ def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width, star
     ("on_runs", "chosen"), [({"found": 0.02, "again": 0.01}, "again"), ({"found": 0.02, "again": 0.03}, "found")]
 )
 def test_step_runs_ask_for_the_other_estimate_too(on_runs, chosen):
-    judge = Estimates(present=0.1, found=0.08, again=0.09)
-    judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.01, **on_runs}[fit.name])
-    fit = estimate("found", as_identified=estimate("again"))
+    held = estimate("held")
+    judge = Estimates(present=0.1, found=0.08, again=0.09, held=0.2)
+    judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.01, "held": 1.0, **on_runs}[fit.name])
+    fit = estimate("found", as_identified=estimate("again", with_map_of=held), with_map_of=held)
     assert diagnose._estimated(judge, None, estimate("present"), fit).name == chosen
 
 

@@ -326,7 +326,8 @@ def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: F
 
     What the static map tells was made as wide as the records disagreed with it beside the base, for what was missing perhaps:
     it is weighed anew, unless thrust is for certain predicted worse then. Where folds or step runs are predicted worse than by
-    the `present` model, an identification's estimates, with more weight on what is slow, take the place if they do better.
+    the `present` model, an identification's estimates, with more weight on what is slow, take the place if they do better; if
+    that does not help, and the effects show on the way alone, those beside the `present` map.
     """
     if knowledge is not None:
         agreed = found.agreed(knowledge)
@@ -337,6 +338,9 @@ def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: F
         again = found.as_identified(knowledge)
         better = judge.held_out(again).rmse_thrust < judge.held_out(found).rmse_thrust
         found = again if better or not _worse(judge, again, present) else found
+        if _worse(judge, found, present) and not found.at_rest:
+            held = found.with_map_of(present)
+            found = held if not _worse(judge, held, present) else found
     return found
 
 

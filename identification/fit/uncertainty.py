@@ -11,10 +11,11 @@ What a model lacks is the same in every record of the same commands: such record
 summed before the scores are, so what they share counts as shared, and what is noise averages out.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import brentq
 
 from identification.fit.bands import ORDINATES, banded
@@ -68,6 +69,21 @@ class Uncertainty:
         """(n, 2) 95 % intervals."""
         reach = NORMAL_95 * self.std[:, None] if self.reach is None else self.reach
         return self.values[:, None] + np.array([-1.0, 1.0]) * reach
+
+    def beside(self, other: "Uncertainty", names: Iterable[str]) -> "Uncertainty":
+        """With what another says of further parameters `names`, as if the two had nothing to do with each other."""
+        kept = [k for k, n in enumerate(other.names) if n in names and n not in self.names]
+        further = {n for k, n in enumerate(other.names) if k in kept}
+        reaches = [NORMAL_95 * u.std[:, None] * np.ones(2) if u.reach is None else u.reach for u in (self, other)]
+        return Uncertainty(
+            (*self.names, *(other.names[k] for k in kept)),
+            np.append(self.values, other.values[kept]),
+            block_diag(self.covariance, other.covariance[np.ix_(kept, kept)]),
+            np.append(self.inflation, other.inflation[kept]),
+            np.vstack([reaches[0], reaches[1][kept]]),
+            (*self.profiled, *(n for n in other.profiled if n in further)),
+            (*self.left_open, *(n for n in other.left_open if n in further)),
+        )
 
     def kind(self, name: str) -> str:
         """In words, what a parameter's interval comes from."""

@@ -20,6 +20,7 @@ from identification.fit.problem import Prior, Problem, Score
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import NORMAL_95, WIDEST, Uncertainty, disagreement, uncertainty
 from identification.static.at_rest import Knowledge
+from identification.static.static_map import TERMS
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.kernel.types import Effect, Model, start
@@ -73,6 +74,17 @@ class Fit:
         scale = self.values["thrust_scale"]
         again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], self.told(knowledge))
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
+
+    def with_map_of(self, other: "Fit") -> "Fit":
+        """The same effects, they and the lags estimated as an identification does, the thrust map as another fit has it: records
+        may tell little of it beside effects that show on the way, and it need not be another one for these."""
+        scale, c = self.values["thrust_scale"], self.problem.coordinates
+        names, held = [n for n in c.names if n not in TERMS], {n: other.values[n] for n in c.names if n in TERMS}
+        experiments = [e.but(noise=independent(scale)) for e in self.problem.experiments]
+        problem = Problem(self.problem.model, experiments, {**self.values, **held}, names, None, c.slow_first)
+        again = replace(self, problem=problem)
+        again = again._solved(problem.solve_and_weigh(problem.values)[-1])
+        return replace(again, estimate=again.uncertainty.beside(other.uncertainty, held))
 
     def agreed(self, knowledge: Knowledge) -> "Fit":
         """The same effects, with `knowledge` of the thrust at rest made as wide as the records disagree with it beside these
