@@ -359,6 +359,16 @@ def test_points_at_rest_lose_weight_only_beside_what_has_bent_them(name, widened
         assert agreed is found
 
 
+def test_a_slow_stand_is_looked_for_as_far_down_as_the_records_go():
+    """Two cycles in 20 s: 0.1 Hz; half of 100 rows a second: 50 Hz; twelve a decade are a factor of 1.22 apart."""
+    time = 0.01 * np.arange(2001)
+    record = Record({"time": time, "omega_ref": np.full(2001, 4000.0), "beta_ref": np.zeros(2001)}, "made up")
+    (candidate,) = candidates([e for e in LIBRARY if e.name == "stand_resonance"], [record])
+    found = np.array(candidate.fine_axis("stand_resonance.frequency"))
+    assert (found[0], found[-1]) == pytest.approx((0.1, 50.0))
+    assert np.all(found[1:] / found[:-1] < 10.0 ** (1.0 / 11.0))
+
+
 def test_an_estimate_with_the_map_of_another_fit_moves_the_lags_alone_and_carries_its_uncertainty():
     """Records of a rotor that is slower one way: map and its standard deviations stay as they were, to the digit."""
     model, rng, name = plant(["speed_asymmetry"]), np.random.default_rng(6), "speed_asymmetry.asymmetry"

@@ -19,6 +19,10 @@ TOPS = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
 """Multiples of the highest speed commanded for what limits speed: above it, a limit that gives way binds in one corner only."""
 
 
+DECADE, CYCLES = 12, 2.0
+"""Frequencies a decade to look at, from that which a record has so many cycles of up to half its rows' rate."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names.
@@ -86,7 +90,9 @@ class Candidate:
         return inside or [probe]
 
     def fine_axis(self, name: str, count: int = 24) -> list[float]:
-        """Values of a size all over its range, for a search that must meet the right one."""
+        """Values of a size all over its range, for a search that must meet the right one; levels that are as many are such."""
+        if len(self.levels.get(name, ())) >= count:
+            return list(self.levels[name])
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
         highest = max(self.levels.get(name, (p.maximum,)))
         return np.geomspace(max(p.minimum, highest / 100.0), highest, count).tolist()
@@ -107,11 +113,16 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
 
 
 def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[float, ...]]:
-    """Values to look at first of what goes by the records: about the top speed commanded for what limits speed; for what stands
-    for a level of a measured input the least, middle and greatest that it had."""
+    """Values to look at first of what goes by the records: about the top speed commanded for what limits speed; every frequency
+    that they could show; for what stands for a level of a measured input the least, middle and greatest that it had."""
     top = max(float(np.nanmax(r["omega_ref"])) for r in records)
     limits = [p for p in effect.parameters if p.unit == "rpm" and effect.off.get(p.name) == p.maximum]
     found = {effect.full(p.name): tuple(v for k in TOPS if (v := k * top) > p.minimum) or (p.minimum,) for p in limits}
+    lowest = min(CYCLES / float(r.time[-1] - r.time[0]) for r in records)
+    fastest = max(0.5 / r.period for r in records)
+    for p in (p for p in effect.parameters if p.unit == "Hz" and p.name in effect.off):
+        ends = max(lowest, p.minimum), min(fastest, p.maximum)
+        found[effect.full(p.name)] = tuple(np.geomspace(*ends, max(2, round(DECADE * np.log10(ends[1] / ends[0])))).tolist())
     for u in (u for u in effect.inputs if not u.clock):
         seen = np.concatenate([r[u.name] for r in records])
         levels = tuple(dict.fromkeys(np.nanquantile(seen, [0.0, 0.5, 1.0]).tolist()))

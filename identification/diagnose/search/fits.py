@@ -76,8 +76,9 @@ class Fit:
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
     def with_map_of(self, other: "Fit") -> "Fit":
-        """The same effects, they and the lags estimated as an identification does, the thrust map as another fit has it: records
-        may tell little of it beside effects that show on the way, and it need not be another one for these."""
+        """The same effects, they and the lags estimated as an identification does, the thrust map as another fit has it.
+
+        Records may tell little of the map beside effects that show on the way, and it need not be another one for these."""
         scale, c = self.values["thrust_scale"], self.problem.coordinates
         names, held = [n for n in c.names if n not in TERMS], {n: other.values[n] for n in c.names if n in TERMS}
         experiments = [e.but(noise=independent(scale)) for e in self.problem.experiments]
