@@ -403,9 +403,9 @@ def test_pieces_that_look_like_no_other_are_all_met(low, grid):
     for right in wide[:: len(wide) // 10]:
         asked = []
 
-        def left(at, right=right, asked=asked):
-            asked.append(at)
-            return rows[np.searchsorted(edges, at)] - rows[right]
+        def left(points, right=right, asked=asked):
+            asked.extend(points)
+            return (rows[np.searchsorted(edges, points)] - rows[right]).T
 
         found = divided(left, grid)
         assert min(found.values()) == 0.0
@@ -427,9 +427,9 @@ def test_pieces_that_look_alike_are_met_where_the_best_may_be():
         rng, asked = np.random.default_rng(seed), []
         read = bumps[rng.integers(len(edges))] + rng.standard_normal(len(axis))
 
-        def left(at, read=read, asked=asked):
-            asked.append(at)
-            return bumps[np.abs(edges - at).argmin()] - read
+        def left(points, read=read, asked=asked):
+            asked.extend(points)
+            return (bumps[np.abs(edges[:, None] - points).argmin(axis=0)] - read).T
 
         best = 0.5 * float(np.min(np.sum((bumps - read) ** 2, axis=1)))
         assert min(divided(left, np.geomspace(0.1, 4.5, FINE).tolist()).values()) - best < 2.0 * worse  # noise bends it, too

@@ -56,8 +56,8 @@ def distinguishability(
         simulator = Simulator(plant([*base.effects, effect.name], library), candidate.sizes)
         off = {effect.full(n): v for n, v in effect.off.items()}
         on = {effect.full(n): v for n, v in effect.probe.items()}
-        shown = about.rows(simulator, {**candidate.form, **on}) - about.rows(simulator, {**candidate.form, **off})
-        return about.apart(shown)
+        there, without = about.rows(simulator, [{**candidate.form, **on}, {**candidate.form, **off}]).T
+        return about.apart(there - without)
 
     traces = np.empty((len(options), base.problem.size))
     for row, shown in zip(traces, spread(trace, options), strict=True):

@@ -16,6 +16,7 @@ from identification.roles import Fitted
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.simulator import PIECE
 from vpp_fmu.record import Record
+from vpp_fmu.tracer import LANES
 
 CHANNELS = ("thrust", "omega")
 """What a record may measure, and a fit may take, of a model's outputs."""
@@ -61,8 +62,9 @@ class Experiment:
         return [0, 1] if len(self.omega_time) else [0]
 
     def thrust_residual(self, predicted: np.ndarray) -> np.ndarray:
-        """Whitened predicted less measured thrust (n,), from thrust (rows,) N."""
-        return self._white(self._blocks.mean(self._where_measured(self.converter.reads(predicted))) - self.thrust)
+        """Whitened predicted less measured thrust (n, ...), from thrust (rows, ...) N."""
+        means = self._blocks.mean(self._where_measured(self.converter.reads(predicted)))
+        return self._white((means.T - self.thrust).T)
 
     def thrust_columns(self, tangents: np.ndarray) -> np.ndarray:
         """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the thrust (rows, ...) N."""
@@ -93,8 +95,8 @@ class Experiment:
         return outputs, found | ({"omega": self.omega_columns(speed)} if len(self.omega_time) else {})
 
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
-        """Whitened predicted less measured speed (n,), from speed (rows,) rpm."""
-        return self._heard([(t.shows(predicted) - t.measured) / t.std for t in self.tachometers])
+        """Whitened predicted less measured speed (n, ...), from speed (rows, ...) rpm."""
+        return self._heard([((t.shows(predicted).T - t.measured) / t.std).T for t in self.tachometers])
 
     def omega_columns(self, tangents: np.ndarray) -> np.ndarray:
         """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the speed (rows, ...) rpm."""
@@ -155,13 +157,16 @@ def _thrust(record: Record, counts: bool) -> np.ndarray:
 
 
 def _by_column(change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
-    """`change` of (rows,), or of each column of (rows, k): what it needs beside them is then small. `into`: an array, `values`
-    itself for one, that the result may overwrite."""
+    """`change` of (rows,), or of (rows, k), LANES columns at a time: what it needs beside them is then small. `into`: an array,
+    `values` itself for one, that the result may overwrite."""
     if values.ndim == 1 or not values.size:
         return change(values)
-    columns = values.reshape(len(values), -1).T
-    first = change(columns[0])
-    found = np.empty((len(first), len(columns))) if into is None else into[: len(first)]
-    for k, column in enumerate(columns):
-        found[:, k] = change(column) if k else first
-    return found.reshape(len(first), *values.shape[1:])
+    columns = values.reshape(len(values), -1)
+    if columns.shape[1] <= LANES:
+        return change(columns).reshape(-1, *values.shape[1:])
+    found = None if into is None else into
+    for k in range(0, columns.shape[1], LANES):
+        part = change(np.ascontiguousarray(columns[:, k : k + LANES]))
+        found = np.empty((len(part), columns.shape[1])) if found is None else found[: len(part)]
+        found[:, k : k + LANES] = part
+    return found.reshape(len(found), *values.shape[1:])

@@ -7,6 +7,7 @@ import numpy as np
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Problem
 from vpp_fmu.native import Simulator
+from vpp_fmu.tracer import LANES
 
 
 class Linearised:
@@ -29,10 +30,12 @@ class Linearised:
         """What of `rows` the fitted parameters can't follow."""
         return rows - self._columns @ (self._inverse @ (self._columns.T @ rows))
 
-    def products(self, rows: np.ndarray) -> tuple[float, float]:
-        """Of what of `rows` the parameters can't follow: its product with the residual, and with itself."""
+    def products(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of what of each column of `rows` (rows, k) the parameters can't follow: its products (k,) with the residual, and with
+        itself."""
         followed = self._columns.T @ rows
-        return float(self.residual @ rows), max(float(rows @ rows - followed @ self._inverse @ followed), 0.0)
+        own = np.einsum("ij,ij->j", rows, rows) - np.einsum("ij,ij->j", followed, self._inverse @ followed)
+        return self.residual @ rows, np.maximum(own, 0.0)
 
     def channel_apart(self, rows: np.ndarray, at: slice) -> np.ndarray:
         """As `apart`, of many rows (k, n) that are nothing outside one channel's place `at` in the residual, in place; returns
@@ -58,19 +61,19 @@ class Linearised:
         x = self._x - self._inverse @ (self._columns.T @ rows)
         return coordinates.values(np.clip(x, coordinates.lower, coordinates.upper))
 
-    def outputs(self, simulator: Simulator, changes: Mapping[str, float]) -> list[np.ndarray]:
-        """Outputs (rows, 3) of a simulator's model for each experiment, with `changes` to the fitted values."""
-        values = {**self._values, **changes}
-        return [simulator.simulate(values, e.record.columns, e.record.steps) for e in self._problem.experiments]
+    def outputs(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
+        """Outputs (rows, 3, points) of a simulator's model for each experiment, each point a change to the fitted values."""
+        values = [{**self._values, **point} for point in points]
+        return [simulator.simulate_all(values, e.record.columns, e.record.steps) for e in self._problem.experiments]
 
-    def rows(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
-        """Scaled residual (rows,) of a simulator's model with `changes` to the fitted values."""
+    def rows(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> np.ndarray:
+        """Scaled residual (rows, points) of a simulator's model with changes to the fitted values."""
         problem = self._problem
-        residuals = problem.residuals(self.outputs(simulator, changes))
+        residuals = problem.residuals(self.outputs(simulator, points))
         return np.concatenate([r / problem.scale[c] for c, r in residuals.items()])
 
     def change(self, outputs: Sequence[np.ndarray]) -> np.ndarray:
-        """Scaled change of the residual (rows,) for a change of the outputs, (rows, 3) for each experiment."""
+        """Scaled change of the residual (rows, ...) for a change of the outputs, (rows, 3, ...) for each experiment."""
         problem = self._problem
         return np.concatenate([c / problem.scale[k] for k, c in problem.columns(outputs).items()])
 
@@ -81,11 +84,14 @@ class Linearised:
         columns = problem.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
         return np.vstack([c / problem.scale[k] for k, c in columns.items()])
 
-    def left(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
-        """(rows,) residual with `changes`, the fitted parameters following as far as they can."""
-        return self.apart(self.rows(simulator, changes))
+    def left(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> np.ndarray:
+        """(rows, points) residual with changes, the fitted parameters following as far as they can."""
+        return self.apart(self.rows(simulator, points))
 
-    def cost(self, simulator: Simulator, changes: Mapping[str, float]) -> float:
-        """Half the sum of its squares."""
-        left = self.left(simulator, changes)
-        return 0.5 * float(left @ left)
+    def costs(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> list[float]:
+        """Half the sum of its squares, for each point."""
+        found = []
+        for first in range(0, len(points), LANES):  # so that no more than these are held
+            left = self.left(simulator, points[first : first + LANES])
+            found += (0.5 * np.einsum("ij,ij->j", left, left)).tolist()
+        return found

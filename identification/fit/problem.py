@@ -163,7 +163,7 @@ class Problem:
         return [(b.time, float(self.experiments[b.experiment].record.time[-1])) for b in self.blocks]
 
     def residuals(self, outputs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        """Each channel's residual (n,), unscaled, from the outputs (rows, 3) of each experiment."""
+        """Each channel's residual (n, ...), unscaled, from the outputs (rows, 3, ...) of each experiment."""
         thrust = [e.thrust_residual(y[:, 0]) for e, y in zip(self.experiments, outputs, strict=True)]
         found = {"thrust": np.concatenate(thrust)}
         omega = [e.omega_residual(y[:, 1]) for e, y in zip(self.experiments, outputs, strict=True) if len(e.omega_time)]

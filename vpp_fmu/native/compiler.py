@@ -13,10 +13,13 @@ from pathlib import Path
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.scratch import Scratch
 
-FLAGS = ("-std=c11", "-O1", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-w")
-"""-O1 runs such straight lines as fast as -O2 and compiles them in two thirds of the time. No contraction into fused
-multiply-adds: they round once where Python rounds twice, and the bits would differ. Nobody reads errno or the exception
-flags: without them roots are one instruction, and choices need no branch."""
+FLAGS = (
+    *("-std=c11", "-O1", "-ftree-loop-vectorize", "-fPIC", "-shared"),
+    *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-w"),
+)
+"""-O1 runs such straight lines as fast as -O2 and compiles them in two thirds of the time; runs side by side are loops. No
+contraction into fused multiply-adds: they round once where Python rounds twice, and the bits would differ. Nobody reads errno
+or the exception flags: without them roots are one instruction, and choices need no branch."""
 
 
 @cache

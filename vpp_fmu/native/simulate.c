@@ -5,6 +5,7 @@
 
 #define DONE 0
 #define DELAY_FULL 1
+#define APART 2
 
 typedef struct {
   Instance instance;
@@ -48,3 +49,43 @@ int proceed(void *of, const double *inputs, const double *steps, long n, int las
 }
 
 void end(void *run) { free(run); }
+
+#ifdef LANES
+/* A whole record for LANES sets of parameters (LANES x N_PARAMETERS) side by side, as proceed() runs each. inputs, steps: of n rows.
+ * outputs: N_OUTPUTS x n x LANES. APART: their longest steps differ, and so do not stay in step. */
+int alike(const double *parameters, const double *inputs, const double *steps, long n, double *outputs) {
+  static const double no_tangent[N_DELAYED_OR_1] = {0};
+  double v[N_VALUES][LANES], c[N_CONSTANTS][LANES], own[N_VALUES] = {0}, constants[N_CONSTANTS], tangents[N_TANGENTS];
+  double dt = 0.0, largest = INFINITY;
+  for (int k = 0; k < LANES; k++) {
+    memcpy(own, inputs, N_INPUTS * sizeof *inputs);
+    memcpy(own + N_INPUTS + N_OUTPUTS, parameters + k * N_PARAMETERS, N_PARAMETERS * sizeof *parameters);
+    start(own, tangents);
+    for (int i = 0; i < N_VALUES; i++) v[i][k] = own[i];
+    if (k && largest_step(own) != largest) return APART;
+    largest = largest_step(own);
+  }
+  for (long row = 0; row < n; row++) {
+    for (int i = 0; i < N_OUTPUTS; i++) memcpy(outputs + (i * n + row) * LANES, v[N_INPUTS + i], sizeof v[0]);
+    if (row == n - 1) break;
+    for (int i = 0; i < N_INPUTS; i++)
+      for (int k = 0; k < LANES; k++) v[i][k] = inputs[row * N_INPUTS + i];
+    double count = 1.0;
+    if (largest < INFINITY) {
+      count = ceil(steps[row] / largest - NOW);
+      if (count < 1.0) count = 1.0;
+    }
+    const double piece = steps[row] / count;
+    if (!(piece == dt)) {
+      dt = piece;
+      for (int k = 0; k < LANES; k++) {
+        for (int i = 0; i < N_VALUES; i++) own[i] = v[i][k];
+        prepare(own, dt, no_tangent, constants);
+        for (int i = 0; i < N_CONSTANTS; i++) c[i][k] = constants[i];
+      }
+    }
+    for (double i = 0.0; i < count; i += 1.0) step_lanes(v, c);
+  }
+  return DONE;
+}
+#endif

@@ -4,7 +4,7 @@ import ctypes
 import hashlib
 import json
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import cache, lru_cache
 from importlib.resources import files
@@ -16,7 +16,7 @@ from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.schedule import NUDGE, SLOTS, DelayFull, DelayLine, run_held, run_sampled
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled, compiled_as
-from vpp_fmu.tracer import Program, c_source, python_source, trace
+from vpp_fmu.tracer import LANES, Program, c_lanes, c_source, python_source, trace
 
 PIECE = 4096
 """Rows that are run at a time where a record's sensitivities need not be held at once: few enough to stay in a core's cache,
@@ -30,7 +30,7 @@ class Simulator:
         self.model, self.wrt = model, tuple(wrt)
         self._inputs = [s.name for s in model.inputs]
         self.outputs = tuple(s.name for s in model.outputs)
-        self._run = _runner(_Chain(model), self.wrt)
+        self._run, self._alike = _runner(_Chain(model), self.wrt)
 
     def simulate(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> np.ndarray:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
@@ -42,6 +42,30 @@ class Simulator:
         for _ in self._run_pieces(parameters, inputs, steps, len(outputs), outputs, None):
             pass
         return outputs
+
+    def simulate_all(
+        self, points: Sequence[Mapping[str, float]], inputs: Mapping[str, np.ndarray], steps: np.ndarray
+    ) -> np.ndarray:
+        """The same for several sets of parameters: outputs (rows, outputs, points), each to the bit what `simulate` gives.
+
+        A step is a chain of operations that wait for each other: LANES runs side by side take little longer than one.
+        """
+        found = np.empty((len(self.outputs), len(steps) + 1, len(points)))
+        for first in range(0, len(points), LANES):
+            part = points[first : first + LANES]
+            found[:, :, first : first + len(part)] = self._side_by_side(part, inputs, steps)
+        return np.moveaxis(found, 0, 1)
+
+    def _side_by_side(self, points, inputs, steps) -> np.ndarray:
+        """(outputs, rows, points) of LANES points at most."""
+        if self._alike is not None and len(points) > 1:
+            sets = [self._prepared(point, inputs, steps) for point in points[:1]]
+            values = [sets[0][0], *(np.array(list(self.model.values(point).values())) for point in points[1:])]
+            values += values[-1:] * (LANES - len(points))
+            outputs = np.empty((len(self.outputs), len(steps) + 1, LANES))
+            if self._alike(np.array(values), *sets[0][1:], outputs):
+                return outputs[:, :, : len(points)]
+        return np.stack([self.simulate(point, inputs, steps).T for point in points], axis=2)
 
     def sensitivities(self, parameters, inputs, steps) -> tuple[np.ndarray, np.ndarray]:
         """As `simulate`, and the outputs' derivatives (rows, outputs, wrt) in the parameters `wrt`, exact to rounding."""
@@ -126,19 +150,21 @@ def _library_text() -> str:
 
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
-    """A generator function (parameters, inputs, steps, plain): each (rows, outputs, tangents) sent to it is filled in; a plain
-    run has no tangents, None."""
+    """(a generator function (parameters, inputs, steps, plain): each (rows, outputs, tangents) sent to it is filled in; a plain
+    run has no tangents, None; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows, LANES)) that fills the
+    last in: whether these runs stay in step; None where none do)."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
         _say_once(str(missing))
-        return _interpreted(trace(chain.model, wrt))
+        return _interpreted(trace(chain.model, wrt)), None
 
 
 def _compiled(chain: _Chain, wrt: tuple[str, ...]):
     def source() -> str:
         after = files("vpp_fmu.kernel") / "schedule.c", files("vpp_fmu.native") / "simulate.c"
-        return "".join((c_source(trace(chain.model, wrt)), *(path.read_text() for path in after)))
+        program = trace(chain.model, wrt)
+        return "".join((c_source(program), c_lanes(program), *(path.read_text() for path in after)))
 
     known = chain.text
     library = ctypes.CDLL(str(compiled_as(f"{known} {wrt}", source) if known else compiled(source())))
@@ -165,7 +191,14 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
         finally:
             library.end(begun)
 
-    return run
+    if not hasattr(library, "alike"):
+        return run, None
+    library.alike.argtypes = [vector, vector, vector, ctypes.c_long, vector]
+
+    def alike(values, inputs, steps, outputs) -> bool:
+        return library.alike(values, inputs, steps, len(inputs), outputs) == 0
+
+    return run, alike
 
 
 def _interpreted(program: Program):

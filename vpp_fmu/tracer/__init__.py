@@ -1,6 +1,6 @@
 """Turns the kernel's functions into straight-line Python and C. See `program` for what is kept and why."""
 
-from vpp_fmu.tracer.emit import c_source, python_source
+from vpp_fmu.tracer.emit import LANES, c_lanes, c_source, python_source
 from vpp_fmu.tracer.program import Layout, Program, trace
 
-__all__ = ["Layout", "Program", "c_source", "python_source", "trace"]
+__all__ = ["LANES", "Layout", "Program", "c_lanes", "c_source", "python_source", "trace"]

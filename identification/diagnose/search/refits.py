@@ -189,7 +189,7 @@ def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
         return fit
     about, simulator = fit.linearised(), fit.problem.simulator
     points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
-    costs = [about.cost(simulator, point) for point in points]
+    costs = about.costs(simulator, points)
     if costs[0] - min(costs) < 1.0:  # the first is the fit as it is
         return fit
     start = {**fit.values, **points[int(np.argmin(costs))]}

@@ -7,7 +7,7 @@ A large missing effect bends the fit so far that nothing can be seen from there.
 place too: the start of the fit, where the static map and the steps had put the parameters, in both orders of the pitch lags.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,6 +21,7 @@ from identification.fit.problem import Problem
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
+from vpp_fmu.tracer import LANES
 
 STRETCH = (0.7, 1.4)
 """How far a trace may be scaled between the sizes of the grid, which are a factor of 2 apart."""
@@ -33,6 +34,9 @@ SHARP = 0.7
 
 ROUNDING = 1e-9
 """Share of the speed by which it may change and still be the same: it is compiled another way, and rounds another way."""
+
+COMPARED = slice(2)
+"""Of a model's outputs, thrust and speed."""
 
 CLOSER = 3
 """Steps along the tangents from the best point of a grid of several sizes: what binds in one corner only is between points."""
@@ -94,7 +98,7 @@ class _Screened:
     def _proportional(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]] | None:
         """The best sizes of a trace that goes with them; None where it does not."""
         candidate, columns = trace.candidate, trace.tangents(shape | trace.candidate.off)
-        shown, off = trace.at(shape | candidate.probe), candidate.off
+        (shown,), off = trace.at([shape | candidate.probe]).T, candidate.off
         straight = columns @ np.array([candidate.probe[n] - off[n] for n in candidate.sizes])
         if not np.any(shown) or np.linalg.norm(shown - straight) > PROPORTIONAL * np.linalg.norm(shown):
             return None
@@ -113,19 +117,21 @@ class _Screened:
             axes |= {n: candidate.fine_axis(n) for n in axes if trace.limited(shape, n)}
         if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
-            best = max((self._best(trace, shape | point) for point in points), key=lambda pair: pair[0])
+            best = self._best(trace, [shape | point for point in points])
             return best if len(axes) == 1 else self._closer(trace, best)
         best = -np.inf, shape | candidate.off
         for _ in range(2):
             for name, values in axes.items():
-                best = max([best, *(self._best(trace, best[1] | {name: v}) for v in values)], key=lambda pair: pair[0])
+                best = max(best, self._best(trace, [best[1] | {name: v} for v in values]), key=lambda pair: pair[0])
         return self._closer(trace, best)
 
     def _divided(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
         """The best value of a threshold."""
         (name,) = trace.candidate.sizes
-        there, about = trace.at, self._about
-        costs = divided(lambda value: about.residual + there(shape | {name: value}), trace.candidate.fine_axis(name))
+        residual = self._about.residual[:, None]
+        costs = divided(
+            lambda values: residual + trace.at([shape | {name: v} for v in values]), trace.candidate.fine_axis(name)
+        )
         best = min(costs, key=costs.__getitem__)
         return self._cost - costs[best], shape | {name: best}
 
@@ -133,20 +139,24 @@ class _Screened:
         """From the best point of a grid of several sizes, some way down along their tangents."""
         candidate, (fall, point) = trace.candidate, best
         for _ in range(CLOSER):
-            left = self._about.residual + trace.at(point)
+            left = self._about.residual + trace.at([point])[:, 0]
             step, *_ = np.linalg.lstsq(trace.tangents(point), -left, rcond=1e-9)
             there = point | candidate.within({n: point[n] + d for n, d in zip(candidate.sizes, step, strict=True)})
-            if (gained := self._fall(trace.at(there))) <= fall:
+            if (gained := self._fall(trace.at([there])[:, 0])) <= fall:
                 break
             fall, point = gained, there
         return fall, point
 
-    def _best(self, trace: "_Trace", point) -> tuple[float, dict[str, float]]:
-        """The fall at a point, its sizes stretched a little where that helps."""
-        along, power = trace.products(point)
-        stretch = float(np.clip(-along / power, *STRETCH)) if power else 1.0
-        sizes = trace.candidate.within({n: point[n] * stretch for n, v in trace.candidate.off.items() if v == 0.0})
-        return self._nothing - stretch * (along + 0.5 * stretch * power), point | sizes
+    def _best(self, trace: "_Trace", points: Sequence) -> tuple[float, dict[str, float]]:
+        """The best of the points and the fall there, the sizes stretched a little where that helps."""
+        best = -np.inf, {}
+        for point, (along, power) in zip(points, trace.products(points), strict=True):
+            stretch = float(np.clip(-along / power, *STRETCH)) if power else 1.0
+            fall = self._nothing - stretch * (along + 0.5 * stretch * power)
+            if fall > best[0]:
+                sizes = {n: point[n] * stretch for n, v in trace.candidate.off.items() if v == 0.0}
+                best = fall, point | trace.candidate.within(sizes)
+        return best
 
     def _fall(self, shown: np.ndarray) -> float:
         left = self._about.residual + shown
@@ -158,31 +168,39 @@ class _Trace:
 
     def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
         self.candidate, self._about, self._simulator = candidate, about, simulator
-        self._quiet = about.outputs(simulator, {**candidate.form, **candidate.off})
-        self._speed = [np.abs(quiet[:, 1]).max() for quiet in self._quiet]
+        quiet = about.outputs(simulator, [{**candidate.form, **candidate.off}])
+        self._quiet = [shown[:, COMPARED] for shown in quiet]
+        self._speed = [np.abs(shown[:, 1]).max() for shown in quiet]
         self._known: dict[tuple[float, ...], np.ndarray] = {}
         self.points = 0
 
-    def at(self, point) -> np.ndarray:
-        """(rows,)"""
-        changed = self._changed(point)
-        return self._about.apart(changed) if changed.any() else changed
+    def at(self, points: Sequence) -> np.ndarray:
+        """(rows, points)"""
+        return np.hstack([self._about.apart(changed) for changed in self._changed(points)])
 
-    def products(self, point) -> tuple[float, float]:
-        """Of what is added, with the residual and with itself."""
-        changed = self._changed(point)
-        return self._about.products(changed) if changed.any() else (0.0, 0.0)
+    def products(self, points: Sequence) -> list[tuple[float, float]]:
+        """Of what is added at each point, with the residual and with itself."""
+        pairs = [self._about.products(changed) for changed in self._changed(points)]
+        return [pair for along, power in pairs for pair in zip(along.tolist(), power.tolist(), strict=True)]
 
-    def _changed(self, point) -> np.ndarray:
-        """(rows,): the scaled residual's change from where the candidate is off; it is linear in the outputs'."""
-        if (here := tuple(point.values())) in self._known:
-            return self._known[here]
-        self.points += 1
-        shown = self._about.outputs(self._simulator, {**self.candidate.form, **point})
-        changes = [y - quiet for y, quiet in zip(shown, self._quiet, strict=True)]
+    def _changed(self, points: Sequence) -> Iterator[np.ndarray]:
+        """(rows, LANES at most): the scaled residual's change from where the candidate is off; it is linear in the outputs'."""
+        for first in range(0, len(points), LANES):
+            part = points[first : first + LANES]
+            new = [point for point in part if tuple(point.values()) not in self._known]
+            run = self._run(new) if new else None
+            if len(new) == len(part):
+                yield run
+                continue
+            found = dict(zip((tuple(point.values()) for point in new), run.T if new else (), strict=True)) | self._known
+            yield np.column_stack([found[tuple(point.values())] for point in part])
+
+    def _run(self, points: Sequence) -> np.ndarray:
+        self.points += len(points)
+        shown = self._about.outputs(self._simulator, [{**self.candidate.form, **point} for point in points])
+        changes = [y[:, COMPARED] - quiet for y, quiet in zip(shown, self._quiet, strict=True)]
         for change, speed in zip(changes, self._speed, strict=True):
-            if np.abs(change[:, 1]).max() <= ROUNDING * speed:
-                change[:, 1] = 0.0
+            change[:, 1, np.abs(change[:, 1]).max(axis=0) <= ROUNDING * speed] = 0.0
         return self._about.change(changes)
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
@@ -192,8 +210,11 @@ class _Trace:
         """
         ((name, values),) = axes.items()
         points = [shape | {name: v} for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
-        self._known = {tuple(point.values()): self._changed(point) for point in points}
-        traces = [self.at(point) for point in points]
+        self._known = {}
+        places = (tuple(point.values()) for point in points)
+        rows = (row for changed in self._changed(points) for row in np.ascontiguousarray(changed.T))
+        self._known = dict(zip(places, rows, strict=True))
+        traces = list(self.at(points).T.copy())
         powers = [float(t @ t) for t in traces]
         alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
         return not all(alike)
@@ -205,11 +226,14 @@ class _Trace:
     def limited(self, shape, name: str) -> bool:
         """Whether a size is a level that these records reach, in this form."""
         levels, others, off = self.candidate.levels.get(name), shape | self.candidate.probe, self.candidate.off[name]
-        return levels is not None and not np.array_equal(self.at(others | {name: min(levels)}), self.at(others | {name: off}))
+        if levels is None:
+            return False
+        least, none = self.at([others | {name: min(levels)}, others | {name: off}]).T
+        return not np.array_equal(least, none)
 
     def followed(self, point) -> dict[str, float]:
         """Where the fitted parameters go with the candidate at `point`."""
-        return self._about.followed(self._about.rows(self._simulator, {**self.candidate.form, **point}))
+        return self._about.followed(self._about.rows(self._simulator, [{**self.candidate.form, **point}])[:, 0])
 
     def tangents(self, point) -> np.ndarray:
         """(rows, sizes)"""

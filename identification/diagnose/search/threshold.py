@@ -14,6 +14,7 @@ from identification.fit.linearised import Linearised
 from identification.fit.problem import Problem
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
+from vpp_fmu.tracer import LANES
 
 CHI2_95 = 3.841458820694124
 
@@ -36,8 +37,8 @@ NOISE = 3.0
 SAME = 1e-9
 """Share by which costs on one flat may differ."""
 
-HALVINGS = 10
-"""How often the step of the whole range's grid in which a flat ends is halved."""
+PARTINGS = 4
+"""How often the step of the whole range's grid in which a flat ends is parted, by LANES values at a time."""
 
 
 def piecewise_constant(model: Model, experiments: Sequence[Experiment], values: Mapping[str, float], name: str) -> bool:
@@ -62,36 +63,41 @@ def _grid(model: Model, name: str, count: int) -> np.ndarray:
     return np.linspace(low, high, count) if low < 0.0 else np.geomspace(max(low, high / 200), high, count)
 
 
-def divided(left: Callable[[float], np.ndarray], grid: Sequence[float]) -> dict[float, float]:
-    """{point: half sum of squares of what is `left` (rows,) there} of a grid, halved where what lies between may be the best.
+def divided(left: Callable[[Sequence[float]], np.ndarray], grid: Sequence[float]) -> dict[float, float]:
+    """{point: half sum of squares of what is `left` (rows, points) there} of a grid, halved where what lies between may be the
+    best.
 
     What is left is constant in pieces. Were the right value between two neighbours whose rows are d apart, the better of them
     would be no further from it than that: worse by d^2 / 2, give or take d for each standard deviation of noise. So they are
-    halved as long as it is no more than that behind the best of all, the most promising first, down to the FINEST-th part of
-    the range in which anything changes. Where commands creep, each value looks like no other; else a few dozen tell.
+    halved as long as it is no more than that behind the best of all, the most promising first, LANES at a time, down to the
+    FINEST-th part of the range in which anything changes. Where commands creep, each value looks like no other; else a few
+    dozen tell.
     """
-    rows = {point: left(point) for point in grid}
+
+    def at(points: Sequence[float]) -> list[np.ndarray]:
+        parts = (left(points[k : k + LANES]) for k in range(0, len(points), LANES))
+        return [row for part in parts for row in np.ascontiguousarray(part.T)]
+
+    rows = dict(zip(grid, at(grid), strict=True))
     found = {point: 0.5 * float(there @ there) for point, there in rows.items()}
     pending = [_Between(a, b, rows[a], rows[b], min(found[a], found[b])) for a, b in pairwise(grid)]
     pending = [each for each in pending if each.apart > 0.0]
     least = (max((each.b for each in pending), default=0.0) - min((each.a for each in pending), default=0.0)) / FINEST
-    best = min(found.values())
-    pending.sort(key=lambda each: -each.promise)
     del rows
-    while pending:
-        each = pending.pop()
-        if each.b - each.a <= least or each.promise >= best:
-            continue
-        middle = 0.5 * (each.a + each.b)
-        there = left(middle)
-        found[middle] = cost = 0.5 * float(there @ there)
-        best = min(best, cost)
-        halves = [
-            _Between(each.a, middle, each.left_a, there, min(found[each.a], cost)),
-            _Between(middle, each.b, there, each.left_b, min(found[each.b], cost)),
-        ]
-        pending += sorted((half for half in halves if half.apart > 0.0), key=lambda half: -half.promise)
-    return found
+    while True:
+        best = min(found.values())
+        pending = sorted((p for p in pending if p.b - p.a > least and p.promise < best), key=lambda p: p.promise)
+        if not pending:
+            return found
+        halved, pending = pending[:LANES], pending[LANES:]
+        middles = [0.5 * (p.a + p.b) for p in halved]
+        for p, middle, there in zip(halved, middles, at(middles), strict=True):
+            found[middle] = cost = 0.5 * float(there @ there)
+            halves = [
+                _Between(p.a, middle, p.left_a, there, min(found[p.a], cost)),
+                _Between(middle, p.b, there, p.left_b, min(found[p.b], cost)),
+            ]
+            pending += [half for half in halves if half.apart > 0.0]
 
 
 class _Between:
@@ -120,16 +126,17 @@ def scan(
         whole = _grid(problem.model, name, FINE)
 
         if spread is None:
-            costs = divided(lambda value, about=about: about.left(simulator, {name: value}), whole.tolist())
+            costs = divided(lambda values, about=about: about.left(simulator, [{name: v} for v in values]), whole.tolist())
         else:
             ends = problem.values[name] / spread, min(whole[-1], problem.values[name] * spread)
-            costs = {value: about.cost(simulator, {name: value}) for value in np.geomspace(*ends, 25).tolist()}
+            values = np.geomspace(*ends, 25).tolist()
+            costs = dict(zip(values, about.costs(simulator, [{name: v} for v in values]), strict=True))
         best = min(costs, key=costs.__getitem__)
-        moved = costs[best] < about.cost(simulator, {}) * (1.0 - SAME)
+        moved = costs[best] < about.costs(simulator, [{}])[0] * (1.0 - SAME)
         problem.values[name] = best
         solution = problem.refit(solution.value)
     about = Linearised.of(problem, solution)
-    least = about.cost(simulator, {})
+    (least,) = about.costs(simulator, [{}])
     # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
     problem.values[name] = 0.5 * sum(_edges(about, simulator, name, best, least * (1.0 + SAME), whole))
     return solution, _edges(about, simulator, name, problem.values[name], least + 0.5 * CHI2_95, whole)
@@ -139,16 +146,20 @@ def _edges(
     about: Linearised, simulator: Simulator, name: str, at: float, level: float, whole: np.ndarray
 ) -> tuple[float, float]:
     """The last values on both sides of `at` from which on the cost is above `level`, within the range of `whole`."""
+
+    def above(values: Sequence[float]) -> list[bool]:
+        return [cost > level for cost in about.costs(simulator, [{name: v} for v in values])]
+
     found = []
-    for onward in (whole[whole < at][::-1], whole[whole > at]):
-        inside, beyond = at, None
-        for value in onward:
-            if about.cost(simulator, {name: value}) > level:
-                beyond = value
-                break
-            inside = value
-        for _ in range(HALVINGS if beyond is not None else 0):
-            middle = 0.5 * (inside + beyond)
-            inside, beyond = (middle, beyond) if about.cost(simulator, {name: middle}) <= level else (inside, middle)
+    for values in (whole[whole < at][::-1].tolist(), whole[whole > at].tolist()):
+        inside, beyond, onward = at, None, list(values)
+        while onward and beyond is None:
+            part, onward = onward[:LANES], onward[LANES:]
+            first = [*above(part), True].index(True)
+            inside, beyond = [inside, *part][first], [*part, None][first]
+        for _ in range(PARTINGS if beyond is not None else 0):
+            between = np.linspace(inside, beyond, LANES + 2)[1:-1].tolist()
+            first = [*above(between), True].index(True)
+            inside, beyond = [inside, *between][first], [*between, beyond][first]
         found.append(float(inside))
     return found[0], found[1]
