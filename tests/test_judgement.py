@@ -19,6 +19,7 @@ from identification.diagnose.search.screening import Screening
 from identification.diagnose.search.threshold import FINE, FINEST, divided
 from identification.diagnose.selection import _ranked
 from identification.diagnose.verdict import unnamed
+from identification.fit import noise
 from identification.fit.experiment import Experiment
 from identification.fit.noise import Blocks, Colour, colour_of, independent
 from identification.fit.problem import Prior
@@ -515,10 +516,9 @@ def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_ref
     stands = Judgement("", 9.0, 5.0, 8.0, {}, 0.2, 0.1)
     found = selection.Selection(None, None, {"limit": stands}, rivals={"limit": dict(reversed(fits.items()))})
     monkeypatch.setattr(selection, "without", lambda *_: None)
-    for name in ("lack_of_fit", "with_turning"):
-        monkeypatch.setattr(diagnose, name, lambda one, other: "nothing")
+    monkeypatch.setattr(diagnose, "with_turning", lambda one, other: "nothing")
     monkeypatch.setattr(diagnose, "verdict", lambda base, final, before, after, family: "attributed")
-    judged = type("Judged", (), {"searcher": None, "least": lambda _: 0.01, "__call__": lambda *_: stands})()
+    judged = type("Judged", (), {"searcher": None, "lack": lambda *_: None, "__call__": lambda *_: stands})()
 
     def shipped(fit, partly):
         assert not partly
@@ -563,10 +563,32 @@ def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parame
         fitted, shapes = slow[:parameters], slow[parameters:]
         noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
         residual, score = noise - fitted.T @ (fitted @ noise), shapes @ noise
-        covariance, degrees = scores_covariance([(shapes, residual - shapes.T @ score, fitted)])
+        covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, fitted)])
         statistic = float(score @ np.linalg.solve(covariance, score))
-        rejected += Following(0.5 * (statistic - count), count, degrees).p < 0.01
+        rejected += Following(0.5 * (statistic - count), count, bands).p < 0.01
     assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
+
+
+@pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])
+def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(statistic):
+    """Against the sum over bands by brute force: half a million draws of chi^2 over the noise's power as far as it is known."""
+    bands, rng = ((5.0, 4.0), (2.0, 20.0), (1.0, 200.0)), np.random.default_rng(3)
+    drawn = sum(rng.chisquare(own, 500_000) * known / rng.chisquare(known, 500_000) for own, known in bands)
+    share = float(np.mean(drawn >= statistic))
+    assert Following(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
+
+
+@pytest.mark.parametrize("phi", [0.5, 0.99999])
+def test_what_is_put_back_is_as_uncertain_as_brute_force_says(phi):
+    """Products of what is restored, with itself rows later, over rows that have a whole past: also of a level that a filter
+    near a random walk leaves all but open, whose products at the ends would pass for innovations."""
+    columns = np.column_stack([np.full(300, 50.0 / (1.0 - phi)), np.cumsum(np.random.default_rng(2).standard_normal(300))])
+    found = noise._with_later(columns, 9)
+    brute = [[sum(columns[t - i] @ columns[t - j] for t in range(9, 300)) for j in range(10)] for i in range(10)]
+    np.testing.assert_allclose(found, brute, rtol=1e-9)
+    innovations = found[0, 0] - 2.0 * phi * found[0, 1] + phi**2 * found[1, 1]
+    direct = float(np.sum((columns[9:] - phi * columns[8:-1]) ** 2))
+    assert innovations == pytest.approx(direct, abs=1e-9 * found[0, 0])
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.6])
@@ -590,8 +612,8 @@ def test_the_score_test_sees_what_follows_a_shape():
     shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
     residual = rng.standard_normal(rows) + 20.0 * shapes[3]
     score = shapes @ residual
-    covariance, degrees = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
-    assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, degrees).p < 1e-6
+    covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
+    assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -615,8 +637,7 @@ def test_a_term_takes_the_place_of_effects_that_explain_a_part_only_where_it_exp
         return diagnose.Attempt(learned=SimpleNamespace(term=term))
 
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
-    monkeypatch.setattr(diagnose, "lack_of_fit", lambda fit, least: SimpleNamespace(found=leaves))
-    judge = SimpleNamespace(least=lambda: 0.01)
+    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(found=leaves))
     attempt, final = diagnose._learned(
         learned_beside, [base, known], judge, SimpleNamespace(name="present"), lambda present, beside, term: (term, refuted)
     )

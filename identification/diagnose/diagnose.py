@@ -16,7 +16,7 @@ from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
 from identification.diagnose.initial import InitialModel, exportable, from_given, from_identification
 from identification.diagnose.judgement import SLOW, STRONG
-from identification.diagnose.lack import Lack, lack_of_fit, with_turning
+from identification.diagnose.lack import Lack, with_turning
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
@@ -188,15 +188,19 @@ def diagnose(
         give_back()
         searcher, base = _prepared(groups, at, options, pool)
         judge = Judge(searcher, base, smallest, gate.campaign.steps)
-        least = judge.least()
-        before = with_turning(lack_of_fit(base, least), base)
-        searcher.lacking = before.score.gain
+        searcher.lacking = judge.lack(base).score.gain
         stage("what can be told apart")
         apart = distinguishability(base, options, at.library, pool.map)
         give_back()
-        selection = select(searcher, base, options, judge, lambda fit: thorough and lack_of_fit(fit, least).found, pool, stage)
+
+        def clearer(judge: Judge, fit: Fit) -> Judge | None:
+            there = _clearer(groups, at, judge.searcher, judge.base, fit)
+            return there and Judge(*there, smallest, gate.campaign.steps)
+
+        judge, selection = select(judge, options, clearer, thorough, pool, stage)
+        searcher, base = judge.searcher, judge.base
         give_back()
-        after = with_turning(lack_of_fit(selection.final, least), selection.final)
+        before, after = (with_turning(judge.lack(fit), fit) for fit in (base, selection.final))
         word = verdict(base, selection.final, before, after, selection.family)
         identified = base.estimated(at.refinement, at.uncertainty)
         shipped = partial(_shipped, judge, at.knowledge, unseen)
@@ -218,7 +222,7 @@ def diagnose(
             attempt, final = _learned(learned_beside, besides, judge, final, shipped)
         if attempt.learned:
             word, refuted, selection = "learned", "", _with(selection, attempt.learned)
-            after = with_turning(lack_of_fit(selection.final, least), selection.final)
+            after = with_turning(judge.lack(selection.final), selection.final)
         shown = predict(final.problem.model, final.values, fitted[0].record)
         return Diagnosis(
             campaign=campaign,
@@ -254,7 +258,7 @@ def _not_refuted(
     """
     standing, refused = [], {}
     for effect, name, other in alternatives(judge.searcher, found, judge):
-        lack = with_turning(lack_of_fit(other.final, judge.least()), other.final)
+        lack = with_turning(judge.lack(other.final), other.final)
         word = verdict(base, other.final, before, lack, other.family)
         if word not in CHANGED:
             continue
@@ -289,7 +293,7 @@ def _learned(
         if not attempt.learned:
             continue
         term = attempt.learned.term.fit
-        if beside is not known and (evidence_over(term, known) <= STRONG or lack_of_fit(term, judge.least()).found):
+        if beside is not known and (evidence_over(term, known) <= STRONG or judge.lack(term).found):
             attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much, or not all is explained")
             continue
         final, why = shipped(present, beside, term)
@@ -412,10 +416,24 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Seq
     ranked = screened(searcher, base, options, pool)[:CLEARING]
     fits = list(pool.map(lambda pair: refitted(searcher, base, *pair), ranked))
     best = min(fits, key=Fit.bic, default=base)
-    if evidence_over(best, base) <= STRONG:
-        return searcher, base
-    clearer = _noise(groups, best.problem.model, best.values, best.problem.coordinates.names, at.rig)
-    return _based(groups, at, clearer, base.values) if clearer.colour.innovation < noise.colour.innovation else (searcher, base)
+    found = _clearer(groups, at, searcher, base, best) if evidence_over(best, base) > STRONG else None
+    return found or (searcher, base)
+
+
+def _clearer(
+    groups: Sequence[Sequence[Fitted]], at: InitialModel, searcher: Searcher, base: Fit, fit: Fit
+) -> tuple[Searcher, Fit] | None:
+    """(searcher, base) on the noise that a fit leaves, where that is clearer than the noise so far; None where it is not, or
+    where a repeat has told the noise, of which no model is a part."""
+    noise = searcher.experiments[0].noise
+    if noise.verified:
+        return None
+    found = _noise(groups, fit.problem.model, fit.values, fit.problem.coordinates.names, at.rig)
+    if not found.clearer_than(noise):
+        return None
+    again, base = _based(groups, at, found, base.values)
+    again.points, again.lacking = searcher.points, searcher.lacking
+    return again, base
 
 
 def _based(

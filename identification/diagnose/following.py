@@ -34,30 +34,48 @@ LAGS = (0.0, 0.1, 0.35)
 POWER = 4
 """Of polynomials over speed and pitch, for a map of another form at rest: one more than the map's own."""
 
+TINY = 1e-3
+"""Degrees of freedom that are none."""
+
 DEPENDENT = 0.05
 """Size of a direction, over that of the strongest, below which columns count as the same one."""
+
+
+DRAWS = 4000
+"""Of the sums over bands: a p-value is then known to a few per cent, whatever it is."""
 
 
 @dataclass(frozen=True)
 class Following:
     """Log-likelihood that `count` columns gain beside a fit, less the half each that noise alone would give them.
 
-    `degrees`: of freedom with which the noise's power is known where the columns are; infinite where repeats tell it.
+    `bands`: of the frequencies, (how many of the columns' degrees of freedom lie there, with how many the noise's power there
+    is known); () where repeats tell it.
     """
 
     gain: float
     count: int
-    degrees: float = np.inf
+    bands: tuple[tuple[float, float], ...] = ()
 
     @property
     def p(self) -> float:
-        """p-value: how often noise alone would give as much (a score test: chi^2, or F where the noise is estimated)."""
+        """p-value: how often noise alone would give as much: a score test, chi^2 distributed, or where the noise is estimated a
+        sum over bands of F distributed terms.
+
+        Slow bands hold most of the columns and tell least of the noise: one F with their mean degrees of freedom has too light
+        a tail. Conditional Monte Carlo, from the term that is largest (Asmussen and Kroese, Adv. Appl. Probab., 2006).
+        """
         if not self.count:
             return 1.0
         statistic = 2.0 * self.gain + self.count
-        if np.isinf(self.degrees):
+        if not self.bands:
             return float(chi2.sf(statistic, self.count))
-        return float(f_distribution.sf(statistic / self.count, self.count, self.degrees))
+        own, known = np.array([band for band in self.bands if band[0] > TINY]).T
+        terms = own * f_distribution.rvs(own, known, size=(DRAWS, len(own)), random_state=0)
+        largest = np.sort(terms, axis=1)
+        others = np.where(terms == largest[:, -1:], largest[:, -2:-1] if len(own) > 1 else 0.0, largest[:, -1:])
+        least = np.maximum(others, statistic - (terms.sum(axis=1, keepdims=True) - terms))
+        return float(min(f_distribution.sf(least / own, own, known).mean(axis=0).sum(), 1.0))
 
 
 def following(fit: Fit) -> Following:
@@ -70,8 +88,8 @@ def following(fit: Fit) -> Following:
     if all(e.noise.verified for e in fit.problem.experiments):
         return Following(0.5 * float(np.sum(score**2 - 1.0)), len(score))
     left, fitted = about.residual[at] - columns.T @ (turned.T @ score), about.directions(at)
-    covariance, degrees = scores_covariance([(turned @ columns[:, i], left[i], fitted[:, i]) for i in parts])
-    return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), degrees)
+    covariance, bands = scores_covariance([(turned @ columns[:, i], left[i], fitted[:, i]) for i in parts])
+    return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), bands)
 
 
 def speed_share(fit: Fit) -> float:
@@ -155,8 +173,10 @@ def _scores(about: Linearised, columns: np.ndarray, at: slice) -> tuple[np.ndarr
     return turned, turned @ (followed / size)  # what the parameters follow has no share in the residual
 
 
-def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
-    """(covariance (k, k) of the products of directions with noise, degrees of freedom with which it is known).
+def scores_covariance(
+    parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
+    """(covariance (k, k) of the products of directions with noise, the bands as of a `Following`).
 
     `parts`: directions (k, n), rows orthonormal over all parts, what they and a fit leave of the noise (n,), and the directions
     (m, n) that the fit had taken before. Where the noise has been whitened by a colour that was estimated from it, its power is
@@ -179,8 +199,7 @@ def scores_covariance(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
         first = starts(len(spectrum))
         shares.append(np.add.reduceat(twice * taken, first))
         degrees.append(np.add.reduceat(twice * free, first))
-    share, known = np.concatenate(shares), np.concatenate(degrees)
-    return covariance, float(share.sum() ** 2 / np.sum(share**2 / known))  # Satterthwaite (1946)
+    return covariance, tuple(zip(np.concatenate(shares).tolist(), np.concatenate(degrees).tolist(), strict=True))
 
 
 def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:

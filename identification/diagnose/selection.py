@@ -7,6 +7,7 @@ import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated
 from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement, needed_fall, refusals
+from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import (
@@ -83,6 +84,10 @@ class Judge:
         refused = refusals(fall, needed, evidence, gain, more, material)
         return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
 
+    def lack(self, fit: Fit) -> Lack:
+        """The tests of lack of fit."""
+        return lack_of_fit(fit, self.least())
+
     def least(self) -> float:
         """N: the least size of interest of the thrust below 10 Hz."""
         slow = max(e.noise.slow for e in self.searcher.experiments)
@@ -117,40 +122,45 @@ def _rms(parts: Sequence[np.ndarray]) -> float:
 
 
 def select(
-    searcher: Searcher,
-    base: Fit,
-    options: Iterable[Candidate],
     judge: Judge,
-    lacks: Callable[[Fit], bool],
+    options: Iterable[Candidate],
+    clearer: Callable[[Judge, Fit], Judge | None],
+    thorough: bool,
     pool,
     stage: Callable[[str], None] = lambda text: None,
-) -> Selection:
-    """Search up to MOST effects. `lacks(fit)`: whether something is still missing, which is worth more refits.
+) -> tuple[Judge, Selection]:
+    """Search up to MOST effects: (judge in the end, selection).
 
-    The result does not depend on the number of workers in `pool`.
+    `thorough`: where something is still missing, more is refitted. `clearer(judge, fit)`: a judge on the noise that a fit
+    leaves, where that is clearer than the judge's own: all further ones judge by it. The result does not depend on the number
+    of workers in `pool`.
     """
-    options, found, visited = list(options), Selection(base, base), set()
+    options, found, visited = list(options), Selection(judge.base, judge.base), set()
     while len(found.final.effects) < MOST and key(found.final) not in visited:
         visited.add(key(found.final))
         stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in found.final.effects))
-        tried = first_round(searcher, found.final, options, pool)
-        best = _first_that_stands(searcher, found, tried, judge)
-        for _ in range(MORE_ROUNDS if best is None and lacks(found.final) else 0):
-            further = deeper(searcher, found.final, tried, pool)
+        tried = first_round(judge.searcher, found.final, options, pool)
+        best = _first_that_stands(judge.searcher, found, tried, judge)
+        for _ in range(MORE_ROUNDS if best is None and thorough and judge.lack(found.final).found else 0):
+            further = deeper(judge.searcher, found.final, tried, pool)
             if further == tried:
                 break
-            tried, best = further, _first_that_stands(searcher, found, further, judge)
+            tried, best = further, _first_that_stands(judge.searcher, found, further, judge)
             if best is not None:
                 break
         found.rounds.append(tried)
         if best is None:
             break
-        found.final, found.judgements = _pruned(searcher, base, best, judge)
+        if again := clearer(judge, best):
+            judge, best = again, again.searcher.again(best)
+            found.base = judge.base
+        found.final, found.judgements = _pruned(judge.searcher, judge.base, best, judge)
     stage("judge")
+    searcher = judge.searcher
     _narrow(searcher, found, judge)
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
     found.rivals = {effect: _rivals(searcher, found, effect, judge, pool) for effect in found.final.effects}
-    return found
+    return judge, found
 
 
 def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator[tuple[str, str, Selection]]:
@@ -242,7 +252,7 @@ def _narrow(searcher: Searcher, found: Selection, judge: Judge) -> None:
 
 def _in_place(searcher: Searcher, rest: Fit, tried: CandidateFit) -> Fit:
     """A candidate of another round beside the rest of a set, refitted."""
-    if not rest.effects and not tried.beside:
+    if not rest.effects and not tried.beside and tried.fit.problem.experiments == searcher.experiments:
         return tried.fit
     start = {**rest.values, **{n: tried.fit.values[n] for n in tried.candidate.free}}
     return added(searcher, rest, tried.candidate, start, tried.fit.slow_first, thorough=False)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.linalg import toeplitz
 
 from identification.fit.converter import grid
 from vpp_fmu.record import Record
@@ -124,15 +123,15 @@ class Colour:
         missing = ~np.isfinite(values)
         whole = not missing.any()
         known = values if whole else np.where(missing, 0.0, values)
-        sums = None
-        left = known[order:] / self.innovation
+        sums, left, part = None, known[order:] / self.innovation, np.empty_like(known[order:])
         for (first, last), share in zip(self.spans, self.shares, strict=True):
-            weight = share / (last - first + 1) / self.innovation
             if first == last:
-                left = left - weight * known[order - first : n - first]
-                continue
-            sums = np.concatenate([np.zeros_like(known[:1]), np.cumsum(known, axis=0)]) if sums is None else sums
-            left = left - weight * (sums[order - first + 1 : n - first + 1] - sums[order - last : n - last])
+                past = known[order - first : n - first]
+            else:
+                if sums is None:
+                    sums = np.concatenate([np.zeros_like(known[:1]), np.cumsum(known, axis=0)])
+                past = np.subtract(sums[order - first + 1 : n - first + 1], sums[order - last : n - last], out=part)
+            left -= np.multiply(past, share / (last - first + 1) / self.innovation, out=part)
         if whole:
             return left
         gone = np.concatenate([np.zeros_like(missing[:1], int), np.cumsum(missing, axis=0)])
@@ -202,7 +201,8 @@ def _restricted(part: np.ndarray, taken: np.ndarray) -> Colour:
 
 
 def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list[np.ndarray], np.ndarray]:
-    """([the part with what its directions hold in all likelihood], autocovariance (lags,) of how uncertain that is)."""
+    """([the part with what its directions hold in all likelihood], products (lags, lags) of how uncertain that is with itself,
+    so many rows later)."""
     known = np.isfinite(part)
     columns = np.where(known[:, None], taken, 0.0)
     white, target = colour.whiten(columns), colour.whiten(part)
@@ -210,12 +210,29 @@ def _restored(part: np.ndarray, taken: np.ndarray, colour: Colour) -> tuple[list
     covariance = np.linalg.pinv(white[seen].T @ white[seen], hermitian=True)
     found = part - columns @ (covariance @ (white[seen].T @ target[seen]))
     size, turned = np.linalg.eigh(covariance)
-    spectrum = np.abs(np.fft.rfft(columns @ (turned * np.sqrt(np.maximum(size, 0.0))), 2 * len(part), axis=0)) ** 2
-    return [found], np.fft.irfft(spectrum.sum(axis=1))[: _reach(_spans(LAGS[-1], PASTS)) + 1]
+    return [found], _with_later(columns @ (turned * np.sqrt(np.maximum(size, 0.0))), _reach(_spans(LAGS[-1], PASTS)))
+
+
+def _with_later(columns: np.ndarray, reach: int) -> np.ndarray:
+    """(reach + 1, reach + 1): products of columns (rows, k) i rows before with the same j rows before, summed over columns and
+    over the rows that have `reach` before them.
+
+    Over just these: a level that a filter near a random walk leaves all but open would enter by its ends.
+    """
+    rows = len(columns)
+    spectrum = np.abs(np.fft.rfft(columns, 2 * rows, axis=0)) ** 2
+    found, lags = np.zeros((reach + 1, reach + 1)), np.arange(min(reach, rows - 1) + 1)
+    first = columns[:reach] @ columns[:reach].T
+    found[0, lags] = np.fft.irfft(spectrum.sum(axis=1))[lags] - [np.trace(first, -lag) for lag in lags]
+    last = columns[rows - reach :] @ columns[rows - reach :].T  # one row on, the rows before the first are in, the last are out
+    for i in range(reach if rows > 2 * reach else 0):
+        entering, leaving = first[reach - 1 - i, : reach - i][::-1], last[reach - 1 - i, : reach - i][::-1]
+        found[i + 1, i + 1 :] = found[i, i:reach] + entering - leaving
+    return np.triu(found) + np.triu(found, 1).T
 
 
 def _judged(parts: Sequence[np.ndarray], more: np.ndarray | None = None) -> tuple[Colour, float]:
-    """(the filter of the least BIC, that). `more` (lags,): autocovariance, summed over rows, to add to that of the parts."""
+    """(the filter of the least BIC, that). `more` (lags, lags): products with later rows, to add to those of the parts."""
     count = sum(map(np.size, parts))
     best, least = Colour((), (), _spread(parts, more)), np.inf
     options = [(n, ()) for n in LAGS] + [(LAGS[-1], PASTS[:k]) for k in range(1, len(PASTS) + 1)]
@@ -248,13 +265,14 @@ def _spans(lags: int, pasts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]
     return [(k, k) for k in range(1, lags + 1)] + list(pasts)
 
 
-def _products(autocovariance: np.ndarray, spans: Sequence[tuple[int, int]]) -> np.ndarray:
-    """(1 + spans, 1 + spans): products, summed over rows, of the columns of `_lagged` of noise of an autocovariance (lags,)."""
-    means = np.zeros((len(spans) + 1, _reach(spans) + 1))
+def _products(more: np.ndarray, spans: Sequence[tuple[int, int]]) -> np.ndarray:
+    """(1 + spans, 1 + spans): products, summed over rows, of the columns of `_lagged` of what has the products `more` with rows
+    later."""
+    means = np.zeros((len(spans) + 1, len(more)))
     means[0, 0] = 1.0
     for row, (first, last) in zip(means[1:], spans, strict=True):
         row[first : last + 1] = 1.0 / (last - first + 1)
-    return means @ toeplitz(autocovariance[: means.shape[1]]) @ means.T
+    return means @ more @ means.T
 
 
 def _root(products: np.ndarray) -> np.ndarray:
@@ -282,7 +300,7 @@ def _lagged(values: np.ndarray, spans: Sequence[tuple[int, int]]) -> np.ndarray:
 
 def _spread(parts: Sequence[np.ndarray], more: np.ndarray | None) -> float:
     seen = np.concatenate([np.asarray(p, float)[np.isfinite(p)] for p in parts]) if parts else np.zeros(0)
-    added = 0.0 if more is None else float(more[0])
+    added = 0.0 if more is None else float(more[0, 0])
     return (float(np.sqrt((np.sum(seen**2) + added) / len(seen))) if len(seen) else 0.0) or 1.0
 
 
@@ -300,6 +318,10 @@ class Noise:
     speed: Colour
     block: float
     verified: bool
+
+    def clearer_than(self, other: "Noise") -> bool:
+        """Whether its thrust's innovations are less, by more than two estimates of one noise differ."""
+        return float(np.log(other.colour.innovation / self.colour.innovation)) > ALIKE
 
     def evened(self, values: np.ndarray, period: float) -> np.ndarray:
         """Thrust (rows,) or (rows, k), a row each `period` s, as it would be if its noise did not rise towards rest."""

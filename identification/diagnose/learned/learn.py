@@ -13,7 +13,6 @@ import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated, fall, thirds
 from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, Judgement
-from identification.diagnose.lack import lack_of_fit
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.score import TOLD
@@ -91,7 +90,7 @@ def learn(
     """Learn a term beside a fit. `smallest` [N]: the least size of interest, None: as of any effect; `scales`: of the rig;
     `runs`: of steps, where terms are checked."""
     stage("look for an effect of no list")
-    leads = screened(beside)
+    leads = screened(beside, spread=pool.map)
     comparisons = len(leads)
     searcher.points = max(searcher.points, comparisons)
     judge = Carried(searcher, beside, smallest, runs)
@@ -102,10 +101,10 @@ def learn(
         return Attempt((), comparisons)
     for _ in range(ROUNDS):
         best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
-        if not lack_of_fit(best.fit, judge.least()).found:
+        if not judge.lack(best.fit).found:
             break
         base = {n: best.fit.values[n] for n in beside.problem.coordinates.names}
-        again = short_list(screened(beside, base), [t.lead for t in terms], AGAIN)
+        again = short_list(screened(beside, base, pool.map), [t.lead for t in terms], AGAIN)
         simpler = [lead for t in (best, *others[:UNLAGGED]) for lead in unlagged(t, [*(u.lead for u in terms), *again])]
         stage(f"refit {len(again)} more of {comparisons} terms")
         more = _refitted(searcher, beside, [*again, *variants(best, terms), *simpler], scales, pool, best.fit)

@@ -48,18 +48,19 @@ class Scores:
         self._slices = np.split(np.arange(len(fold)), np.cumsum(sizes)[:-1])
         self._fold, self._columns, self._residual = fold, columns, about.residual
         self._inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
-        self._squares = [float(np.sum(about.residual[fold == k] ** 2)) for k in self._folds]
-        self._inner = [columns[fold == k].T @ columns[fold == k] for k in self._folds]
-        self._against = [columns[fold == k].T @ about.residual[fold == k] for k in self._folds]
+        both = [np.column_stack([columns[fold == k], about.residual[fold == k]]) for k in self._folds]
+        products = [each.T @ each for each in both]
+        self._squares = [float(p[-1, -1]) for p in products]
+        self._inner, self._against = [p[:-1, :-1] for p in products], [p[:-1, -1] for p in products]
         self._parts = {heard: self._part(heard) for heard in (False, True)}
 
     def _part(self, heard: bool):
-        """Of the rows that a response reaches, fold by fold: (order, ends of the folds, sensitivities, residual)."""
+        """Of the rows that a response reaches, fold by fold: (order, ends of the folds, sensitivities beside the residual)."""
         places = np.concatenate(self._slices if heard else self._slices[: len(self.courses)])
         order = np.argsort(self._fold[places], kind="stable")
         ends = np.searchsorted(self._fold[places][order], np.arange(len(self._folds) + 1))
         own = places[order]
-        return order, ends, self._columns[own].copy(), self._residual[own].copy()
+        return order, ends, np.column_stack([self._columns[own], self._residual[own]])
 
     def products(self, responses: Sequence[tuple[np.ndarray, np.ndarray | None]]) -> tuple[np.ndarray, np.ndarray]:
         """(Gram (folds, k, k), products with the residual (folds, k)) of columns less what the parameters can follow, for the
@@ -69,15 +70,16 @@ class Scores:
         heard = responses[0][1] is not None and len(self._slices) > len(self.courses)
         if heard:
             rows += [c.speed_rows(speed) / self._scale["omega"] for c, (_, speed) in pairs if len(c.experiment.omega_time)]
-        order, ends, own, residual = self._parts[heard]
+        order, ends, known = self._parts[heard]
         rows = np.concatenate(rows)[order]
-        follow = self._inverse @ (own.T @ rows)
+        folds = [slice(first, last) for first, last in pairwise(ends)]
+        against = [rows[at].T @ known[at] for at in folds]  # (k, parameters + 1) of each fold
+        follow = self._inverse @ sum(against)[:, :-1].T
         gram, product = [], []
-        for k, (first, last) in enumerate(pairwise(ends)):
-            c, j = rows[first:last], own[first:last]
-            cross = (c.T @ j) @ follow
-            gram.append(c.T @ c - cross - cross.T + follow.T @ self._inner[k] @ follow)
-            product.append(c.T @ residual[first:last] - follow.T @ self._against[k])
+        for k, at in enumerate(folds):
+            cross = against[k][:, :-1] @ follow
+            gram.append(rows[at].T @ rows[at] - cross - cross.T + follow.T @ self._inner[k] @ follow)
+            product.append(against[k][:, -1] - follow.T @ self._against[k])
         return np.array(gram), np.array(product)
 
     def group(self, gram: np.ndarray, product: np.ndarray) -> Scored:

@@ -3,8 +3,9 @@
 Curves are groups of hats; plays, holds, relays and sines are single columns, or pairs, over a grid of their thresholds.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -77,8 +78,9 @@ class Lead:
         return self.scored.fall > self.needed and self.scored.held_out > 0.0
 
 
-def screened(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
-    """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands."""
+def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callable = map) -> list[Lead]:
+    """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands;
+    `spread` maps a function over the looks, as `map` does."""
     problem, simulator = fit.problem, fit.problem.simulator
     x = fit.solution.value if values is None else problem.coordinates.vector({**fit.values, **values})
     at = {**fit.values, **problem.coordinates.values(x)}
@@ -86,7 +88,8 @@ def screened(fit: Fit, values: Mapping[str, float] | None = None) -> list[Lead]:
     about = Linearised(problem, x, residual, jacobian)
     courses = [Course.of(e, at, simulator.simulate(at, e.record.columns, e.record.steps)) for e in problem.experiments]
     scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times)
-    leads = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
+    looks = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
+    leads = [lead for some in spread(lambda look: look(), looks) for lead in some]
     found = [replace(lead, needed=needed_fall(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]
     return sorted(found, key=lambda lead: -lead.scored.held_out)
 
@@ -114,7 +117,10 @@ def _span(parts: list[np.ndarray]) -> tuple[float, float]:
     return low, high
 
 
-def _curves(scores: Scores) -> Iterator[Lead]:
+Look = Callable[[], list[Lead]]
+
+
+def _curves(scores: Scores) -> Iterator[Look]:
     for name, driver in DRIVERS.items():
         for lag in _lags(scores) if driver.signal else [0.0]:
             common = [lagged(c.drivers[name], lag, c.step) for c in scores.courses]
@@ -127,15 +133,14 @@ def _curves(scores: Scores) -> Iterator[Lead]:
                 for form in forms_of(port):
                     v = [c.driver(name, port, *form) for c in scores.courses] if own else common
                     for times in ("", "speed_squared") if port == "thrust" else ("",):
-                        if (lead := _curve(scores, port, name, lag, form, times, v)) is not None:
-                            yield lead
+                        yield partial(_curve, scores, port, name, lag, form, times, v)
 
 
-def _curve(scores, port, name, lag, form, times, v) -> Lead | None:
+def _curve(scores, port, name, lag, form, times, v) -> list[Lead]:
     driver, together = DRIVERS[name], np.concatenate(v)
     at = knots_of(together, driver.signed)
     if len(at) == 0 or np.any(np.diff(at) <= 1e-9 * max(np.ptp(together), 1e-12)):
-        return None
+        return []
     if driver.signed:
         pinned = [len(at) // 2]
     else:
@@ -146,10 +151,10 @@ def _curve(scores, port, name, lag, form, times, v) -> Lead | None:
     values = {f"at_{k + 1}": float(a) for k, a in enumerate(at)} | {f"value_{k + 1}": 0.0 for k in pinned}
     values |= {f"value_{k + 1}": float(share) for k, share in zip(kept, scored.shares, strict=True)}
     stay = (*(f"at_{k + 1}" for k in range(len(at))), *(f"value_{k + 1}" for k in pinned))
-    return Lead(port, name, "curve", lag or None, times, *form, _span(v), values, stay, scored)
+    return [Lead(port, name, "curve", lag or None, times, *form, _span(v), values, stay, scored)]
 
 
-def _memories(scores: Scores) -> Iterator[Lead]:
+def _memories(scores: Scores) -> Iterator[Look]:
     """Plays, and holds of commands, of a port's own quantity."""
     for port, name in FOLLOWED.items():
         v = [c.drivers[name] for c in scores.courses]
@@ -158,10 +163,11 @@ def _memories(scores: Scores) -> Iterator[Lead]:
         for shape, width, made in (("play", "half_gap", plays), ("hold", "half_width", holds)):
             if shape == "hold" and not name.endswith("command"):
                 continue
-            yield from _each(scores, port, name, shape, v, [{width: float(w)} for w in widths], [made(o, widths) for o in v])
+            terms, points = [made(one, widths) for one in v], [{width: float(w)} for w in widths]
+            yield from (partial(_each, scores, port, name, shape, v, points, terms, 0.0, form) for form in forms_of(port))
 
 
-def _relays(scores: Scores) -> Iterator[Lead]:
+def _relays(scores: Scores) -> Iterator[Look]:
     for name in ("thrust", "speed", "pitch"):
         for lag in (0.0, *_lags(scores)[2:3]):
             v = [lagged(c.drivers[name], lag, c.step) for c in scores.courses]
@@ -170,31 +176,36 @@ def _relays(scores: Scores) -> Iterator[Lead]:
             terms = [np.stack([relay(one, a, b) for a, b in pairs], axis=1) for one in v]
             points = [{"lower": float(a), "upper": float(b)} for a, b in pairs]
             for port in SWITCHED:
-                yield from _each(scores, port, name, "relay", v, points, terms, lag)
+                yield from (partial(_each, scores, port, name, "relay", v, points, terms, lag, form) for form in forms_of(port))
 
 
-def _each(scores, port, name, shape, v, points, terms, lag=0.0) -> Iterator[Lead]:
+def _each(scores, port, name, shape, v, points, terms, lag, form) -> list[Lead]:
     """A lead for each column by itself; the products of all are made at once."""
-    for form in forms_of(port):
-        gram, product = scores.products(_responses(scores, port, form, terms))
-        for k, point in enumerate(points):
-            scored = scores.group(gram[:, k : k + 1, k : k + 1], product[:, k : k + 1])
-            values = {**point, "gain": float(scored.shares[0])}
-            yield Lead(port, name, shape, lag or None, "", *form, _span(v), values, (), scored)
+    gram, product = scores.products(_responses(scores, port, form, terms))
+    found = []
+    for k, point in enumerate(points):
+        scored = scores.group(gram[:, k : k + 1, k : k + 1], product[:, k : k + 1])
+        values = {**point, "gain": float(scored.shares[0])}
+        found.append(Lead(port, name, shape, lag or None, "", *form, _span(v), values, (), scored))
+    return found
 
 
-def _sines(scores: Scores) -> Iterator[Lead]:
+def _sines(scores: Scores) -> Iterator[Look]:
     """Sines of the thrust at the frequencies at which the longest record resolves them."""
     times = [c.drivers["time"] for c in scores.courses]
     seconds = max(t[-1] for t in times)
     count = int(min(FASTEST * seconds, 400))
     frequencies = np.arange(1, count + 1) / seconds
-    for some in np.array_split(frequencies, max(1, count // 20)):
-        turns = [2.0 * np.pi * t[:, None] * some for t in times]
-        terms = [np.hstack([np.sin(turn), np.cos(turn)]) for turn in turns]
-        gram, product = scores.products([(f, None) for f in terms])
-        for k, frequency in enumerate(some.tolist()):
-            pair = [k, k + len(some)]
-            scored = scores.group(gram[:, pair][:, :, pair], product[:, pair])
-            values = {"in_phase": float(scored.shares[0]), "quadrature": float(scored.shares[1]), "frequency": frequency}
-            yield Lead("thrust", "time", "sine", None, "", OUTER, False, (0.0, seconds), values, (), scored)
+    yield from (partial(_sine, scores, times, seconds, some) for some in np.array_split(frequencies, max(1, count // 20)))
+
+
+def _sine(scores, times, seconds, frequencies) -> list[Lead]:
+    turns = [2.0 * np.pi * t[:, None] * frequencies for t in times]
+    gram, product = scores.products([(np.hstack([np.sin(turn), np.cos(turn)]), None) for turn in turns])
+    found = []
+    for k, frequency in enumerate(frequencies.tolist()):
+        pair = [k, k + len(frequencies)]
+        scored = scores.group(gram[:, pair][:, :, pair], product[:, pair])
+        values = {"in_phase": float(scored.shares[0]), "quadrature": float(scored.shares[1]), "frequency": frequency}
+        found.append(Lead("thrust", "time", "sine", None, "", OUTER, False, (0.0, seconds), values, (), scored))
+    return found

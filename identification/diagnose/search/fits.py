@@ -186,7 +186,7 @@ class Searcher:
         library: Iterable[Effect],
         factor: float = 1.0,
     ):
-        self.experiments, self.names, self.library = experiments, tuple(names), tuple(library)
+        self.experiments, self.names, self.library = tuple(experiments), tuple(names), tuple(library)
         self.knowledge, self.factor = knowledge, factor
         self.start = {n: start[n] for n in names}
         self.screened: dict[tuple, dict] = {}
@@ -225,6 +225,11 @@ class Searcher:
             tuple(effects), dict(forms), told, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
         )
 
+    def again(self, fit: Fit) -> Fit:
+        """A fit of other experiments, or of the same with other noise, on these."""
+        found = self.fit(fit.effects, fit.forms, fit.free, fit.values, fit.slow_first, thorough=False)
+        return replace(found, idle=fit.idle or found.idle)
+
     def known(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior | None:
         """What is known beforehand of what is free in a model, as wide as it is taken."""
         told = self.knowledge and self.knowledge(model, values, names)
@@ -248,6 +253,8 @@ class Searcher:
         for e in self.experiments:
             for _, _, tangents in simulator.pieces(values, e.record.columns, e.record.steps):
                 moved |= tangents[:, e.compared, len(self.names) :].any(axis=(0, 1))
+                if moved.all():
+                    break
         smooth = [n for n, does in zip(free, moved, strict=True) if does]
         return smooth, [n for n in free if n not in smooth and piecewise_constant(model, self.experiments, values, n)]
 
