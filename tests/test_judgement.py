@@ -11,7 +11,7 @@ from scipy.stats import chi2, kstest
 from identification.diagnose import crossval, diagnose, lack, selection
 from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
 from identification.diagnose.following import Following, scores_covariance
-from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, Judgement, needed_fall, refusals
+from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, Judgement, left_by_forms, needed_fall, refusals
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
@@ -536,10 +536,11 @@ def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_ref
 
 
 def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may_leave():
-    """Described to 5 % of its amplitude, an effect worth 8000 nats leaves 0.05^2 of them: 20."""
-    alone, beside = needed_fall(1, 1000), needed_fall(1, 1000, 8000.0)
-    assert beside - alone == pytest.approx(0.05**2 * 8000.0)
-    assert needed_fall(1, 1000, -3.0) == alone
+    """Described to 5 % of its amplitude, an effect worth 8000 nats leaves 0.05^2 of them, 20: in the channel where it shows."""
+    left = 0.05**2 * 8000.0
+    assert left_by_forms({"thrust": 25.0, "omega": 0.0}, {"thrust": 8000.0, "omega": 0.0}) == pytest.approx(left)
+    assert left_by_forms({"thrust": 25.0, "omega": 3.0}, {"thrust": 0.0, "omega": 8000.0}) == 3.0
+    assert left_by_forms({"thrust": 25.0, "omega": -3.0}, {"thrust": -3.0, "omega": 8000.0}) == 0.0
 
 
 @pytest.mark.parametrize(("away", "factor"), [(0.5, 1.0), (2.0, None), (500.0, WIDEST)])

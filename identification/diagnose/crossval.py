@@ -121,6 +121,11 @@ def rises(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: S
     return fall([(time, new, old) for time, old, new in parts], further) < CARRIED
 
 
+def falls(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
+    """Whether it is smaller for certain; `further` falls of mean squares."""
+    return fall(parts, further) < CARRIED
+
+
 def gained(noise: Noise, before: Prediction, after: Prediction) -> dict[str, float]:
     """Log-likelihood of a record that nobody fitted that one prediction has over another, by channel, of whitened errors; noise
     variances unknown."""

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from identification.assessment.pairs import agreed_order, exchangeable
 from identification.assessment.prediction import Prediction, predict
-from identification.diagnose.crossval import HeldOut, cross_validated, folds, gained, rises, thirds
+from identification.diagnose.crossval import HeldOut, cross_validated, falls, folds, gained, rises, thirds
 from identification.diagnose.distinguish import Distinguishability, distinguishability
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
@@ -372,6 +372,8 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unse
         worse = [(e.record.time, *pair) for e, *pair in zip(found.problem.experiments, was.thrust, now.thrust, strict=True)]
         if rises(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
             return _rises(FOLDED, was.rmse_thrust, now.rmse_thrust)
+        if partly and split is thirds and not falls(worse, (judge.on_runs(shipped) - judge.on_runs(final)).tolist()):
+            return "a part of the explanation, and the thrust error where it was not fitted does not fall for certain"
     was, now = judge.held_out(shipped).rmse_thrust, judge.held_out(final).rmse_thrust
     if judge.runs:
         old, new = judge.on_runs(shipped), judge.on_runs(final)

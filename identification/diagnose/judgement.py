@@ -18,8 +18,9 @@ STRONG = 5.0
 and Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
 
 FORM = 0.0025
-"""Share of the log-likelihood that the rest of a set explains which one more effect must exceed, beside what chance reaches: no
-form is a rig's own, and what one leaves of an effect that it describes to 5 % of its amplitude is 0.25 % of its power."""
+"""Share of the log-likelihood that the rest of a set explains of a channel which one more effect must exceed there, beside what
+chance reaches: no form is a rig's own, and what one leaves of an effect that it describes to 5 % of its amplitude is 0.25 % of
+its power."""
 
 CERTAIN = 0.001
 """Level of each test of lack of fit where nothing is claimed: of the pure error in a band, and of the score test on generic
@@ -71,10 +72,16 @@ class Judgement:
     refused: tuple[str, ...] = ()
 
 
-def needed_fall(parameters: int, comparisons: int, explained: float = 0.0) -> float:
+def needed_fall(parameters: int, comparisons: int) -> float:
     """Fall of half the deviance that the best of `comparisons` candidates of so many free parameters reaches by chance with
-    LEVEL, beside a set that has `explained` so much of it already, in a form that is not quite the rig's."""
-    return 0.5 * float(chi2.isf(LEVEL / max(comparisons, 1), max(parameters, 1))) + FORM * max(explained, 0.0)
+    LEVEL."""
+    return 0.5 * float(chi2.isf(LEVEL / max(comparisons, 1), max(parameters, 1)))
+
+
+def left_by_forms(fall: Mapping[str, float], explained: Mapping[str, float]) -> float:
+    """How much of a `fall` may be what a set leaves that has `explained` so much already, in forms that are not quite the
+    rig's: channel by channel, for what a form leaves of the speed is not in the thrust."""
+    return sum(min(max(fall[c], 0.0), FORM * max(explained.get(c, 0.0), 0.0)) for c in fall)
 
 
 def refusals(

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated
-from identification.diagnose.judgement import MOST, SMALLEST, STRONG, Judgement, needed_fall, refusals
+from identification.diagnose.judgement import MOST, RIVALS, SMALLEST, STRONG, Judgement, left_by_forms, needed_fall, refusals
 from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
@@ -76,8 +77,8 @@ class Judge:
         """The judgement of one effect of a set."""
         fall = 0.5 * (without.deviance - with_it.deviance)
         more = max(1, len(with_it.free) - len(without.free))
-        explained = 0.5 * (self.base.deviance - without.deviance)
-        evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points, explained)
+        forms = left_by_forms(with_it.score.fall(without.score), without.score.fall(self.base.score))
+        evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points) + forms
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
@@ -132,10 +133,29 @@ def select(
     """Search up to MOST effects: (judge in the end, selection).
 
     `thorough`: where something is still missing, more is refitted. `clearer(judge, fit)`: a judge on the noise that a fit
-    leaves, where that is clearer than the judge's own: all further ones judge by it. The result does not depend on the number
-    of workers in `pool`.
+    leaves, where that is clearer than the judge's own: all further ones judge by it. Where one effect does not explain all,
+    the search is begun anew with the one that was the next best by itself, if it was nearly as good, and the better set stays.
+    The result does not depend on the number of workers in `pool`.
     """
-    options, found, visited = list(options), Selection(judge.base, judge.base), set()
+    forward = partial(_forward, options=list(options), clearer=clearer, thorough=thorough, pool=pool, stage=stage)
+    judge, found = forward(judge, Selection(judge.base, judge.base))
+    if len(found.final.effects) > 1 and (begin := _next_best(judge, found)):
+        first, own = begin
+        again, other = forward(judge, replace(found, final=first, judgements=own, rounds=found.rounds[:1], refused={}))
+        known = found.final if again is judge else again.searcher.again(found.final)
+        if evidence_over(other.final, known) > 0.0:
+            judge, found = again, other
+    stage("judge")
+    searcher = judge.searcher
+    _narrow(searcher, found, judge)
+    found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
+    found.rivals = {effect: _rivals(searcher, found, effect, judge, pool) for effect in found.final.effects}
+    return judge, found
+
+
+def _forward(judge: Judge, found: Selection, options, clearer, thorough, pool, stage) -> tuple[Judge, Selection]:
+    """(judge in the end, selection) of adding effects to what was `found`, one after the other."""
+    visited = set()
     while len(found.final.effects) < MOST and key(found.final) not in visited:
         visited.add(key(found.final))
         stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in found.final.effects))
@@ -155,12 +175,24 @@ def select(
             judge, best = again, again.searcher.again(best)
             found.base = judge.base
         found.final, found.judgements = _pruned(judge.searcher, judge.base, best, judge)
-    stage("judge")
-    searcher = judge.searcher
-    _narrow(searcher, found, judge)
-    found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
-    found.rivals = {effect: _rivals(searcher, found, effect, judge, pool) for effect in found.final.effects}
     return judge, found
+
+
+def _next_best(judge: Judge, found: Selection) -> tuple[Fit, dict[str, Judgement]] | None:
+    """(fit, judgement) of the effect that stands by itself, had most evidence in the first round of those that are not in the
+    set, nor a special case or a wider form of one there, and was within RIVALS of the best: alone, one effect may look better
+    than either of the two that are there."""
+    ranked = _ranked([t for t in found.rounds[0] if t.fit is not None])
+    theirs = {e.name: e.contains for e in found.final.problem.model.effects if e.name in found.final.effects}
+    for t in (t for t in ranked if t.evidence > ranked[0].evidence - RIVALS):
+        name = t.candidate.name
+        if any(name == n or name in contained or n in t.candidate.effect.contains for n, contained in theirs.items()):
+            continue
+        fit = judge.searcher.again(_bounded(judge.searcher, judge.base, t) if t.fit.at_bound else t.fit)
+        judged = judge(name, fit, judge.base)
+        if not judged.refused:
+            return fit, {name: judged}
+    return None
 
 
 def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator[tuple[str, str, Selection]]:

@@ -12,6 +12,9 @@ import numpy as np
 from vpp_fmu.kernel.types import Model
 
 CHANNELS = ("omega", "beta")
+SHORTEST = 0.05
+"""Share of the longer lag that the shorter one has at least where a search starts."""
+
 CLOSEST, WIDEST = 1e-6, 0.9999
 """Range of the spread. At the lower end the constants differ by 0.2 %: a double pole to any measurement."""
 
@@ -21,6 +24,18 @@ def slowest(values: Mapping[str, float], known: Iterable[str]) -> float:
     sums = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in CHANNELS}
     told = [total for u, total in sums.items() if f"tau_{u}_1" in set(known)]
     return max(told or sums.values())
+
+
+def regular_start(model: Model, values: Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
+    """`values` of a `model`, the free ones (`names`) as a search may start from: within bounds, and no lag of a channel's two
+    shorter than SHORTEST of the other. At its least a lag has no tangent, and would stay there whatever the records tell."""
+    names, bounds = set(names), {p.name: (p.minimum, p.maximum) for p in model.parameters}
+    found = {n: min(max(v, bounds[n][0]), bounds[n][1]) if n in names else v for n, v in values.items()}
+    for pair in ((f"tau_{u}_1", f"tau_{u}_2") for u in CHANNELS):
+        if names.issuperset(pair):
+            least = SHORTEST * max(found[n] for n in pair)
+            found |= {n: max(found[n], least) for n in pair}
+    return found
 
 
 class Coordinates:

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from identification.fit.adjoint import AdjointProblem
-from identification.fit.coordinates import slowest
+from identification.fit.coordinates import regular_start, slowest
 from identification.fit.experiment import CHANNELS, Experiment
 from identification.fit.gradient_descent import descend
 from identification.fit.identifiability import held as undetermined
@@ -104,7 +104,7 @@ _BLAS = ThreadpoolController()
 
 def _refine(model, records, start, names, prior, channels, method, starts, seed) -> Refinement:
     began = time.perf_counter()
-    values = model.values(start)
+    values = regular_start(model, model.values(start), names)
     if method == "gradient-descent":
         prior, channels, starts = None, ("thrust",), 1
     kind = AdjointProblem if method == "adjoint" else Problem

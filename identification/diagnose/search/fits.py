@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 
 from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
+from identification.fit.coordinates import regular_start
 from identification.fit.experiment import Experiment
 from identification.fit.least_squares import Solution
 from identification.fit.linearised import Linearised
@@ -213,6 +214,7 @@ class Searcher:
         idle = [n for n in free if n not in smooth and n not in stuck]
         # What these data don't reach, where a look left it, others might: it is off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
+        values = regular_start(model, values, [*self.names, *smooth])
         prior = self.known(model, values, [*self.names, *smooth])
         problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
         solution, intervals = problem.fit(values), {}
