@@ -1,7 +1,8 @@
 """A traced program as text: Python (for the Python FMU, and where there is no compiler) and C."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
 from math import isinf
 
 from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed
@@ -118,13 +119,66 @@ def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
     return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines + stores), "}\n"])
 
 
+HEAVY = frozenset(CALLS) - {"sqrt"}
+"""Operations that cost as much as some twenty others: what only one side of a choice needs of them is computed there."""
+
+Path = tuple[tuple[int, int], ...]
+"""Where a statement stands: number of a choice and its side (1 or 2), from the outermost inwards."""
+
+
 def _c_statements(writes: tuple[Write, ...], name: Callable) -> tuple[list[str], list[str]]:
     """(what is computed, what is stored or returned of it)."""
-    lines, values = _statements(writes, name, _c_operation, "const double {0} = {1};", inline=False)
-    return lines, [f"{name(t)} = {values[t]};" if t != ("result",) else f"return {values[t]};" for t, _ in writes]
+    order, form = needed(value for _, value in writes), "const double {0} = {1};"
+    homes, text = _homes(order, [value for _, value in writes if isinstance(value, Node)]), {}
+    inside: dict[Path, list[Node]] = {}
+    for n in order:
+        inside.setdefault(homes[n], []).append(n)
+
+    def said(value: object) -> str:
+        return text[value] if isinstance(value, Node) else _number(value, form)
+
+    def block(path: Path) -> list[str]:
+        lines = []
+        for n in inside.get(path, ()):
+            if n.op in COMPARE:
+                text[n] = f"({_c_operation(n.op, [said(a) for a in n.args])})"
+                continue
+            text[n] = f"t{n.number}"
+            sides = [(*path, (n.number, side)) for side in (1, 2)]
+            if n.op == "where" and any(side in inside for side in sides):
+                lines.append(f"double {text[n]};")
+                for head, side, value in zip((f"if ({said(n.args[0])}) {{", "} else {"), sides, n.args[1:], strict=True):
+                    lines += [head, *(f"  {line}" for line in block(side)), f"  {text[n]} = {said(value)};"]
+                lines.append("}")
+            else:
+                code = _c_operation(n.op, [said(a) for a in n.args]) if n.nodes else name((n.op, *n.args))
+                lines.append(form.format(text[n], code))
+        return lines
+
+    lines = block(())
+    return lines, [f"{name(t)} = {said(v)};" if t != ("result",) else f"return {said(v)};" for t, v in writes]
 
 
-def _statements(writes, name: Callable, operation: Callable, form: str, inline: bool = True):
+def _homes(order: Sequence[Node], written: Iterable[Node]) -> dict[Node, Path]:
+    """For each node the innermost place from which all that use it can see it, no choice being opened that holds nothing
+    HEAVY."""
+    homes: dict[Node, Path] = dict.fromkeys(written, ())
+    for n in reversed(order):  # whoever uses a node comes behind it
+        for k, a in enumerate(n.args):
+            if isinstance(a, Node):
+                there = (*homes[n], (n.number, k)) if n.op == "where" and k else homes[n]
+                homes[a] = _shared(homes[a], there) if a in homes else there
+    opened = {homes[n][:k] for n in order if n.op in HEAVY for k in range(len(homes[n]) + 1)} | {()}
+    return {n: next(home[:k] for k in range(len(home), -1, -1) if home[:k] in opened) for n, home in homes.items()}
+
+
+def _shared(one: Path, other: Path) -> Path:
+    """What two paths begin with in common."""
+    same = [a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))]
+    return tuple(same)
+
+
+def _statements(writes, name: Callable, operation: Callable, form: str):
     """Code for what `writes` need: (statements in order, expression of each target's value)."""
     order = needed(value for _, value in writes)
     uses = Counter(value for _, value in writes if isinstance(value, Node))
@@ -133,8 +187,7 @@ def _statements(writes, name: Callable, operation: Callable, form: str, inline: 
     for n in order:
         args = [text[a] if isinstance(a, Node) else _number(a, form) for a in n.args] if n.nodes else None
         code = operation(n.op, args) if args else name((n.op, *n.args))
-        condition = n.op in COMPARE
-        if condition or (inline and (uses[n] == 1 or n.op in ("c", "dt"))):
+        if n.op in COMPARE or uses[n] == 1 or n.op in ("c", "dt"):
             text[n] = f"({code})" if args and n.op not in CALLS else code
         else:
             text[n] = f"t{len(lines)}"

@@ -6,7 +6,7 @@
 outer one turns within a step, the time before and the time behind the turn go by their own constants.
 """
 
-from vpp_fmu.kernel.effects.stage import WHICH_LAG, stage, with_distance
+from vpp_fmu.kernel.effects.stage import WHICH_LAG, OneOf, stage, with_distance
 from vpp_fmu.kernel.types import Effect, Parameter
 
 
@@ -16,8 +16,8 @@ def asymmetry(u: str, name: str, description: str, probe: float) -> Effect:
     def step(ops, s, x, p, dt):
         lag = stage(ops, s, u, p.form)
         plain = ops.gain(lag.tau, dt)
-        rising = ops.gain(lag.tau * ops.exp(p.asymmetry), dt) / plain - 1.0
-        falling = ops.gain(lag.tau * ops.exp(-p.asymmetry), dt) / plain - 1.0
+        slower, faster = lag.tau * ops.exp(p.asymmetry), lag.tau * ops.exp(-p.asymmetry)
+        rising, falling = ops.gain(slower, dt) / plain - 1.0, ops.gain(faster, dt) / plain - 1.0
         end = lag.after - lag.distance
         turns = lag.before * end < 0.0
         left = ops.where(turns, end / ops.where(turns, end - lag.before, 1.0), 0.0)  # share of the step behind the turn
@@ -25,8 +25,7 @@ def asymmetry(u: str, name: str, description: str, probe: float) -> Effect:
         begins = ops.where(turns, lag.before, lag.before + end)
         more = ops.where(begins < 0.0, falling, rising) * (lag.distance - behind)
         more = more + ops.where(end < 0.0, falling, rising) * behind
-        tau = lag.tau * ops.exp(ops.where(begins < 0.0, -p.asymmetry, p.asymmetry))
-        return with_distance(ops, s, u, p.form, lag.distance + more, dt, tau), {}
+        return with_distance(ops, s, u, p.form, lag.distance + more, dt, OneOf(begins < 0.0, faster, slower)), {}
 
     text = "logarithm of the factor on the time constant while rising; its inverse while falling; above 0: slower up"
     return Effect(

@@ -23,6 +23,14 @@ class Stage(NamedTuple):
     distance: Any  # what it covers
 
 
+class OneOf(NamedTuple):
+    """A time constant that is one of two, which stay the same: what is made of them need not be made at every step."""
+
+    condition: Any
+    yes: Any
+    no: Any
+
+
 def _constants(s, u: str) -> tuple[Any, Any]:
     """(inner, outer) time constants in this step: those of the channel, or what an effect has made of them."""
     return getattr(s, f"{u}_inner_tau", getattr(s, f"tau_{u}_2")), getattr(s, f"{u}_outer_tau", getattr(s, f"tau_{u}_1"))
@@ -45,13 +53,18 @@ def stage(ops, s, u: str, form) -> Stage:
 
 
 def with_distance(ops, s, u: str, form, distance, dt, tau=None) -> dict[str, Any]:
-    """The channel's signals where the lag that `form` names covers `distance`, and relaxes with `tau` (None: as before)."""
+    """The channel's signals where the lag that `form` names covers `distance`, and relaxes with `tau`: a constant, `OneOf` two,
+    or None: as before."""
     (inner, outer), move, travel = _constants(s, u), getattr(s, f"{u}_move"), getattr(s, f"{u}_travel")
 
     def carried(constant):  # the outer lag's share of what the inner one covers
         return ops.two_lag_step(getattr(s, f"tau_{u}_1"), constant, dt) / ops.gain(constant, dt)
 
-    more = carried(inner if tau is None else tau) * distance - carried(inner) * move
+    if isinstance(tau, OneOf):
+        share, tau = ops.where(tau.condition, carried(tau.yes), carried(tau.no)), ops.where(*tau)
+    else:
+        share = carried(inner if tau is None else tau)
+    more = share * distance - carried(inner) * move
     signals = {
         f"{u}_move": ops.where(form < 1.5, distance, move),
         f"{u}_travel": ops.where(form < 1.5, travel + more, distance),
