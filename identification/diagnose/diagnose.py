@@ -22,7 +22,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, refitted, screened
-from identification.diagnose.selection import Judge, Selection, alternatives, select
+from identification.diagnose.selection import Judge, Selection, alternatives, select, without
 from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
@@ -90,6 +90,13 @@ class Diagnosis:
     def learned(self) -> Learned | None:
         """The term of no list that ships."""
         return self.attempt.learned
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Effects that are there and do not ship, for nothing says that their start is another record's too."""
+        if self.verdict not in CHANGED or self.refuted or self.learned:
+            return ()
+        return tuple(name for name in self.selection.final.effects if name not in self.final.effects)
 
     @property
     def fits(self) -> dict[str, Fit]:
@@ -319,10 +326,23 @@ def _with(selection: Selection, learned: Learned) -> Selection:
 def _shipped(
     judge: Judge, knowledge: Knowledge | None, unseen: Unseen | None, present: Fit, base: Fit, found: Fit, partly: bool = False
 ) -> tuple[Fit, str]:
-    """(what ships, why what was `found` does not take the place of the `present` model, in words; "" where it does)."""
+    """(what ships, why what was `found` does not take the place of the `present` model, in words; "" where it does).
+
+    An effect that begins where a record found it ships only where the step runs, which have starts of their own, confirm it."""
+    for effect in (e for e in found.problem.model.effects if e.name in found.effects):
+        if any(p.initial for p in effect.parameters):
+            rest = without(judge.searcher, base, found, effect.name)
+            if not (judge.runs and falls([], (judge.on_runs(rest) - judge.on_runs(found)).tolist())):
+                found = rest
+    if found.effects == base.effects:
+        return present, ""
     final = _estimated(judge, knowledge, present, found)
-    why = _refuted(judge, present, base, found, final, unseen, partly)
+    gone = [name for name in final.effects if not judge.matters(name, final)]
+    why = NOTHING_LEFT.format(gone[0]) if gone else _refuted(judge, present, base, found, final, unseen, partly)
     return (present, why) if why else (final, "")
+
+
+NOTHING_LEFT = "of {} nothing is left where it is estimated so that it predicts best what was not fitted"
 
 
 def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit) -> Fit:

@@ -94,6 +94,12 @@ class Judge:
         slow = max(e.noise.slow for e in self.searcher.experiments)
         return self.smallest if self.smallest is not None else float(np.sqrt(SMALLEST * slow))
 
+    def matters(self, effect: str, fit: Fit) -> bool:
+        """Whether an effect of a fit reaches the least size of interest where the rest of the fit stays as it is."""
+        declared = next(e for e in fit.problem.model.effects if e.name == effect)
+        off = {declared.full(name): value for name, value in (declared.off or {}).items()}
+        return self._size(fit, replace(fit, values={**fit.values, **off}), declared.common)[-1]
+
     def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
         """(what the effect changes of the thrust [N], rms; the least size; whether it, or what it does to speed, reaches
         that)."""

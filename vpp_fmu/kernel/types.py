@@ -56,7 +56,8 @@ class Parameter:
     `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
     `scale`: the rig's scale (`Scales.absolute`) that default, bounds and nominal are shares of, as the effect declares them;
     "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all. `kind`: as a
-    signal's. `tunable`: an importer may change it while the model runs, between two steps.
+    signal's. `tunable`: an importer may change it while the model runs, between two steps. `initial`: where something stood
+    when a record began, which is anywhere else in another record.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Parameter:
     unlimited: float | None = None
     kind: str = REAL
     tunable: bool = False
+    initial: bool = False
 
     def absolute(self, share: float, scales: Scales) -> float:
         """A declared share as a value on a rig of these scales."""

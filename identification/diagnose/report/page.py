@@ -10,7 +10,7 @@ from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.learned import add_learned
 from identification.diagnose.report.residual import add_residual
-from identification.diagnose.report.summary import artefact, errors, summary
+from identification.diagnose.report.summary import LEFT_OUT, artefact, errors, summary
 from identification.fit.noise import blocks
 from identification.gate.report import add_quality, quality_tile
 from vpp_fmu.digits import chance, interval, number, signed
@@ -49,8 +49,10 @@ def headline(found: Diagnosis) -> str:
         return f"{told}: most of what passes for noise ({number(found.noise.floor)} N). Nothing else is missing."
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
-    described = {e.name: e.description for e in found.final.problem.model.effects}
-    effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects)
+    described = {e.name: e.description for e in found.selection.final.problem.model.effects}
+    effects = " and ".join(f"{name} ({described[name]})" for name in (*found.final.effects, *found.left_out))
+    if not found.final.effects:
+        return f"{effects}; {LEFT_OUT}. Thrust error {where} {number(after)} N, {noise}."
     return f"{effects}: thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
 
 
@@ -129,6 +131,8 @@ def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
     page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
     page.tiles(key_figures(found))
+    for effect in found.left_out:
+        page.note(f"{effect}: {LEFT_OUT}.")
     for effect in found.final.effects:
         if text := artefact(found, effect):
             page.note(f"{effect}: {text}.")

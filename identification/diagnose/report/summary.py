@@ -39,7 +39,7 @@ def summary(found: Diagnosis) -> dict:
         "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},
         "learned": block(found.learned, found.std) if found.learned else None,
         "learning": _learning(found),
-        "effects": [_effect(found, name) for name in found.final.effects],
+        "effects": [_effect(found, name) for name in (*found.final.effects, *found.left_out)],
         "family": {name: others for name, others in found.selection.family.items() if others},
         "next_experiment": "next_experiment.csv" if found.verdict != "none" else None,
         "fitted": [one.name for one in found.fitted],
@@ -103,14 +103,16 @@ def errors(found: Diagnosis, fit: Fit) -> dict:
 
 
 def _effect(found: Diagnosis, name: str) -> dict:
-    fit, judged = found.final, found.selection.judgements[name]
+    ships, judged = name not in found.left_out, found.selection.judgements[name]
+    fit, std = (found.final, found.std) if ships else (found.selection.final, found.selection.final.std())
     units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
-    values = {n.partition(".")[2]: {"value": fit.values[n], "std": found.std.get(n), "unit": units[n]} for n in own}
+    values = {n.partition(".")[2]: {"value": fit.values[n], "std": std.get(n), "unit": units[n]} for n in own}
     intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
     for parameter, (seconds, times) in reached(fit, name).items():
         values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
     found_in = {"artefact": text} if (text := artefact(found, name)) else {}
+    found_in |= {} if ships else {"left_out": LEFT_OUT}
     return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence(found, judged), **found_in}
 
 
@@ -148,6 +150,8 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
         "explained_fraction": found.explained,
     }
 
+
+LEFT_OUT = "it starts anywhere in another record: not in the model that ships"
 
 ACTS = 1e-3
 """Share of a response's range from which a limit counts as acting, in how long it did so."""
@@ -204,6 +208,8 @@ def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
     if name in final.effects:
         if any(final.forms.get(n) != v for n, v in tried.candidate.form.items()):
             return "another form of it explains more"
+        if name in found.left_out:
+            return None
         if name not in found.final.effects:
             return found.refuted or "removes less than half of the lack of fit"
         return None

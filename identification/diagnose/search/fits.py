@@ -219,7 +219,7 @@ class Searcher:
         problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
         solution, intervals = problem.fit(values), {}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
-            solution, intervals[name] = scan(problem, solution, name, WHOLE if thorough else NEAR)
+            solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), WHOLE if thorough else NEAR)
         found = problem.values | problem.coordinates.values(solution.value)
         score = problem.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)

@@ -111,11 +111,12 @@ class _Between:
 
 
 def scan(
-    problem: Problem, solution: Solution, name: str, grids: tuple[float | None, ...] = WHOLE
+    problem: Problem, solution: Solution, name: str, off: float, grids: tuple[float | None, ...] = WHOLE
 ) -> tuple[Solution, tuple[float, float]]:
-    """Close in on the threshold `name`: (solution at its best value, which `evidence` then holds; 95 % interval).
+    """Close in on the threshold `name`: (solution at its best value, which the problem then holds; 95 % interval).
 
-    The interval is of the value itself: between the commands that bound it nothing can tell where it lies.
+    The interval is of the value itself: between the commands that bound it nothing can tell where it lies. `off`: the value at
+    which it acts on nothing.
     """
     simulator, moved = problem.simulator, True
     for near in grids:
@@ -137,8 +138,10 @@ def scan(
         solution = problem.refit(solution.value)
     about = Linearised.of(problem, solution)
     (least,) = about.costs(simulator, [{}])
-    # The cost is flat between the values at which one more command counts: the middle of the flat stands for it.
-    problem.values[name] = 0.5 * sum(_edges(about, simulator, name, best, least * (1.0 + SAME), whole))
+    # The cost is flat between the values at which one more command counts. What it does to commands between them no record has
+    # shown: the end of the flat at which it does least stands for it.
+    flat = _edges(about, simulator, name, best, least * (1.0 + SAME), whole)
+    problem.values[name] = min(flat, key=lambda value: abs(value - off))
     return solution, _edges(about, simulator, name, problem.values[name], least + 0.5 * CHI2_95, whole)
 
 

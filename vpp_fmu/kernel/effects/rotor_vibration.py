@@ -33,7 +33,7 @@ EFFECT = Effect(
             0.01,
             scale="thrust",
         ),
-        Parameter("phase", "deg", 0.0, -180.0, 180.0, "phase of the vibration at the start", 90.0),
+        Parameter("phase", "deg", 0.0, -180.0, 180.0, "phase of the vibration at the start", 90.0, initial=True),
     ),
     states=(
         State("turns", "1", "revolutions since the start, without the whole ones", lambda ops, s, p: 0.0),
