@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from builders import random_steps
 
 from identification.fit.coordinates import Coordinates
-from identification.fit.refine import BASE_PARAMETERS
+from identification.fit.refine import BASE_PARAMETERS, refine
 from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 
 COORDINATES = Coordinates(BASE, BASE_PARAMETERS)
 
@@ -28,3 +31,25 @@ def test_slopes_are_those_of_the_values_also_where_a_lag_has_ended(total):
     for k in range(len(x)):
         up, down = (np.array(list(COORDINATES.values(x + side * h * np.eye(len(x))[k]).values())) for side in (1.0, -1.0))
         np.testing.assert_allclose(slopes[:, k], (up - down) / (2.0 * h), rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("first", [0.0002, 0.001, 0.05])
+def test_a_lag_that_the_start_has_none_of_is_found_where_the_record_tells_it(first):
+    """At its least a lag has no tangent: from there it would pass for one that nothing depends on."""
+    inputs = random_steps(3001, 40)
+    time, truth = 0.004 * np.arange(3001), {"tau_beta_1": 0.3, "tau_beta_2": 0.08}
+    shown = Simulator(BASE).simulate(truth, inputs, np.diff(time))[:, 0]
+    read = shown + 0.01 * np.random.default_rng(1).standard_normal(len(shown))
+    found = refine(BASE, [Record({"time": time, **inputs, "thrust": read}, "made")], {"tau_beta_1": 0.35, "tau_beta_2": first})
+    assert "tau_beta_2" in found.names
+    for name, value in truth.items():
+        assert abs(found.values[name] - value) < 4.0 * found.std[name] < 0.02
+
+
+def test_values_beyond_their_bounds_do_not_come_out_of_a_fit():
+    """Nor do those that a record does not tell, and that stay where they were."""
+    inputs, time = {"omega_ref": np.repeat([3000.0, 5000.0], 300), "beta_ref": np.full(600, 5.0)}, 0.004 * np.arange(600)
+    read = Simulator(BASE).simulate({}, inputs, np.diff(time))[:, 0]
+    found = refine(BASE, [Record({"time": time, **inputs, "thrust": read}, "made")], {"tau_beta_1": 0.35, "tau_beta_2": 0.0002})
+    assert "tau_beta_2" in found.held
+    assert found.values["tau_beta_2"] >= next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")

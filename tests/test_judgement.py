@@ -16,13 +16,13 @@ from identification.diagnose.lack import Band, spectra
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
 from identification.diagnose.search.screening import Screening
-from identification.diagnose.search.threshold import FINE, FINEST, divided
+from identification.diagnose.search.threshold import FINE, FINEST, divided, scan
 from identification.diagnose.selection import _ranked
 from identification.diagnose.verdict import unnamed
 from identification.fit import noise
 from identification.fit.experiment import Experiment
 from identification.fit.noise import Blocks, Colour, colour_of, independent
-from identification.fit.problem import Prior
+from identification.fit.problem import Prior, Problem
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
@@ -247,6 +247,59 @@ def test_a_special_case_takes_the_place_of_what_contains_it_once_the_set_stands(
         assert found.final.effects == (name, "wake")
 
 
+def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monkeypatch):
+    """By itself `limits` is worth 39, `drift` 37 and `delay` 10; `limits` and `map` together 50, `drift` and `delay` 67."""
+    worth = {(): 0, ("limits",): 39, ("drift",): 37, ("delay",): 10, ("limits", "map"): 50, ("delay", "drift"): 67}
+    model = SimpleNamespace(effects=[SimpleNamespace(name=n, contains={}) for n in ("limits", "drift", "delay", "map")])
+
+    def fit(*effects):
+        problem = SimpleNamespace(model=model, experiments=())
+        return SimpleNamespace(effects=effects, forms={}, at_bound=(), worth=worth[tuple(sorted(effects))], problem=problem)
+
+    def first_round(searcher, beside, options, pool):
+        sets = {n: (*beside.effects, n) for n in ("limits", "drift", "delay", "map") if n not in beside.effects}
+        known = {n: fit(*effects) for n, effects in sets.items() if tuple(sorted(effects)) in worth}
+        effect = lambda n: SimpleNamespace(name=n, effect=SimpleNamespace(contains={}))  # noqa: E731
+        return [SimpleNamespace(candidate=effect(n), fit=f, evidence=f.worth - beside.worth) for n, f in known.items()]
+
+    monkeypatch.setattr(selection, "first_round", first_round)
+    monkeypatch.setattr(selection, "evidence_over", lambda one, other: one.worth - other.worth)
+    monkeypatch.setattr(selection, "_pruned", lambda searcher, base, one, judge: (one, {}))
+    monkeypatch.setattr(selection, "_narrow", lambda *_: None)
+    monkeypatch.setattr(selection, "_rivals", lambda *_: {})
+    judge = type("Judged", (), {"searcher": SimpleNamespace(again=lambda one: one), "base": fit()})()
+    judge.__class__.__call__ = lambda *_: SimpleNamespace(refused=())
+    _, found = selection.select(judge, [], lambda judge, fit: None, False, None)
+    assert sorted(found.final.effects) == ["delay", "drift"]
+
+
+@pytest.mark.parametrize(("steps", "ships"), [(0.05, ("vibration", "lag")), (0.2, ("lag",)), (None, ("lag",))])
+def test_what_starts_anywhere_in_another_record_ships_only_where_other_starts_confirm_it(monkeypatch, steps, ships):
+    """Step runs have starts of their own: without it they are predicted to 0.1 N."""
+    declared = [SimpleNamespace(name=n, parameters=[SimpleNamespace(initial=n == "vibration")]) for n in ("vibration", "lag")]
+    problem = SimpleNamespace(model=SimpleNamespace(effects=declared))
+    both, rest = (SimpleNamespace(effects=names, problem=problem) for names in (("vibration", "lag"), ("lag",)))
+    rms = {both.effects: steps, rest.effects: 0.1}
+    runs = [] if steps is None else [1]
+    rng = np.random.default_rng(8)
+    squares = {names: None if r is None else r**2 * rng.uniform(0.9, 1.1, 12) for names, r in rms.items()}
+    judge = SimpleNamespace(searcher=None, runs=runs, on_runs=lambda one: squares[one.effects], matters=lambda *_: True)
+    monkeypatch.setattr(diagnose, "without", lambda searcher, base, one, name: rest)
+    monkeypatch.setattr(diagnose, "_estimated", lambda judge, knowledge, present, one: one)
+    monkeypatch.setattr(diagnose, "_refuted", lambda *_: "")
+    final, why = diagnose._shipped(judge, None, None, SimpleNamespace(), SimpleNamespace(effects=()), both)
+    assert (final.effects, why) == (ships, "")
+
+
+def test_an_effect_of_which_an_estimate_leaves_nothing_is_refuted(monkeypatch):
+    fit = SimpleNamespace(effects=("band",), problem=SimpleNamespace(model=SimpleNamespace(effects=[])))
+    monkeypatch.setattr(diagnose, "_estimated", lambda judge, knowledge, present, one: one)
+    present, judge = SimpleNamespace(name="present"), SimpleNamespace(matters=lambda *_: False)
+    final, why = diagnose._shipped(judge, None, None, present, SimpleNamespace(effects=()), fit)
+    assert final is present
+    assert "of band nothing is left" in why
+
+
 @pytest.mark.parametrize(("after", "worse"), [(0.2, True), (0.1, False), (0.05, False)])
 def test_an_error_rises_where_blocks_that_were_not_fitted_agree_on_it(after, worse):
     """Twelve blocks of noise, 0.1 before: Student's test of their differences."""
@@ -435,6 +488,26 @@ def test_pieces_that_look_alike_are_met_where_the_best_may_be():
         best = 0.5 * float(np.min(np.sum((bumps - read) ** 2, axis=1)))
         assert min(divided(left, np.geomspace(0.1, 4.5, FINE).tolist()).values()) - best < 2.0 * worse  # noise bends it, too
         assert len(asked) < FINEST / 4
+
+
+@pytest.mark.parametrize(("off", "end"), [(0.0, 0), (10.0, 1)])
+def test_of_thresholds_that_no_command_tells_apart_the_one_that_does_least_stands(off, end):
+    """Commands change by 1 deg and by 2 deg, and of these the smaller are ignored: any value between does the same here."""
+    model, time = plant(["pitch_command_deadband"]), 0.01 * np.arange(3001)
+    moves = np.cumsum(np.tile([2.0, -1.0, -2.0, 1.0], 8))[:30]
+    columns = {
+        "time": time,
+        "omega_ref": np.full(3001, 5000.0),
+        "beta_ref": np.repeat(np.append(moves, moves[-1:]), 100)[:3001],
+    }
+    name = "pitch_command_deadband.half_width"
+    shown = Simulator(model).simulate(model.values({name: 1.5}), columns, np.diff(time))[:, 0]
+    record = Record(columns | {"thrust": shown + 0.02 * np.random.default_rng(4).standard_normal(3001)}, "steps")
+    experiment = Experiment([Fitted("steps", record)], independent(15.0))
+    problem = Problem(model, [experiment], model.values({name: 1.4}), ["tau_beta_1", "c20"])
+    scan(problem, problem.fit(problem.values), name, off)
+    assert problem.values[name] == pytest.approx([1.0, 3.0][end], abs=0.01)
+    assert 1.0 <= problem.values[name] <= 3.0
 
 
 @pytest.mark.parametrize(("half_width", "start"), [(0.731, 1.0), (1.618, 0.0)])

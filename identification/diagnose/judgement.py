@@ -40,8 +40,9 @@ FOLDS, FOLD_BLOCK = 5, 5.0
 """Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
 
 RIVALS = 10.0
-"""Nats within which a term at another port, or with another driver, counts as one that these records do not tell from it: twice
-STRONG, for the fits of both are as rough as their knots."""
+"""Nats within which a term at another port, or with another driver, counts as one that these records do not tell from it, and
+another effect as one that a search may as well begin with: twice STRONG, for the fits of both are as rough as their knots, or
+lack the same other effect."""
 
 CARRIED = 0.05
 """Level of the test that thrust is predicted better by a term, or worse by a set than by the identified base, where it was not
