@@ -61,7 +61,7 @@ def entry(name: str, found: Diagnosis) -> Entry:
         str(folder),
         measured_on(folder),
         found.verdict,
-        tuple(found.final.effects),
+        (*found.final.effects, *found.left_out),
         before,
         after,
         found.noise.floor,
