@@ -10,7 +10,7 @@ from scipy.stats import chi2, kstest
 
 from identification.diagnose import crossval, diagnose, lack, selection
 from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
-from identification.diagnose.following import Following, scores_covariance
+from identification.diagnose.following import Following, banded_fall, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, Judgement, left_by_forms, needed_fall, refusals
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.search.candidates import candidates
@@ -641,6 +641,19 @@ def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parame
         statistic = float(score @ np.linalg.solve(covariance, score))
         rejected += Following(0.5 * (statistic - count), count, bands).p < 0.01
     assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
+
+
+@pytest.mark.parametrize(("wave", "share"), [(2, 0.25), (300, 1.0)])
+def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a_quarter(wave, share):
+    """White noise, of four times the power below the twelfth ordinate: a wave there, and one elsewhere, taken away."""
+    rng, n, found = np.random.default_rng(11), 1200, []
+    turns = 2.0 * np.pi * np.arange(n) / n
+    for _ in range(60):
+        spectrum = np.fft.rfft(rng.standard_normal(n))
+        spectrum[:12] *= 2.0
+        after = np.fft.irfft(spectrum, n)
+        found.append(banded_fall(after + 8.0 * np.sin(wave * turns), after, np.zeros((0, n)))[1])
+    assert np.median(found) == pytest.approx(share, abs=0.05)
 
 
 @pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])

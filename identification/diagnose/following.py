@@ -191,15 +191,49 @@ def scores_covariance(
         twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal but for the ends
         twice[0], twice[-1] = 1.0, 2.0 if n % 2 else 1.0
         taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
-        before = np.sum(np.abs(np.fft.rfft(fitted, axis=1)) ** 2, axis=0) / n
-        free = np.maximum(1.0 - banded(taken + before), 1.0 / ORDINATES)
-        level = banded(spectrum) / free
+        level, free = _levels(spectrum, taken + _taken(fitted))
         shapes *= np.sqrt(twice * level)  # in place: it is large
         covariance += (shapes @ shapes.conj().T).real / n
         first = starts(len(spectrum))
         shares.append(np.add.reduceat(twice * taken, first))
         degrees.append(np.add.reduceat(twice * free, first))
     return covariance, tuple(zip(np.concatenate(shares).tolist(), np.concatenate(degrees).tolist(), strict=True))
+
+
+def _taken(directions: np.ndarray) -> np.ndarray:
+    """(frequencies,) the share of each ordinate's power that lies in directions (m, n)."""
+    return np.sum(np.abs(np.fft.rfft(directions, axis=1)) ** 2, axis=0) / directions.shape[1]
+
+
+def _levels(spectrum: np.ndarray, taken: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(power of the noise, the share of it that could be left), by band, of what is left after shares were `taken` of it."""
+    free = np.maximum(1.0 - banded(taken), 1.0 / ORDINATES)
+    return banded(spectrum) / free, free
+
+
+def borne_out(fit: Fit, other: Fit) -> float:
+    """Share, 1 at most, of the fall of the thrust's squares from an `other` fit to this one that is left where each band counts
+    by the noise that it holds.
+
+    Noise of a single record has been whitened by a colour that was estimated from it: what wanders slower than any past that
+    the filter knows is more than it says, and would pass for a drift.
+    """
+    about, whole, borne, scale = fit.linearised(), 0.0, 0.0, fit.problem.scale["thrust"]
+    before = other.problem.residual_at(other.values) * (other.problem.scale["thrust"] / scale)
+    after = fit.problem.residual_at(fit.values)
+    for at in _places(fit, "thrust"):
+        fall, share = banded_fall(before[at], after[at], about.directions(at))
+        whole, borne = whole + fall, borne + fall * share
+    return float(np.clip(borne / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
+
+
+def banded_fall(before: np.ndarray, after: np.ndarray, fitted: np.ndarray) -> tuple[float, float]:
+    """(fall of the sum of squares of whitened rows (n,), the share of it that is left where no band counts for more than its
+    noise allows). `fitted` (m, n): directions, orthonormal, that the fit had taken of what is `after`."""
+    old, new = (np.abs(np.fft.rfft(rows)) ** 2 / len(rows) for rows in (before, after))
+    level, _ = _levels(new, _taken(fitted))
+    fall = float(np.sum(old - new))
+    return fall, float(np.sum((old - new) / np.maximum(level, 1.0))) / fall if fall else 1.0
 
 
 def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:

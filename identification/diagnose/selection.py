@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated
+from identification.diagnose.following import borne_out
 from identification.diagnose.judgement import MOST, RIVALS, SMALLEST, STRONG, Judgement, left_by_forms, needed_fall, refusals
 from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.search.candidates import Candidate
@@ -75,10 +76,12 @@ class Judge:
 
     def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
         """The judgement of one effect of a set."""
-        fall = 0.5 * (without.deviance - with_it.deviance)
-        more = max(1, len(with_it.free) - len(without.free))
-        forms = left_by_forms(with_it.score.fall(without.score), without.score.fall(self.base.score))
-        evidence, needed = evidence_over(with_it, without), needed_fall(more, self.searcher.points) + forms
+        falls = with_it.score.fall(without.score)
+        if not all(e.noise.verified for e in self.searcher.experiments) and falls["thrust"] > 0.0:
+            falls["thrust"] *= borne_out(with_it, without)
+        fall, more = sum(falls.values()), max(1, len(with_it.free) - len(without.free))
+        evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - fall)
+        needed = needed_fall(more, self.searcher.points) + left_by_forms(falls, without.score.fall(self.base.score))
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
