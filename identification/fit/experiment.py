@@ -157,16 +157,15 @@ def _thrust(record: Record, counts: bool) -> np.ndarray:
 
 
 def _by_column(change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
-    """`change` of (rows,), or of (rows, k), LANES columns at a time: what it needs beside them is then small. `into`: an array,
-    `values` itself for one, that the result may overwrite."""
+    """`change` of (rows,) or (rows, k), of more than LANES columns one by one: what it needs beside them is then small. `into`:
+    an array, `values` itself for one, that the result may overwrite."""
     if values.ndim == 1 or not values.size:
         return change(values)
     columns = values.reshape(len(values), -1)
     if columns.shape[1] <= LANES:
         return change(columns).reshape(-1, *values.shape[1:])
-    found = None if into is None else into
-    for k in range(0, columns.shape[1], LANES):
-        part = change(np.ascontiguousarray(columns[:, k : k + LANES]))
-        found = np.empty((len(part), columns.shape[1])) if found is None else found[: len(part)]
-        found[:, k : k + LANES] = part
-    return found.reshape(len(found), *values.shape[1:])
+    first = change(columns[:, 0])
+    found = np.empty((len(first), columns.shape[1])) if into is None else into[: len(first)]
+    for k, column in enumerate(columns.T):
+        found[:, k] = change(column) if k else first
+    return found.reshape(len(first), *values.shape[1:])
