@@ -59,11 +59,11 @@ class Simulator:
     def _side_by_side(self, points, inputs, steps) -> np.ndarray:
         """(outputs, rows, points) of LANES points at most."""
         if self._alike is not None and len(points) > 1:
-            sets = [self._prepared(point, inputs, steps) for point in points[:1]]
-            values = [sets[0][0], *(np.array(list(self.model.values(point).values())) for point in points[1:])]
+            first, columns, seconds = self._prepared(points[0], inputs, steps)
+            values = [first, *(np.array(list(self.model.values(point).values())) for point in points[1:])]
             values += values[-1:] * (LANES - len(points))
             outputs = np.empty((len(self.outputs), len(steps) + 1, LANES))
-            if self._alike(np.array(values), *sets[0][1:], outputs):
+            if self._alike(np.array(values), columns, seconds, outputs):
                 return outputs[:, :, : len(points)]
         return np.stack([self.simulate(point, inputs, steps).T for point in points], axis=2)
 
