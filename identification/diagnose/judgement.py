@@ -5,6 +5,7 @@ README.md has the table: what each constant trades, and what it does to false al
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 from scipy.stats import chi2
 
@@ -73,6 +74,7 @@ class Judgement:
     refused: tuple[str, ...] = ()
 
 
+@cache
 def needed_fall(parameters: int, comparisons: int) -> float:
     """Fall of half the deviance that the best of `comparisons` candidates of so many free parameters reaches by chance with
     LEVEL."""

@@ -340,8 +340,9 @@ def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit,
 
 
 def _near(found: Selection, effect: str) -> list[CandidateFit]:
-    """Refitted candidates of the round in which an effect came in whose evidence came near the best there."""
-    for tried in found.rounds:
+    """Refitted candidates of the round in which an effect came in, the last that tried it, whose evidence came near the best
+    there."""
+    for tried in reversed(found.rounds):
         refits = [t for t in tried if t.fit is not None]
         mine = [t.evidence for t in refits if t.candidate.name == effect]
         if mine:

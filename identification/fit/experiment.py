@@ -21,6 +21,9 @@ from vpp_fmu.tracer import LANES
 CHANNELS = ("thrust", "omega")
 """What a record may measure, and a fit may take, of a model's outputs."""
 
+CACHED = 65536
+"""Numbers that are whitened at once, where they are columns: half a MB."""
+
 
 class Experiment:
     """Fitted records of the same commands, and what of them counts. TypeError for a record of another role.
@@ -42,13 +45,14 @@ class Experiment:
         self.thrust = self._blocks.mean(self.thrust_rows)
         self.tachometers = [Tachometer(r) for r in own if "omega" in r and "omega" in channels]
         order = noise.colour.order
-        self._seen = np.isfinite(noise.colour.whiten(self.thrust)) & (self._blocks.time[order:] >= skip)
+        self._seen = _indexed(np.isfinite(noise.colour.whiten(self.thrust)) & (self._blocks.time[order:] >= skip))
         self._share = 1.0 / np.sqrt(len(own))  # the mean's noise
-        self._late = [t.rows_time(skip, noise.speed.order) for t in self.tachometers]
+        late = [t.rows_time(skip, noise.speed.order) for t in self.tachometers]
+        self._late = [(_indexed(kept), time) for kept, time in late]
         self.thrust_time = self._blocks.time[order:][self._seen]
         self.omega_times = [time for _, time in self._late]
         self.omega_time = np.concatenate(self.omega_times) if self._late else np.zeros(0)
-        self.sizes = {"thrust": int(self._seen.sum())}
+        self.sizes = {"thrust": len(self.thrust_time)}
         if len(self.omega_time):
             self.sizes["omega"] = len(self.omega_time)
 
@@ -143,11 +147,15 @@ class Experiment:
         return cotangents
 
     def _white(self, means, into=None):
-        return _by_column(lambda column: self.noise.colour.whiten(column)[self._seen] / self._share, means, into)
+        def white(columns):
+            found = self.noise.colour.whiten(columns)[self._seen]
+            return np.divide(found, self._share, out=found)
+
+        return _some_columns(white, means, into)
 
     def _heard(self, parts):
         whiten = self.noise.speed.whiten
-        white = [_by_column(lambda c, k=kept: whiten(c)[k], p) for p, (kept, _) in zip(parts, self._late, strict=True)]
+        white = [_some_columns(lambda c, k=kept: whiten(c)[k], p) for p, (kept, _) in zip(parts, self._late, strict=True)]
         return np.concatenate(white)
 
 
@@ -156,16 +164,29 @@ def _thrust(record: Record, counts: bool) -> np.ndarray:
     return record["thrust"] if counts and "thrust" in record else np.full(len(record), np.nan)
 
 
-def _by_column(change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
-    """`change` of (rows,) or (rows, k), of more than LANES columns one by one: what it needs beside them is then small. `into`:
-    an array, `values` itself for one, that the result may overwrite."""
+def _indexed(mask: np.ndarray) -> np.ndarray | slice:
+    """What takes the same rows: a slice, which copies nothing, where they stand together."""
+    there = np.flatnonzero(mask)
+    whole = len(there) and there[-1] - there[0] == len(there) - 1
+    return slice(int(there[0]), int(there[-1]) + 1) if whole else mask
+
+
+def _some_columns(
+    change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None
+) -> np.ndarray:
+    """`change` of (rows,) or (rows, k), some columns at a time: as many as stay in a core's cache, which is as many as LANES
+    at least where there are no more, else one: what it needs beside them is then small. `into`: an array, `values` itself for
+    one, that the result may overwrite."""
     if values.ndim == 1 or not values.size:
         return change(values)
     columns = values.reshape(len(values), -1)
-    if columns.shape[1] <= LANES:
+    width = CACHED // len(columns)
+    if columns.shape[1] <= max(LANES, width):
         return change(columns).reshape(-1, *values.shape[1:])
-    first = change(columns[:, 0])
-    found = np.empty((len(first), columns.shape[1])) if into is None else into[: len(first)]
-    for k, column in enumerate(columns.T):
-        found[:, k] = change(column) if k else first
-    return found.reshape(len(first), *values.shape[1:])
+    found, width = into, max(1, width)
+    for at in range(0, columns.shape[1], width):
+        part = change(columns[:, at : at + width])
+        if not at:
+            found = np.empty((len(part), columns.shape[1])) if into is None else into[: len(part)]
+        found[:, at : at + width] = part
+    return found.reshape(len(found), *values.shape[1:])

@@ -10,11 +10,13 @@ towards rest beyond any past that a record affords: where records of the same co
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import dct, idct
 
 from identification.fit.converter import grid
+from identification.fit.past import less_past
 from vpp_fmu.record import Record
 
 BLOCKS_A_TIME = 30.0
@@ -123,15 +125,8 @@ class Colour:
         missing = ~np.isfinite(values)
         whole = not missing.any()
         known = values if whole else np.where(missing, 0.0, values)
-        sums, left, part = None, known[order:] / self.innovation, np.empty_like(known[order:])
-        for (first, last), share in zip(self.spans, self.shares, strict=True):
-            if first == last:
-                past = known[order - first : n - first]
-            else:
-                if sums is None:
-                    sums = np.concatenate([np.zeros_like(known[:1]), np.cumsum(known, axis=0)])
-                past = np.subtract(sums[order - first + 1 : n - first + 1], sums[order - last : n - last], out=part)
-            left -= np.multiply(past, share / (last - first + 1) / self.innovation, out=part)
+        shares = [share / (last - first + 1) / self.innovation for (first, last), share in zip(self.spans, self.shares, strict=True)]
+        left = less_past(known, self.spans, shares, self.innovation)
         if whole:
             return left
         gone = np.concatenate([np.zeros_like(missing[:1], int), np.cumsum(missing, axis=0)])
@@ -148,8 +143,14 @@ def _evened(values: np.ndarray, corner: float, power: int) -> np.ndarray:
         there = [np.isfinite(column) for column in columns]
         known = np.array([np.interp(rows, rows[t], c[t]) if t.any() else c for c, t in zip(columns, there, strict=True)])
         return np.where(missing, np.nan, _evened(known.T.reshape(values.shape), corner, power))
-    gain = 1.0 / np.sqrt(_rise(len(values), corner, power))
+    gain = _evening(len(values), corner, power)
     return idct((dct(values, axis=0, norm="ortho").T * gain).T, axis=0, norm="ortho")
+
+
+@lru_cache(maxsize=64)
+def _evening(count: int, corner: float, power: int) -> np.ndarray:
+    """(count,) what evens out noise that rises, ordinate by ordinate of a cosine transform."""
+    return 1.0 / np.sqrt(_rise(count, corner, power))
 
 
 def _rise(count: int, corner: float, power: int) -> np.ndarray:

@@ -191,6 +191,7 @@ class Searcher:
         self.knowledge, self.factor = knowledge, factor
         self.start = {n: start[n] for n in names}
         self.screened: dict[tuple, dict] = {}
+        self._fits: dict[tuple, Fit] = {}
         self.lacking = 0.0  # log-likelihood that generic shapes would gain beside the base
         self.points = 0  # that the round with the most of them has looked at
         self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
@@ -206,8 +207,16 @@ class Searcher:
     ) -> Fit:
         """Fit base parameters and `free` of a model with `effects`, from the values `start`.
 
-        `thorough`: scan the whole range of a threshold, not only about where it stands.
+        `thorough`: scan the whole range of a threshold, not only about where it stands. A judgement asks for some fits more than
+        once: each is made once.
         """
+        asked = tuple(effects), frozenset(forms.items()), tuple(free), frozenset(start.items()), thorough
+        known = (*asked, frozenset((slow_first or {}).items()))
+        if known not in self._fits:
+            self._fits[known] = self._fitted(effects, forms, free, start, slow_first, thorough)
+        return self._fits[known]
+
+    def _fitted(self, effects, forms, free, start, slow_first, thorough) -> Fit:
         model = plant(effects, self.library)
         values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
         smooth, stuck = self._kinds(model, values, free) if free else ([], [])
