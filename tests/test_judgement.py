@@ -1,27 +1,21 @@
-"""The stages of a diagnosis, each against a closed form: noise, cross-validation, lack of fit, the judgement's own rules."""
+"""The judgement: cross-validation, rules, selection, estimate and refutation, each against a closed form."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.fft import dct
-from scipy.signal import lfilter
-from scipy.stats import chi2, kstest
+from scipy.stats import chi2
 
-from identification.diagnose import crossval, diagnose, lack, selection
+from identification.diagnose import crossval, diagnose, selection
 from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
-from identification.diagnose.following import Following, banded_fall, scores_covariance
 from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, Judgement, left_by_forms, needed_fall, refusals
-from identification.diagnose.lack import Band, spectra
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
 from identification.diagnose.search.screening import Screening
 from identification.diagnose.search.threshold import FINE, FINEST, divided, scan
 from identification.diagnose.selection import _ranked
-from identification.diagnose.verdict import unnamed
-from identification.fit import noise
 from identification.fit.experiment import Experiment
-from identification.fit.noise import Blocks, Colour, colour_of, independent
+from identification.fit.noise import independent
 from identification.fit.problem import Prior, Problem
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
 from identification.roles import Fitted, Unseen, roles
@@ -35,76 +29,7 @@ from vpp_fmu.record import Record
 RNG = np.random.default_rng(20)
 
 
-def test_a_filter_knows_the_noise_that_it_was_made_of():
-    """An autoregression of two lags: its coefficients, and what is left is white and as large as what drove it."""
-    driving = 0.3 * RNG.standard_normal(40000)
-    noise = np.zeros(40000)
-    for k in range(2, 40000):
-        noise[k] = 0.9 * noise[k - 1] - 0.4 * noise[k - 2] + driving[k]
-    colour = colour_of([noise])
-    np.testing.assert_allclose(colour.weights[:3], [1.0, -0.9, 0.4], atol=0.03)
-    assert colour.innovation == pytest.approx(0.3, rel=0.02)
-    left = colour.whiten(noise)
-    assert np.std(left) == pytest.approx(1.0, rel=0.02)
-    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.02
-    np.testing.assert_allclose(left, np.convolve(noise, colour.weights, "valid") / colour.innovation, atol=1e-9)
-
-
-def risen(rng: np.random.Generator, rows: int, corner: float, power: int) -> np.ndarray:
-    """(rows,) white noise and noise that rises below a corner [cycles a row], cut out of twice the length."""
-    frequency = np.fft.rfftfreq(2 * rows)
-    frequency[0] = np.inf
-    slow = np.fft.rfft(rng.standard_normal(2 * rows)) * (corner / frequency) ** (0.5 * power)
-    return rng.standard_normal(rows) + np.fft.irfft(slow, 2 * rows)[:rows]
-
-
-def test_white_noise_has_no_colour():
-    """The BIC is wrong at times: in 40 draws of 2000 rows hardly ever."""
-    rng = np.random.default_rng(12)
-    found = [colour_of([rng.standard_normal(2000)]) for _ in range(40)]
-    assert sum(c.order > 0 or c.corner > 0.0 for c in found) <= 4
-
-
-@pytest.mark.parametrize(("corner", "power"), [(0.02, 1), (0.1, 1), (0.02, 2)])
-def test_noise_that_rises_towards_rest_is_white_there_too_behind_its_filter(corner, power):
-    """Flicker noise and a random walk: the power of another draw in the ten slowest ordinates, 1 of white noise, in the mean of
-    40. In the slowest of all it was 1 + (corner / frequency)^power, 81 to 6400, of which a tenth is left at most of flicker
-    noise, and a hundredth of a random walk."""
-    rng, ordinates = np.random.default_rng(13), []
-    for _ in range(40):
-        colour, other = colour_of([risen(rng, 2000, corner, power)]), risen(rng, 2000, corner, power)
-        ordinates.append(dct(colour.whiten(other - other.mean()), norm="ortho")[1:11] ** 2)
-    assert 0.6 < np.mean(ordinates) < 2.5
-    assert np.mean(ordinates, axis=0)[0] < 0.1**power * (1.0 + (corner * 2.0 * 2000.0) ** power)
-
-
-def test_what_is_evened_out_leaves_gaps_where_they_are():
-    colour, values = Colour((), (), 1.0, 0.05, 1), RNG.standard_normal((300, 2))
-    holed = values.copy()
-    holed[100:103, 1] = np.nan
-    left, whole = colour.whiten(holed), colour.whiten(values)
-    np.testing.assert_array_equal(np.isnan(left), np.isnan(holed))
-    np.testing.assert_allclose(left[:, 0], whole[:, 0], atol=1e-12)
-    assert np.corrcoef(left[:50, 1], whole[:50, 1])[0, 1] > 0.99
-
-
-def test_a_gap_costs_the_filter_s_length_and_nothing_else():
-    colour = colour_of([lfilter([1.0], [1.0, -0.5, -0.3], RNG.standard_normal(5000))])
-    values = RNG.standard_normal((300, 2))
-    holed = values.copy()
-    holed[100, 1] = np.nan
-    left, whole = colour.whiten(holed), colour.whiten(values)
-    gone = np.isnan(left)
-    assert not gone[:, 0].any()
-    np.testing.assert_array_equal(np.flatnonzero(gone[:, 1]), 100 - colour.order + np.arange(colour.order + 1))
-    np.testing.assert_allclose(left[~gone], whole[~gone], atol=1e-9)
-
-
-def test_block_means_leave_empty_cells_out():
-    values = np.arange(12.0)
-    values[[4, 6, 7, 8]] = np.nan
-    at = Blocks(np.array([0, 3, 6, 9, 12]), np.zeros(4))
-    np.testing.assert_array_equal(at.mean(values), [1.0, 4.0, np.nan, 10.0])
+TIME = np.arange(0.0, 60.0, 0.05)
 
 
 def fit_of(residual, jacobian, time, thresholds=()):
@@ -179,26 +104,6 @@ def test_an_effect_must_pass_every_rule():
         (reason,) = refusals(**good | change)
         assert word in reason
     assert refusals(**good | {"gain": {"thrust": -0.4, "omega": 30.0}}) == []  # what a parameter that tells nothing costs
-
-
-def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
-    """1000 draws of two records of noise: uniform p-values; a sine of half the noise's deviation is never missed."""
-    from scipy.stats import f
-
-    time, ps, seen = np.arange(600) * 0.05, [], []
-    shared = 0.5 * np.sin(2.0 * np.pi * 0.5 * time)
-    for _ in range(1000):
-        noise = RNG.standard_normal((2, 600))
-        for errors, found in ((noise, ps), (noise + shared, seen)):
-            between, within = spectra(errors)
-            inside = slice(10, 40)
-            found.append(f.sf(between[inside].sum() / within[inside].sum(), 60, 60))
-    assert kstest(ps, "uniform").pvalue > 1e-3
-    assert abs(np.mean(np.array(ps) < 0.05) - 0.05) < 3.0 * np.sqrt(0.05 * 0.95 / 1000)
-    assert np.mean(np.array(seen) < 0.05) > 0.95
-    between, within = spectra(RNG.standard_normal((3, 1001)))
-    assert between.sum() == pytest.approx(1.0, rel=0.2)
-    assert within.sum() == pytest.approx(1.0, rel=0.15)
 
 
 def record(**columns):
@@ -319,9 +224,6 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
     judge = SimpleNamespace(held_out=lambda one: held["was"], runs=())
     assert diagnose._refuted(judge, shipped, shipped, fit, fit, None, partly) == told
-
-
-TIME = np.arange(0.0, 60.0, 0.05)
 
 
 class Estimates:
@@ -626,93 +528,17 @@ def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
     assert disagreement(told, uncertainty) == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
-def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters):
-    """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected
-    at 1 % in 1 % of 1000 draws, within 3 standard errors."""
-    rng, rows, count = np.random.default_rng(7), 1200, 12
-    rejected = 0
-    for _ in range(1000):
-        slow = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count + parameters)), axis=0))[0].T
-        fitted, shapes = slow[:parameters], slow[parameters:]
-        noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
-        residual, score = noise - fitted.T @ (fitted @ noise), shapes @ noise
-        covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, fitted)])
-        statistic = float(score @ np.linalg.solve(covariance, score))
-        rejected += Following(0.5 * (statistic - count), count, bands).p < 0.01
-    assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
-
-
-@pytest.mark.parametrize(("wave", "share"), [(2, 0.25), (300, 1.0)])
-def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a_quarter(wave, share):
-    """White noise, of four times the power below the twelfth ordinate: a wave there, and one elsewhere, taken away."""
-    rng, n, found = np.random.default_rng(11), 1200, []
-    turns = 2.0 * np.pi * np.arange(n) / n
-    for _ in range(60):
-        spectrum = np.fft.rfft(rng.standard_normal(n))
-        spectrum[:12] *= 2.0
-        after = np.fft.irfft(spectrum, n)
-        found.append(banded_fall(after + 8.0 * np.sin(wave * turns), after, np.zeros((0, n)))[1])
-    assert np.median(found) == pytest.approx(share, abs=0.05)
-
-
-@pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])
-def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(statistic):
-    """Against the sum over bands by brute force: half a million draws of chi^2 over the noise's power as far as it is known."""
-    bands, rng = ((5.0, 4.0), (2.0, 20.0), (1.0, 200.0)), np.random.default_rng(3)
-    drawn = sum(rng.chisquare(own, 500_000) * known / rng.chisquare(known, 500_000) for own, known in bands)
-    share = float(np.mean(drawn >= statistic))
-    assert Following(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
-
-
-@pytest.mark.parametrize("phi", [0.5, 0.99999])
-def test_what_is_put_back_is_as_uncertain_as_brute_force_says(phi):
-    """Products of what is restored, with itself rows later, over rows that have a whole past: also of a level that a filter
-    near a random walk leaves all but open, whose products at the ends would pass for innovations."""
-    columns = np.column_stack([np.full(300, 50.0 / (1.0 - phi)), np.cumsum(np.random.default_rng(2).standard_normal(300))])
-    found = noise._with_later(columns, 9)
-    brute = [[sum(columns[t - i] @ columns[t - j] for t in range(9, 300)) for j in range(10)] for i in range(10)]
-    np.testing.assert_allclose(found, brute, rtol=1e-9)
-    innovations = found[0, 0] - 2.0 * phi * found[0, 1] + phi**2 * found[1, 1]
-    direct = float(np.sum((columns[9:] - phi * columns[8:-1]) ** 2))
-    assert innovations == pytest.approx(direct, abs=1e-9 * found[0, 0])
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.6])
-def test_a_filter_gives_back_what_a_fit_has_taken(rho):
-    """600 rows of an autoregression less their share in 30 slow directions: power at rest, 1 / (1 - rho)^2, and innovation, 1,
-    come back in the mean of 60 draws; what is left by itself has lost most of that power."""
-    rng, rows = np.random.default_rng(9), 600
-    slow = np.linalg.qr(np.cos(np.pi * np.arange(30) * (np.arange(rows)[:, None] + 0.5) / rows))[0]
-    noises = [lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:] for _ in range(60)]
-    left = [noise - slow @ (slow.T @ noise) for noise in noises]
-    back, bare = [colour_of([part], slow) for part in left], [colour_of([part]) for part in left]
-    at_rest, lost = (np.mean([np.log(c.innovation**2 / c.weights.sum() ** 2) for c in each]) for each in (back, bare))
-    assert at_rest == pytest.approx(np.log(1.0 / (1.0 - rho) ** 2), abs=0.15)
-    assert lost < at_rest - 0.3
-    assert np.mean([c.innovation for c in back]) == pytest.approx(1.0, abs=0.01)
-
-
-def test_the_score_test_sees_what_follows_a_shape():
-    """A shape with ten times the noise's amplitude in its direction is never missed."""
-    rng, rows, count = np.random.default_rng(8), 1200, 12
-    shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
-    residual = rng.standard_normal(rows) + 20.0 * shapes[3]
-    score = shapes @ residual
-    covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
-    assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
-
-
 @pytest.mark.parametrize(
     ("ahead", "leaves", "refuted", "looks", "shipped"),
     [
-        (9.0, False, "", ["base"], "term beside base"),
-        (4.0, False, "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
-        (9.0, True, "", ["base", "known"], "term beside known"),
-        (9.0, False, "rises", ["base", "known"], "present"),
+        (9.0, [], "", ["base"], "term beside base"),
+        (4.0, [], "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
+        (9.0, ["base"], "", ["base", "known"], "term beside known"),
+        (9.0, ["base", "known"], "", ["base", "known"], "present"),
+        (9.0, [], "rises", ["base", "known"], "present"),
     ],
 )
-def test_a_term_takes_the_place_of_effects_that_explain_a_part_only_where_it_explains_all(
+def test_a_term_ships_only_where_it_explains_all_and_beside_the_base_more_than_effects_that_explain_a_part(
     monkeypatch, ahead, leaves, refuted, looks, shipped
 ):
     """Penalised log-likelihood over the effects of the list: more than 5 is asked for."""
@@ -724,43 +550,10 @@ def test_a_term_takes_the_place_of_effects_that_explain_a_part_only_where_it_exp
         return diagnose.Attempt(learned=SimpleNamespace(term=term))
 
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
-    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(found=leaves))
+    lacking = {f"term beside {name}" for name in leaves}
+    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(found=fit.name in lacking))
     attempt, final = diagnose._learned(
         learned_beside, [base, known], judge, SimpleNamespace(name="present"), lambda present, beside, term: (term, refuted)
     )
     assert (seen, final.name) == (looks, shipped)
     assert (attempt.learned is None) == (shipped == "present")
-
-
-@pytest.mark.parametrize(
-    ("effects", "p", "certain"), [((), 0.0005, True), ((), 0.002, False), (("one",), 0.002, True), (("one",), 0.02, False)]
-)
-def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
-    """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
-    q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
-    monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
-    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
-    found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
-    assert found.p == pytest.approx(p)
-    assert (found.certain, found.found) == (certain, certain)
-    assert not lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).found  # it is 0.22 N
-
-
-@pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])
-def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
-    """More than half of what is left of it, worth more than 0.1 N."""
-    monkeypatch.setattr(lack, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
-    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack, "speed_share", lambda fit: share)
-    monkeypatch.setattr(lack, "speed_size", lambda fit, told: size)
-    found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1)
-    assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
-    assert found.summary()["speed"]["share"] == share
-
-
-@pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])
-def test_what_is_refuted_leaves_the_verdict_of_a_base_without_it(found, turns, word):
-    assert unnamed(SimpleNamespace(found=bool(found), turns=bool(turns))) == word

@@ -292,7 +292,9 @@ def _learned(
     """(the attempt at a term of no list, what ships: the `present` model where none stands).
 
     Effects of the list that explain a part only may be what a wrong list makes of one effect that it lacks: so a term is
-    looked for beside the base first, where it must explain more than they do, with less, and leave nothing; then beside them.
+    looked for beside the base first, where it must explain more than they do, with less; then beside them. A term that does
+    not explain all is of another place, or driven by something else, than what is there: it predicts what was fitted, and
+    nobody knows what it does elsewhere.
     """
     known, attempt = besides[-1], Attempt()
     for beside in besides:
@@ -300,8 +302,11 @@ def _learned(
         if not attempt.learned:
             continue
         term = attempt.learned.term.fit
-        if beside is not known and (evidence_over(term, known) <= STRONG or judge.lack(term).found):
-            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much, or not all is explained")
+        if judge.lack(term).found:
+            attempt = attempt.but_refuted("beside it something is lacking still")
+            continue
+        if beside is not known and evidence_over(term, known) <= STRONG:
+            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much")
             continue
         final, why = shipped(present, beside, term)
         if not why:

@@ -171,9 +171,7 @@ def _indexed(mask: np.ndarray) -> np.ndarray | slice:
     return slice(int(there[0]), int(there[-1]) + 1) if whole else mask
 
 
-def _some_columns(
-    change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None
-) -> np.ndarray:
+def _some_columns(change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
     """`change` of (rows,) or (rows, k), some columns at a time: as many as stay in a core's cache, which is as many as LANES
     at least where there are no more, else one: what it needs beside them is then small. `into`: an array, `values` itself for
     one, that the result may overwrite."""

@@ -125,7 +125,9 @@ class Colour:
         missing = ~np.isfinite(values)
         whole = not missing.any()
         known = values if whole else np.where(missing, 0.0, values)
-        shares = [share / (last - first + 1) / self.innovation for (first, last), share in zip(self.spans, self.shares, strict=True)]
+        shares = [
+            share / (last - first + 1) / self.innovation for (first, last), share in zip(self.spans, self.shares, strict=True)
+        ]
         left = less_past(known, self.spans, shares, self.innovation)
         if whole:
             return left

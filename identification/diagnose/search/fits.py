@@ -207,8 +207,8 @@ class Searcher:
     ) -> Fit:
         """Fit base parameters and `free` of a model with `effects`, from the values `start`.
 
-        `thorough`: scan the whole range of a threshold, not only about where it stands. A judgement asks for some fits more than
-        once: each is made once.
+        `thorough`: scan the whole range of a threshold, not only about where it stands. Some fits are asked for more than once,
+        and each is made once.
         """
         asked = tuple(effects), frozenset(forms.items()), tuple(free), frozenset(start.items()), thorough
         known = (*asked, frozenset((slow_first or {}).items()))

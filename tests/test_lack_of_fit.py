@@ -1,0 +1,118 @@
+"""The tests of lack of fit: their level where nothing is missing, their power against what is, their place in a verdict."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import kstest
+
+from identification.diagnose import lack
+from identification.diagnose.following import Following, banded_fall, scores_covariance
+from identification.diagnose.lack import Band, spectra
+from identification.diagnose.verdict import unnamed
+
+RNG = np.random.default_rng(20)
+
+
+def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
+    """1000 draws of two records of noise: uniform p-values; a sine of half the noise's deviation is never missed."""
+    from scipy.stats import f
+
+    time, ps, seen = np.arange(600) * 0.05, [], []
+    shared = 0.5 * np.sin(2.0 * np.pi * 0.5 * time)
+    for _ in range(1000):
+        noise = RNG.standard_normal((2, 600))
+        for errors, found in ((noise, ps), (noise + shared, seen)):
+            between, within = spectra(errors)
+            inside = slice(10, 40)
+            found.append(f.sf(between[inside].sum() / within[inside].sum(), 60, 60))
+    assert kstest(ps, "uniform").pvalue > 1e-3
+    assert abs(np.mean(np.array(ps) < 0.05) - 0.05) < 3.0 * np.sqrt(0.05 * 0.95 / 1000)
+    assert np.mean(np.array(seen) < 0.05) > 0.95
+    between, within = spectra(RNG.standard_normal((3, 1001)))
+    assert between.sum() == pytest.approx(1.0, rel=0.2)
+    assert within.sum() == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
+def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters):
+    """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected
+    at 1 % in 1 % of 1000 draws, within 3 standard errors."""
+    rng, rows, count = np.random.default_rng(7), 1200, 12
+    rejected = 0
+    for _ in range(1000):
+        slow = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count + parameters)), axis=0))[0].T
+        fitted, shapes = slow[:parameters], slow[parameters:]
+        noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
+        residual, score = noise - fitted.T @ (fitted @ noise), shapes @ noise
+        covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, fitted)])
+        statistic = float(score @ np.linalg.solve(covariance, score))
+        rejected += Following(0.5 * (statistic - count), count, bands).p < 0.01
+    assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
+
+
+@pytest.mark.parametrize(("wave", "share"), [(2, 0.25), (300, 1.0)])
+def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a_quarter(wave, share):
+    """White noise, of four times the power below the twelfth ordinate: a wave there, and one elsewhere, taken away."""
+    rng, n, found = np.random.default_rng(11), 1200, []
+    turns = 2.0 * np.pi * np.arange(n) / n
+    for _ in range(60):
+        spectrum = np.fft.rfft(rng.standard_normal(n))
+        spectrum[:12] *= 2.0
+        after = np.fft.irfft(spectrum, n)
+        found.append(banded_fall(after + 8.0 * np.sin(wave * turns), after, np.zeros((0, n)))[1])
+    assert np.median(found) == pytest.approx(share, abs=0.05)
+
+
+@pytest.mark.parametrize("statistic", [8.0, 20.0, 45.0])
+def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(statistic):
+    """Against the sum over bands by brute force: half a million draws of chi^2 over the noise's power as far as it is known."""
+    bands, rng = ((5.0, 4.0), (2.0, 20.0), (1.0, 200.0)), np.random.default_rng(3)
+    drawn = sum(rng.chisquare(own, 500_000) * known / rng.chisquare(known, 500_000) for own, known in bands)
+    share = float(np.mean(drawn >= statistic))
+    assert Following(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
+
+
+def test_the_score_test_sees_what_follows_a_shape():
+    """A shape with ten times the noise's amplitude in its direction is never missed."""
+    rng, rows, count = np.random.default_rng(8), 1200, 12
+    shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
+    residual = rng.standard_normal(rows) + 20.0 * shapes[3]
+    score = shapes @ residual
+    covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
+    assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("effects", "p", "certain"), [((), 0.0005, True), ((), 0.002, False), (("one",), 0.002, True), (("one",), 0.02, False)]
+)
+def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
+    """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
+    q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
+    monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
+    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
+    found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
+    assert found.p == pytest.approx(p)
+    assert (found.certain, found.found) == (certain, certain)
+    assert not lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).found  # it is 0.22 N
+
+
+@pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])
+def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
+    """More than half of what is left of it, worth more than 0.1 N."""
+    monkeypatch.setattr(lack, "pure_error", lambda fit: ())
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
+    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack, "speed_share", lambda fit: share)
+    monkeypatch.setattr(lack, "speed_size", lambda fit, told: size)
+    found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1)
+    assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
+    assert found.summary()["speed"]["share"] == share
+
+
+@pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])
+def test_what_is_refuted_leaves_the_verdict_of_a_base_without_it(found, turns, word):
+    assert unnamed(SimpleNamespace(found=bool(found), turns=bool(turns))) == word
