@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.diagnose.report.summary import reached
+from identification.diagnose.report.page import headline
+from identification.diagnose.report.summary import LEFT_OUT, reached
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
@@ -134,3 +135,26 @@ def test_how_often_a_limit_is_reached_is_counted():
     assert reached(fit, name)["maximum"] == (0.0, 0)
     fit.values[f"{name}.maximum"] = 1e6
     assert reached(fit, name) == {}
+
+
+@pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 N before", "0.2 N after"])])
+def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_reason(shipped, errors):
+    """Beside one that ships, before and after are that one's."""
+    model = plant((*shipped, "rotor_vibration"))
+    base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped)
+    found = SimpleNamespace(
+        errors=lambda fit: (0.3 if fit is base and shipped else 0.2, None),
+        base=base,
+        final=final,
+        noise=SimpleNamespace(floor=0.1),
+        unseen=None,
+        refuted="",
+        verdict="attributed",
+        learned=None,
+        selection=SimpleNamespace(final=SimpleNamespace(problem=SimpleNamespace(model=model))),
+        left_out=("rotor_vibration",),
+    )
+    said = headline(found)
+    for part in ("rotor_vibration (", LEFT_OUT, *shipped, *errors):
+        assert part in said
+    assert ("before" in said) == bool(shipped)

@@ -50,9 +50,10 @@ def headline(found: Diagnosis) -> str:
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
     described = {e.name: e.description for e in found.selection.final.problem.model.effects}
-    effects = " and ".join(f"{name} ({described[name]})" for name in (*found.final.effects, *found.left_out))
+    named = [f"{name} ({described[name]})" for name in found.final.effects]
+    effects = " and ".join([*named, *(f"{name} ({described[name]}; {LEFT_OUT})" for name in found.left_out)])
     if not found.final.effects:
-        return f"{effects}; {LEFT_OUT}. Thrust error {where} {number(after)} N, {noise}."
+        return f"{effects}. Thrust error {where} {number(after)} N, {noise}."
     return f"{effects}: thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
 
 
