@@ -547,7 +547,7 @@ def test_a_term_ships_only_where_it_explains_all_and_beside_the_base_more_than_e
     def learned_beside(fit):
         seen.append(fit.name)
         term = SimpleNamespace(fit=SimpleNamespace(name=f"term beside {fit.name}"))
-        return diagnose.Attempt(learned=SimpleNamespace(term=term))
+        return diagnose.Attempt(learned=SimpleNamespace(term=term, curve=None))
 
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
     lacking = {f"term beside {name}" for name in leaves}

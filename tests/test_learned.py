@@ -15,12 +15,13 @@ from identification.diagnose.crossval import thirds
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import LEVEL
 from identification.diagnose.learned.columns import Course, hats, holds, lagged, plays, relay
-from identification.diagnose.learned.description import FILE, source
+from identification.diagnose.learned.description import FILE, sentence, source
 from identification.diagnose.learned.learn import by_chance
 from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
 from identification.diagnose.report.page import diagnosis_page
+from identification.diagnose.report.summary import summary
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.cli import main
 from vpp_fmu.cli.diagnose import write_diagnosis
@@ -156,6 +157,18 @@ def test_a_law_is_learned_and_ships(found):
     if term.lead.shape == "line":
         std = found.std["learned.gain"]
         assert abs(term.values["gain"] - GAIN) < 4.0 * std
+
+
+def test_a_term_that_does_not_ship_is_on_the_page_with_the_reason(found):
+    """Refuted as it is where something is lacking beside it: where it enters, and why it stays out, in table and JSON."""
+    refuted = replace(found, verdict="unexplained", final=found.base, attempt=found.attempt.but_refuted("something is lacking"))
+    page = diagnosis_page(refuted).html()
+    stood = next(term for term, judged in refuted.attempt.tried if judged.refused == ("something is lacking",))
+    assert stood is found.learned.curve
+    assert sentence(stood) in page
+    assert "something is lacking<" in page
+    told = summary(refuted)["learning"]
+    assert (told["refuted"], "something is lacking" in [t["why_not"] for t in told["tried"]]) == ("something is lacking", True)
 
 
 def test_its_files_are_read_exported_and_reported(found, tmp_path):

@@ -66,7 +66,9 @@ class Attempt:
 
     def but_refuted(self, why: str) -> "Attempt":
         """The same, its term refuted."""
-        return replace(self, learned=None, refuted=why)
+        curve = self.learned.curve
+        tried = tuple((term, replace(j, refused=(why,)) if term is curve else j) for term, j in self.tried)
+        return replace(self, tried=tried, learned=None, refuted=why)
 
 
 def by_chance(comparisons: int) -> float:

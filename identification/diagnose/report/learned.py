@@ -16,6 +16,9 @@ from vpp_fmu.report import Page, learned_curve
 POINTS = 200
 """Of a law's line."""
 
+MOST_TRIED = 6
+"""Terms of which a page says why they do not stand."""
+
 
 def add_learned(page: Page, found: Diagnosis) -> None:
     """The curve, the laws, the rivals."""
@@ -46,6 +49,19 @@ def add_learned(page: Page, found: Diagnosis) -> None:
     if learned.rivals:
         others = ", ".join(dict.fromkeys(rival_words(t) for t in learned.rivals))
         page.note(f"These records hardly tell it from: {others}. next_experiment.csv holds commands that would.")
+
+
+def add_attempt(page: Page, found: Diagnosis) -> None:
+    """What was looked for and does not ship: where the best of it enters says where to look, though it is not it."""
+    attempt = found.attempt
+    if attempt.learned or not attempt.tried:
+        return
+    rows = [
+        (sentence(term), number(judged.evidence), "; ".join(judged.refused) or "another predicts more of what was left out")
+        for term, judged in attempt.tried[:MOST_TRIED]
+    ]
+    caption = f"Terms of no list, of {attempt.comparisons} looked at those that predict most of what was left out. None ships."
+    page.table(("the term", "evidence [nat]", "why it does not ship"), rows, caption)
 
 
 def _free(curve) -> bool:

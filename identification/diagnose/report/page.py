@@ -8,7 +8,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.learned.description import sentence
 from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
-from identification.diagnose.report.learned import add_learned
+from identification.diagnose.report.learned import add_attempt, add_learned
 from identification.diagnose.report.residual import add_residual
 from identification.diagnose.report.summary import LEFT_OUT, artefact, errors, summary
 from identification.fit.noise import blocks
@@ -161,6 +161,7 @@ def add_diagnosis(page: Page, found: Diagnosis) -> None:
     add_evidence(page, found)
     page.section("What is left")
     _add_lack(page, found)
+    add_attempt(page, found)
     add_residual(page, found)
     _add_location(page, found)
     page.section("What these commands can show")
