@@ -529,17 +529,18 @@ def test_knowledge_is_as_wide_as_records_disagree_with_it(away, factor):
 
 
 @pytest.mark.parametrize(
-    ("ahead", "leaves", "refuted", "looks", "shipped"),
+    ("ahead", "leaves", "elsewhere", "refuted", "looks", "shipped"),
     [
-        (9.0, [], "", ["base"], "term beside base"),
-        (4.0, [], "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
-        (9.0, ["base"], "", ["base", "known"], "term beside known"),
-        (9.0, ["base", "known"], "", ["base", "known"], "present"),
-        (9.0, [], "rises", ["base", "known"], "present"),
+        (9.0, False, False, "", ["base"], "term beside base"),
+        (9.0, False, True, "", ["base"], "term beside base"),  # what explains all may be at either place
+        (4.0, False, False, "", ["base", "known"], "term beside known"),  # as much evidence as the effects of the list have
+        (9.0, True, False, "", ["base", "known"], "term beside known"),
+        (9.0, True, True, "", ["base", "known"], "present"),
+        (9.0, False, False, "rises", ["base", "known"], "present"),
     ],
 )
-def test_a_term_ships_only_where_it_explains_all_and_beside_the_base_more_than_effects_that_explain_a_part(
-    monkeypatch, ahead, leaves, refuted, looks, shipped
+def test_a_term_must_explain_all_or_be_told_from_others_and_beside_the_base_more_than_effects_that_explain_a_part(
+    monkeypatch, ahead, leaves, elsewhere, refuted, looks, shipped
 ):
     """Penalised log-likelihood over the effects of the list: more than 5 is asked for."""
     base, known, seen = SimpleNamespace(name="base"), SimpleNamespace(name="known", effects=("one", "other")), []
@@ -547,11 +548,10 @@ def test_a_term_ships_only_where_it_explains_all_and_beside_the_base_more_than_e
     def learned_beside(fit):
         seen.append(fit.name)
         term = SimpleNamespace(fit=SimpleNamespace(name=f"term beside {fit.name}"))
-        return diagnose.Attempt(learned=SimpleNamespace(term=term, curve=None))
+        return diagnose.Attempt(learned=SimpleNamespace(term=term, curve=None, elsewhere=("another",) * elsewhere))
 
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
-    lacking = {f"term beside {name}" for name in leaves}
-    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(found=fit.name in lacking))
+    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(found=leaves))
     attempt, final = diagnose._learned(
         learned_beside, [base, known], judge, SimpleNamespace(name="present"), lambda present, beside, term: (term, refuted)
     )

@@ -159,6 +159,21 @@ def test_a_law_is_learned_and_ships(found):
         assert abs(term.values["gain"] - GAIN) < 4.0 * std
 
 
+@pytest.mark.parametrize(
+    ("port", "driver", "elsewhere"),
+    [
+        ("thrust", "pitch_rate", False),
+        ("thrust_share", "pitch_rate", False),
+        ("thrust", "speed", True),
+        ("reading", "pitch_rate", True),
+    ],
+)
+def test_a_rival_elsewhere_is_of_another_place_or_driver(found, port, driver, elsewhere):
+    """What was learned is at the thrust, by the rate of pitch."""
+    rival = replace(found.learned.term, lead=replace(found.learned.term.lead, port=port, driver=driver))
+    assert replace(found.learned, rivals=(rival,)).elsewhere == (rival,) * elsewhere
+
+
 def test_a_term_that_does_not_ship_is_on_the_page_with_the_reason(found):
     """Refuted as it is where something is lacking beside it: where it enters, and why it stays out, in table and JSON."""
     refuted = replace(found, verdict="unexplained", final=found.base, attempt=found.attempt.but_refuted("something is lacking"))

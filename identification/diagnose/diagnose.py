@@ -292,21 +292,21 @@ def _learned(
     """(the attempt at a term of no list, what ships: the `present` model where none stands).
 
     Effects of the list that explain a part only may be what a wrong list makes of one effect that it lacks: so a term is
-    looked for beside the base first, where it must explain more than they do, with less; then beside them. A term that does
-    not explain all is of another place, or driven by something else, than what is there: it predicts what was fitted, and
-    nobody knows what it does elsewhere.
+    looked for beside the base first, where it must explain more than they do, with less, and leave nothing; then beside them.
+    Where a term leaves something, and one of another place or driver explains as much, neither is known to be what is there:
+    it predicts what was fitted, and nobody knows what it does elsewhere.
     """
     known, attempt = besides[-1], Attempt()
     for beside in besides:
         attempt = learned_beside(beside)
         if not attempt.learned:
             continue
-        term = attempt.learned.term.fit
-        if judge.lack(term).found:
-            attempt = attempt.but_refuted("beside it something is lacking still")
+        term, leaves = attempt.learned.term.fit, judge.lack(attempt.learned.term.fit).found
+        if beside is not known and (evidence_over(term, known) <= STRONG or leaves):
+            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much, or not all is explained")
             continue
-        if beside is not known and evidence_over(term, known) <= STRONG:
-            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much")
+        if leaves and attempt.learned.elsewhere:
+            attempt = attempt.but_refuted("it does not explain all, and a term of another place or driver explains as much")
             continue
         final, why = shipped(present, beside, term)
         if not why:

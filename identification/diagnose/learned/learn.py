@@ -53,6 +53,11 @@ class Learned:
     rivals: tuple[Term, ...]
     laws: tuple[tuple[str, float], ...]
 
+    @property
+    def elsewhere(self) -> tuple[Term, ...]:
+        """The rivals of another place or driver; a quantity and a share of it are one place."""
+        return tuple(term for term in self.rivals if _place(term) != _place(self.term))
+
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
@@ -128,6 +133,10 @@ def learn(
         term, judgement = (curve, judgement) if by_law.refused else (term, by_law)
     rivals = [t for t, j in tried if t is not curve and j.evidence > judgement.evidence - RIVALS]
     return Attempt(tried, comparisons, Learned(term, curve, judgement, beside, tuple(rivals), laws))
+
+
+def _place(term: Term) -> tuple[str, str]:
+    return term.lead.port.removesuffix("_share"), term.lead.driver
 
 
 def _own(name: str) -> bool:
