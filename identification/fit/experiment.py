@@ -172,9 +172,9 @@ def _indexed(mask: np.ndarray) -> np.ndarray | slice:
 
 
 def _some_columns(change: Callable[[np.ndarray], np.ndarray], values: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
-    """`change` of (rows,) or (rows, k), some columns at a time: as many as stay in a core's cache, which is as many as LANES
-    at least where there are no more, else one: what it needs beside them is then small. `into`: an array, `values` itself for
-    one, that the result may overwrite."""
+    """`change` of (rows,) or (rows, k), some columns at a time: as many as stay in a core's cache, of a long record one by one
+    where there are more than LANES, so that what it needs beside them is small. `into`: an array, `values` itself for one, that
+    the result may overwrite."""
     if values.ndim == 1 or not values.size:
         return change(values)
     columns = values.reshape(len(values), -1)
