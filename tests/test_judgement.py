@@ -325,6 +325,36 @@ def test_a_slow_stand_is_looked_for_as_far_down_as_the_records_go():
     assert np.all(found[1:] / found[:-1] < 10.0 ** (1.0 / 11.0))
 
 
+def test_rivals_are_of_the_round_in_which_an_effect_came_in():
+    """Alone a limit has 800 nats, and a wake that is there too 200; beside the limit a map comes near the wake."""
+
+    def tried(name, evidence):
+        return SimpleNamespace(candidate=SimpleNamespace(name=name), evidence=evidence, fit=True)
+
+    rounds = [[tried("limit", 800.0), tried("band", 795.0), tried("wake", 200.0)], [tried("wake", 300.0), tried("map", 280.0)]]
+    judgements = {"limit": SimpleNamespace(evidence=900.0), "wake": SimpleNamespace(evidence=300.0)}
+    found = SimpleNamespace(rounds=rounds, final=SimpleNamespace(effects=("limit", "wake")), judgements=judgements)
+    names = {effect: [t.candidate.name for t in selection._near(found, effect)] for effect in judgements}
+    assert names == {"limit": ["band"], "wake": ["map"]}
+
+
+def test_a_fit_that_is_asked_for_again_is_not_made_again():
+    """It goes by all that was asked: another start, or order of the lags, is another fit."""
+    record = Record({"time": 0.02 * np.arange(400), **commanded(400), "thrust": RNG.standard_normal(400)}, "drawn")
+    values = plant(()).values()
+    searcher = Searcher([Experiment([Fitted("drawn", record)], independent(15.0))], ["c20", "c11"], None, values, LIBRARY)
+    found = searcher.fit((), {}, (), values)
+    assert searcher.fit([], {}, [], dict(values)) is found
+    assert searcher.fit((), {}, (), {**values, "c20": 0.1}) is not found
+    assert searcher.fit((), {}, (), values, {"beta": False}) is not found
+
+
+def commanded(rows: int) -> dict[str, np.ndarray]:
+    """Commands (rows,) of levels, 50 rows each."""
+    levels = np.random.default_rng(4).uniform(size=(2, rows // 50))
+    return {"omega_ref": np.repeat(2500.0 + 3000.0 * levels[0], 50), "beta_ref": np.repeat(12.0 * levels[1] - 3.0, 50)}
+
+
 def test_an_estimate_with_the_map_of_another_fit_moves_the_lags_alone_and_carries_its_uncertainty():
     """Records of a rotor that is slower one way: map and its standard deviations stay as they were, to the digit."""
     model, rng, name = plant(["speed_asymmetry"]), np.random.default_rng(6), "speed_asymmetry.asymmetry"

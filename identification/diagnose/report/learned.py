@@ -7,6 +7,7 @@ from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.learned.columns import Course, lagged
 from identification.diagnose.learned.description import FILE, rival_words, sentence
 from identification.diagnose.learned.laws import curve_of
+from identification.diagnose.report.summary import why_not_term
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 from vpp_fmu.kernel.learned.shapes import LAWS, SHAPES
@@ -57,7 +58,7 @@ def add_attempt(page: Page, found: Diagnosis) -> None:
     if attempt.learned or not attempt.tried:
         return
     rows = [
-        (sentence(term), number(judged.evidence), "; ".join(judged.refused) or "another predicts more of what was left out")
+        (sentence(term), number(judged.evidence), why_not_term(found, term, judged))
         for term, judged in attempt.tried[:MOST_TRIED]
     ]
     caption = f"Terms of no list, of {attempt.comparisons} looked at those that predict most of what was left out. None ships."

@@ -8,6 +8,7 @@ from identification.assessment.sections import sections
 from identification.diagnose.diagnose import Diagnosis
 from identification.diagnose.judgement import STRONG, Judgement
 from identification.diagnose.learned.description import block
+from identification.diagnose.learned.refit import Term
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import CandidateFit
 from vpp_fmu.digits import number
@@ -71,11 +72,18 @@ def _learning(found: Diagnosis) -> dict | None:
             "lag": term.values.get("lag"),
             "evidence": judged.evidence,
             "held_out_gain": dict(judged.gain),
-            "why_not": "; ".join(judged.refused) or None,
+            "why_not": why_not_term(found, term, judged),
         }
         for term, judged in attempt.tried
     ]
     return {"looks": attempt.comparisons, "tried": tried, "refuted": attempt.refuted or None}
+
+
+def why_not_term(found: Diagnosis, term: Term, judged: Judgement) -> str | None:
+    """Why a term of no list does not ship, in words; None where it does. The table and the JSON say the same."""
+    if found.learned and term is found.learned.curve:
+        return None
+    return "; ".join(judged.refused) or "another predicts more of what was left out"
 
 
 def errors(found: Diagnosis, fit: Fit) -> dict:

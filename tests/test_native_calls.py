@@ -1,0 +1,375 @@
+"""The native FMU's C interface: the order of the calls, what is refused, derivatives, lives, threads."""
+
+import ctypes
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import test_native_fmu
+from builders import ALL_ON, PROBES, Slave, random_steps, simulator
+from fmpy.fmi1 import FMICallException
+from fuzz import fuzz, fuzzer
+
+from vpp_fmu.fmu import FmuInstance
+from vpp_fmu.kernel.controller import CONTROLLER
+
+# What has no compiler is skipped with that module.
+MODELS, OUTPUTS, each_fmu = test_native_fmu.MODELS, test_native_fmu.OUTPUTS, test_native_fmu.each_fmu
+fmu_files, fmus = test_native_fmu.fmu_files, test_native_fmu.fmus
+
+
+class Raw:
+    """The library's functions as they are, and what it logs."""
+
+    LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_char_p] * 1, ctypes.c_int, *[ctypes.c_char_p] * 2)
+
+    def __init__(self, fmu, logger=True):
+        name = fmu.description.coSimulation.modelIdentifier
+        self.library = ctypes.CDLL(str(next(Path(fmu.folder, "binaries").glob(f"*/{name}.*"))))
+        self.said: list[tuple[int, str, str]] = []
+        self._log = self.LOGGER(
+            lambda _env, _name, status, kind, text: self.said.append((status, kind.decode(), text.decode()))
+        )
+        self.callbacks = (ctypes.c_void_p * 5)(ctypes.cast(self._log, ctypes.c_void_p).value if logger else None)
+        self.guid = fmu.description.guid.encode()
+        self.instance = self.instantiate()
+
+    def instantiate(self, name=b"a", kind=1, guid=None, callbacks=True):
+        function = self.library.fmi2Instantiate
+        function.restype = ctypes.c_void_p
+        return function(name, kind, guid or self.guid, None, self.callbacks if callbacks else None, 0, 0)
+
+    def __call__(self, name, *arguments):
+        return getattr(self.library, name)(ctypes.c_void_p(self.instance), *arguments)
+
+    def reals(self, name, references, values):
+        n = len(references)
+        return self(name, (ctypes.c_uint * n)(*references), ctypes.c_size_t(n), (ctypes.c_double * n)(*values))
+
+    def step(self, size=0.004):
+        return self("fmi2DoStep", ctypes.c_double(0.0), ctypes.c_double(size), 1)
+
+    def setup(self):
+        return self("fmi2SetupExperiment", 0, ctypes.c_double(0.0), ctypes.c_double(0.0), 0, ctypes.c_double(0.0))
+
+    def derivative(self):
+        one, n = (ctypes.c_uint * 1)(0), ctypes.c_size_t(0)
+        return self("fmi2GetDirectionalDerivative", one, n, one, n, None, None)
+
+    def state(self):
+        kept = ctypes.c_void_p()
+        status = self("fmi2GetFMUstate", ctypes.byref(kept))
+        return max(status, self("fmi2FreeFMUstate", ctypes.byref(kept)))
+
+
+CALLS = {
+    "fmi2SetupExperiment": Raw.setup,
+    "fmi2EnterInitializationMode": lambda r: r("fmi2EnterInitializationMode"),
+    "fmi2ExitInitializationMode": lambda r: r("fmi2ExitInitializationMode"),
+    "fmi2Terminate": lambda r: r("fmi2Terminate"),
+    "fmi2Reset": lambda r: r("fmi2Reset"),
+    "fmi2DoStep": Raw.step,
+    "fmi2GetReal": lambda r: r.reals("fmi2GetReal", [0], [0.0]),
+    "fmi2SetReal": lambda r: r.reals("fmi2SetReal", [0], [1.0]),
+    "fmi2GetInteger": lambda r: r("fmi2GetInteger", None, ctypes.c_size_t(0), None),
+    "fmi2SetString": lambda r: r("fmi2SetString", None, ctypes.c_size_t(0), None),
+    "fmi2GetFMUstate": Raw.state,
+    "fmi2GetDirectionalDerivative": Raw.derivative,
+    "fmi2SetDebugLogging": lambda r: r("fmi2SetDebugLogging", 1, ctypes.c_size_t(0), None),
+    "fmi2CancelStep": lambda r: r("fmi2CancelStep"),
+}
+STATES = {
+    "instantiated": [],
+    "initialising": ["fmi2SetupExperiment", "fmi2EnterInitializationMode"],
+    "stepping": ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode"],
+    "terminated": ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate"],
+    "failed": ["fmi2EnterInitializationMode", "fmi2DoStep"],
+}
+ALLOWED = {
+    "instantiated": {"fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2SetReal", "fmi2SetString"},
+    "initialising": {"fmi2ExitInitializationMode", "fmi2GetReal", "fmi2SetReal", "fmi2GetInteger", "fmi2SetString"},
+    "stepping": {"fmi2Terminate", "fmi2DoStep", "fmi2GetReal", "fmi2SetReal", "fmi2GetInteger", "fmi2SetString"},
+    "terminated": {"fmi2GetReal", "fmi2GetInteger"},
+    "failed": {"fmi2GetReal", "fmi2GetInteger"},
+}
+ALWAYS = {"fmi2Reset", "fmi2GetFMUstate", "fmi2SetDebugLogging"}
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_calls_are_taken_in_the_order_of_the_standard(fmus, state):
+    for name, call in CALLS.items():
+        raw = Raw(fmus["plain"])
+        for way in STATES[state]:
+            CALLS[way](raw)
+        raw.said.clear()
+        allowed = ALLOWED[state] | ALWAYS | ({"fmi2GetDirectionalDerivative"} if state != "instantiated" else set())
+        assert call(raw) == (0 if name in allowed else 3), name
+        if name not in allowed:
+            [(status, category, text)] = raw.said
+            assert (status, category) == (3, "logStatusError")
+            assert text.startswith(f"VppPlant: {name} is not allowed ")
+            assert CALLS["fmi2SetReal"](raw) == 3  # an error stays until a reset
+            assert CALLS["fmi2Reset"](raw) == CALLS["fmi2SetupExperiment"](raw) == 0
+        raw("fmi2FreeInstance")
+
+
+def test_no_instance_without_what_the_standard_asks_for(fmus):
+    raw = Raw(fmus["plain"])
+    for bad, word in (({"guid": b"{0}"}, "guid is {0}, allowed is {"), ({"kind": 0}, "co-simulation"), ({"name": b""}, "name")):
+        assert raw.instantiate(**bad) is None
+        assert word in raw.said[-1][2]
+    assert raw.instantiate(guid=b"{0}", callbacks=False) is None
+
+
+def test_no_callbacks_no_instance_and_null_pointers_are_survived(fmus):
+    raw = Raw(fmus["plain"])
+    for callbacks in (True, False):
+        quiet = Raw(fmus["plain"], logger=False)
+        quiet.instance = quiet.instantiate(callbacks=callbacks)
+        assert quiet.step() == 3
+        assert quiet("fmi2Reset") == 0
+        quiet("fmi2FreeInstance")
+    many = ctypes.c_size_t(3)
+    for name in ("fmi2GetReal", "fmi2SetReal", "fmi2GetInteger", "fmi2SetBoolean"):
+        CALLS["fmi2Reset"](raw)
+        raw("fmi2EnterInitializationMode")
+        assert raw(name, None, many, None) == 3
+        assert "null pointer" in raw.said[-1][2]
+    for name in ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate"):
+        assert raw(name, None) == 3
+    raw("fmi2FreeInstance")
+    raw.instance = None
+    for call in CALLS.values():
+        assert call(raw) == 3
+    raw("fmi2FreeInstance")
+
+
+def test_other_types_than_real_and_derivatives_in_time_are_refused(fmus):
+    for name in ("GetInteger", "GetBoolean", "GetString", "SetInteger", "SetBoolean", "SetString"):
+        raw = Raw(fmus["plain"])
+        raw("fmi2EnterInitializationMode")
+        assert raw(f"fmi2{name}", (ctypes.c_uint * 1)(2), ctypes.c_size_t(1), (ctypes.c_double * 1)()) == 3
+        assert raw.said[-1][2] == f"VppPlant: fmi2{name}: thrust is of type Real"
+    raw = Raw(fmus["plain"])
+    assert raw("fmi2SetRealInputDerivatives", None, ctypes.c_size_t(1), None, None) == 3
+    raw = Raw(fmus["plain"])
+    for way in STATES["stepping"]:
+        CALLS[way](raw)
+    assert raw("fmi2GetRealStatus", 0, (ctypes.c_double * 1)()) == 2
+    assert raw.said[-1][:2] == (2, "logStatusDiscard")
+    assert raw.step() == 0
+    assert raw("fmi2GetRealStatus", 2, reached := (ctypes.c_double * 1)()) == 0
+    assert reached[0] == 0.004
+
+
+def test_logging_is_switched_by_category(fmus):
+    raw = Raw(fmus["plain"])
+    error = (ctypes.c_char_p * 1)(b"logStatusError")
+    for on in (0, 1):
+        raw.said.clear()
+        assert raw("fmi2SetDebugLogging", on, ctypes.c_size_t(1), error) == 0
+        raw.step()
+        assert len(raw.said) == on
+        raw("fmi2Reset")
+    assert raw("fmi2SetDebugLogging", 1, ctypes.c_size_t(1), (ctypes.c_char_p * 1)(b"logAll")) == 0
+    for way in (*STATES["stepping"], "fmi2DoStep", "fmi2Terminate"):
+        assert CALLS[way](raw) == 0
+    events = [(0, "logEvents", f"VppPlant: {what} s") for what in ("initialised at 0.0", "terminated at 0.004")]
+    assert raw.said[-2:] == events
+    assert raw("fmi2SetDebugLogging", 1, ctypes.c_size_t(1), (ctypes.c_char_p * 1)(b"logNothing")) == 0
+    assert raw.said[-1] == (1, "logStatusWarning", "VppPlant: log category logNothing is unknown")
+    assert CALLS["fmi2GetReal"](raw) == 0
+
+
+def test_messages_write_numbers_as_python_does(fmus):
+    slave = Slave(fmus["plain"])
+    for value in (-0.1, -1e-5, -123456.789, -1e16, -1e22, -1.0, -(2.0**53), -1 / 3, -5e-324, -1.7976931348623157e308, -0.0):
+        with pytest.raises(FMICallException):
+            slave.fmi.doStep(0.0, value)
+        assert slave.messages[-1] == f"VppPlant: communication step is {value} s, a positive number is needed"
+        slave.fmi.reset()
+        slave.initialise()
+
+
+def test_a_delay_takes_no_more_changes_than_it_can_hold(fmus):
+    slave = Slave(fmus["all_on"], initialised=False).initialise(**{"pitch_delay.delay": 0.3})
+    for k in range(4096):
+        slave.step({"beta_ref": float(1 + k % 2)}, 1e-6)
+    with pytest.raises(FMICallException):
+        slave.step({"beta_ref": 5.0}, 1e-6)
+    assert "more than 4096 command changes wait in one delay" in slave.messages[-1]
+
+
+def test_a_state_of_another_fmu_or_broken_bytes_are_refused(fmus):
+    plant, controller = Slave(fmus["plain"]), Slave(fmus["controller"])
+    data = bytearray(plant.fmi.serializeFMUstate(plant.fmi.getFMUstate()))
+    broken = bytes(data[:100]) + bytes([data[100] ^ 1]) + bytes(data[101:])
+    for slave, content in ((controller, bytes(data)), (plant, broken), (plant, bytes(data[:-1])), (plant, b"")):
+        with pytest.raises(FMICallException):
+            slave.fmi.deSerializeFMUstate(content)
+        slave.fmi.reset()
+    with pytest.raises(FMICallException):
+        controller.fmi.setFMUstate(plant.fmi.getFMUstate())
+
+
+def derivative(slave, unknowns, knowns, moves):
+    return slave.fmi.getDirectionalDerivative(
+        [slave.references[n] for n in unknowns], [slave.references[n] for n in knowns], list(moves)
+    )
+
+
+@each_fmu
+def test_derivatives_at_the_start_are_differences(fmus, name):
+    """Of outputs and states in inputs and parameters, one by one and along a mixed direction."""
+    model = MODELS[name][0]
+    inputs = {u.name: (0.42 - 0.05 * k) * u.nominal for k, u in enumerate(model.inputs)}  # at no limit of the controller
+    values = model.values(MODELS[name][1]) | inputs
+    unknowns = [*(s.name for s in model.outputs), *(f"state.{x.name}" for x in model.states)]
+    sizes = {q.name: 1e-5 * max(abs(values[q.name]), 1e-3 * q.nominal) for q in (*model.inputs, *model.parameters)}
+
+    def settled(**changes):
+        slave = Slave(fmus[name], initialised=False)
+        slave.fmi.setupExperiment(startTime=0.0)
+        slave.fmi.enterInitializationMode()
+        slave.set(**{**values, **changes})
+        found = np.array(slave.get(*unknowns))
+        slave.free()
+        return found
+
+    slave = Slave(fmus[name], initialised=False)
+    slave.fmi.setupExperiment(startTime=0.0)
+    slave.fmi.enterInitializationMode()
+    slave.set(**values)
+    total, size = 0.0, np.maximum(np.abs(settled()), 1.0)
+    for known, h in sizes.items():
+        found = np.array(derivative(slave, unknowns, [known], [1.0]))
+        difference = (settled(**{known: values[known] + h}) - settled(**{known: values[known] - h})) / (2.0 * h)
+        np.testing.assert_allclose(found, difference, rtol=1e-4, atol=1e-9 * size.max() / h, err_msg=known)
+        total = total + found * h
+    np.testing.assert_allclose(derivative(slave, unknowns, list(sizes), sizes.values()), total, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["plain", "all_on"])
+def test_derivatives_at_communication_points_are_the_simulators(fmus, name):
+    model, values = MODELS[name]
+    wrt = tuple(p.name for p in model.parameters)
+    inputs, steps = random_steps(400, 40, model=model), np.full(399, 0.0037)
+    exact = simulator(model, wrt).sensitivities(values, inputs, steps)[1]
+    slave = Slave(fmus[name], initialised=False)
+    slave.fmi.setupExperiment(startTime=0.0)
+    slave.fmi.enterInitializationMode()
+    slave.set(**{n: float(column[0]) for n, column in inputs.items()})
+    derivative(slave, OUTPUTS, wrt[:1], [1.0])
+    slave.fmi.exitInitializationMode()
+    size = np.abs(exact).max(axis=0) + 1e-12
+    for row in range(400):
+        found = np.array([derivative(slave, OUTPUTS, [p], [1.0]) for p in wrt]).T
+        assert (np.abs(found - exact[row]) <= 1e-9 * size).all()
+        assert derivative(slave, OUTPUTS, list(inputs), [1.0] * len(inputs)) == [0.0] * 3
+        if row % 50 == 20:  # sensitivities are part of the state
+            slave.fmi.setFMUstate(slave.fmi.deSerializeFMUstate(slave.fmi.serializeFMUstate(slave.fmi.getFMUstate())))
+        if row < 399:
+            slave.step({n: float(column[row]) for n, column in inputs.items()}, 0.0037)
+
+
+def test_the_controllers_derivatives_are_differences(fmus):
+    """Also in its sample time: 37 samples of each length, under thrust that stands still."""
+    held, unknowns = {"thrust_set": 7.0, "thrust": 6.99}, ["omega_ref", "beta_ref"]
+
+    def run(samples, **values):
+        slave = Slave(fmus["controller"], initialised=False)
+        slave.fmi.setupExperiment(startTime=0.0)
+        slave.fmi.enterInitializationMode()
+        slave.set(**values)
+        derivative(slave, unknowns, ["kp_omega"], [1.0])
+        slave.fmi.exitInitializationMode()
+        slave.step(held, samples * values.get("sample_time", 0.004))
+        return slave
+
+    slave, model = run(37), CONTROLLER.values()
+    for known in ("sample_time", "kp_omega", "ki_beta", "kd_omega", "t_filter", "thrust_scale"):
+        h = 1e-6 * model[known]
+        above, below = (np.array(run(37, **{known: model[known] + d}).get(*unknowns)) for d in (h, -h))
+        found = derivative(slave, unknowns, [known], [1.0])
+        np.testing.assert_allclose(found, (above - below) / (2.0 * h), rtol=1e-5, atol=1e-6)
+
+
+def test_derivatives_that_are_not_there_are_refused_in_words(fmus):
+    cases = {
+        ("thrust", "tau_omega_1"): "ask for tau_omega_1 in initialization mode first",
+        ("thrust", "omega"): "omega is no known",
+        ("omega_ref", "omega_ref"): "omega_ref is no unknown",
+        ("c20", "omega_ref"): "c20 is no unknown",
+    }
+    for (unknown, known), words in cases.items():
+        slave = Slave(fmus["plain"])
+        with pytest.raises(FMICallException):
+            derivative(slave, [unknown], [known], [1.0])
+        assert words in slave.messages[-1]
+
+
+def one(reference):
+    return (ctypes.c_uint * 1)(reference), ctypes.c_size_t(1)
+
+
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1])
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc")
+def test_a_thousand_lives_leave_no_memory_behind(fmus):
+    raw, references = Raw(fmus["all_on"]), {n: v.valueReference for n, v in fmus["all_on"].variables.items()}
+    asked = *one(references["thrust"]), *one(references["tau_omega_1"]), (ctypes.c_double * 1)(1.0), (ctypes.c_double * 1)()
+
+    def live(times):
+        for _ in range(times):
+            raw.instance = raw.instantiate()
+            raw("fmi2EnterInitializationMode")
+            raw("fmi2GetDirectionalDerivative", *asked)
+            raw("fmi2ExitInitializationMode")
+            raw.step()
+            raw.state()
+            raw("fmi2FreeInstance")
+
+    live(200)
+    before = resident()
+    live(1000)
+    assert not raw.said
+    assert resident() - before < 64  # pages of 4 kB; an instance with its delays is 30 of them
+
+
+def test_threads_with_instances_of_their_own_do_not_mix(fmus):
+    """8 threads step 8 instances each, all with other parameters; the foreign calls run at the same time."""
+    fmu, steps = fmus["all_on"], 300
+    taus = np.linspace(0.05, 0.6, 64)
+    inputs = random_steps(steps + 1, 20, model=ALL_ON)
+    rows = np.column_stack(list(inputs.values())).tolist()
+    instances = [FmuInstance(fmu, list(inputs), OUTPUTS, {"tau_omega_1": float(tau)}) for tau in taus]
+    shown: dict[int, list] = {}
+
+    def work(thread):
+        mine = range(8 * thread, 8 * thread + 8)
+        for i in mine:
+            instances[i].start(rows[0])
+        steppers = [(i, instances[i].stepper(0.004)) for i in mine]
+        for row in rows[:-1]:
+            for i, step in steppers:
+                shown[i] = step(row)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for i in range(0, 64, 9):
+        exact = simulator(ALL_ON).simulate({**PROBES, "tau_omega_1": float(taus[i])}, inputs, np.full(steps, 0.004))
+        assert shown[i] == exact[-1].tolist()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_no_sequence_of_calls_crashes_it(name, tmp_path):
+    program, _ = fuzzer(tmp_path, *MODELS[name], "2.0")  # where there are no sanitizers, a crash still shows
+    for seed in (1, 2, 3):
+        done = fuzz(program, seed, 3000)
+        assert done.returncode == 0, done.stderr[-2000:]
