@@ -13,7 +13,7 @@ from identification.assessment.prediction import Prediction, band, predict
 from identification.assessment.profile import profiled
 from identification.assessment.quality import noise_floor
 from identification.assessment.residual_tests import ResidualTests, residual_tests
-from identification.fit.coordinates import slowest
+from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.identifiability import hardly_told
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
@@ -200,7 +200,8 @@ def identify(
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
     uncertainty = with_steps(found.uncertainty, found.values, steps)
     known = dict(zip(uncertainty.names, uncertainty.std.tolist(), strict=True))
-    rig = campaign.rig.timed(slowest(off_bounds(model, found.values, start), uncertainty.names))
+    told = off_bounds(model, found.values, start, steps.start if steps else ())
+    rig = campaign.rig.timed(slowest(told, uncertainty.names))
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
@@ -257,11 +258,16 @@ def _made(campaign: Campaign) -> dict[str, str]:
     return {"made_by": "vpp identify", "campaign": campaign.folder.name}
 
 
-def off_bounds(model: Model, values: Mapping[str, float], start: Mapping[str, float]) -> dict[str, float]:
-    """The values with those of `start` where a lag ended on its bound: it tells that the model lacks something, and no time."""
+def off_bounds(
+    model: Model, values: Mapping[str, float], start: Mapping[str, float], by_steps: Iterable[str] = ()
+) -> dict[str, float]:
+    """The values with those of `start` where a lag ended on its bound: it tells that the model lacks something, and no time.
+    Nor does its channel's other lag then, which may be anything, where the step runs have told that one (`by_steps`)."""
     bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters if p.name.startswith("tau_")}
-    stuck = [n for n, ends in bounds.items() if any(isclose(values[n], end) for end in ends)]
-    return {**values, **{n: start[n] for n in stuck}}
+    stuck = {n for n, ends in bounds.items() if any(isclose(values[n], end) for end in ends)}
+    pairs = [{f"tau_{u}_1", f"tau_{u}_2"} for u in CHANNELS]
+    doubtful = {n for pair in pairs if pair & stuck for n in pair & set(by_steps)}
+    return {**values, **{n: start[n] for n in stuck | doubtful}}
 
 
 def _steady_noise(campaign: Campaign) -> float | None:

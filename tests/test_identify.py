@@ -158,3 +158,12 @@ def test_a_lag_on_its_bound_tells_no_time():
     kept = off_bounds(BASE, bent, start)
     assert kept == {**bent, "tau_omega_1": start["tau_omega_1"]}
     assert slowest(kept, start) == pytest.approx(kept["tau_beta_1"] + kept["tau_beta_2"])
+
+
+@pytest.mark.parametrize(("by_steps", "other"), [((), 7.1), (("tau_beta_1", "tau_beta_2"), 0.2)])
+def test_nor_does_the_other_lag_of_its_channel_where_steps_have_told_it(by_steps, other):
+    """An actuator that latches half way looks like one lag of 7 s and one of none."""
+    start = {**BASE.values(), "tau_beta_1": 0.2, "tau_beta_2": 0.1}
+    shortest = next(p.minimum for p in BASE.parameters if p.name == "tau_beta_2")
+    kept = off_bounds(BASE, {**start, "tau_beta_1": 7.1, "tau_beta_2": shortest}, start, by_steps)
+    assert kept == {**start, "tau_beta_1": other}

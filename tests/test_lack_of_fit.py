@@ -4,13 +4,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter
 from scipy.stats import kstest
 
 from identification.diagnose import lack
-from identification.diagnose.following import Following, banded_fall, scores_covariance
+from identification.diagnose import following as shapes_of
+from identification.diagnose.following import Following, banded_fall, last_thirds, scores_covariance
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.verdict import unnamed
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.record import Record
 
 RNG = np.random.default_rng(20)
 
@@ -111,6 +114,53 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
     found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1)
     assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
     assert found.summary()["speed"]["share"] == share
+
+
+@pytest.mark.parametrize(("swing", "verified", "effects"), [(3.0, False, ("one",)), (3.0, True, ("one",)), (3.0, False, ())])
+def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it_not(monkeypatch, swing, verified, effects):
+    """Noise of 1, and a swing of 3 in the first half of each hold: its power is 4.5 / 2 in all and none at rest. Where a
+    repeat tells the noise, and of a model that claims nothing, this is not asked."""
+    time = np.arange(0.0, 60.0, 0.01)
+    hold = time % 4.0
+    record = Record({"time": time, "omega_ref": np.floor(time / 4.0), "beta_ref": np.zeros(len(time))}, "")
+    wrong = np.where(hold < 2.0, swing * np.sin(2.0 * np.pi * hold), 0.0) + RNG.standard_normal(len(time))
+    sensor = SimpleNamespace(rows=np.arange(len(time)), measured=np.zeros(len(time)), std=1.0, shows=lambda omega: omega)
+    noise = SimpleNamespace(verified=verified)
+    e = SimpleNamespace(record=record, tachometers=[sensor], skip=0.0, noise=noise)
+    values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}
+    fit = SimpleNamespace(problem=SimpleNamespace(experiments=[e]), values=values, effects=effects)
+    monkeypatch.setattr(shapes_of, "_outputs", lambda fit, e: np.column_stack([wrong, wrong, wrong]))
+    monkeypatch.setattr(shapes_of, "_places", lambda fit, channel: [slice(0, len(time))])
+    monkeypatch.setattr(shapes_of, "_followed_share", lambda fit, parts: 0.1)
+    asked = effects and not verified
+    power = 0.5 * 0.5 * swing**2
+    assert shapes_of.speed_share(fit) == pytest.approx(power / (1.0 + power) if asked else 0.1, abs=0.03)
+
+
+def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():
+    """Commands move at 3 and at 4 s of 10."""
+    time = np.arange(0.0, 10.05, 0.1)
+    moves = {"omega_ref": np.where(time < 2.95, 0.0, 1.0), "beta_ref": np.where(time < 3.95, 0.0, 1.0)}
+    found = last_thirds(Record({"time": time, **moves}, ""), 2.0)
+    assert found == [pytest.approx((2.0, 3.0)), pytest.approx((8.0, 10.0))]
+
+
+def test_what_a_loop_swings_with_is_among_the_shapes():
+    """A speed that goes to its command through a swing at 1.2 Hz, damped by 0.2, and not through lags of 0.1 and 0.2 s: the
+    shapes take up all of the difference but a few per cent."""
+    time = np.arange(0.0, 40.0, 0.01)
+    command = 4000.0 + 500.0 * np.random.default_rng(4).integers(0, 4, 20).repeat(200)
+    swing = bilinear([1.0], [1.0 / (2.0 * np.pi * 1.2) ** 2, 0.4 / (2.0 * np.pi * 1.2), 1.0], 100.0)
+    lags = bilinear([1.0], [0.02, 0.3, 1.0], 100.0)
+    true, speed = (4000.0 + lfilter(*each, command - 4000.0) for each in (swing, lags))
+    values = plant(()).values({"tau_omega_1": 0.2, "tau_omega_2": 0.1})
+    record = Record({"time": time, "omega_ref": command, "beta_ref": np.full(len(time), 3.0)}, "")
+    outputs = np.column_stack([1e-6 * speed**2, speed, record["beta_ref"]])
+    columns = np.stack(list(shapes_of.speed_shapes(values, record, outputs)), axis=1)
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0.0] / size[size > 0.0]
+    shares, *_ = np.linalg.lstsq(columns, true - speed, rcond=1e-6)
+    assert np.var(true - speed - columns @ shares) < 0.05 * np.var(true - speed)
 
 
 @pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])

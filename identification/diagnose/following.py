@@ -4,11 +4,13 @@ Forms that differ little (a play, a dead zone, a stop) leave little beside each 
 show in the power of the repeatable error, and with the right form not among the candidates no further name takes it up. But any
 hysteresis that does not depend on rate is a sum of plays (Prandtl and Ishlinskii; Brokate and Sprekels, Hysteresis and Phase
 Transitions, 1996, chapter 2), and what a drive does late or not at all is a function of the way still to go. A few of each,
-as they are and lagged, a map's higher powers, and a warming rig's trends span what such forms leave.
+as they are and lagged, the decaying waves of loops that swing (Kautz, IRE Trans. Circuit Theory, 1954), a map's higher powers,
+and a warming rig's trends span what such forms leave.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -31,8 +33,20 @@ WIDTHS = (0.012, 0.03, 0.08, 0.2)
 LAGS = (0.0, 0.1, 0.35)
 """Lags of the shapes, as shares of the time that the slower channel takes: about those of the actuators."""
 
+WAVES = (0.25, 0.5, 1.0, 2.0)
+"""Swings of decaying waves in the time that the slower channel takes: octaves about what a loop or a mount may swing with."""
+
+DECAY = 0.35
+"""Damping ratio of the waves: octaves meet where each has half its power."""
+
 POWER = 4
 """Of polynomials over speed and pitch, for a map of another form at rest: one more than the map's own."""
+
+SETTLED = 2.0
+"""Holds of a command that end at rest, in the time that the slower channel takes."""
+
+FEWEST = 12
+"""Degrees of freedom of what is left at rest, at least: fewer tell its power to worse than a factor of two."""
 
 TINY = 1e-3
 """Degrees of freedom that are none."""
@@ -93,8 +107,11 @@ def following(fit: Fit) -> Following:
 
 
 def speed_share(fit: Fit) -> float:
-    """Share of the speed residual's power, 1 at most, that follows the commands still, beyond what the fit's parameters could
-    take up (adjusted for the number of shapes, Ezekiel, 1930); 0 where no speed was measured.
+    """Share of the speed residual's power, 1 at most, that is no noise; 0 where no speed was measured.
+
+    It follows the commands still, beyond what the fit's parameters could take up (adjusted for the number of shapes, Ezekiel,
+    1930). Or, where no repeat has told the noise, and the fit's effects claim to know what was missing, rest has it not: the
+    noise may have been given the colour of what is missing, and whitening hides it then.
 
     It is no test: a tachometer's errors go with the speed's rate, for a pulse may fall anywhere between two rows, so that they
     are neither of one size nor of one colour, and repeat in part.
@@ -102,6 +119,11 @@ def speed_share(fit: Fit) -> float:
     parts = _places(fit, "omega")
     if not parts:
         return 0.0
+    claimed = fit.effects and not all(e.noise.verified for e in fit.problem.experiments)
+    return max(_followed_share(fit, parts), _moving_share(fit) if claimed else 0.0)
+
+
+def _followed_share(fit: Fit, parts: Sequence[slice]) -> float:
     about, at = fit.linearised(), slice(parts[0].start, parts[-1].stop)
     _, score = _scores(about, _columns(fit, "omega", parts), at)
     whole, rows = float(np.sum(about.residual[at] ** 2)), at.stop - at.start
@@ -109,6 +131,30 @@ def speed_share(fit: Fit) -> float:
         return 0.0
     left = (1.0 - float(score @ score) / whole) * rows / (rows - len(score))
     return min(max(1.0 - left, 0.0), 1.0)
+
+
+def _moving_share(fit: Fit) -> float:
+    """Of the residual in units of its uncertainty: what the last thirds of holds do not scatter about their own means. 0 where
+    too few holds are long enough to tell."""
+    whole, count, scatter, free = 0.0, 0, 0.0, 0
+    for e in fit.problem.experiments:
+        omega = _outputs(fit, e)[:, 1]
+        at_rest = last_thirds(e.record, SETTLED * slowest(fit.values, fit.values))  # of all: they have the same commands
+        for sensor in e.tachometers:
+            time, left = e.record.time[sensor.rows], (sensor.shows(omega) - sensor.measured) / sensor.std
+            left, time = left[time >= e.skip], time[time >= e.skip]
+            whole, count = whole + float(left @ left), count + len(left)
+            for part in (left[(time >= start) & (time < end)] for start, end in at_rest):
+                if len(part) > 1:
+                    scatter, free = scatter + float(np.sum((part - part.mean()) ** 2)), free + len(part) - 1
+    return max(1.0 - (scatter / free) / (whole / count), 0.0) if free >= FEWEST and whole > 0.0 else 0.0
+
+
+def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
+    """(start, end) s of the last third of each time for which no command moves, of those of `shortest` [s] or more."""
+    moves = np.any([np.diff(record[n]) != 0.0 for n in ("omega_ref", "beta_ref")], axis=0)
+    ends = record.time[np.concatenate([[0], np.flatnonzero(moves) + 1, [len(record) - 1]])]
+    return [((a + 2.0 * b) / 3.0, b) for a, b in pairwise(ends.tolist()) if b - a >= shortest]
 
 
 def speed_size(fit: Fit, share: float) -> float:
@@ -249,6 +295,7 @@ def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarr
     for slope, u, output in ((to_pitch, "beta", pitch), (to_speed, "omega", speed)):
         for shape in _shapes(record[f"{u}_ref"], output, step):
             yield from (slope * _lagged(shape, lag, step) for lag in lags)
+        yield from (slope * wave for wave in _waves(record[f"{u}_ref"], output, step, takes))
     over_speed, over_pitch = _polynomials(speed), _polynomials(pitch)
     yield from (over_speed[i] * over_pitch[j] for i in range(POWER + 1) for j in range(POWER + 1 - i) if i + j)
     since = record.time / record.time[-1]
@@ -273,6 +320,7 @@ def speed_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarra
     rate, since = np.gradient(pitch, step), record.time / record.time[-1]
     for shape in (*_shapes(record["omega_ref"], speed, step), rate, np.abs(rate)):
         yield from (_lagged(shape, share * takes, step) for share in LAGS)
+    yield from _waves(record["omega_ref"], speed, step, takes)
     yield from (np.ones(len(speed)), speed, speed**2, pitch, pitch * speed, np.maximum(speed, np.quantile(speed, 0.8)))
     yield from (since, since**2, since * speed)
 
@@ -311,6 +359,17 @@ def _shapes(command: np.ndarray, output: np.ndarray, step: float) -> list[np.nda
     widths = [share * np.ptp(output) for share in WIDTHS]
     bounded, plays = [np.clip(to_go, -w, w) for w in widths], [output - _play(output, w) for w in widths[:-1]]
     return [*bounded, *plays, rate, np.abs(rate)]
+
+
+def _waves(command: np.ndarray, output: np.ndarray, step: float, takes: float) -> Iterator[np.ndarray]:
+    """Waves (rows,) that a command excites, one by one as far as they are from the output, and their rates: none at rest."""
+    for swings in WAVES:
+        turn = 2.0 * np.pi * swings * step / takes
+        kept = np.exp(-DECAY * turn)
+        sway = 2.0 * kept * np.cos(np.sqrt(1.0 - DECAY**2) * turn)
+        wave = command[0] + lfilter([0.0, 1.0 - sway + kept**2], [1.0, -sway, kept**2], command - command[0])
+        yield wave - output
+        yield np.gradient(wave) / turn
 
 
 def _polynomials(signal: np.ndarray) -> np.ndarray:
