@@ -235,7 +235,7 @@ class Estimates:
     def __init__(self, **rms):
         noise = np.random.default_rng(5).standard_normal(len(TIME))
         errors = {n: value * noise / np.sqrt(np.mean(noise**2)) for n, value in rms.items()}
-        self._held = {n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in errors.items()}
+        self._held = {n: HeldOut({"thrust": rms[n] ** 2}, {"thrust": 1}, (e,), ()) for n, e in errors.items()}
 
     def held_out(self, fit):
         return self._held[fit.name]
@@ -484,6 +484,16 @@ def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, a
     judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
     monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: judge.held_out(one))
     assert diagnose._refuted(judge, present, estimate("base"), found, found, None) == told
+
+
+@pytest.mark.parametrize(("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error rises from 0.2 to 0.21 N")])
+def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_predicts_better(monkeypatch, as_it_ships, told):
+    """Of an actuator that latches the records tell little of the map: with the static map's word it is known."""
+    monkeypatch.setattr(diagnose, "rises", lambda *_: False)
+    judge = Estimates(present=0.1, found=0.5, final=as_it_ships, base=0.2)
+    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: judge.held_out(one))
+    found, final = estimate("found"), estimate("final")
+    assert diagnose._refuted(judge, estimate("present"), estimate("base"), found, final, None) == told
 
 
 @pytest.mark.parametrize(

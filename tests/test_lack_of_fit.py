@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import bilinear, lfilter
 from scipy.stats import kstest
 
-from identification.diagnose import lack
 from identification.diagnose import following as shapes_of
+from identification.diagnose import lack
 from identification.diagnose.following import Following, banded_fall, last_thirds, scores_covariance
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.verdict import unnamed

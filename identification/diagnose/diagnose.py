@@ -386,14 +386,14 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unse
     """Why a model must not take the place of the one that would ship without it, in words. `found`: the set where its
     likelihood is largest, `final`: as it is to ship.
 
-    On left-out folds `found` predicts thrust worse than the same likelihood does without the effects (`base`), or `final` worse
-    than what is `shipped`: for certain on folds or thirds, or in the step runs by more than the folds gain, certain or not
-    (they go where the other commands hardly go, and a limit that was hardly reached may spoil some runs and no others), or at
-    all in the figure that a report calls after: on the folds, or on the `unseen` record where there is one (`_refuted_by`).
-    What explains a part only must carry over to whole thirds of the records, certain or not. Judged once."""
-    before, after = judge.held_out(base), judge.held_out(found)
-    if after.rmse_thrust > before.rmse_thrust and after.gain(before)["thrust"] < 0.0:
-        return _rises(FOLDED, before.rmse_thrust, after.rmse_thrust)
+    On left-out folds both predict thrust worse than the likelihood of `found` does without the effects (`base`), or `final`
+    worse than what is `shipped`: for certain on folds or thirds, or in the step runs by more than the folds gain, certain or
+    not (they go where the other commands hardly go, and a limit that was hardly reached may spoil some runs and no others), or
+    at all in the figure that a report calls after: on the folds, or on the `unseen` record where there is one
+    (`_refuted_by`). What explains a part only must carry over to whole thirds of the records, certain or not. Judged once."""
+    before, best = judge.held_out(base), min((judge.held_out(fit) for fit in (found, final)), key=lambda h: h.rmse_thrust)
+    if best.rmse_thrust > before.rmse_thrust and judge.held_out(found).gain(before)["thrust"] < 0.0:
+        return _rises(FOLDED, before.rmse_thrust, best.rmse_thrust)
     for split in (folds, thirds):
         was, now = (judge.held_out(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
         worse = [(e.record.time, *pair) for e, *pair in zip(found.problem.experiments, was.thrust, now.thrust, strict=True)]

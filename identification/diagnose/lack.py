@@ -4,7 +4,8 @@ Pure error: what records of the same commands share beyond the model is the mode
 mean's power is held against that of their differences in bands below 10 Hz (analysis of variance). Score test: generic
 shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
 left is larger than the least size of interest. A thrust may come out right of a wrong speed: where speed is measured, it counts
-if more than HALF of what is left of it follows the commands, and what that is worth as thrust is larger than the least size.
+if more than HALF of what is left of it follows the commands, or is missing at rest, and what that is worth as thrust is larger
+than the least size.
 And a line that turns with the rotor (`turning`) is no noise, though no repeat shares its phase: every rig has a little of it,
 so it counts where it is more than HALF of what passes for noise.
 """
@@ -43,9 +44,9 @@ class Lack:
     """What a fit leaves. `bands`: pure error, empty without a repeat; `score`: the test on generic shapes; `p` of both.
 
     `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
-    interest. `speed`: the share of what is left of the speed that follows the commands, and `speed_size` [N] what that is
-    worth as thrust, 0 where it is less than HALF. `level`: of the tests. `turning`: a line at once a revolution, which counts
-    from `most` [N] rms on."""
+    interest. `speed`: the share of what is left of the speed that is no noise (`following.speed_share`), and `speed_size` [N]
+    what that is worth as thrust, 0 where it is less than HALF. `level`: of the tests. `turning`: a line at once a revolution,
+    which counts from `most` [N] rms on."""
 
     bands: tuple[Band, ...]
     score: Following
