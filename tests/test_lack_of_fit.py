@@ -116,15 +116,20 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
     assert found.summary()["speed"]["share"] == share
 
 
-@pytest.mark.parametrize(("swing", "verified", "effects"), [(3.0, False, ("one",)), (3.0, True, ("one",)), (3.0, False, ())])
-def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it_not(monkeypatch, swing, verified, effects):
-    """Noise of 1, and a swing of 3 in the first half of each hold: its power is 4.5 / 2 in all and none at rest. Where a
-    repeat tells the noise, and of a model that claims nothing, this is not asked."""
+@pytest.mark.parametrize(
+    ("std", "verified", "effects", "asked"),
+    [(1.0, False, ("one",), True), (2.0, False, ("one",), False), (1.0, True, ("one",), False), (1.0, False, (), False)],
+)
+def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it_not(
+    monkeypatch, std, verified, effects, asked
+):
+    """Noise of 1, and a swing of 3 in the first half of each hold: its power is 4.5 / 2 in all and none at rest. Where the
+    sensor leaves all that uncertain, a repeat tells the noise, or a model claims nothing, this is not asked."""
     time = np.arange(0.0, 60.0, 0.01)
     hold = time % 4.0
     record = Record({"time": time, "omega_ref": np.floor(time / 4.0), "beta_ref": np.zeros(len(time))}, "")
-    wrong = np.where(hold < 2.0, swing * np.sin(2.0 * np.pi * hold), 0.0) + RNG.standard_normal(len(time))
-    sensor = SimpleNamespace(rows=np.arange(len(time)), measured=np.zeros(len(time)), std=1.0, shows=lambda omega: omega)
+    wrong = np.where(hold < 2.0, 3.0 * np.sin(2.0 * np.pi * hold), 0.0) + RNG.standard_normal(len(time))
+    sensor = SimpleNamespace(rows=np.arange(len(time)), measured=np.zeros(len(time)), std=std, shows=lambda omega: omega)
     noise = SimpleNamespace(verified=verified)
     e = SimpleNamespace(record=record, tachometers=[sensor], skip=0.0, noise=noise)
     values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}
@@ -132,8 +137,7 @@ def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it
     monkeypatch.setattr(shapes_of, "_outputs", lambda fit, e: np.column_stack([wrong, wrong, wrong]))
     monkeypatch.setattr(shapes_of, "_places", lambda fit, channel: [slice(0, len(time))])
     monkeypatch.setattr(shapes_of, "_followed_share", lambda fit, parts: 0.1)
-    asked = effects and not verified
-    power = 0.5 * 0.5 * swing**2
+    power = 0.5 * 0.5 * 3.0**2
     assert shapes_of.speed_share(fit) == pytest.approx(power / (1.0 + power) if asked else 0.1, abs=0.03)
 
 

@@ -134,8 +134,8 @@ def _followed_share(fit: Fit, parts: Sequence[slice]) -> float:
 
 
 def _moving_share(fit: Fit) -> float:
-    """Of the residual in units of its uncertainty: what the last thirds of holds do not scatter about their own means. 0 where
-    too few holds are long enough to tell."""
+    """Of the residual in units of its uncertainty, which grows with the speed's rate: what is beyond that, and beyond what the
+    last thirds of holds scatter about their own means. 0 where too few holds are long enough to tell."""
     whole, count, scatter, free = 0.0, 0, 0.0, 0
     for e in fit.problem.experiments:
         omega = _outputs(fit, e)[:, 1]
@@ -147,7 +147,9 @@ def _moving_share(fit: Fit) -> float:
             for part in (left[(time >= start) & (time < end)] for start, end in at_rest):
                 if len(part) > 1:
                     scatter, free = scatter + float(np.sum((part - part.mean()) ** 2)), free + len(part) - 1
-    return max(1.0 - (scatter / free) / (whole / count), 0.0) if free >= FEWEST and whole > 0.0 else 0.0
+    if free < FEWEST or whole == 0.0:
+        return 0.0
+    return max(1.0 - max(scatter / free, 1.0) / (whole / count), 0.0)
 
 
 def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
