@@ -12,6 +12,10 @@ from identification.diagnose import lack
 from identification.diagnose.following import Following, banded_fall, last_thirds, scores_covariance
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.verdict import unnamed
+from identification.fit.converter import Converter
+from identification.fit.experiment import Experiment
+from identification.fit.noise import independent
+from identification.roles import Fitted
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.record import Record
 
@@ -38,21 +42,36 @@ def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
     assert within.sum() == pytest.approx(1.0, rel=0.15)
 
 
+@pytest.mark.parametrize("repeat", [False, True])
 @pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
-def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters):
+def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters, repeat):
     """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected
-    at 1 % in 1 % of 1000 draws, within 3 standard errors."""
+    at 1 % in 1 % of 1000 draws, within 3 standard errors, with the noise of another record as with what is left of this one."""
     rng, rows, count = np.random.default_rng(7), 1200, 12
     rejected = 0
     for _ in range(1000):
         slow = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count + parameters)), axis=0))[0].T
         fitted, shapes = slow[:parameters], slow[parameters:]
-        noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(rows + 50))[50:]
+        noise, other = lfilter([1.0], [1.0, -rho], rng.standard_normal((2, rows + 50)))[:, 50:]
         residual, score = noise - fitted.T @ (fitted @ noise), shapes @ noise
-        covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, fitted)])
+        left, gone = (residual - shapes.T @ score)[None], np.vstack([shapes, fitted])
+        covariance, bands = scores_covariance([(shapes, other[None], shapes[:0]) if repeat else (shapes, left, gone)])
         statistic = float(score @ np.linalg.solve(covariance, score))
         rejected += Following(0.5 * (statistic - count), count, bands).p < 0.01
     assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
+
+
+def test_what_records_do_not_share_is_as_large_as_the_noise_of_their_mean():
+    """Three records of a sine and white noise of 0.2 N, whose mean is whitened to 1: two samples, apart from each other and
+    from the residual, of mean square 1."""
+    time = np.arange(4000) * 0.01
+    own = {"time": time, "omega_ref": np.zeros(4000), "beta_ref": np.zeros(4000)}
+    shared = 3.0 * np.sin(time)
+    thrust = shared + 0.2 * np.random.default_rng(5).standard_normal((3, 4000))
+    records = [Fitted(f"{k}", Record(own | {"thrust": each}, "")) for k, each in enumerate(thrust)]
+    e = Experiment(records, independent(0.2))
+    samples = np.vstack([e.differences(), e.thrust_residual(shared)])
+    assert samples @ samples.T / 4000 == pytest.approx(np.eye(3), abs=0.06)
 
 
 @pytest.mark.parametrize(("wave", "share"), [(2, 0.25), (300, 1.0)])
@@ -83,7 +102,7 @@ def test_the_score_test_sees_what_follows_a_shape():
     shapes = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count)), axis=0))[0].T
     residual = rng.standard_normal(rows) + 20.0 * shapes[3]
     score = shapes @ residual
-    covariance, bands = scores_covariance([(shapes, residual - shapes.T @ score, shapes[:0])])
+    covariance, bands = scores_covariance([(shapes, (residual - shapes.T @ score)[None], shapes)])
     assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
 
 
@@ -94,9 +113,10 @@ def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatc
     """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
     q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
     monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10, ((10.0, 1000.0),)))
     monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
     monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
+    monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (0.0, 0.0))
     found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
     assert found.p == pytest.approx(p)
     assert (found.certain, found.found) == (certain, certain)
@@ -107,13 +127,42 @@ def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatc
 def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
     """More than half of what is left of it, worth more than 0.1 N."""
     monkeypatch.setattr(lack, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10))
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10, ((10.0, 1000.0),)))
     monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
     monkeypatch.setattr(lack, "speed_share", lambda fit: share)
+    monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (0.0, 0.0))
     monkeypatch.setattr(lack, "speed_size", lambda fit, told: size)
     found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1)
     assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
     assert found.summary()["speed"]["share"] == share
+
+
+TIME = np.arange(0.0, 60.0, 0.01)
+
+
+def left_of_holds(monkeypatch, std=1.0, verified=False, count=0.0):
+    """A fit that leaves noise of 1, and a swing of 3 in the first half of each hold of 4 s: its power is 4.5 / 2 in all and
+    none at rest. Thrust is read by a converter of `count` N, speed by a sensor that leaves `std` of it uncertain."""
+    record = {"time": TIME, "omega_ref": np.floor(TIME / 4.0), "beta_ref": np.zeros(len(TIME)), "thrust": np.zeros(len(TIME))}
+    # Noise of the means over 0.05 s is 1 too: that is what is below 10 Hz.
+    noise = [RNG.standard_normal(len(TIME)), RNG.standard_normal(len(TIME) // 5).repeat(5)]
+    speed, thrust = (np.where(TIME % 4.0 < 2.0, 3.0 * np.sin(2.0 * np.pi * TIME), 0.0) + each for each in noise)
+    sensor = SimpleNamespace(rows=np.arange(len(TIME)), measured=np.zeros(len(TIME)), std=std, shows=lambda omega: omega)
+    record = Record(record, "")
+    e = SimpleNamespace(
+        record=record,
+        records=[SimpleNamespace(record=record)],
+        tachometers=[sensor],
+        converter=Converter(count, 0.0, 1.0),
+        skip=0.0,
+        noise=SimpleNamespace(verified=verified),
+    )
+    values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}
+    monkeypatch.setattr(shapes_of, "_outputs", lambda fit, e: np.column_stack([thrust, speed, speed]))
+    return SimpleNamespace(problem=SimpleNamespace(experiments=[e]), values=values, effects=("one",))
+
+
+POWER = 0.5 * 0.5 * 3.0**2
 
 
 @pytest.mark.parametrize(
@@ -123,22 +172,30 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
 def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it_not(
     monkeypatch, std, verified, effects, asked
 ):
-    """Noise of 1, and a swing of 3 in the first half of each hold: its power is 4.5 / 2 in all and none at rest. Where the
-    sensor leaves all that uncertain, a repeat tells the noise, or a model claims nothing, this is not asked."""
-    time = np.arange(0.0, 60.0, 0.01)
-    hold = time % 4.0
-    record = Record({"time": time, "omega_ref": np.floor(time / 4.0), "beta_ref": np.zeros(len(time))}, "")
-    wrong = np.where(hold < 2.0, 3.0 * np.sin(2.0 * np.pi * hold), 0.0) + RNG.standard_normal(len(time))
-    sensor = SimpleNamespace(rows=np.arange(len(time)), measured=np.zeros(len(time)), std=std, shows=lambda omega: omega)
-    noise = SimpleNamespace(verified=verified)
-    e = SimpleNamespace(record=record, tachometers=[sensor], skip=0.0, noise=noise)
-    values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}
-    fit = SimpleNamespace(problem=SimpleNamespace(experiments=[e]), values=values, effects=effects)
-    monkeypatch.setattr(shapes_of, "_outputs", lambda fit, e: np.column_stack([wrong, wrong, wrong]))
-    monkeypatch.setattr(shapes_of, "_places", lambda fit, channel: [slice(0, len(time))])
+    """Where the sensor leaves all that uncertain, a repeat tells the noise, or a model claims nothing, this is not asked."""
+    fit = left_of_holds(monkeypatch, std, verified)
+    fit.effects = effects
+    monkeypatch.setattr(shapes_of, "_places", lambda fit, channel: [slice(0, len(TIME))])
     monkeypatch.setattr(shapes_of, "_followed_share", lambda fit, parts: 0.1)
-    power = 0.5 * 0.5 * 3.0**2
-    assert shapes_of.speed_share(fit) == pytest.approx(power / (1.0 + power) if asked else 0.1, abs=0.03)
+    assert shapes_of.speed_share(fit) == pytest.approx(POWER / (1.0 + POWER) if asked else 0.1, abs=0.03)
+
+
+@pytest.mark.parametrize(("count", "verified", "beyond"), [(0.0, False, POWER), (8.0, False, 0.0), (0.0, True, 0.0)])
+def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
+    """Beyond what rounding to counts leaves at best: 8 N / 12^0.5 is more than all of it."""
+    share, size = shapes_of.moving_share(left_of_holds(monkeypatch, verified=verified, count=count), "thrust")
+    assert share == pytest.approx(beyond / (1.0 + beyond), abs=0.05)
+    assert size == pytest.approx(np.sqrt(beyond), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("claims", "share", "size", "lacks"),
+    [(True, 0.6, 0.3, True), (False, 0.6, 0.3, False), (True, 0.4, 0.3, False), (True, 0.6, 0.05, False)],
+)
+def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(claims, share, size, lacks):
+    """More than half of it, and more than 0.1 N."""
+    found = lack.Lack((), Following(0.0, 0, ()), 0.5, 0.0, 0.1, claims, moving=share, moving_size=size)
+    assert (found.lacks_rest, found.found) == (lacks, lacks)
 
 
 def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():

@@ -16,14 +16,15 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.signal import lfilter
-from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
+from identification.diagnose.judgement import SLOW
 from identification.diagnose.search.fits import Fit
 from identification.fit.bands import ORDINATES, banded, starts
 from identification.fit.coordinates import slowest
 from identification.fit.experiment import CHANNELS, Experiment
 from identification.fit.linearised import Linearised
+from identification.fit.noise import blocks
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.record import Record
 
@@ -64,17 +65,16 @@ class Following:
     """Log-likelihood that `count` columns gain beside a fit, less the half each that noise alone would give them.
 
     `bands`: of the frequencies, (how many of the columns' degrees of freedom lie there, with how many the noise's power there
-    is known); () where repeats tell it.
+    is known).
     """
 
     gain: float
     count: int
-    bands: tuple[tuple[float, float], ...] = ()
+    bands: tuple[tuple[float, float], ...]
 
     @property
     def p(self) -> float:
-        """p-value: how often noise alone would give as much: a score test, chi^2 distributed, or where the noise is estimated a
-        sum over bands of F distributed terms.
+        """p-value: how often noise alone would give as much: a score test, a sum over bands of F distributed terms.
 
         Slow bands hold most of the columns and tell least of the noise: one F with their mean degrees of freedom has too light
         a tail. Conditional Monte Carlo, from the term that is largest (Asmussen and Kroese, Adv. Appl. Probab., 2006).
@@ -82,8 +82,6 @@ class Following:
         if not self.count:
             return 1.0
         statistic = 2.0 * self.gain + self.count
-        if not self.bands:
-            return float(chi2.sf(statistic, self.count))
         own, known = np.array([band for band in self.bands if band[0] > TINY]).T
         terms = own * f_distribution.rvs(own, known, size=(DRAWS, len(own)), random_state=0)
         largest = np.sort(terms, axis=1)
@@ -98,11 +96,18 @@ def following(fit: Fit) -> Following:
     columns, at = _columns(fit, "thrust", parts), slice(parts[0].start, parts[-1].stop)
     turned, score = _scores(about, columns, at)
     if not len(score):
-        return Following(0.0, 0)
-    if all(e.noise.verified for e in fit.problem.experiments):
-        return Following(0.5 * float(np.sum(score**2 - 1.0)), len(score))
-    left, fitted = about.residual[at] - columns.T @ (turned.T @ score), about.directions(at)
-    covariance, bands = scores_covariance([(turned @ columns[:, i], left[i], fitted[:, i]) for i in parts])
+        return Following(0.0, 0, ())
+    left, fitted, scale = about.residual[at] - columns.T @ (turned.T @ score), about.directions(at), fit.problem.scale["thrust"]
+
+    def noise_of(e: Experiment, i: slice, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(samples of its noise, the directions in which they have none left)."""
+        if len(e.records) > 1:
+            return e.differences() / scale, directions[:0]
+        return left[None, i], np.vstack([directions, fitted[:, i]])
+
+    own = [turned @ columns[:, i] for i in parts]
+    told = [noise_of(e, i, d) for e, i, d in zip(fit.problem.experiments, parts, own, strict=True)]
+    covariance, bands = scores_covariance([(d, *noise) for d, noise in zip(own, told, strict=True)])
     return Following(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), bands)
 
 
@@ -110,8 +115,7 @@ def speed_share(fit: Fit) -> float:
     """Share of the speed residual's power, 1 at most, that is no noise; 0 where no speed was measured.
 
     It follows the commands still, beyond what the fit's parameters could take up (adjusted for the number of shapes, Ezekiel,
-    1930). Or, where no repeat has told the noise, and the fit's effects claim to know what was missing, rest has it not: the
-    noise may have been given the colour of what is missing, and whitening hides it then.
+    1930). Or, where the fit's effects claim to know what was missing, rest has it not (`moving_share`).
 
     It is no test: a tachometer's errors go with the speed's rate, for a pulse may fall anywhere between two rows, so that they
     are neither of one size nor of one colour, and repeat in part.
@@ -119,8 +123,7 @@ def speed_share(fit: Fit) -> float:
     parts = _places(fit, "omega")
     if not parts:
         return 0.0
-    claimed = fit.effects and not all(e.noise.verified for e in fit.problem.experiments)
-    return max(_followed_share(fit, parts), _moving_share(fit) if claimed else 0.0)
+    return max(_followed_share(fit, parts), moving_share(fit, "omega")[0] if fit.effects else 0.0)
 
 
 def _followed_share(fit: Fit, parts: Sequence[slice]) -> float:
@@ -133,23 +136,41 @@ def _followed_share(fit: Fit, parts: Sequence[slice]) -> float:
     return min(max(1.0 - left, 0.0), 1.0)
 
 
-def _moving_share(fit: Fit) -> float:
-    """Of the residual in units of its uncertainty, which grows with the speed's rate: what is beyond that, and beyond what the
-    last thirds of holds scatter about their own means. 0 where too few holds are long enough to tell."""
-    whole, count, scatter, free = 0.0, 0, 0.0, 0
+def moving_share(fit: Fit, channel: str) -> tuple[float, float]:
+    """(share of a residual's power that rest has not, what it is, rms) of "thrust" below 10 Hz [N], or of "omega" in units of
+    its uncertainty, which grows with the speed's rate.
+
+    What is beyond the scatter of the last thirds of holds about their own means, and beyond what the sensor leaves uncertain at
+    best. Where no repeat has told the noise, what is missing may have lent it its colour, and whitening hides it then. (0, 0)
+    where one has, and where too few holds are long enough to tell.
+    """
+    whole, count, scatter, free, least = 0.0, 0, 0.0, 0, 0.0
     for e in fit.problem.experiments:
-        omega = _outputs(fit, e)[:, 1]
+        if e.noise.verified:
+            return 0.0, 0.0
         at_rest = last_thirds(e.record, SETTLED * slowest(fit.values, fit.values))  # of all: they have the same commands
-        for sensor in e.tachometers:
-            time, left = e.record.time[sensor.rows], (sensor.shows(omega) - sensor.measured) / sensor.std
-            left, time = left[time >= e.skip], time[time >= e.skip]
+        for times, all_left, best in _unwhitened(e, _outputs(fit, e), channel):
+            kept = np.isfinite(all_left) & (times >= e.skip)
+            left, time, least = all_left[kept], times[kept], max(least, best**2)
             whole, count = whole + float(left @ left), count + len(left)
             for part in (left[(time >= start) & (time < end)] for start, end in at_rest):
                 if len(part) > 1:
                     scatter, free = scatter + float(np.sum((part - part.mean()) ** 2)), free + len(part) - 1
     if free < FEWEST or whole == 0.0:
-        return 0.0
-    return max(1.0 - max(scatter / free, 1.0) / (whole / count), 0.0)
+        return 0.0, 0.0
+    beyond_rest = max(whole / count - max(scatter / free, least), 0.0)
+    return beyond_rest / (whole / count), float(np.sqrt(beyond_rest))
+
+
+def _unwhitened(e: Experiment, outputs: np.ndarray, channel: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """(times [s], residual, its least standard deviation that a sensor leaves) of each record's reading."""
+    if channel == "omega":
+        for sensor in e.tachometers:
+            yield e.record.time[sensor.rows], (sensor.shows(outputs[:, 1]) - sensor.measured) / sensor.std, 1.0
+        return
+    slow, shown = blocks(e.record, 0.5 / SLOW), e.converter.reads(outputs[:, 0])
+    for one in e.records:
+        yield slow.time, slow.mean(shown - one.record["thrust"]), e.converter.count / np.sqrt(12.0)
 
 
 def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
@@ -226,30 +247,30 @@ def scores_covariance(
 ) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
     """(covariance (k, k) of the products of directions with noise, the bands as of a `Following`).
 
-    `parts`: directions (k, n), rows orthonormal over all parts, what they and a fit leave of the noise (n,), and the directions
-    (m, n) that the fit had taken before. Where the noise has been whitened by a colour that was estimated from it, its power is
-    not 1 where the colour fits badly, and slow noise most of all: it is taken from what is left, in bands of a third of an
-    octave, for the share of a band that can be left.
+    `parts`: directions (k, n), rows orthonormal over all parts, samples (c, n) of the noise, and the directions (m, n),
+    orthonormal, in which nothing is left of those. Noise has been whitened by a colour that was estimated from it, of a record
+    or of a few, and its power is not 1 where the colour fits badly, or where there was little to tell it, and slow noise most
+    of all: it is taken from the samples, in bands of a third of an octave, for the share of a band that can be left.
     """
     count = len(parts[0][0])
     covariance, shares, degrees = np.zeros((count, count)), [], []
-    for directions, left, fitted in parts:
-        n = len(left)
-        spectrum, shapes = np.abs(np.fft.rfft(left)) ** 2 / n, np.fft.rfft(directions, axis=1)
+    for directions, samples, gone in parts:
+        n = samples.shape[1]
+        spectrum, shapes = _taken(samples) / len(samples), np.fft.rfft(directions, axis=1)
         twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal but for the ends
         twice[0], twice[-1] = 1.0, 2.0 if n % 2 else 1.0
         taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
-        level, free = _levels(spectrum, taken + _taken(fitted))
+        level, free = _levels(spectrum, _taken(gone))
         shapes *= np.sqrt(twice * level)  # in place: it is large
         covariance += (shapes @ shapes.conj().T).real / n
         first = starts(len(spectrum))
         shares.append(np.add.reduceat(twice * taken, first))
-        degrees.append(np.add.reduceat(twice * free, first))
+        degrees.append(len(samples) * np.add.reduceat(twice * free, first))
     return covariance, tuple(zip(np.concatenate(shares).tolist(), np.concatenate(degrees).tolist(), strict=True))
 
 
 def _taken(directions: np.ndarray) -> np.ndarray:
-    """(frequencies,) the share of each ordinate's power that lies in directions (m, n)."""
+    """(frequencies,) the share of each ordinate's power that lies in directions (m, n); of samples, their power there."""
     return np.sum(np.abs(np.fft.rfft(directions, axis=1)) ** 2, axis=0) / directions.shape[1]
 
 

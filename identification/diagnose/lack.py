@@ -5,7 +5,7 @@ mean's power is held against that of their differences in bands below 10 Hz (ana
 shapes of the commands (`following`) must gain no more than chance. It counts as lack of fit if a test is certain and what is
 left is larger than the least size of interest. A thrust may come out right of a wrong speed: where speed is measured, it counts
 if more than HALF of what is left of it follows the commands, or is missing at rest, and what that is worth as thrust is larger
-than the least size.
+than the least size. So does what a model with effects leaves of the thrust without a repeat, if rest has not HALF of it.
 And a line that turns with the rotor (`turning`) is no noise, though no repeat shares its phase: every rig has a little of it,
 so it counts where it is more than HALF of what passes for noise.
 """
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from identification.diagnose.following import Following, following, speed_share, speed_size
+from identification.diagnose.following import Following, following, moving_share, speed_share, speed_size
 from identification.diagnose.judgement import CERTAIN, HALF, LEVEL, SLOW
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.turning import UNTURNED, Turning, turning
@@ -53,11 +53,18 @@ class Lack:
     p: float
     size: float
     least: float
-    level: float
+    claims: bool
     speed: float = 0.0
     speed_size: float = 0.0
+    moving: float = 0.0
+    moving_size: float = 0.0
     turning: Turning = UNTURNED
     most: float = 0.0
+
+    @property
+    def level(self) -> float:
+        """Of the tests."""
+        return LEVEL if self.claims else CERTAIN
 
     @property
     def certain(self) -> bool:
@@ -67,12 +74,17 @@ class Lack:
     @property
     def found(self) -> bool:
         """Whether something is lacking that is worth a name."""
-        return (self.certain and self.size > self.least) or self.lacks_speed
+        return (self.certain and self.size > self.least) or self.lacks_speed or self.lacks_rest
 
     @property
     def lacks_speed(self) -> bool:
         """Whether it is the speed that something worth a name is lacking of."""
         return self.speed > HALF and self.speed_size > self.least
+
+    @property
+    def lacks_rest(self) -> bool:
+        """Whether most of what passes for noise of the thrust is missing at rest."""
+        return self.claims and self.moving > HALF and self.moving_size > self.least
 
     @property
     def turns(self) -> bool:
@@ -89,6 +101,11 @@ class Lack:
                 "share": self.speed,
                 "least_share": HALF,
                 "size": {"value": self.speed_size, "unit": "N"},
+            },
+            "moving": {
+                "share": self.moving,
+                "least_share": HALF,
+                "size": {"value": self.moving_size, "unit": "N"},
             },
             "turning": {
                 "p": self.turning.p,
@@ -112,7 +129,8 @@ def lack_of_fit(fit: Fit, least: float) -> Lack:
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
     share = speed_share(fit)
     worth = speed_size(fit, share) if share > HALF else 0.0
-    return Lack(bands, score, p, float(max(sizes)), least, LEVEL if fit.effects else CERTAIN, share, worth)
+    moving = moving_share(fit, "thrust")
+    return Lack(bands, score, p, float(max(sizes)), least, bool(fit.effects), share, worth, *moving)
 
 
 def with_turning(lack: Lack, fit: Fit) -> Lack:

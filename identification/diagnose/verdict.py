@@ -25,13 +25,16 @@ def unnamed(lack: Lack) -> str:
 
 def _gone(base: Fit, final: Fit, before: Lack, after: Lack) -> float:
     """Share of the lack of fit that the set removes: of the pure error's power, else of the log-likelihood there is to gain;
-    where it is the speed that lacks something, of what of its error follows the commands, if that is less."""
+    where it is the speed that lacks something, of what of its error follows the commands, if that is less, and where rest has
+    not what passes for noise, of the power of that."""
     fall = 0.5 * (base.deviance - final.deviance)
     if before.bands:
         power = sum(band.power for band in before.bands)
         gone = 1.0 - sum(band.power for band in after.bands) / power if power > 0.0 else 0.0
     else:
         gone = fall / (fall + max(after.score.gain, 0.0)) if fall > 0.0 else 0.0
+    if after.lacks_rest:
+        gone = min(gone, 1.0 - (after.moving_size / before.moving_size) ** 2) if before.moving_size > 0.0 else 0.0
     if not after.lacks_speed:
         return gone
     was, left = (lack.speed * fit.score.squares["omega"] for fit, lack in ((base, before), (final, after)))

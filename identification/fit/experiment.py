@@ -8,6 +8,7 @@ shows it, in each record by itself.
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import helmert
 
 from identification.fit.converter import Converter
 from identification.fit.noise import Noise, blocks
@@ -69,6 +70,12 @@ class Experiment:
         """Whitened predicted less measured thrust (n, ...), from thrust (rows, ...) N."""
         means = self._blocks.mean(self._where_measured(self.converter.reads(predicted)))
         return self._white((means.T - self.thrust).T)
+
+    def differences(self) -> np.ndarray:
+        """(records - 1, n) samples of the noise that the whitened thrust residual has, from what the records don't share."""
+        thrust = np.stack([_thrust(one.record, "thrust" in self.channels) for one in self.records])
+        apart = self._where_measured(self._share * (helmert(len(thrust)) @ thrust).T)
+        return self._white(self._blocks.mean(apart)).T
 
     def thrust_columns(self, tangents: np.ndarray) -> np.ndarray:
         """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the thrust (rows, ...) N."""

@@ -228,6 +228,8 @@ def _add_lack(page: Page, found: Diagnosis) -> None:
         tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
     if before.speed or after.speed:
         tests.append(("share of the speed's error that is no noise", "-", before.speed, None, after.speed, None))
+    if before.moving_size or after.moving_size:
+        tests.append(("share of the thrust's error that rest has not", "-", before.moving, None, after.moving, None))
     one, other = before.turning, after.turning
     tests.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))
     rows = [(what, unit, first, _chance(p), last, _chance(now)) for what, unit, first, p, last, now in tests]
