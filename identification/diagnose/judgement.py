@@ -52,7 +52,7 @@ dozen blocks or two."""
 
 HALF = 0.5
 """Share of the lack of fit that a set must remove to be a part of the explanation; share of what passes for noise that must
-turn with the rotor, or of the speed's that must follow the commands, or be missing at rest, to be none."""
+turn with the rotor, of the speed's that must follow the commands, or of either's that must be missing at rest, to be none."""
 
 
 @dataclass(frozen=True)
