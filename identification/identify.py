@@ -200,7 +200,7 @@ def identify(
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
     uncertainty = with_steps(found.uncertainty, found.values, steps)
     known = dict(zip(uncertainty.names, uncertainty.std.tolist(), strict=True))
-    told = off_bounds(model, found.values, start, steps.start if steps else ())
+    told = off_bounds(model, found.values, start, steps)
     rig = campaign.rig.timed(slowest(told, uncertainty.names))
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
@@ -259,14 +259,14 @@ def _made(campaign: Campaign) -> dict[str, str]:
 
 
 def off_bounds(
-    model: Model, values: Mapping[str, float], start: Mapping[str, float], by_steps: Iterable[str] = ()
+    model: Model, values: Mapping[str, float], start: Mapping[str, float], steps: StepSummary | None = None
 ) -> dict[str, float]:
     """The values with those of `start` where a lag ended on its bound: it tells that the model lacks something, and no time.
-    Nor does its channel's other lag then, which may be anything, where the step runs have told that one (`by_steps`)."""
+    Nor does its channel's other lag then, which may be anything, where the step runs have told that one."""
     bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters if p.name.startswith("tau_")}
     stuck = {n for n, ends in bounds.items() if any(isclose(values[n], end) for end in ends)}
     pairs = [{f"tau_{u}_1", f"tau_{u}_2"} for u in CHANNELS]
-    doubtful = {n for pair in pairs if pair & stuck for n in pair & set(by_steps)}
+    doubtful = {n for pair in pairs if pair & stuck for n in pair & set(steps.start if steps else ())}
     return {**values, **{n: start[n] for n in stuck | doubtful}}
 
 

@@ -318,7 +318,7 @@ def _learned(
 def _timed(at: InitialModel, final: Fit) -> Rig:
     """The rig with the time scale of the model that ships: what was missing may have bent the lags of the identification."""
     steps = at.identification.steps if at.identification else None
-    told = off_bounds(final.problem.model, final.values, at.first, steps.start if steps else ())
+    told = off_bounds(final.problem.model, final.values, at.first, steps)
     return at.rig.timed(slowest(told, at.names))
 
 
