@@ -366,3 +366,13 @@ def test_blades_that_hardly_move_tell_no_unit_of_pitch():
     assert list(_pitches([file])) == []
     file.response = replace(response, thrust=response.at(omega, beta) + rng.normal(0.0, 0.3, n))  # that map is the true one
     assert [finding.code for finding in _pitches([file])] == ["pitch_unit"]
+
+
+@pytest.mark.parametrize(("middle", "codes"), [(-1.35, []), (0.05, ["pitch_unit"])])
+def test_a_record_that_hardly_moves_its_blades_is_in_rad_only_where_degrees_put_it_beside_the_others(middle, codes):
+    """0.3 of a range of 14.5 about -1.35: that many rad would be -77 deg, where no other file of -5.5 to 9 deg is."""
+    files = [
+        SimpleNamespace(response=None, where=where, column=lambda name, ends=ends: np.linspace(*ends, 50))
+        for where, ends in (("static.csv", (-5.5, 9.0)), ("validation.csv", (middle - 0.13, middle + 0.13)))
+    ]
+    assert [finding.code for finding in _pitches(files)] == codes

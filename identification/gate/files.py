@@ -203,12 +203,16 @@ def turns_a_value(record: Record) -> float | None:
 def _between(
     files: Sequence[File], column: str, units: Mapping[str, float], code: str, size: Callable[[np.ndarray], float]
 ) -> Iterator[Finding]:
-    """Files whose commands differ in size by a unit."""
+    """Files whose commands differ in size by a unit, and lie in the same range if they are in it: a record that hardly moves
+    its blades is no smaller one in rad."""
     for one, other in combinations(files, 2):
         sizes = [size(f.column(column)) for f in (one, other)]
         if min(sizes) <= 0.0 or not (found := as_unit(sizes[1] / sizes[0], units)):
             continue
         wrong, than = (other, one) if found[1] else (one, other)
+        right = wrong.column(column) / units[found[0]]
+        if right.min() > than.column(column).max() or right.max() < than.column(column).min():
+            continue
         told = f"{column} reaches {size(wrong.column(column)):.4g}, in {Path(than.where).name} {size(than.column(column)):.4g}"
         ratio = size(wrong.column(column)) / size(than.column(column))
         yield Finding(code, wrong.where, column, ratio, "1", told, f"{column} in {found[0]}")
