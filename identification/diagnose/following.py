@@ -10,6 +10,7 @@ and a warming rig's trends span what such forms leave.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -72,7 +73,7 @@ class Following:
     count: int
     bands: tuple[tuple[float, float], ...]
 
-    @property
+    @cached_property
     def p(self) -> float:
         """p-value: how often noise alone would give as much: a score test, a sum over bands of F distributed terms.
 
