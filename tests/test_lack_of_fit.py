@@ -11,7 +11,7 @@ from identification.diagnose import following as shapes_of
 from identification.diagnose import lack
 from identification.diagnose.following import Following, banded_fall, last_thirds, scores_covariance
 from identification.diagnose.lack import Band, spectra
-from identification.diagnose.verdict import unnamed
+from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.converter import Converter
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
@@ -192,10 +192,23 @@ def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
     ("claims", "share", "size", "lacks"),
     [(True, 0.6, 0.3, True), (False, 0.6, 0.3, False), (True, 0.4, 0.3, False), (True, 0.6, 0.05, False)],
 )
-def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(claims, share, size, lacks):
+def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(monkeypatch, claims, share, size, lacks):
     """More than half of it, and more than 0.1 N."""
-    found = lack.Lack((), Following(0.0, 0, ()), 0.5, 0.0, 0.1, claims, moving=share, moving_size=size)
-    assert (found.lacks_rest, found.found) == (lacks, lacks)
+    monkeypatch.setattr(lack, "pure_error", lambda fit: ())
+    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 0, ()))
+    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
+    monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0))
+    found = lack.lack_of_fit(SimpleNamespace(effects=("one",) if claims else ()), least=0.1)
+    assert (found.lacks_moving, found.found) == (lacks, lacks)
+
+
+@pytest.mark.parametrize(("was", "word"), [(0.5, "partly"), (0.4, "unexplained")])
+def test_a_part_must_remove_half_of_what_rest_has_not(was, word):
+    """0.3 N are left: of 0.5 N 64 % of the power is gone, of 0.4 N 44 %."""
+    score, fits = Following(0.0, 0, ()), [SimpleNamespace(effects=e, deviance=d) for e, d in (((), 100.0), (("one",), 0.0))]
+    lacks = [lack.Lack((), score, 0.5, 0.0, 0.1, bool(m - was), moving=0.6, moving_size=m) for m in (was, 0.3)]
+    assert verdict(*fits, *lacks, {"one": []}) == word
 
 
 def test_rest_is_the_last_third_of_each_hold_that_is_long_enough():

@@ -257,11 +257,11 @@ def scores_covariance(
     covariance, shares, degrees = np.zeros((count, count)), [], []
     for directions, samples, gone in parts:
         n = samples.shape[1]
-        spectrum, shapes = _taken(samples) / len(samples), np.fft.rfft(directions, axis=1)
+        spectrum, shapes = _powers(samples) / len(samples), np.fft.rfft(directions, axis=1)
         twice = np.full(len(spectrum), 2.0)  # ordinates of a real signal but for the ends
         twice[0], twice[-1] = 1.0, 2.0 if n % 2 else 1.0
         taken = np.sum(np.abs(shapes) ** 2, axis=0) / n
-        level, free = _levels(spectrum, _taken(gone))
+        level, free = _levels(spectrum, _powers(gone))
         shapes *= np.sqrt(twice * level)  # in place: it is large
         covariance += (shapes @ shapes.conj().T).real / n
         first = starts(len(spectrum))
@@ -270,9 +270,9 @@ def scores_covariance(
     return covariance, tuple(zip(np.concatenate(shares).tolist(), np.concatenate(degrees).tolist(), strict=True))
 
 
-def _taken(directions: np.ndarray) -> np.ndarray:
-    """(frequencies,) the share of each ordinate's power that lies in directions (m, n); of samples, their power there."""
-    return np.sum(np.abs(np.fft.rfft(directions, axis=1)) ** 2, axis=0) / directions.shape[1]
+def _powers(rows: np.ndarray) -> np.ndarray:
+    """(frequencies,) power of `rows` (m, n) at each ordinate: of orthonormal directions, the share that they hold."""
+    return np.sum(np.abs(np.fft.rfft(rows, axis=1)) ** 2, axis=0) / rows.shape[1]
 
 
 def _levels(spectrum: np.ndarray, taken: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -301,7 +301,7 @@ def banded_fall(before: np.ndarray, after: np.ndarray, fitted: np.ndarray) -> tu
     """(fall of the sum of squares of whitened rows (n,), the share of it that is left where no band counts for more than its
     noise allows). `fitted` (m, n): directions, orthonormal, that the fit had taken of what is `after`."""
     old, new = (np.abs(np.fft.rfft(rows)) ** 2 / len(rows) for rows in (before, after))
-    level, _ = _levels(new, _taken(fitted))
+    level, _ = _levels(new, _powers(fitted))
     fall = float(np.sum(old - new))
     return fall, float(np.sum((old - new) / np.maximum(level, 1.0))) / fall if fall else 1.0
 

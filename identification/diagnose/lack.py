@@ -74,7 +74,7 @@ class Lack:
     @property
     def found(self) -> bool:
         """Whether something is lacking that is worth a name."""
-        return (self.certain and self.size > self.least) or self.lacks_speed or self.lacks_rest
+        return (self.certain and self.size > self.least) or self.lacks_speed or self.lacks_moving
 
     @property
     def lacks_speed(self) -> bool:
@@ -82,7 +82,7 @@ class Lack:
         return self.speed > HALF and self.speed_size > self.least
 
     @property
-    def lacks_rest(self) -> bool:
+    def lacks_moving(self) -> bool:
         """Whether most of what passes for noise of the thrust is missing at rest."""
         return self.claims and self.moving > HALF and self.moving_size > self.least
 

@@ -33,7 +33,7 @@ def _gone(base: Fit, final: Fit, before: Lack, after: Lack) -> float:
         gone = 1.0 - sum(band.power for band in after.bands) / power if power > 0.0 else 0.0
     else:
         gone = fall / (fall + max(after.score.gain, 0.0)) if fall > 0.0 else 0.0
-    if after.lacks_rest:
+    if after.lacks_moving:
         gone = min(gone, 1.0 - (after.moving_size / before.moving_size) ** 2) if before.moving_size > 0.0 else 0.0
     if not after.lacks_speed:
         return gone
