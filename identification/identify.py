@@ -21,6 +21,8 @@ from identification.fit.uncertainty import Uncertainty
 from identification.gate.finding import Finding
 from identification.gate.fitted import of_fit
 from identification.gate.gate import Passed, passed
+from identification.logger import Logger
+from identification.logger_fit import as_logged
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
@@ -39,9 +41,9 @@ class Identification:
     `uncertainty` is of the parameters that the campaign tells, `not_identifiable` says by name why it does not tell the others.
     `refinement` and `tests` are None where there is no record to fit: the parameters are then those of steady points and steps.
     `fitted`: names of the records that the parameters were fitted to; the other predictions are of records that no fit has
-    seen. `bands`: standard deviation of a predicted reading (rows,) N by record, of parameters and noise together. `tests`: of
-    the thrust residual of the first fitted record. `quality`: what the gate found in the files and in the fit. `bootstrap`
-    where it was asked for.
+    seen. `logger`: the one that the records were corrected for. `bands`: standard deviation of a predicted reading (rows,) N by
+    record, of parameters and noise together. `tests`: of the thrust residual of the first fitted record. `quality`: what the gate
+    found in the files and in the fit. `bootstrap` where it was asked for.
     """
 
     campaign: Campaign
@@ -58,6 +60,7 @@ class Identification:
     tests: ResidualTests | None
     noise_floor: float | None
     quality: tuple[Finding, ...]
+    logger: Logger
     bootstrap: Bootstrap | None = None
 
     @property
@@ -128,6 +131,7 @@ class Identification:
             "steps": self.steps and self.steps.summary(),
             "static_map": static and static.summary(),
             "missing": list(self.campaign.missing),
+            "logger": self.logger.summary(),
             "quality": [finding.summary() for finding in self.quality],
         }
 
@@ -168,9 +172,14 @@ def identify(
     `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is told what begins. `gate`: what
     the quality gate made of all this, where it has been asked already. Other options as in `refine`.
     """
-    stage("quality")
-    gate = gate or passed(campaign, records, accept)
+    if gate is None:
+        stage("quality")
+        gate = passed(campaign, records, accept)
+    if gate.logger is None:
+        stage("logger")
+        gate = as_logged(gate)
     fitted = _to_fit(gate.campaign, gate.further)
+    campaign = replace(campaign, steps=gate.campaign.steps)
     if campaign.static is None and campaign.static_raw is not None:
         campaign = replace(campaign, static=steady_points(campaign.static_raw))
     model = model.sized(campaign.rig.scales)
@@ -181,7 +190,7 @@ def identify(
     steps = fit_steps(campaign.steps, values, coefficients or None) if campaign.steps else None
     measured = coefficients | (steps.start if steps else {})
     if not fitted:
-        return _without_record(campaign, model, measured, static, steps, gate.findings)
+        return _without_record(campaign, model, measured, static, steps, gate)
     start = slow_first(AVERAGED) | measured
     prior = static and Prior(tuple(coefficients), np.array(list(coefficients.values())), static.covariance)
     stage("refine")
@@ -194,7 +203,7 @@ def identify(
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
     noise = noise_floor(campaign.open_loop, campaign.repeat) if {"open_loop", "repeat"} <= set(fitted) else None
-    source = {**_made(campaign), "record_seconds": float(first.record.time[-1])}
+    source = {**_made(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig))
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
@@ -218,6 +227,7 @@ def identify(
         tests=residual_tests(first.record, first.record["thrust"] - first.thrust),
         noise_floor=noise,
         quality=quality,
+        logger=gate.logger,
         bootstrap=drawn,
     )
 
@@ -228,7 +238,7 @@ def _without_record(
     measured: Mapping[str, float],
     static: StaticFit | None,
     steps: StepSummary | None,
-    quality: tuple[Finding, ...],
+    gate: Passed,
 ) -> Identification:
     """What the map and the steps tell by themselves, `measured` by name; the model's defaults for the rest."""
     values = model.values() | slow_first(model.values() | measured)
@@ -250,7 +260,8 @@ def _without_record(
         bands={},
         tests=None,
         noise_floor=None,
-        quality=quality,
+        quality=gate.findings,
+        logger=gate.logger,
     )
 
 

@@ -116,7 +116,7 @@ def test_clipped_rows_are_left_out_unless_accepted(record):
 
 def test_a_sensor_that_is_quieter_than_its_digit_is_not_clipped(record):
     """Settled, its readings stand still for a second each time, at the highest level too."""
-    quiet = Simulator(BASE).simulate({}, record.columns, record.steps)[:, 0]
+    quiet = Simulator(BASE).simulate({}, *record.run)[:, 0]
     assert screen(record.with_columns(thrust=np.round(quiet, 1)))[1] == ()
 
 

@@ -51,7 +51,7 @@ FEW = some("pitch_command_deadband", "pitch_offset", "sensor_lag")
 def thrust_of(record, **values):
     """Noise-free thrust of the true base and further effects' values, N."""
     model = plant({name.partition(".")[0] for name in values})
-    return Simulator(model).simulate(model.values(TRUTH | values), record.columns, record.steps)[:, 0]
+    return Simulator(model).simulate(model.values(TRUTH | values), *record.run)[:, 0]
 
 
 def rig(seed=0, **values) -> Campaign:
@@ -221,7 +221,7 @@ def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit(drift):
 
     def heard(record):
         model = plant(())
-        omega = Simulator(model).simulate(model.values(TRUTH), record.columns, record.steps)[:, 1]
+        omega = Simulator(model).simulate(model.values(TRUTH), *record.run)[:, 1]
         late = drift * record.time / record.time[-1]
         return record.with_columns(omega=omega + late + noise * rng.standard_normal(len(record)))
 
@@ -269,7 +269,7 @@ def test_what_a_record_of_other_commands_refutes_does_not_ship():
     campaign = rig(**{"sensor_drift.rate": 0.02})
     base = diagnose(replace(campaign, validation=None), some("sensor_drift")).base
     validation = campaign.validation
-    thrust = Simulator(base.problem.model).simulate(base.values, validation.columns, validation.steps)[:, 0]
+    thrust = Simulator(base.problem.model).simulate(base.values, *validation.run)[:, 0]
     validation = validation.with_columns(thrust=thrust + NOISE * np.random.default_rng(1).standard_normal(len(thrust)))
     found = diagnose(replace(campaign, validation=validation), some("sensor_drift"))
     assert found.selection.final.effects == ("sensor_drift",)

@@ -451,7 +451,7 @@ def test_a_dead_band_in_a_closed_loop_is_looked_for_where_it_is(half_width, star
     flown = run(KernelPlant(model, {name: half_width}), KernelController(), wanted)
 
     def shown(at):
-        return Simulator(model).simulate(model.values({name: at}), flown.columns, flown.steps)[:, 0]
+        return Simulator(model).simulate(model.values({name: at}), *flown.run)[:, 0]
 
     read = shown(half_width) + 0.05 * rng.standard_normal(len(flown))
     record = Record({n: flown[n] for n in ("time", "omega_ref", "beta_ref")} | {"thrust": read}, "flown")

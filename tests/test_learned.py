@@ -53,7 +53,7 @@ def campaign(gain, seed=0) -> Campaign:
     first, other = commands(rng, 16.0), commands(rng, 8.0)
     simulator, found = Simulator(model), []
     for record, name in ((first, "open_loop"), (first, "repeat"), (other, "validation")):
-        thrust = simulator.simulate({**model.values(TRUTH), **term}, record.columns, record.steps)[:, 0]
+        thrust = simulator.simulate({**model.values(TRUTH), **term}, *record.run)[:, 0]
         found.append(
             replace(record.with_columns(thrust=thrust + NOISE * rng.standard_normal(len(record))), source=f"{name}.csv")
         )
@@ -97,7 +97,7 @@ def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
     """Curves over pitch or speed, at 0: what the look's linear response says, and what the model does."""
     base, form = nothing.base, 2.0
     e, driver = base.problem.experiments[0], "speed" if PORTS[port].channel == "beta" else "pitch"
-    outputs = Simulator(base.problem.model).simulate(base.values, e.record.columns, e.record.steps)
+    outputs = Simulator(base.problem.model).simulate(base.values, *e.record.run)
     course = Course.of(e, base.values, outputs)
     at = np.linspace(*np.quantile(course.drivers[driver], [0.1, 0.9]), 3)
     values = {f"at_{k + 1}": float(v) for k, v in enumerate(at)} | {f"value_{k + 1}": 0.0 for k in range(3)}
@@ -105,7 +105,7 @@ def test_a_port_s_response_is_the_kernel_s_tangent(nothing, port):
     model = plant(["term"], placed(nothing.base.problem.model.effects, effect, PORTS[port]))
     wrt = [f"term.value_{k + 1}" for k in range(3)]
     _, tangents = Simulator(model, wrt).sensitivities(
-        {**base.values, "term.form": form} if PORTS[port].staged else base.values, e.record.columns, e.record.steps
+        {**base.values, "term.form": form} if PORTS[port].staged else base.values, *e.record.run
     )
     shown, _ = course.response(port, form, False, hats(course.drivers[driver], at))
     told, whole = e.white_thrust(shown), e.thrust_columns(tangents[:, 0])
@@ -118,7 +118,7 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
     """Twice the fall of a group is chi^2 of its rank where there is only noise: 200 draws, Kolmogorov and Smirnov."""
     base = nothing.base
     e, about = base.problem.experiments[0], base.linearised()
-    outputs = Simulator(base.problem.model).simulate(base.values, e.record.columns, e.record.steps)
+    outputs = Simulator(base.problem.model).simulate(base.values, *e.record.run)
     course, (_, jacobian) = Course.of(e, base.values, outputs), base.tangent()
     columns, rng, falls = jacobian[: base.problem.size], np.random.default_rng(0), []
     terms = hats(course.drivers["pitch_rate"], np.array([-10.0, -2.0, 0.0, 2.0, 10.0]))[:, [0, 1, 3, 4]]
@@ -196,7 +196,7 @@ def test_its_files_are_read_exported_and_reported(found, tmp_path):
     library = library_with([tmp_path / FILE])
     parameters = read_parameters(tmp_path / "parameters.json", lambda names: plant(names, library))
     record = found.campaign.validation
-    shown = Simulator(parameters.model).simulate(parameters.values, record.columns, record.steps)[:, 0]
+    shown = Simulator(parameters.model).simulate(parameters.values, *record.run)[:, 0]
     np.testing.assert_allclose(shown, found.prediction(found.final, record).thrust, rtol=0, atol=1e-4)
     path = tmp_path / "plant.fmu"
     path.write_bytes(python_fmu(parameters.model, parameters.values))

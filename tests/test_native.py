@@ -67,7 +67,7 @@ def test_pieces_are_the_whole(compiler, request, recwarn):
     simulator = Simulator(model, wrt)
     whole = simulator.sensitivities(values, inputs, UNEVEN[:1000])
     for rows in (1, 7, 250, 1000, 1001, 5000):
-        parts = [(y.copy(), d.copy()) for _, y, d in simulator.pieces(values, inputs, UNEVEN[:1000], rows)]
+        parts = [(y.copy(), d.copy()) for _, y, d in simulator.pieces(values, inputs, UNEVEN[:1000], rows=rows)]
         for one, together in zip(whole, zip(*parts, strict=True), strict=True):
             np.testing.assert_array_equal(np.concatenate(together), one)
 

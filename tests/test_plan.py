@@ -141,7 +141,7 @@ def test_forecast_is_what_refits_scatter_by(planned):
     """60 records of the planned commands with noise, each fitted: per parameter, and all of them together."""
     truth, rng, count = BASE.values(SORTED), np.random.default_rng(1), 60
     record = planned.commands
-    thrust = simulator(BASE).simulate(truth, record.columns, record.steps)[:, 0]
+    thrust = simulator(BASE).simulate(truth, *record.run)[:, 0]
     np.testing.assert_allclose(planned.thrust, thrust, rtol=1e-12)
     found = []
     for _ in range(count):

@@ -74,7 +74,7 @@ def test_records_are_what_they_claim():
     assert np.all(moves["beta_ref"] >= 20.0 - STEP)
     assert not np.any((moves["omega_ref"] > 20.0) & (moves["omega_ref"] < 40.0 - STEP))
     noisy = measured(record, rng)
-    error = noisy["thrust"] - Simulator(BASE).simulate(TRUTH, record.columns, record.steps)[:, 0]
+    error = noisy["thrust"] - Simulator(BASE).simulate(TRUTH, *record.run)[:, 0]
     assert error.std() == pytest.approx(NOISE, rel=3.0 / np.sqrt(2.0 * len(record)))
 
 
@@ -125,9 +125,7 @@ def test_theory_is_the_bound_at_the_truth(white):
     record, simulator, h = commands(rng), Simulator(BASE), 1e-5
     columns = []
     for name in BASE_PARAMETERS:
-        up, down = (
-            simulator.simulate(TRUTH | {name: TRUTH[name] + side * h}, record.columns, record.steps)[:, 0] for side in (1, -1)
-        )
+        up, down = (simulator.simulate(TRUTH | {name: TRUTH[name] + side * h}, *record.run)[:, 0] for side in (1, -1))
         columns.append((up - down) / (2.0 * h))
     jacobian = np.column_stack(columns)
     bound = NOISE * np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))

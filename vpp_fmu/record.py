@@ -7,7 +7,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.types import Signal
 from vpp_fmu.notebook import table_html
+from vpp_fmu.sensors import UNKNOWN, SpeedSensor
 
 VOLTAGE = Signal("voltage", "V", "supply voltage", 0.0, 100.0, 25.0)
 CURRENT = Signal("current", "A", "supply current", -500.0, 500.0, 10.0)
@@ -39,8 +40,8 @@ class RecordWarning(UserWarning):
 class Record:
     """Columns by name, each (n,), in the units of QUANTITIES, and the file they came from.
 
-    Commands are zero-order holds: a row's value acts from that row's time on. Measured values are sampled at the row's
-    time; NaN where the rig gave none.
+    Commands are zero-order holds: a row's value acts from that row's time on, or from a share `late` (0 to below 1) of the row
+    later. Measured values are sampled at the row's time; NaN where the rig gave none. `sensor`: what measured the speed.
 
     >>> record = vpp.read_campaign(vpp.example_campaign()).open_loop
     >>> record
@@ -53,6 +54,8 @@ class Record:
 
     columns: Mapping[str, np.ndarray]
     source: str
+    late: float = 0.0
+    sensor: SpeedSensor = UNKNOWN
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", {name: np.asarray(column) for name, column in self.columns.items()})
@@ -77,6 +80,21 @@ class Record:
     def steps(self) -> np.ndarray:
         """(n - 1,) s from row to row, rounded to the nanosecond: a grid written as 0.004 s gives exactly 0.004 each time."""
         return np.round(np.diff(self.time), 9)
+
+    @property
+    def run(self) -> tuple[Mapping[str, np.ndarray], np.ndarray, float]:
+        """(columns, steps, late): the inputs of a simulation of these rows."""
+        return self.columns, self.steps, self.late
+
+    def commands_later(self, rows: float) -> "Record":
+        """The record with commands that act so many rows later, earlier where negative, beside the same readings.
+
+        The first command is extended backwards and the last one forwards.
+        """
+        whole = math.floor(self.late + rows)
+        taken = np.clip(np.arange(len(self)) - whole, 0, len(self) - 1)
+        moved = {name: self.columns[name][taken] for name in ("omega_ref", "beta_ref") if name in self}
+        return replace(self.with_columns(**moved), late=self.late + rows - whole)
 
     @property
     def period(self) -> float:
@@ -140,11 +158,11 @@ class Record:
 
     def part(self, rows: slice | np.ndarray) -> "Record":
         """The rows that a slice, mask or index array selects. Their times stay as they are."""
-        return Record({name: column[rows] for name, column in self.columns.items()}, self.source)
+        return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
     def with_columns(self, **arrays: np.ndarray) -> "Record":
         """This record with columns added or exchanged; each (n,)."""
-        return Record({**self.columns, **{name: np.asarray(array) for name, array in arrays.items()}}, self.source)
+        return replace(self, columns={**self.columns, **{name: np.asarray(array) for name, array in arrays.items()}})
 
 
 def read_record(path: str | os.PathLike[str], need: Sequence[str] = COMMANDS, holes: Sequence[str] = ()) -> Record:

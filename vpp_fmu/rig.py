@@ -13,6 +13,10 @@ from vpp_fmu.files import read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.record import Record
+from vpp_fmu.sensors import KINDS, SpeedSensor
+
+MOST_MARKS = 1000
+"""Marks a revolution, at most."""
 
 FORMAT = "vpp-rig/1"
 FILE = "rig.json"
@@ -35,7 +39,8 @@ DECLARED, MEASURED, ASSUMED = "rig.json", "the campaign", "the model's scales"
 @dataclass(frozen=True)
 class Rig:
     """What a rig may do: ranges (least, greatest) of commanded `speed` [rpm], `pitch` [deg] and of `thrust` [N]; the steepest
-    commands, `speed_slew` [rpm/s] and `pitch_slew` [deg/s], infinite where steps are allowed.
+    commands, `speed_slew` [rpm/s] and `pitch_slew` [deg/s], infinite where steps are allowed. `sensor`: what is declared of the
+    speed sensor, fields of a `SpeedSensor` by name.
 
     A range of one value (a fixed pitch) has equal ends. `origin`: by entry, where it comes from.
     """
@@ -48,6 +53,7 @@ class Rig:
     pitch_slew: float = math.inf
     scales: Scales = PAPER
     origin: Mapping[str, str] = field(default_factory=dict)
+    sensor: Mapping[str, object] = field(default_factory=dict)
 
     def summary(self) -> dict:
         """The content of a rig.json, with `origin` beside it: for parameters.json and the reports."""
@@ -59,6 +65,7 @@ class Rig:
             **ranges,
             "slew": {n: v for n, v in slews.items() if math.isfinite(v)},
             "scales": asdict(self.scales),
+            **({"sensors": {"speed": dict(self.sensor)}} if self.sensor else {}),
             "origin": dict(self.origin),
         }
 
@@ -67,7 +74,8 @@ class Rig:
         s = self.scales
         text = f"w = omega / {s.omega_scale:g} rpm, b = (beta {s.beta_offset:+g} deg) / {s.beta_scale:g} deg, "
         text += f"T = thrust / {s.thrust_scale:g} N ({self.origin.get('scales', ASSUMED)})"
-        return [*(self._range(name) for name in RANGES), *self._slews(), text]
+        sensor = [f"speed sensor {SpeedSensor(**self.sensor).text} ({DECLARED})"] if self.sensor else []
+        return [*(self._range(name) for name in RANGES), *self._slews(), *sensor, text]
 
     def command_lines(self) -> list[str]:
         """The same of what may be commanded alone."""
@@ -159,7 +167,7 @@ def read_rig(path: str | os.PathLike) -> dict:
 
 
 def _entries(path: str | os.PathLike, content: Mapping) -> dict:
-    known = ("format", "name", *RANGES, "slew", "scales")
+    known = ("format", "name", *RANGES, "slew", "scales", "sensors")
     for name in content:
         if name not in known:
             raise BadInput(path, name, "a field that is not known", ", ".join(known))
@@ -181,7 +189,24 @@ def _entries(path: str | os.PathLike, content: Mapping) -> dict:
     positive = {
         n: _number(path, f"scales, {n}", v, *((-1e3, 1e3) if n == "beta_offset" else (1e-6, 1e6))) for n, v in scales.items()
     }
-    return found | ({"scales": positive} if positive else {})
+    sensor = _sensor(path, content.get("sensors", {}))
+    return found | ({"scales": positive} if positive else {}) | ({"sensor": sensor} if sensor else {})
+
+
+def _sensor(path: str | os.PathLike, found: object) -> dict:
+    """What is declared of the speed sensor, as fields of a `SpeedSensor`."""
+    entry = _object(path, "sensors", found, ("speed",)).get("speed", {})
+    entry = _object(path, "sensors, speed", entry, tuple(asdict(SpeedSensor())))
+    kind, marks = entry.get("kind"), entry.get("marks_per_revolution")
+    if kind is not None and kind not in KINDS:
+        raise BadInput(path, "sensors, speed, kind", json.dumps(kind), " or ".join(json.dumps(k) for k in KINDS))
+    if marks is not None and (isinstance(marks, bool) or not isinstance(marks, int) or not 1 <= marks <= MOST_MARKS):
+        raise BadInput(
+            path, "sensors, speed, marks_per_revolution", json.dumps(marks), f"a whole number from 1 to {MOST_MARKS}"
+        )
+    times = {n: (-1.0 if n == "delay" else 0.0, 10.0) for n in ("filter", "refresh", "delay")}
+    numbers = {n: _number(path, f"sensors, speed, {n}", entry[n], *times[n]) for n in times if n in entry}
+    return {n: v for n, v in (("kind", kind), ("marks_per_revolution", marks)) if v is not None} | numbers
 
 
 def _object(path: str | os.PathLike, name: str, found: object, known: tuple[str, ...]) -> dict:

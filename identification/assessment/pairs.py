@@ -31,7 +31,7 @@ def exchangeable(model: Model, values: Mapping[str, float], record: Record, chan
     pair = f"tau_{channel}_1", f"tau_{channel}_2"
     swapped = {**values, pair[0]: values[pair[1]], pair[1]: values[pair[0]]}
     simulator = Simulator(model)
-    one, other = (simulator.simulate(v, record.columns, record.steps) for v in (values, swapped))
+    one, other = (simulator.simulate(v, *record.run) for v in (values, swapped))
     return bool(np.all(np.abs(one - other) <= SAME * np.ptp(one, axis=0) + 1e-12))
 
 

@@ -64,14 +64,14 @@ class Prediction:
 
 def predict(model: Model, values: Mapping[str, float], record: Record) -> Prediction:
     """The model's open-loop response to a record's commands."""
-    outputs = Simulator(model).simulate(values, record.columns, record.steps)
+    outputs = Simulator(model).simulate(values, *record.run)
     return Prediction(record, *outputs.T)
 
 
 def band(model: Model, values: Mapping[str, float], uncertainty: Uncertainty, record: Record, left: float) -> np.ndarray:
     """Standard deviation (rows,) N of a predicted reading: what the parameters leave open, and what the fit has `left` [N]."""
     variance = np.empty(len(record))
-    for at, _, tangents in Simulator(model, uncertainty.names).pieces(values, record.columns, record.steps):
+    for at, _, tangents in Simulator(model, uncertainty.names).pieces(values, *record.run):
         slope = tangents[:, 0]
         variance[at] = np.einsum("ij,jk,ik->i", slope, uncertainty.covariance, slope)
     return np.sqrt(variance + left**2)

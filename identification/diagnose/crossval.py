@@ -182,7 +182,7 @@ def _errors(
     for e in problem.experiments:
         fold, predicted = split(e.record.time, e.record.time[-1]), np.empty((len(e.record), 2))
         changes = np.column_stack([inner @ move for move in moves])
-        for at, shown, tangents in simulator.pieces(fit.values, e.record.columns, e.record.steps):
+        for at, shown, tangents in simulator.pieces(fit.values, *e.record.run):
             predicted[at] = shown[:, :2] + np.einsum("rcn,nr->rc", tangents[:, :2], changes[:, fold[at]])
         thrust.append(predicted[:, 0] - e.thrust_rows)
         shown = [t.shows(predicted[:, 1]) - t.measured for t in e.tachometers]

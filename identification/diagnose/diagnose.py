@@ -31,8 +31,10 @@ from identification.fit.refine import run_ins
 from identification.fit.tachometer import Tachometer
 from identification.fit.uncertainty import WIDEST, disagreement
 from identification.gate.finding import Finding
-from identification.gate.gate import passed
+from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
+from identification.logger import Logger
+from identification.logger_fit import as_logged
 from identification.roles import Fitted, Unseen, roles
 from identification.static.at_rest import Knowledge
 from vpp_fmu.campaign import Campaign
@@ -56,7 +58,8 @@ CLEARING = 3
 class Diagnosis:
     """What a campaign's residual was traced to.
 
-    `quality`: what the gate found in the files, and in the fit of the identification. `base`: the model without any further
+    `quality`: what the gate found in the files, and in the fit of the identification. `logger`: the one that the records were
+    corrected for. `base`: the model without any further
     effect, as it was identified. `final`: the one that ships. `given`: the model that was brought, as it was brought; None
     where the campaign was identified first. `before`, `after`: what base and set lack. `held_out_before`, `held_out_after`:
     cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the model
@@ -66,6 +69,7 @@ class Diagnosis:
 
     campaign: Campaign
     quality: tuple[Finding, ...]
+    logger: Logger
     identification: Identification | None
     given: ParameterSet | None
     rig: Rig
@@ -118,6 +122,7 @@ class Diagnosis:
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
         first = self.fitted[0].record
         source |= {"record_seconds": float(first.time[-1]), "sample_period": first.period, "rig": self.rig.summary()}
+        source["logger"] = self.logger.summary()
         renamed = self.renamed(fit)
         values, std = ({renamed.get(n, n): v for n, v in each.items()} for each in (fit.values, fit.std()))
         return ParameterSet(exportable(fit.problem.model), source=source).replaced(values, std)
@@ -177,83 +182,115 @@ def diagnose(
     record, its repeat and further `records`; the validation record is opened when the model stands. `smallest` [N]: the least
     size of interest. `thorough`: where what was tried leaves something, more candidates are refitted, and a term of no list is
     looked for. BadInput where the campaign has no record to fit.
+
+    The logger is estimated first, beside the base model. A missing effect may bias that estimate: where effects are found, it
+    is estimated once more beside them, and if it differs, the campaign is diagnosed with it, too.
     """
-    with (
-        threadpool_limits(1),
-        ThreadPoolExecutor(workers) as pool,
-    ):  # the fits run side by side: threads in each would only fight
-        stage("identify")
+    # The fits run side by side: threads in each would only fight.
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+        stage("quality")
         gate = passed(campaign, records, accept)
-        groups, unseen = roles(gate.campaign, gate.further)
-        fitted = tuple(one for group in groups for one in group)
-        if given:
-            at = from_given(gate.campaign, given, library, [one.record for one in fitted])
-        else:
-            at = from_identification(campaign, gate, library, seed)
-        options = candidates(at.library, [one.record for one in fitted])
-        stage("noise")
-        give_back()
-        searcher, base = _prepared(groups, at, options, pool)
-        judge = Judge(searcher, base, smallest, gate.campaign.steps)
-        searcher.lacking = judge.lack(base).score.gain
-        stage("what can be told apart")
-        apart = distinguishability(base, options, at.library, pool.map)
-        give_back()
+        library = tuple(library)
+        present = (given.model.optional, library, given.values) if given else ()
+        run = partial(_diagnosed, campaign, library, pool, seed, stage, given, smallest, thorough)
+        stage("logger")
+        first = as_logged(gate, *present)
+        found = run(first)
+        known = [e.name for e in library]
+        if not (named := [name for name in found.selection.final.effects if name in known]):
+            return found
+        stage("logger")
+        kept = given.model.optional if given else ()
+        again = as_logged(gate, [*kept, *named], library, found.selection.final.values)
+        if again.logger.agrees_with(first.logger):
+            return found
+        return min(found, run(again), key=lambda one: one.held_out_after.rmse_thrust)
 
-        def clearer(judge: Judge, fit: Fit) -> Judge | None:
-            there = _clearer(groups, at, judge.searcher, judge.base, fit)
-            return there and Judge(*there, smallest, gate.campaign.steps)
 
-        judge, selection = select(judge, options, clearer, thorough, pool, stage)
-        searcher, base = judge.searcher, judge.base
-        give_back()
-        before, after = (with_turning(judge.lack(fit), fit) for fit in (base, selection.final))
+def _diagnosed(
+    campaign: Campaign,
+    library: tuple[Effect, ...],
+    pool: ThreadPoolExecutor,
+    seed: int,
+    stage: Callable[[str], None],
+    given: ParameterSet | None,
+    smallest: float | None,
+    thorough: bool,
+    gate: Passed,
+) -> Diagnosis:
+    """The diagnosis of a campaign whose records have passed the `gate`, corrected for its logger."""
+    stage("identify")
+    groups, unseen = roles(gate.campaign, gate.further)
+    fitted = tuple(one for group in groups for one in group)
+    if given:
+        at = from_given(gate.campaign, given, library, [one.record for one in fitted])
+    else:
+        at = from_identification(campaign, gate, library, seed)
+    options = candidates(at.library, [one.record for one in fitted])
+    stage("noise")
+    give_back()
+    searcher, base = _prepared(groups, at, options, pool)
+    judge = Judge(searcher, base, smallest, gate.campaign.steps)
+    searcher.lacking = judge.lack(base).score.gain
+    stage("what can be told apart")
+    apart = distinguishability(base, options, at.library, pool.map)
+    give_back()
+
+    def clearer(judge: Judge, fit: Fit) -> Judge | None:
+        there = _clearer(groups, at, judge.searcher, judge.base, fit)
+        return there and Judge(*there, smallest, gate.campaign.steps)
+
+    judge, selection = select(judge, options, clearer, thorough, pool, stage)
+    searcher, base = judge.searcher, judge.base
+    give_back()
+    before, after = (with_turning(judge.lack(fit), fit) for fit in (base, selection.final))
+    word = verdict(base, selection.final, before, after, selection.family)
+    identified = base.estimated(at.refinement, at.uncertainty)
+    shipped = partial(_shipped, judge, at.knowledge, unseen)
+    final, refuted = identified, ""
+    if word in CHANGED:
+        final, refuted = shipped(identified, base, selection.final, word == "partly")
+    if refuted and (others := _not_refuted(selection, refuted, judge, base, before, partial(shipped, identified, base))):
+        (selection, after, final), refuted = others, ""
         word = verdict(base, selection.final, before, after, selection.family)
-        identified = base.estimated(at.refinement, at.uncertainty)
-        shipped = partial(_shipped, judge, at.knowledge, unseen)
-        final, refuted = identified, ""
-        if word in CHANGED:
-            final, refuted = shipped(identified, base, selection.final, word == "partly")
-        if refuted and (others := _not_refuted(selection, refuted, judge, base, before, partial(shipped, identified, base))):
-            (selection, after, final), refuted = others, ""
-            word = verdict(base, selection.final, before, after, selection.family)
-        lacks = before if refuted else after
-        word = unnamed(before) if refuted else word  # what was found is not it
-        attempt = Attempt()
-        if thorough and word in ("unexplained", "partly") and lacks.found:
-            besides = [base, selection.final] if word == "partly" else [base]
+    lacks = before if refuted else after
+    word = unnamed(before) if refuted else word  # what was found is not it
+    attempt = Attempt()
+    if thorough and word in ("unexplained", "partly") and lacks.found:
+        besides = [base, selection.final] if word == "partly" else [base]
 
-            def learned_beside(beside: Fit) -> Attempt:
-                return learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
+        def learned_beside(beside: Fit) -> Attempt:
+            return learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
 
-            attempt, final = _learned(learned_beside, besides, judge, final, shipped)
-        if attempt.learned:
-            word, refuted, selection = "learned", "", _with(selection, attempt.learned)
-            after = with_turning(judge.lack(selection.final), selection.final)
-        shown = predict(final.problem.model, final.values, fitted[0].record)
-        return Diagnosis(
-            campaign=campaign,
-            quality=at.identification.quality if at.identification else gate.findings,
-            identification=at.identification,
-            given=given,
-            rig=at.rig,
-            fitted=fitted,
-            base=identified,
-            noise=searcher.experiments[0].noise,
-            selection=selection,
-            verdict=word,
-            before=before,
-            after=after,
-            apart=apart,
-            location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
-            experiment=discriminating_experiment(_timed(at, final), seed, fitted[0].record.period),
-            final=final,
-            held_out_before=judge.held_out(identified),
-            held_out_after=judge.held_out(final),
-            unseen=unseen,
-            refuted=refuted,
-            attempt=attempt,
-        )
+        attempt, final = _learned(learned_beside, besides, judge, final, shipped)
+    if attempt.learned:
+        word, refuted, selection = "learned", "", _with(selection, attempt.learned)
+        after = with_turning(judge.lack(selection.final), selection.final)
+    shown = predict(final.problem.model, final.values, fitted[0].record)
+    return Diagnosis(
+        campaign=campaign,
+        quality=at.identification.quality if at.identification else gate.findings,
+        logger=gate.logger,
+        identification=at.identification,
+        given=given,
+        rig=at.rig,
+        fitted=fitted,
+        base=identified,
+        noise=searcher.experiments[0].noise,
+        selection=selection,
+        verdict=word,
+        before=before,
+        after=after,
+        apart=apart,
+        location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
+        experiment=discriminating_experiment(_timed(at, final), seed, fitted[0].record.period),
+        final=final,
+        held_out_before=judge.held_out(identified),
+        held_out_after=judge.held_out(final),
+        unseen=unseen,
+        refuted=refuted,
+        attempt=attempt,
+    )
 
 
 def _not_refuted(
@@ -495,7 +532,7 @@ def _noise(
     group = max(groups, key=len)
     if len(group) < 2:
         return _noise_left(group[0], model, values, names, block)
-    outputs = Simulator(model).simulate(values, group[0].record.columns, group[0].record.steps)
+    outputs = Simulator(model).simulate(values, *group[0].record.run)
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]

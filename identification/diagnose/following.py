@@ -195,7 +195,7 @@ def speed_size(fit: Fit, share: float) -> float:
 
 
 def _outputs(fit: Fit, e: Experiment) -> np.ndarray:
-    return fit.problem.simulator.simulate(fit.values, e.record.columns, e.record.steps)
+    return fit.problem.simulator.simulate(fit.values, *e.record.run)
 
 
 def _places(fit: Fit, channel: str) -> list[slice]:

@@ -152,7 +152,7 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
     for e in fit.problem.experiments:
         if len(e.records) < 2:
             continue
-        shown = e.converter.reads(simulator.simulate(fit.values, e.record.columns, e.record.steps)[:, 0])
+        shown = e.converter.reads(simulator.simulate(fit.values, *e.record.run)[:, 0])
         at = blocks(e.record, 0.5 / SLOW)
         kept = at.time >= e.skip
         errors = np.stack([_filled(at.mean(shown - r.record["thrust"])[kept]) for r in e.records])

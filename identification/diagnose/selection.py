@@ -71,7 +71,7 @@ class Judge:
     def on_runs(self, fit: Fit) -> np.ndarray:
         """(runs,) mean square of the thrust's error in each of the step runs, N^2."""
         simulator = fit.problem.simulator
-        shown = [simulator.simulate(fit.values, r.columns, r.steps)[:, 0] for r in self.runs]
+        shown = [simulator.simulate(fit.values, *r.run)[:, 0] for r in self.runs]
         return np.array([np.nanmean((y - r["thrust"]) ** 2) for y, r in zip(shown, self.runs, strict=True)])
 
     def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
@@ -124,7 +124,7 @@ class Judge:
 
 
 def _outputs(fit: Fit, experiment) -> np.ndarray:
-    return fit.problem.simulator.simulate(fit.values, experiment.record.columns, experiment.record.steps)
+    return fit.problem.simulator.simulate(fit.values, *experiment.record.run)
 
 
 def _rms(parts: Sequence[np.ndarray]) -> float:

@@ -38,7 +38,7 @@ class AdjointProblem(Problem):
         found, inner = self.values | self.coordinates.values(x), self.coordinates.jacobian(x)
         cost, gradient = 0.0, np.zeros(len(x))
         for e in self.experiments:
-            tape = self._adjoint.record(found, e.record.columns, e.record.steps)
+            tape = self._adjoint.record(found, *e.record.run)
             errors = {"thrust": e.thrust_residual(tape.outputs[:, 0]) / self.scale["thrust"]}
             if len(e.omega_time):
                 errors["omega"] = e.omega_residual(tape.outputs[:, 1]) / self.scale["omega"]

@@ -6,6 +6,8 @@ shows it, in each record by itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import helmert
@@ -17,6 +19,7 @@ from identification.roles import Fitted
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.simulator import PIECE
 from vpp_fmu.record import Record
+from vpp_fmu.sensors import SpeedSensor
 from vpp_fmu.tracer import LANES
 
 CHANNELS = ("thrust", "omega")
@@ -44,18 +47,28 @@ class Experiment:
         self.converter = Converter.of(np.concatenate(thrust), noise.floor)
         self._blocks = blocks(self.record, noise.block)
         self.thrust = self._blocks.mean(self.thrust_rows)
-        self.tachometers = [Tachometer(r) for r in own if "omega" in r and "omega" in channels]
         order = noise.colour.order
         self._seen = _indexed(np.isfinite(noise.colour.whiten(self.thrust)) & (self._blocks.time[order:] >= skip))
         self._share = 1.0 / np.sqrt(len(own))  # the mean's noise
-        late = [t.rows_time(skip, noise.speed.order) for t in self.tachometers]
-        self._late = [(_indexed(kept), time) for kept, time in late]
         self.thrust_time = self._blocks.time[order:][self._seen]
+        self._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in channels])
+
+    def _read_speed(self, tachometers: list[Tachometer]) -> None:
+        self.tachometers = tachometers
+        late = [t.rows_time(self.skip, self.noise.speed.order) for t in tachometers]
+        self._late = [(_indexed(kept), time) for kept, time in late]
         self.omega_times = [time for _, time in self._late]
         self.omega_time = np.concatenate(self.omega_times) if self._late else np.zeros(0)
         self.sizes = {"thrust": len(self.thrust_time)}
         if len(self.omega_time):
             self.sizes["omega"] = len(self.omega_time)
+
+    def measured_by(self, sensor: SpeedSensor) -> "Experiment":
+        """The same records, their speed read by another sensor."""
+        other = copy(self)
+        own = [replace(r.record, sensor=sensor) for r in self.records]
+        other._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in self.channels])
+        return other
 
     def but(self, skip: float | None = None, noise: Noise | None = None) -> "Experiment":
         """The same with another run-in [s], or of other noise."""
@@ -93,7 +106,7 @@ class Experiment:
         means, speed = np.empty((len(self._blocks.time), k)), np.empty((len(self.record) * bool(len(self.omega_time)), k))
         outputs, first = np.empty((len(self.record), len(simulator.outputs))), 0
         rows = max(1, PIECE // length) * length
-        for at, shown, tangents in simulator.pieces(values, self.record.columns, self.record.steps, rows):
+        for at, shown, tangents in simulator.pieces(values, *self.record.run, rows=rows):
             outputs[at] = shown
             own = self._blocks.part(at)
             if len(own.time):

@@ -64,7 +64,7 @@ class Linearised:
     def outputs(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
         """Outputs (rows, 3, points) of a simulator's model for each experiment, each point a change to the fitted values."""
         values = [{**self._values, **point} for point in points]
-        return [simulator.simulate_all(values, e.record.columns, e.record.steps) for e in self._problem.experiments]
+        return [simulator.simulate_all(values, *e.record.run) for e in self._problem.experiments]
 
     def rows(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> np.ndarray:
         """Scaled residual (rows, points) of a simulator's model with changes to the fitted values."""
@@ -80,7 +80,7 @@ class Linearised:
     def columns(self, simulator: Simulator, changes: Mapping[str, float]) -> np.ndarray:
         """Sensitivities (rows, wrt) of the scaled residual in the parameters that a simulator has tangents for."""
         values, problem = {**self._values, **changes}, self._problem
-        runs = [simulator.sensitivities(values, e.record.columns, e.record.steps) for e in problem.experiments]
+        runs = [simulator.sensitivities(values, *e.record.run) for e in problem.experiments]
         columns = problem.columns([tangents for _, tangents in runs], [outputs for outputs, _ in runs])
         return np.vstack([c / problem.scale[k] for k, c in columns.items()])
 

@@ -222,7 +222,7 @@ class Problem:
 
     def outputs(self, values: Mapping[str, float]) -> list[np.ndarray]:
         """Outputs (rows, 3) of the model in each experiment, at all its parameters' `values`."""
-        return [self.simulator.simulate(values, e.record.columns, e.record.steps) for e in self.experiments]
+        return [self.simulator.simulate(values, *e.record.run) for e in self.experiments]
 
     def _with_prior(self, found, outputs):
         residual = np.concatenate([r / self.scale[c] for c, r in self.residuals(outputs).items()])

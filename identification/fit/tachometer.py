@@ -1,72 +1,118 @@
-"""What a tachometer with one mark a revolution shows of a rotor's speed.
+"""Predicted speed as a speed sensor reads it.
 
-A pulse a revolution: the value is the mean speed over the last whole revolution, held until the next pulse. Compared as if
-it were the speed at the row's time, it lags by a revolution and more, and that lag passes for physics. So a prediction is
-averaged as the sensor does, over a window that the measured value itself gives, and compared only where a pulse came in.
+A mark sensor gives n pulses a revolution: its value is the mean speed between the last two, held until the next one. An
+encoder gives the speed of the instant. Telemetry gives a filtered speed that is renewed now and then. Taken for the speed at the
+row's time, a reading would be late by up to a revolution, and the delay would pass for physics. So a prediction is averaged,
+filtered and delayed as the sensor does it, and compared only where a new value came in.
 """
 
+from functools import cached_property
+
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.linalg import solve_banded
+from scipy.sparse import csr_array, diags_array
 
 from vpp_fmu.record import Record
+from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
 
 TIMER = 4e-6
 """Resolution of the period, s."""
 
-
 MORE = 1.3
-"""New values per pulse of one mark from which a sensor has more marks, or is no tachometer."""
+"""New values per pulse of one mark from which a sensor of unknown kind has more marks, or is none with marks."""
+
+
+FADED = 12.0
+"""Time constants after which nothing remains of a filter's input."""
 
 
 class Tachometer:
-    """Turns predicted speed (rows,) or its sensitivities (rows, k) into what the sensor would have shown at its updates.
+    """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
-    `rows` (m,): the rows at which a new value came in; `measured` (m,) rpm there; `std` (m,) rpm: what resolution, and the
-    unknown instant of the pulse within the row's step, leave uncertain. A sensor that renews its value faster than the rotor
-    turns is compared as it stands.
+    `rows` (m,): the rows at which a new value came in; `measured` (m,) rpm there; `std` (m,) rpm: the uncertainty that
+    resolution, and the unknown instant of the value within the row's step, leave. `sensor`: as the record declares it; of
+    unknown kind it is taken for one mark, or for an encoder where values are renewed faster than the rotor turns.
     """
 
     def __init__(self, record: Record):
         time, shown = record.time, record["omega"]
         self._time = time
-        seen = np.isfinite(shown)
-        # The last row before that shows anything: a value that comes back after empty rows is no new one.
-        last = np.maximum.accumulate(np.where(seen, np.arange(len(shown)), 0))
-        before = np.append(0, last[:-1])
-        step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
-        step[1:] = (time - time[before])[1:]
-        new = (shown != shown[before]) & seen & seen[before] & (shown > 0)
-        pulses = np.minimum(np.where(np.isfinite(shown), shown, 0.0) / 60.0 * step, 1.0).sum()
-        if new.sum() > MORE * pulses:  # a sensor that renews faster than the rotor turns shows the speed of the moment
-            self.rows = np.flatnonzero(new)
-            self.measured = shown[self.rows]
-            self.std = self._uncertainty(time[self.rows], np.zeros(len(self.rows)))
+        step, new = _renewed(time, shown)
+        self.sensor = record.sensor if record.sensor.kind else SpeedSensor(_guess(shown, step, new))
+        kind = self.sensor.kind
+        if kind == MARK:
+            period = 60.0 / (np.where(new, shown, 1.0) * self.sensor.marks_per_revolution)
+            since = np.minimum(step, period)  # the last pulse came in this time before the row, somewhere
+            new &= time - 0.5 * since - period >= time[0]
+        else:
+            period = np.zeros(len(time))
+            since = np.minimum(step, self.sensor.refresh) if kind == TELEMETRY else np.zeros(len(time))
+        self.rows = np.flatnonzero(new)
+        self.measured, since = shown[self.rows], since[self.rows]
+        end = time[self.rows] - 0.5 * since - self.sensor.delay
+        self.std = self._uncertainty(end, since)
+        if kind == ENCODER and not self.sensor.delay:
             self._average = csr_array((np.ones(len(self)), (np.arange(len(self)), self.rows)), shape=(len(self), len(time)))
             return
-        period = 60.0 / np.where(new, shown, 1.0)
-        since = np.minimum(step, period)  # the last pulse came in this time before the row, somewhere
-        end = time - 0.5 * since
-        new &= end - period >= time[0]
-        self.rows = np.flatnonzero(new)
-        self.measured = shown[self.rows]
-        self.std = self._uncertainty(end[self.rows], since[self.rows])
-        self._average = _means(time, end[self.rows] - period[self.rows], end[self.rows])
+        if kind == MARK:
+            start = np.clip(end - period[self.rows], time[0], time[-1] - period[self.rows])
+            straight, bent = _means(time, start, start + period[self.rows])
+        else:
+            straight, bent = _instants(time, end)
+        self._average = csr_array(straight + bent @ _bends(time))
+        self.std = np.hypot(self.std, (np.abs(bent).sum(axis=1) + bool(self.sensor.filter)) * self._kinks())
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def shows(self, omega: np.ndarray) -> np.ndarray:
-        """Mean over the last revolution at each update: (m,) of a speed (rows,), (m, k) of columns (rows, k)."""
-        return self._average @ omega
+        """Readings at each new value: (m,) of a speed (rows,), (m, k) of columns (rows, k)."""
+        if not self.sensor.filter:
+            return self._average @ omega
+        drive, decay = self._filter
+        return self._average @ solve_banded((1, 0), decay, drive @ omega)
 
     def transpose(self, weights: np.ndarray) -> np.ndarray:
-        """The transpose of `shows`: (rows,) such that its product with any speed is that of `weights` (m,) with what shows."""
-        return self._average.T @ weights
+        """The transpose of `shows`: (rows,) whose product with any speed is that of `weights` (m,) with the readings."""
+        found = self._average.T @ weights
+        if not self.sensor.filter:
+            return found
+        drive, (ones, decay) = self._filter
+        return drive.T @ solve_banded((0, 1), np.vstack([np.append(0.0, decay[:-1]), ones]), found)
+
+    @cached_property
+    def matrix(self) -> csr_array:
+        """(m, rows) that `shows` applies, the filter's response cut off where next to nothing remains of it."""
+        if not self.sensor.filter:
+            return self._average
+        time, n = self._time, len(self._time)
+        count = min(n, 1 + int(np.ceil(FADED * self.sensor.filter / np.min(np.diff(time)))))
+        bands = [np.exp(-(time[k:] - time[: n - k]) / self.sensor.filter) for k in range(count)]
+        response = diags_array(bands, offsets=[-k for k in range(count)], shape=(n, n))
+        return csr_array(self._average @ (response @ self._filter[0]))
+
+    @cached_property
+    def _filter(self) -> tuple[csr_array, np.ndarray]:
+        """(matrix (rows, rows) from the speed to the filter's drive, its decay from row to row as a banded matrix (2, rows)): a
+        first-order low-pass, settled at first."""
+        n, ratio = len(self._time), np.diff(self._time) / self.sensor.filter
+        kept = np.exp(-ratio)
+        mean = -np.expm1(-ratio) / ratio
+        straight = diags_array([np.append(1.0, 1.0 - mean), mean - kept], offsets=[0, -1], shape=(n, n))
+        bent = diags_array([1.0 - kept], offsets=[-1], shape=(n, n - 1))
+        return csr_array(straight + bent @ _bends(self._time)), np.vstack([np.ones(n), np.append(-kept, 0.0)])
 
     def rows_time(self, skip: float, order: int) -> tuple[np.ndarray, np.ndarray]:
         """(mask of the updates behind the first `order` that came at `skip` [s] or later, their times [s])."""
         time = self._time[self.rows][order:]
         return time >= skip, time[time >= skip]
+
+    def _kinks(self) -> np.ndarray:
+        """(m,) rpm: how far the speed may be off a parabola between two rows, from how the bend changes between readings."""
+        bend = np.zeros(len(self))
+        bend[1:-1] = np.diff(self.measured, 2) / 12.0
+        kink = np.abs(np.diff(bend, prepend=0.0))
+        return np.maximum.reduce([kink, np.append(kink[1:], 0.0), np.append(0.0, kink[:-1])])
 
     def _uncertainty(self, end: np.ndarray, step: np.ndarray) -> np.ndarray:
         """rpm: the display's digit, the timer's tick, the mark's jitter, and acceleration over the unknown part of a step."""
@@ -82,11 +128,54 @@ class Tachometer:
         return np.sqrt((digit**2 + 2.0 * tick**2) / 12.0 + jitter**2 + 1.5 * (rate * step) ** 2 / 12.0)
 
 
-def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> csr_array:
-    """Matrix (windows, rows): the mean over each window [start, end] of a signal that runs straight between rows."""
+def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(s since the last reading of each row, whether the row holds a new value), (rows,) each."""
+    seen = np.isfinite(shown)
+    # The last row before that shows anything: a value that comes back after empty rows is no new one.
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(shown)), 0))
+    before = np.append(0, last[:-1])
+    step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
+    step[1:] = (time - time[before])[1:]
+    return step, (shown != shown[before]) & seen & seen[before] & (shown > 0)
+
+
+def _guess(shown: np.ndarray, step: np.ndarray, new: np.ndarray) -> str:
+    """The kind of a sensor of which nothing is known."""
+    pulses = np.minimum(np.where(np.isfinite(shown), shown, 0.0) / 60.0 * step, 1.0).sum()
+    return ENCODER if new.sum() > MORE * pulses else MARK
+
+
+def _bends(time: np.ndarray) -> csr_array:
+    """Matrix (rows - 1, rows): mean over each step of how far a signal is from a straight line between its rows, by the mean
+    of the second derivatives at both: -h^2 / 12 of it."""
+    n, steps = len(time), np.diff(time)
+    if n < 3:
+        return csr_array((max(n - 1, 0), n))
+    before, after = steps[:-1], steps[1:]
+    second = [2.0 / (before * (before + after)), -2.0 / (before * after), 2.0 / (after * (before + after))]
+    bend = diags_array(second, offsets=[0, 1, 2], shape=(n - 2, n))
+    inner = np.r_[0.0, np.ones(n - 2), 0.0]
+    share = 1.0 / (inner[:-1] + inner[1:])
+    sides = diags_array([share[1:], share[:-1]], offsets=[-1, 0], shape=(n - 1, n - 2))
+    return csr_array(diags_array([-(steps**2) / 12.0], offsets=[0]) @ sides @ bend)
+
+
+def _instants(time: np.ndarray, at: np.ndarray) -> tuple[csr_array, csr_array]:
+    """Matrices (instants, rows), (instants, rows - 1): the value of a signal at each instant is the first times its rows, as if
+    it ran straight between them, and the second times its `_bends`, for it runs along parabolas."""
+    first = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    u = np.clip((at - time[first]) / (time[first + 1] - time[first]), 0.0, 1.0)
+    rows, n = np.arange(len(at)), len(time)
+    places = np.concatenate([rows, rows]), np.concatenate([first, first + 1])
+    straight = csr_array((np.concatenate([1.0 - u, u]), places), shape=(len(at), n))
+    return straight, csr_array((6.0 * u * (1.0 - u), (rows, first)), shape=(len(at), n - 1))
+
+
+def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[csr_array, csr_array]:
+    """The same for the mean over each window [start, end]."""
     steps, n = np.diff(time), len(time)
     first, last = (np.clip(np.searchsorted(time, at, side="right") - 1, 0, n - 2) for at in (start, end))
-    windows, columns, weights = [], [], []
+    windows, columns, weights, bent = [], [], [], []
     for k in range(int(np.max(last - first, initial=-1)) + 1):
         w = np.flatnonzero(first + k <= last)
         at = first[w] + k
@@ -94,10 +183,14 @@ def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> csr_array:
         u, v = (np.clip((edge[w] - time[at]) / steps[at], 0.0, 1.0) for edge in (start, end))
         right = 0.5 * (v * v - u * u)
         share = steps[at] / (end[w] - start[w])
-        windows += [w, w]
-        columns += [at, at + 1]
+        windows.append(w)
+        columns.append(at)
         weights += [share * (v - u - right), share * right]
+        bent.append(share * (v * v * (3.0 - 2.0 * v) - u * u * (3.0 - 2.0 * u)))
     if not windows:
-        return csr_array((len(start), n))
-    places = np.concatenate(windows), np.concatenate(columns)
-    return csr_array((np.concatenate(weights), places), shape=(len(start), n))
+        return csr_array((len(start), n)), csr_array((len(start), n - 1))
+    windows, columns = np.concatenate(windows), np.concatenate(columns)
+    left, right = (np.concatenate(weights[k::2]) for k in (0, 1))
+    straight = csr_array((left, (windows, columns)), shape=(len(start), n))
+    straight += csr_array((right, (windows, columns + 1)), shape=(len(start), n))
+    return straight, csr_array((np.concatenate(bent), (windows, columns)), shape=(len(start), n - 1))

@@ -9,6 +9,7 @@ from threadpoolctl import ThreadpoolController
 from identification.gate.files import files_of, of_files
 from identification.gate.finding import ERROR, Finding, check_accepted, refuse, settled
 from identification.gate.sensors import screen, unusable
+from identification.logger import Logger
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 
@@ -18,11 +19,13 @@ RECORDS = ("open_loop", "repeat", "validation")
 @dataclass(frozen=True)
 class Passed:
     """A campaign and `further` records as they may be used: readings that can't be trusted are empty. `findings`: what was
-    said of the files, errors first; without errors unless `look` made it."""
+    said of the files, errors first; without errors unless `look` made it. `logger`: the one that the records were corrected
+    for; None: they are as the files hold them."""
 
     campaign: Campaign
     further: Mapping[str, Record]
     findings: tuple[Finding, ...]
+    logger: Logger | None = None
 
 
 def look(campaign: Campaign, further: Mapping[str, Record] | None = None, accept: Iterable[str] = ()) -> Passed:

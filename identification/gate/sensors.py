@@ -4,7 +4,7 @@ All of it is judged against the record itself: how often neighbours are equal by
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -66,7 +66,7 @@ def screen(record: Record, accept: frozenset[str] = frozenset()) -> tuple[Record
             columns[fault.column][fault.rows] = np.nan
     kept = record.with_columns(**columns)
     if "omega" in record and not np.isfinite(columns["omega"]).any():
-        kept = Record({n: c for n, c in kept.columns.items() if n != "omega"}, record.source)
+        kept = replace(kept, columns={n: c for n, c in kept.columns.items() if n != "omega"})
     return kept, tuple(f.finding for f in found)
 
 

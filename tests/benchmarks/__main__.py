@@ -108,7 +108,7 @@ def main():
     python = 1.0 / best(lambda: simulation.advance(held, STEP), 2000)
     record = read_campaign(example_folder()).open_loop
     simulator = Simulator(BASE)
-    native = len(record) / best(lambda: simulator.simulate({}, record.columns, record.steps), 20)
+    native = len(record) / best(lambda: simulator.simulate({}, *record.run), 20)
     say("kernel, compiled", native, "steps/s", "its functions as they stand", python)
     fit = best(lambda: refine(BASE, [record], AVERAGED, channels=("thrust",)), 1)
     print(f"{f'refine nine parameters on {len(record)} samples':50} {fit:10.3g} s")

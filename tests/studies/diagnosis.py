@@ -180,7 +180,7 @@ def _true_errors(case: Case, before: ParameterSet, after: ParameterSet) -> list[
 
 def _outputs(found: ParameterSet, record: Record) -> np.ndarray:
     """(rows, 3) thrust [N], speed [rpm], pitch [deg]."""
-    return Simulator(found.model).simulate(found.values, record.columns, record.steps)
+    return Simulator(found.model).simulate(found.values, *record.run)
 
 
 def _rms(error: np.ndarray) -> float:

@@ -165,7 +165,7 @@ def outcome(case: Case, pages: str | None = None) -> dict:
     record, true = case.unseen()
 
     def error(fit: Fit) -> float:
-        shown = Simulator(fit.problem.model).simulate(fit.values, record.columns, record.steps)[:, 0]
+        shown = Simulator(fit.problem.model).simulate(fit.values, *record.run)[:, 0]
         return float(np.sqrt(np.mean((shown - true) ** 2)))
 
     row = {"name": case.name, "kind": _kind(case), "hidden": list(case.hidden), "failed": None}

@@ -44,7 +44,7 @@ def measured(record: Record, rng: np.random.Generator, std: float = NOISE, memor
 
     White, or first-order autoregressive with a correlation that falls to 1 / e in `memory` s.
     """
-    thrust = Simulator(BASE).simulate(TRUTH, record.columns, record.steps)[:, 0]
+    thrust = Simulator(BASE).simulate(TRUTH, *record.run)[:, 0]
     drive = rng.standard_normal(len(record)) * np.sqrt(_innovation(len(record), memory))
     return record.with_columns(thrust=thrust + std * lfilter([1.0], [1.0, -_rho(memory)], drive))
 

@@ -72,6 +72,8 @@ def _one(options, campaign: str) -> None:
         folder.write("report.html", diagnosis_page(found).html())
     for finding in found.quality:
         print(finding.text)
+    for line in found.logger.lines:
+        print(f"your logger: {line}")
     print(headline(found))
     for label, value, note in key_figures(found):
         print(f"{label}: {value} ({note})" if note else f"{label}: {value}")

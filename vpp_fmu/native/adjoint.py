@@ -10,7 +10,7 @@ import numpy as np
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
-from vpp_fmu.native.simulator import completed
+from vpp_fmu.native.simulator import completed, split
 from vpp_fmu.tracer import c_source, trace
 from vpp_fmu.tracer.adjoints import c_adjoints
 
@@ -29,14 +29,18 @@ class Adjoint:
         self._entry = len(model.inputs) + len(model.states) + 1 + len(model.delays)
         self._a_row = 1.0  # entries; learned where steps are cut
 
-    def record(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> "Tape":
+    def record(
+        self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray, late: float = 0.0
+    ) -> "Tape":
         """Run a record (arguments as `Simulator.simulate`) and keep what the way back needs: memory is linear in its steps."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = completed(self.model, inputs, steps)
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
-        steps, n = np.ascontiguousarray(steps, float), len(columns)
-        if len(steps) != n - 1:
-            raise SimulationFailed(f"{self.model.name}: {n} rows need {n - 1} steps, got {len(steps)}")
+        if len(steps) != len(columns) - 1:
+            raise SimulationFailed(f"{self.model.name}: {len(columns)} rows need {len(columns) - 1} steps, got {len(steps)}")
+        commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
+        columns, steps, rows = split(columns, np.ascontiguousarray(steps, float), commanded, late)
+        n = len(columns)
         outputs, taken = np.empty((n, len(self.model.outputs))), np.empty(n, ctypes.c_long)
         room, entries = 0, int(self._a_row * n)
         while room < entries:
@@ -46,7 +50,8 @@ class Adjoint:
             if entries < 0:
                 raise SimulationFailed(f"{self.model.name}: {FAILURES[entries]}")
         self._a_row = max(self._a_row, entries / n)
-        return Tape(outputs, self, values, columns, tape, taken)
+        rows = np.arange(n) if rows is None else rows
+        return Tape(outputs[rows], self, values, columns, tape, taken, rows)
 
     def gradient(self, parameters, inputs, steps, cotangents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(outputs (rows, outputs), derivatives (wrt,) of the sum of `cotangents` (rows, outputs) times outputs)."""
@@ -64,11 +69,13 @@ class Tape:
     _inputs: np.ndarray
     _entries: np.ndarray
     _taken: np.ndarray
+    _rows: np.ndarray
 
     def pull_back(self, cotangents: np.ndarray) -> np.ndarray:
         """Derivatives (wrt,) of the sum of `cotangents` (rows, outputs) times outputs; exact to rounding."""
         adjoint = self._adjoint
-        weights = np.ascontiguousarray(np.broadcast_to(cotangents, self.outputs.shape), float)
+        weights = np.zeros((len(self._inputs), self.outputs.shape[1]))
+        weights[self._rows] = cotangents
         gradient = np.empty(len(adjoint.model.parameters))
         adjoint._pull_back(self._values, self._inputs, len(weights), self._entries, self._taken, weights, gradient)
         return gradient[adjoint._chosen]

@@ -32,19 +32,26 @@ class Simulator:
         self.outputs = tuple(s.name for s in model.outputs)
         self._run, self._alike = _runner(_Chain(model), self.wrt)
 
-    def simulate(self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> np.ndarray:
+    def simulate(
+        self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray, late: float = 0.0
+    ) -> np.ndarray:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
 
         `parameters`: changes to the defaults, by name. `inputs`: one array (rows,) for each of the model's inputs, held from
-        its row to the next; those that effects brought may be missing. `steps` (rows - 1,): seconds from row to row.
+        its row to the next; those that effects brought may be missing. `steps` (rows - 1,): seconds from row to row. `late`:
+        share of its row, from 0 to below 1, after which a command acts.
         """
         outputs = np.empty((len(steps) + 1, len(self.outputs)))
-        for _ in self._run_pieces(parameters, inputs, steps, len(outputs), outputs, None):
+        for _ in self._run_pieces(parameters, inputs, steps, late, len(outputs), outputs, None):
             pass
         return outputs
 
     def simulate_all(
-        self, points: Sequence[Mapping[str, float]], inputs: Mapping[str, np.ndarray], steps: np.ndarray
+        self,
+        points: Sequence[Mapping[str, float]],
+        inputs: Mapping[str, np.ndarray],
+        steps: np.ndarray,
+        late: float = 0.0,
     ) -> np.ndarray:
         """The same for several sets of parameters: outputs (rows, outputs, points), each to the bit what `simulate` gives.
 
@@ -53,48 +60,72 @@ class Simulator:
         found = np.empty((len(self.outputs), len(steps) + 1, len(points)))
         for first in range(0, len(points), LANES):
             part = points[first : first + LANES]
-            found[:, :, first : first + len(part)] = self._side_by_side(part, inputs, steps)
+            found[:, :, first : first + len(part)] = self._side_by_side(part, inputs, steps, late)
         return np.moveaxis(found, 0, 1)
 
-    def _side_by_side(self, points, inputs, steps) -> np.ndarray:
+    def _side_by_side(self, points, inputs, steps, late) -> np.ndarray:
         """(outputs, rows, points) of LANES points at most."""
         if self._alike is not None and len(points) > 1:
-            first, columns, seconds = self._prepared(points[0], inputs, steps)
+            first, columns, seconds, rows = self._prepared(points[0], inputs, steps, late)
             values = [first, *(np.array(list(self.model.values(point).values())) for point in points[1:])]
             values += values[-1:] * (LANES - len(points))
-            outputs = np.empty((len(self.outputs), len(steps) + 1, LANES))
+            outputs = np.empty((len(self.outputs), len(columns), LANES))
             if self._alike(np.array(values), columns, seconds, outputs):
-                return outputs[:, :, : len(points)]
-        return np.stack([self.simulate(point, inputs, steps).T for point in points], axis=2)
+                return (outputs if rows is None else outputs[:, rows])[:, :, : len(points)]
+        return np.stack([self.simulate(point, inputs, steps, late).T for point in points], axis=2)
 
-    def sensitivities(self, parameters, inputs, steps) -> tuple[np.ndarray, np.ndarray]:
+    def sensitivities(self, parameters, inputs, steps, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """As `simulate`, and the outputs' derivatives (rows, outputs, wrt) in the parameters `wrt`, exact to rounding."""
-        ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, len(steps) + 1)
+        ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, late, len(steps) + 1)
         return outputs, tangents
 
-    def pieces(self, parameters, inputs, steps, rows: int = PIECE) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    def pieces(
+        self, parameters, inputs, steps, late: float = 0.0, rows: int = PIECE
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """The same in pieces of `rows` rows, each (its rows, outputs, derivatives): a long record's need not be held at once.
 
         Both are overwritten by the next piece.
         """
         size = min(rows, len(steps) + 1)
         outputs, tangents = np.empty((size, len(self.outputs))), np.empty((size, len(self.outputs), len(self.wrt)))
-        for at in self._run_pieces(parameters, inputs, steps, size, outputs, tangents):
+        for at in self._run_pieces(parameters, inputs, steps, late, size, outputs, tangents):
             yield at, outputs[: at.stop - at.start], tangents[: at.stop - at.start]
 
-    def _run_pieces(self, parameters, inputs, steps, size, outputs, tangents) -> Iterator[slice]:
+    def _run_pieces(self, parameters, inputs, steps, late, size, outputs, tangents) -> Iterator[slice]:
         """Fill `outputs` and, unless it is None, `tangents`, both of `size` rows, over and over: the rows that stand there."""
-        values, columns, steps = self._prepared(parameters, inputs, steps)
+        values, columns, steps, rows = self._prepared(parameters, inputs, steps, late)
+        if rows is None:
+            yield from self._run_whole(values, columns, steps, size, outputs, tangents)
+            return
+        ends = np.append(rows[size::size], len(columns))
+        most = int(np.diff(ends, prepend=0).max())
+        shown = np.empty((most, *outputs.shape[1:]))
+        moved = None if tangents is None else np.empty((most, *tangents.shape[1:]))
+        first = 0
+        for at in self._run_whole(values, columns, steps, ends, shown, moved):
+            own = rows[first : first + size] - at.start
+            outputs[: len(own)] = shown[own]
+            if tangents is not None:
+                tangents[: len(own)] = moved[own]
+            yield slice(first, first + len(own))
+            first += len(own)
+
+    def _run_whole(self, values, columns, steps, ends, outputs, tangents) -> Iterator[slice]:
+        """The same of rows that are all wanted. `ends`: of each piece, or rows a piece."""
+        ends = range(ends, len(columns) + ends, ends) if isinstance(ends, int) else ends.tolist()
         with closing(self._run(values, columns, steps, tangents is None)) as run:
             next(run)
-            for first in range(0, len(columns), size):
-                at = slice(first, min(first + size, len(columns)))
+            first = 0
+            for end in ends:
+                at = slice(first, min(end, len(columns)))
                 count = at.stop - first
                 run.send((at, outputs[:count], None if tangents is None else tangents[:count]))
                 yield at
+                first = at.stop
 
-    def _prepared(self, parameters, inputs, steps):
-        """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order."""
+    def _prepared(self, parameters, inputs, steps, late):
+        """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order, and of rows that were split for `late`
+        commands the indices of the whole ones; None where none was."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = completed(self.model, inputs, steps)
         rows = {name: len(inputs[name]) for name in self._inputs}
@@ -102,7 +133,26 @@ class Simulator:
             told = ", ".join(f"{name} has {count}" for name, count in rows.items())
             raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {told}")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
-        return values, columns, np.ascontiguousarray(steps, float)
+        commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
+        return values, *split(columns, np.ascontiguousarray(steps, float), commanded, late)
+
+
+def split(
+    columns: np.ndarray, steps: np.ndarray, commanded: np.ndarray, late: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """(inputs (rows + splits, inputs), steps, indices (rows,) of the rows as they were, None where none was split): each row in
+    which a command changes becomes two, the first of the share `late` of its time with the commands (inputs,) before."""
+    if not late:
+        return columns, steps, None
+    changes = np.flatnonzero((columns[1:-1, commanded] != columns[:-2, commanded]).any(axis=1)) + 1
+    before = columns[changes]
+    before[:, commanded] = columns[changes - 1][:, commanded]
+    rows = np.arange(len(columns)) + np.searchsorted(changes, np.arange(len(columns)), side="left")
+    found = np.insert(columns, changes, before, axis=0)
+    first, rest = late * steps[changes], (1.0 - late) * steps[changes]
+    lengths = np.insert(steps, changes, first)
+    lengths[rows[changes] + 1] = rest
+    return np.ascontiguousarray(found), lengths, rows
 
 
 def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> dict[str, np.ndarray]:

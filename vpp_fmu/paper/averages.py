@@ -33,7 +33,7 @@ def simulated(records: Sequence[Record], values: Mapping[str, float], noise: flo
     """The plain plant with `values` under the records' commands, its thrust with white noise [N]."""
     rng, simulator, found = np.random.default_rng([seed, 4]), Simulator(BASE), []
     for record in records:
-        outputs = simulator.simulate(BASE.values(values), record.columns, record.steps)
+        outputs = simulator.simulate(BASE.values(values), *record.run)
         thrust = outputs[:, 0] + noise * rng.standard_normal(len(record))
         found.append(record.with_columns(thrust=thrust, omega=outputs[:, 1]))
     return found

@@ -74,4 +74,4 @@ def by_part(record: Record, models: Mapping[str, Mapping[str, float]]) -> dict[s
 
 def thrust(record: Record, values: Mapping[str, float]) -> np.ndarray:
     """Thrust (rows,) N that the plain plant with `values` shows under a record's commands."""
-    return Simulator(BASE).simulate(BASE.values(values), record.columns, record.steps)[:, 0]
+    return Simulator(BASE).simulate(BASE.values(values), *record.run)[:, 0]

@@ -70,7 +70,7 @@ class Course:
             w,
             slopes[0] * base.thrust_scale / base.beta_scale,
             slopes[1] * base.thrust_scale / base.omega_scale,
-            tuple(t.shows(grid) for t in experiment.tachometers) if len(experiment.omega_time) else (),
+            tuple(t.matrix @ grid for t in experiment.tachometers) if len(experiment.omega_time) else (),
         )
 
     def stage(self, u: str, form: float, swapped: bool) -> tuple[np.ndarray, float, float]:

@@ -43,15 +43,15 @@ class Outputs(dict):
         return Outputs({n: self[n] - other[n] for n in self})
 
 
-def _simulated(fit: Fit, columns, steps, changes=()) -> Outputs:
-    outputs = fit.problem.simulator.simulate({**fit.values, **dict(changes)}, columns, steps)
+def _simulated(fit: Fit, columns, steps, late=0.0, changes=()) -> Outputs:
+    outputs = fit.problem.simulator.simulate({**fit.values, **dict(changes)}, columns, steps, late)
     return Outputs(zip(OUTPUTS, outputs.T, strict=True))
 
 
 def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Outputs]:
     effect = next(e for e in fit.problem.model.effects if e.name == name)
     off = {effect.full(n): v for n, v in effect.off.items()}
-    return _simulated(fit, record.columns, record.steps), _simulated(fit, record.columns, record.steps, off)
+    return _simulated(fit, *record.run), _simulated(fit, *record.run, off)
 
 
 def _add_at_rest(page: Page, found: Diagnosis, effect: str, acts: str) -> None:

@@ -84,7 +84,7 @@ def data(found: Diagnosis) -> np.ndarray:
     term, fit = found.learned.term, found.final
     lead, parts = term.lead, []
     for e in fit.problem.experiments:
-        outputs = fit.problem.simulator.simulate(fit.values, e.record.columns, e.record.steps)
+        outputs = fit.problem.simulator.simulate(fit.values, *e.record.run)
         course = Course.of(e, fit.values, outputs)
         v = course.driver(lead.driver, lead.port, lead.form, False)
         parts.append(lagged(v, term.values.get("lag", 0.0), course.step))

@@ -135,11 +135,10 @@ def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
             continue
         seconds, times = 0.0, 0
         for e in fit.problem.experiments:
-            columns, steps = e.record.columns, e.record.steps
             ways = ({}, {effect.full(p.name): p.unlimited})
-            limited, free = (simulator.simulate(fit.values | change, columns, steps) for change in ways)
+            limited, free = (simulator.simulate(fit.values | change, *e.record.run) for change in ways)
             acts = np.any(np.abs(limited - free) > ACTS * np.ptp(free, axis=0), axis=1)
-            seconds += float(np.sum(steps[acts[1:]]))
+            seconds += float(np.sum(e.record.steps[acts[1:]]))
             times += int(acts[0]) + int(np.sum(acts[1:] & ~acts[:-1]))
         found[p.name] = seconds, times
     return found

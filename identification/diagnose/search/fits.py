@@ -254,7 +254,7 @@ class Searcher:
         """Whether the fitted records come out the same to the bit with the parameter at off."""
         simulator, off = Simulator(model), {**values, name: self._off[name]}
         records = [e.record for e in self.experiments]
-        runs = [[simulator.simulate(v, r.columns, r.steps) for v in (values, off)] for r in records]
+        runs = [[simulator.simulate(v, *r.run) for v in (values, off)] for r in records]
         return all(np.array_equal(*pair) for pair in runs)
 
     def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
@@ -262,7 +262,7 @@ class Searcher:
         simulator = Simulator(model, [*self.names, *free])  # the fit's own, where all are smooth
         moved = np.zeros(len(free), bool)
         for e in self.experiments:
-            for _, _, tangents in simulator.pieces(values, e.record.columns, e.record.steps):
+            for _, _, tangents in simulator.pieces(values, *e.record.run):
                 moved |= tangents[:, e.compared, len(self.names) :].any(axis=(0, 1))
                 if moved.all():
                     break

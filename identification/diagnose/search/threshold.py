@@ -50,7 +50,7 @@ def piecewise_constant(model: Model, experiments: Sequence[Experiment], values: 
     for value in _grid(model, name, COARSE).tolist():
         shown = []
         for e in experiments:
-            outputs, tangents = simulator.sensitivities({**values, name: value}, e.record.columns, e.record.steps)
+            outputs, tangents = simulator.sensitivities({**values, name: value}, *e.record.run)
             if tangents[:, e.compared].any():
                 return False
             shown.append(outputs[:, e.compared].tobytes())

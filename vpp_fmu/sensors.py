@@ -1,0 +1,49 @@
+"""How a rig's speed sensor makes its readings; declared in `rig.json` or inferred from a record."""
+
+from dataclasses import asdict, dataclass
+
+MARK, ENCODER, TELEMETRY = "mark", "encoder", "telemetry"
+
+KINDS = {
+    MARK: "mean speed between the last two pulses, held until the next one",
+    ENCODER: "speed at the instant of the reading",
+    TELEMETRY: "filtered speed, renewed at a fixed interval and held",
+}
+"""What a reading of each kind is."""
+
+
+@dataclass(frozen=True)
+class SpeedSensor:
+    """A speed sensor. `kind`: one of KINDS, "": not known.
+
+    `marks_per_revolution`: pulses of a mark sensor. `filter` [s]: time constant of a first-order low-pass. `refresh` [s]:
+    interval between two values, 0: a new value in every row. `delay` [s]: time by which a reading is later than the thrust
+    reading of its row, negative where it is earlier.
+    """
+
+    kind: str = ""
+    marks_per_revolution: int = 1
+    filter: float = 0.0
+    refresh: float = 0.0
+    delay: float = 0.0
+
+    def summary(self) -> dict:
+        """The entry of a rig.json, without what is not known."""
+        entry = asdict(self) if self.kind else {}
+        if self.kind != MARK:
+            entry.pop("marks_per_revolution", None)
+        return {name: value for name, value in entry.items() if value}
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        if not self.kind:
+            return "speed sensor not known"
+        marks = f", {self.marks_per_revolution} per revolution" if self.kind == MARK else ""
+        times = {"filter": self.filter, "new value every": self.refresh, "delay": self.delay}
+        parts = [f"{name} {1e3 * value:.3g} ms" for name, value in times.items() if value]
+        return ", ".join([f"{self.kind}{marks} ({KINDS[self.kind]})", *parts])
+
+
+UNKNOWN = SpeedSensor()
+"""A sensor of which nothing is known."""
