@@ -42,8 +42,8 @@ class Identification:
     `refinement` and `tests` are None where there is no record to fit: the parameters are then those of steady points and steps.
     `fitted`: names of the records that the parameters were fitted to; the other predictions are of records that no fit has
     seen. `logger`: the one that the records were corrected for. `bands`: standard deviation of a predicted reading (rows,) N by
-    record, of parameters and noise together. `tests`: of the thrust residual of the first fitted record. `quality`: what the gate
-    found in the files and in the fit. `bootstrap` where it was asked for.
+    record, of parameters and noise together. `tests`: of the thrust residual of the first fitted record. `quality`: what the
+    gate found in the files and in the fit. `bootstrap` where it was asked for.
     """
 
     campaign: Campaign

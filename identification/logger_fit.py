@@ -91,7 +91,9 @@ def estimate(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect
 class _Estimate:
     def __init__(self, groups: Sequence[Sequence[Fitted]], scales, declared, effects, library, values):
         effects = [e for e in effects if e not in DELAYS.values()]
-        self._model = plant([*effects, *DELAYS.values()], sized(library, scales))
+        library = tuple(library)
+        delays = (e for e in LIBRARY if e.name in DELAYS.values() and e.name not in {known.name for known in library})
+        self._model = plant([*effects, *DELAYS.values()], sized((*library, *delays), scales))
         self._groups = [[_prepared(one) for one in group] for group in groups]
         self._first, self._declared = self._groups[0][0].record, declared
         self._period = self._first.period

@@ -5,6 +5,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class Rig:
     pitch_slew: float = math.inf
     scales: Scales = PAPER
     origin: Mapping[str, str] = field(default_factory=dict)
-    sensor: Mapping[str, object] = field(default_factory=dict)
+    sensor: Mapping[str, Any] = field(default_factory=dict)
 
     def summary(self) -> dict:
         """The content of a rig.json, with `origin` beside it: for parameters.json and the reports."""

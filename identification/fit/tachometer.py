@@ -1,9 +1,9 @@
 """Predicted speed as a speed sensor reads it.
 
 A mark sensor gives n pulses a revolution: its value is the mean speed between the last two, held until the next one. An
-encoder gives the speed of the instant. Telemetry gives a filtered speed that is renewed now and then. Taken for the speed at the
-row's time, a reading would be late by up to a revolution, and the delay would pass for physics. So a prediction is averaged,
-filtered and delayed as the sensor does it, and compared only where a new value came in.
+encoder gives the speed of the instant. Telemetry gives a filtered speed that is renewed now and then. Taken for the speed at
+the row's time, a reading would be late by up to a revolution, and the delay would pass for physics. So a prediction is
+averaged, filtered and delayed as the sensor does it, and compared only where a new value came in.
 """
 
 from functools import cached_property
