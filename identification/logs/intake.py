@@ -8,7 +8,7 @@ import numpy as np
 from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, speed_ratio
 from identification.logs.clock import Clock, read_clock
 from identification.logs.coefficients import Propeller, thrust_of
-from identification.logs.commands import averaged_map, fitted_map
+from identification.logs.commands import averaged_map, fitted_map, taken_over
 from identification.logs.mapping import ROWS, Column, Plan, pitch_in_other_unit
 from identification.logs.sheet import Sheet
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
@@ -197,18 +197,19 @@ def _commanded(sheet: Sheet, plan: Plan, columns: dict, clock: Clock | None, kin
         span = signal_range(sheet, plan)
         signal = columns.pop("signal")
         _check_signal(sheet, plan, signal, span)
+        volts = _filled(columns["voltage"]) if "voltage" in columns else None
+        points = clock is None or clock.step > FASTER
         if speed_map is not None:
-            said.append(f"speed map: taken over from {speed_map.source} (there rms {speed_map.rms:.3g} rpm)")
+            time = None if points else columns["time"]
+            found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
+        elif "omega" not in columns:
+            allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
+            raise BadInput(sheet.source, "omega_ref", "a signal and no measured speed", allowed)
         else:
-            if "omega" not in columns:
-                allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
-                raise BadInput(sheet.source, "omega_ref", "a signal and no measured speed", allowed)
-            volts = _filled(columns["voltage"]) if "voltage" in columns else None
-            points = clock is None or clock.step > FASTER
             args = (signal, columns["omega"], volts, span)
             found = averaged_map(sheet.source, *args) if points else fitted_map(sheet.source, columns["time"], *args)
-            speed_map = found.map
-            said.append(f"speed map: {found.told}")
+        speed_map = found.map
+        said.append(f"speed map: {found.told}")
         columns["omega_ref"] = speed_map.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]

@@ -41,7 +41,7 @@ from identification.logs.sheet import Sheet
 from identification.logs.speed_map import read_speed_map
 from identification.logs.units import QUANTITIES
 from identification.static.static_map import DENSITY
-from vpp_fmu.cli.import_place import add_kind, placed
+from vpp_fmu.cli.import_place import add_kind, add_speed_from, placed
 from vpp_fmu.cli.options import Number
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.digits import number
@@ -63,8 +63,7 @@ def configure(parser):
     text = "take a unit that contradicts the header, or a speed that looks electrical"
     parser.add_argument("--force", action="store_true", help=text)
     parser.add_argument("--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)")
-    text = "omega_ref from the command or signal, or from the measured speed: a motor that holds its speed poorly then hides nothing"
-    parser.add_argument("--speed-from", choices=("command", "measured"), default="command", help=text)
+    add_speed_from(parser)
     parser.add_argument("--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust")
     text = "kg/m^3, of the air, for coefficients (default: %(default)s)"
     parser.add_argument("--density", type=Number(0.0, 2000.0, "kg/m^3", above=True), default=DENSITY, metavar="RHO", help=text)
