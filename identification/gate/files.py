@@ -26,8 +26,8 @@ POLE_PAIRS = (2, 30)
 """Pole pairs of motors. A measured speed that is so many times the commanded one is most likely electrical."""
 
 WHOLE = 0.03
-"""Share by which a ratio of speeds may miss a whole number: speed controllers settle within it. From 17 pole pairs on, each ratio
-is that close to a whole number; no unit of speed has such a ratio, so nothing else is missed."""
+"""Share by which a ratio of speeds may miss a whole number: speed controllers settle within it. From 17 pole pairs on, each
+ratio is that close to a whole number; no unit of speed has such a ratio, so nothing else is missed."""
 
 FORCES = {"gf": 101.972, "kgf": 0.101972, "lbf": 0.224809, "ozf": 3.59694, "mN": 1000.0, "kN": 0.001}
 """What one newton is in other units."""

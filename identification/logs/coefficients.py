@@ -22,9 +22,7 @@ class Propeller:
     density: float = DENSITY
 
 
-def thrust_of(
-    columns: Mapping[str, np.ndarray], propeller: Propeller, source: str
-) -> tuple[dict[str, np.ndarray], list[str]]:
+def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
     """(columns (n,) with `thrust` [N] in the place of `ct`, without rows at an advance ratio above 0; what was said). BadInput
     without a diameter, or without a row that is static."""
     if propeller.diameter is None:

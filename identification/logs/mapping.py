@@ -29,8 +29,8 @@ ROWS = "row"
 """Stands for a column that counts rows, where a log has no time: time=row:4ms."""
 
 SURE, LIKELY, NAMED, GUESS = "sure", "likely", "by its name", "guess"
-"""How a proposal was come by: name and unit are in the log; the unit isn't, but only one will do; the name ends with what may be
-a unit (thrust_g; but thrust_t need not be in tons); else."""
+"""How a proposal was come by: name and unit are in the log; the unit isn't, but only one will do; the name ends with what may
+be a unit (thrust_g; but thrust_t need not be in tons); else."""
 
 LEAVE_OUT = "-"
 """In the place of a column: the log has one that is not to be taken, NAME=-."""
@@ -155,7 +155,9 @@ def _pair(quantity: str, text: str, sheet: Sheet, force: bool) -> Column:
     header = None if counts_rows or unit == CALENDAR else sheet.unit(name)
     if header and not force and contradicts(QUANTITIES[quantity], unit, header):
         found = f"the unit {shown(unit)} for a column whose header says {shown(header)}"
-        raise BadInput(sheet.source, f"{quantity}={name}", found, f"{quantity}={name}:{header}, or --force if the header is wrong")
+        raise BadInput(
+            sheet.source, f"{quantity}={name}", found, f"{quantity}={name}:{header}, or --force if the header is wrong"
+        )
     return Column(name, unit)
 
 

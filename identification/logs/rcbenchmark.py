@@ -137,7 +137,9 @@ class Log:
         BadInput without one."""
         there = np.isfinite(self.speed) & ~self.stalled if self.speed is not None else np.zeros(0, bool)
         if not there.any():
-            raise BadInput(self.source, "columns", "no speed", "the motor's optical or electrical speed for --speed-from measured")
+            raise BadInput(
+                self.source, "columns", "no speed", "the motor's optical or electrical speed for --speed-from measured"
+            )
         return np.interp(self.time, self.time[there], self.speed[there])
 
     def tare(self) -> tuple[float, float, int] | None:

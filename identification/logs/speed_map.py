@@ -24,6 +24,10 @@ PLATEAU = 1.0
 UNSTEADY = 0.02
 """Spread of the speed over its mean from which a part is not steady: a motor that stops, or that stutters at low throttle."""
 
+SETTLED = 0.002
+"""Share by which the speed may still move between the last two quarters of a part held for PLATEAU or less: behind a lag of
+half such a part, the mean of its second half is then within twice as much of the settled speed."""
+
 AT_REST = 0.01
 """Share of a log's largest speed below which the rotor is at rest: no motor turns a hundred times slower than it can."""
 
@@ -136,7 +140,7 @@ def steady_points(
             point = signal[rows][0], voltage[rows][good].mean(), there.mean()
             if held > PLATEAU:
                 long.append(point)
-            elif len(there) >= ROWS:
+            elif len(there) >= ROWS and abs(np.subtract(*_quarters(there))) < SETTLED * there.mean():
                 short.append(point)
     signals = {point[0] for point in long}
     enough = len(signals) >= FEWEST
@@ -157,7 +161,7 @@ def turning_from(time: np.ndarray, signal: np.ndarray, speed: np.ndarray, lowest
         there = speed[rows][np.isfinite(speed[rows])]
         if len(there) < ROWS:
             continue
-        before, end = (float(np.median(part)) for part in np.array_split(there, 2))
+        before, end = _quarters(there)
         level = float(signal[rows][0])
         if end > floor:
             (slowing if end < (1.0 - UNSTEADY) * before else turning).append(level)
@@ -165,6 +169,12 @@ def turning_from(time: np.ndarray, signal: np.ndarray, speed: np.ndarray, lowest
             rest.append(level)
     stops = max((level for level in rest if level < min(turning, default=np.inf)), default=-np.inf)
     return min([*turning, *(level for level in slowing if level > stops)], default=np.nan)
+
+
+def _quarters(half: np.ndarray) -> tuple[float, float]:
+    """Medians of the third and the last quarter of a part, from its second half."""
+    before, end = (float(np.median(part)) for part in np.array_split(half, 2))
+    return before, end
 
 
 def _held_parts(signal: np.ndarray, time: np.ndarray) -> Iterator[tuple[slice, float]]:

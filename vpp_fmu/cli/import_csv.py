@@ -3,13 +3,13 @@
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
 ("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
 the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
-reading of 1000, 10 deg at 2000. In the place of omega_ref a signal to the motor's controller will do, with a measured omega: its
-map is fitted to the log, and shared by all logs of the folder. What --map does not name is taken as the log's header says,
+reading of 1000, 10 deg at 2000. In the place of omega_ref a signal to the motor's controller will do, with a measured omega:
+its map is fitted to the log, and shared by all logs of the folder. What --map does not name is taken as the log's header says,
 unless NAME=- leaves it out; --propose shows it. The mapping is saved in import.toml beside the record, and --map import.toml
 uses it again.
 
-A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n in
-rev/s; rows with J above 0 are left out.
+A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
+in rev/s; rows with J above 0 are left out.
 
 Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples ct advance_ratio."""
 
@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from identification.logs.coefficients import Propeller
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
-from identification.logs.coefficients import Propeller
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
 from identification.logs.intake import Taken, contradictions, signal_range, take_in
@@ -62,9 +62,13 @@ def configure(parser):
     parser.add_argument("--yes", action="store_true", help=text)
     text = "take a unit that contradicts the header, or a speed that looks electrical"
     parser.add_argument("--force", action="store_true", help=text)
-    parser.add_argument("--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)")
+    parser.add_argument(
+        "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
+    )
     add_speed_from(parser)
-    parser.add_argument("--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust")
+    parser.add_argument(
+        "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
+    )
     text = "kg/m^3, of the air, for coefficients (default: %(default)s)"
     parser.add_argument("--density", type=Number(0.0, 2000.0, "kg/m^3", above=True), default=DENSITY, metavar="RHO", help=text)
     text = "a command or voltage that the log does not have: beta_ref=8:deg; may be repeated"
