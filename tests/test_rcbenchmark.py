@@ -540,6 +540,19 @@ def test_a_map_of_another_log_reaches_down_to_where_this_one_turns(tmp_path, vpp
     assert record["omega_ref"][record["omega_ref"] > 0.0].min() == pytest.approx(expected, rel=2e-3)
 
 
+def test_a_servo_in_use_asks_for_the_pitch(tmp_path, vpp, capsys):
+    t = truth()
+    headers = HEADERS | {"servo": "Servo 1"}
+    path = write(tmp_path / "log.csv", t | {"servo": np.where(t["time"] < 5.0, 1200.0, 1700.0)}, headers)
+    assert vpp(path, "-o", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "Servo 1, which is pitch by its name, from 1200 to 1700" in error
+    assert vpp(path, "--fixed", "omega_ref=8:rpm", "-o", tmp_path / "out") == 2
+    assert vpp(path, "--fixed", "beta_ref=8:deg", "-o", tmp_path / "out") == 0
+    np.testing.assert_array_equal(read_record(tmp_path / "out" / "record.csv", holes=("thrust", "omega"))["beta_ref"], 8.0)
+
+
 def test_the_measured_speed_as_command_has_no_gaps(tmp_path, vpp):
     t = truth()
     path = write(tmp_path / "log.csv", t | {"time": gapped(t, (400,))})
@@ -627,6 +640,18 @@ def test_a_map_of_one_day_misses_the_other_by_a_few_hundred_rpm():
     assert 100.0 < other["rms"] < 300.0
     assert other["largest"] < 500.0
     assert other["points"] >= 20
+
+
+@real
+def test_a_real_rotor_that_turns_is_not_mapped_to_rest():
+    """The second day has levels, 58 and 84, below all of the first: 1344 rpm at 84."""
+    first, second = read_log(FIRST), read_log(SECOND)
+    found = fit_speed_map(first.steady_points(), first.span, first.loaded_voltage, FIRST.name)
+    here = found.reaching(second.steady_points().turns_from)
+    assert found.omega_ref(np.array([58.0, 84.0])).max() == 0.0
+    assert here.omega_ref(np.array([84.0]))[0] == pytest.approx(1344.0, abs=200.0)
+    assert here.omega_ref(np.array([58.0]))[0] > 300.0
+    assert here.omega_ref(np.array([0.0]))[0] == 0.0
 
 
 @real

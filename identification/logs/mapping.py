@@ -237,11 +237,19 @@ def pitch_in_other_unit(sheet: Sheet, taken: Collection[str]) -> tuple[str, str,
             continue
         if unit is not None and (_fits(quantity, unit) or is_rate(unit)):
             continue
-        values = sheet.numbers(name)
-        seen = values[np.isfinite(values)]
-        if len(seen) and seen.any() and (unit is not None or np.abs(seen).max() > STEEP):
+        seen = _seen(sheet, name)
+        if seen.any() and (unit is not None or np.abs(seen).max() > STEEP):
             return name, unit or "", float(seen.min()), float(seen.max())
     return None
+
+
+def _seen(sheet: Sheet, name: str) -> np.ndarray:
+    """(n,) the numbers of a column; none where a cell is no number, which matters once the column is read."""
+    try:
+        values = sheet.numbers(name)
+    except BadInput:
+        return np.zeros(0)
+    return values[np.isfinite(values)]
 
 
 def _ending(name: str) -> str:
@@ -301,7 +309,7 @@ def proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
         return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
     if unit is None:
         unit, sure = _assumed(sheet, name, quantity)
-    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(sheet.numbers(name)) > STEEP):
+    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(_seen(sheet, name)) > STEEP):
         return None
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 

@@ -96,6 +96,8 @@ def run(options):
         _propose(sheet, options)
         return
     plan = _plan(options, section, sheet)
+    if options.diameter and "ct" not in plan.columns:
+        raise BadInput(options.log, "ct", "no column of thrust coefficients", "--map ct=COLUMN, or no --diameter")
     span = signal_range(sheet, plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
@@ -139,6 +141,8 @@ def _plan(options, section: dict, sheet: Sheet) -> Plan:
     own = parse_pairs([word for word in options.map if "=" in word], sheet, options.force)
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
     fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
+    if saved and options.rotor:
+        raise BadInput("command line", "--rotor", options.rotor, "none beside an import.toml, which names its columns")
     if saved:
         columns, said = parse_pairs(saved, sheet, options.force) | own, []
     else:

@@ -1,7 +1,8 @@
 """A thrust stand's log as a file of a campaign: the ESC's signal becomes omega_ref through a map fitted to its steady parts.
 
-Logs of one stand share one map: that which another log has left in the folder is taken over. Fixed pitch: beta_ref is 0. Empty
-in the record: what the log did not measure, or measured before the time it says. Rows that are averages become static.csv.
+Logs of one stand share one map: that which another log has left in the folder is taken over. The pitch is fixed: beta_ref is 0,
+or what --fixed says. Empty in the record: what the log did not measure, or measured before the time it says. Rows that are
+averages become static.csv.
 """
 
 import warnings
@@ -13,7 +14,9 @@ import numpy as np
 from identification.logs.clock import Clock
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
+from identification.logs.delimited import read_delimited
 from identification.logs.intake import Taken
+from identification.logs.mapping import parse_fixed, pitch_in_other_unit
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.cli.import_place import add_kind, add_speed_from, placed
@@ -31,12 +34,14 @@ def configure(parser):
     parser.add_argument("--speed-map", metavar="M", help=text)
     add_kind(parser, None, "which file of a campaign (default: record.csv of samples, static.csv of averages)")
     add_speed_from(parser)
+    parser.add_argument("--fixed", metavar="beta_ref=V:UNIT", help="the pitch, which is fixed (default: beta_ref=0:deg)")
     parser.add_argument("--keep-stalls", action="store_true", help="keep what was logged right behind a stall of the logger")
     add_output(parser)
 
 
 def run(options):
     log = read_log(options.log)
+    pitch = _pitch(options, log)
     measured = options.speed_from == "measured"
     known = None if measured else _speed_map(options, log)
     speed_map = known and known.map.reaching(log.steady_points().turns_from)
@@ -46,6 +51,7 @@ def run(options):
     omega_ref = log.filled_speed() if measured else speed_map.omega_ref(log.signal)
     record = log.record(omega_ref, tare[0] if tare else 0.0, options.keep_stalls)
     columns = {name: column for name, column in record.columns.items() if not (measured and name == "omega")}
+    columns["beta_ref"] = np.full(len(record), pitch)
     if kind != "static":
         warn_beyond(record)
     taken = Taken(columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
@@ -58,6 +64,18 @@ def run(options):
     lines += said
     print(*lines, sep="\n")
     say_written(folder)
+
+
+def _pitch(options, log: Log) -> float:
+    """deg, the fixed pitch. BadInput where it is not declared and the log has a servo's column that is in use."""
+    if options.fixed is not None:
+        if [*(fixed := parse_fixed([options.fixed]))] != ["beta_ref"]:
+            raise BadInput("command line", "--fixed", options.fixed, "beta_ref=VALUE:UNIT, such as beta_ref=8:deg")
+        return fixed["beta_ref"]
+    if other := pitch_in_other_unit(read_delimited(options.log, {}), log.names.values()):
+        found = f"{other[0]}, which is pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
+        raise BadInput(log.source, "beta_ref", found, "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map it")
+    return 0.0
 
 
 @dataclass(frozen=True)
