@@ -298,6 +298,18 @@ def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path,
     assert vpp(path, "--force", "-o", tmp_path / "forced")[0] == 0
 
 
+@pytest.mark.parametrize("header", ["eRPM", "Motor speed (erpm)"])
+def test_an_electrical_speed_beside_a_signal_asks_for_the_pole_pairs(tmp_path, vpp, header):
+    log = stand()
+    log[header] = 7.0 * log.pop("RPM")
+    path = table(tmp_path / "log.csv", log)
+    code, _, err = vpp(path, "--yes", "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"omega={header}:erpm/7" in err
+    assert vpp(path, "--map", f"omega={header}:erpm/7", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["omega"], log[header] / 7.0, rtol=1e-8)
+
+
 def test_a_motor_at_its_commanded_speed_is_not_electrical(tmp_path, vpp):
     t = truth()
     headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "omega": "speed (rpm)", "thrust": "Fz (N)"}

@@ -1,5 +1,6 @@
 """A sheet and what its columns are, as a record: its clock, commands and readings, and what had to be done to them."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
 from vpp_fmu.record import Record
+
+_E_RPM = re.compile(r"(?i)(?<![a-z])e[-_ ]?rpm")
 
 COMMANDS = ("omega_ref", "beta_ref", "signal", "run")
 
@@ -102,9 +105,15 @@ def values_of(sheet: Sheet, quantity: str, column: Column) -> np.ndarray:
 
 
 def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str] | None:
-    """(what was found, what is allowed) where the measured speed is a whole multiple of the commanded one; else None."""
-    if not {"omega", "omega_ref"} <= {*columns} or not np.isfinite(columns["omega_ref"]).any():
+    """(what was found, what is allowed) where the measured speed is a whole multiple of the commanded one, or where it is
+    electrical by its name and no command tells the pole pairs; else None."""
+    if "omega" not in columns:
         return None
+    if "omega_ref" not in columns or not np.isfinite(columns["omega_ref"]).any():
+        name = plan["omega"].name
+        if not _E_RPM.search(name) or plan["omega"].unit.casefold().startswith("erpm"):
+            return None
+        return "electrical speed by its name", f"--map 'omega={name}:erpm/7' with the motor's own pole pairs, or --force"
     ratio = speed_ratio(columns["omega"], np.nan_to_num(columns["omega_ref"]))
     if ratio is None or not (pairs := pole_pairs(ratio)):
         return None

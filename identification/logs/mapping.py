@@ -291,6 +291,8 @@ def proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
     if not quantity:
         return None
     unit, sure = sheet.unit(name), SURE
+    if quantity == "omega" and unit and unit.casefold() == "erpm":
+        unit = "rpm"  # until the command tells the pole pairs
     if quantity == "time" and is_calendar(sheet.columns[name]):
         return quantity, score, Column(name, CALENDAR, SURE)
     if not _numeric(sheet, name):
