@@ -382,7 +382,7 @@ def _texts() -> list[Format]:
         Format(
             "thrust downwards",
             "log.csv",
-            text(factors={"thrust": -1e3 / G}),
+            text({**TOLD, "thrust": "Fz (gf)"}, factors={"thrust": -1e3 / G}),
             ("--map", "time=1:s", "omega_ref=2:rpm", "beta_ref=3:deg", "omega=4:rpm", "thrust=5:-1 gf", "voltage=6:V"),
         ),
     ]

@@ -10,7 +10,17 @@ import pytest
 from studies.gate import FAULTS, good, planted, said, written
 
 from identification.gate.contents import contents
-from identification.gate.files import FORCES, SPEEDS, _pitches, as_unit, files_of, least_diameter, turns_a_value
+from identification.gate.files import (
+    FORCES,
+    SPEEDS,
+    _pitches,
+    as_unit,
+    files_of,
+    least_diameter,
+    of_files,
+    pole_pairs,
+    turns_a_value,
+)
 from identification.gate.finding import ERROR, KINDS, acceptable
 from identification.gate.gate import look, passed
 from identification.gate.made import one_mark, write_campaign
@@ -174,7 +184,27 @@ def test_a_ratio_is_a_unit_s_or_none():
     assert as_unit(1.1 / 9.80665 * 1e3, FORCES) == ("gf", True)
     assert as_unit(0.45359237 * 9.80665, FORCES) == ("lbf", False)
     assert as_unit(1.0, SPEEDS) is None
+    assert [pole_pairs(r) for r in (7.001, 6.8, 6.0, 14.2, 2.0, 30.0)] == [7, 7, 6, 14, 2, 30]
+    assert [pole_pairs(r) for r in (1.0, 1.02, 2.5, 30.0 / np.pi, 60.0, 1.0 / 7.0, 31.0)] == [None] * 7
     assert as_unit(0.8, FORCES) is None
+
+
+@pytest.mark.parametrize(
+    ("times", "cause"),
+    [
+        (7.0, "electrical speed of a motor with 7 pole pairs"),
+        (6.0, "electrical speed of a motor with 6 pole pairs, or deg/s"),
+        (2.0 * np.pi / 60.0, "omega in rad/s"),
+        (0.9, None),
+    ],
+)
+def test_a_multiple_of_the_commanded_speed_is_named_electrical(times, cause):
+    command = np.repeat(np.linspace(2000.0, 6000.0, 9), 50)
+    measured = {"time": 0.01 * np.arange(450), "omega_ref": command, "omega": times * command}
+    record = Record(measured | {"beta_ref": np.zeros(450), "thrust": 8.0 * (command / 6000.0) ** 2}, "open_loop.csv")
+    files = files_of(campaign_of(record), {})
+    found = [f for f in of_files(files, campaign_of(record).rig) if f.code == "speed_unit"]
+    assert [f.cause for f in found] == ([cause] if cause else [])
 
 
 @pytest.mark.parametrize("marks", [1, 3])

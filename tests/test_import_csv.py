@@ -14,6 +14,7 @@ from identification.logs.commands import fitted_map
 from identification.logs.mapping import read_toml
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
 from identification.logs.sheet import Sheet, plain, split_unit
+from identification.logs.speed_choice import likelihood_gain
 from identification.logs.speed_map import RANGES
 from identification.logs.units import QUANTITIES, factor_of
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
@@ -81,6 +82,7 @@ def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
         ("omega", "U/min", 1.0),
         ("omega", "RPM", 1.0),
         ("omega", "deg/s", 1.0 / 6.0),
+        ("omega", "erpm/7", 1.0 / 7.0),
         ("time", "MS", 1e-3),
         ("time", "4 ms", 4e-3),
         ("beta", "rad", 180.0 / np.pi),
@@ -96,7 +98,17 @@ def test_units_by_their_definitions(quantity, unit, factor):
 
 @pytest.mark.parametrize(
     ("quantity", "unit"),
-    [("thrust", "rpm"), ("thrust", ""), ("omega", "1"), ("beta", ""), ("time", "bananas"), ("omega", "N"), ("thrust", ")(")],
+    [
+        ("thrust", "rpm"),
+        ("thrust", ""),
+        ("omega", "1"),
+        ("beta", ""),
+        ("time", "bananas"),
+        ("omega", "N"),
+        ("omega", "erpm"),
+        ("omega", "erpm/0"),
+        ("thrust", ")("),
+    ],
 )
 def test_a_unit_of_something_else_is_none(quantity, unit):
     assert factor_of(QUANTITIES[quantity], unit) is None
@@ -221,11 +233,10 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
     [
         ("time (s)", "speed setpoint (rpm)", "speed (rpm)", "load cell (N)"),
         ("Zeit (s)", "Soll (1/min)", "Ist (1/min)", "Kraft (N)"),
-        ("t_s", "n_soll_rpm", "n_ist_rpm", "F_N"),
     ],
 )
 def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
-    """A load cell is none of a battery; "target (rpm)" is a speed by its unit; the N behind a force is no speed."""
+    """A load cell is none of a battery; "target (rpm)" is a speed by its unit."""
     t = truth()
     path = table(tmp_path / "log.csv", dict(zip(names, (t[n] for n in ("time", "omega_ref", "omega", "thrust")), strict=True)))
     assert vpp(path, "-o", tmp_path / "out")[0] == 0
@@ -234,17 +245,194 @@ def test_names_that_say_little_are_told_by_their_units(tmp_path, vpp, names):
         np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
 
 
-def test_a_header_that_leaves_doubt_is_refused_with_the_words_that_would_do(tmp_path, vpp):
+@pytest.mark.parametrize(
+    "names",
+    [
+        {"time": "t", "omega_ref": "speed_cmd", "beta_ref": "pitch_cmd", "thrust": "force"},
+        {"time": "t_s", "omega_ref": "n_soll_rpm", "omega": "n_ist_rpm", "thrust": "F_N"},
+    ],
+)
+def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_yes(tmp_path, vpp, names):
+    """The N behind a force is no speed."""
     t = truth()
-    path = table(
-        tmp_path / "log.csv", {"t": t["time"], "speed_cmd": t["omega_ref"], "pitch_cmd": t["beta_ref"], "force": t["thrust"]}
-    )
+    path = table(tmp_path / "log.csv", {header: t[name] for name, header in names.items()})
+    code, _, err = vpp(path, "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{names['thrust']} as thrust in N" in err
+    assert "these with --yes" in err
+    words = err.split("--map ")[1].split()
+    for folder, accept in (("a", ("--map", *words)), ("b", ("--yes",))):
+        assert vpp(path, *accept, "-o", tmp_path / folder)[0] == 0
+        record = read_record(tmp_path / folder / "open_loop.csv")
+        for name in names:
+            np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+
+
+def test_a_throttle_in_per_cent_by_its_name_is_accepted_by_yes(tmp_path, vpp):
+    log = stand()
+    columns = {"time_ms": 1e3 * log["Time (s)"], "throttle_%": log["ESC (us)"] / 10.0 - 100.0}
+    path = table(tmp_path / "log.csv", columns | {"thrust_g": log["Thrust (gf)"], "rpm": log["RPM"]})
     code, _, err = vpp(path, "-o", tmp_path / "out")
     assert code == 2
-    assert "thrust from force without a unit" in err
-    words = err.split("--map ")[1].split()
-    assert vpp(path, "--map", *words, "-o", tmp_path / "out")[0] == 0
-    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["thrust"], t["thrust"], rtol=1e-8)
+    assert "throttle_% as signal in %" in err
+    assert vpp(path, "--yes", "-o", tmp_path / "out")[0] == 0
+    record = read_record(tmp_path / "out" / "open_loop.csv")
+    np.testing.assert_allclose(record["thrust"], 9.80665e-3 * log["Thrust (gf)"], rtol=1e-8)
+    x = log["ESC (us)"] - 1000.0
+    np.testing.assert_allclose(record["omega_ref"], 200.0 + 9.5 * x - 0.0025 * x**2, atol=3.0)
+
+
+@pytest.mark.parametrize(("pairs", "also"), [(7, "7 pole pairs?"), (6, "6 pole pairs, or deg/s?")])
+def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path, vpp, pairs, also):
+    t = truth()
+    headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "omega": "speed (rpm)", "thrust": "Fz (N)"}
+    path = table(tmp_path / "log.csv", {h: t[n] * (pairs if n == "omega" else 1.0) for n, h in headers.items()})
+    for words in ((), ("--yes",), ("--map", "omega=speed (rpm):rpm")):
+        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"times the commanded one: electrical speed of a motor with {also}" in err
+    assert f"omega=speed (rpm):erpm/{pairs}" in vpp(path, "--propose")[1]
+    assert not (tmp_path / "out").exists()
+    assert vpp(path, "--map", f"omega=speed (rpm):erpm/{pairs}", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["omega"], t["omega"], rtol=1e-8)
+    assert vpp(path, "--force", "-o", tmp_path / "forced")[0] == 0
+
+
+@pytest.mark.parametrize("header", ["eRPM", "Motor speed (erpm)"])
+def test_an_electrical_speed_beside_a_signal_asks_for_the_pole_pairs(tmp_path, vpp, header):
+    log = stand()
+    log[header] = 7.0 * log.pop("RPM")
+    path = table(tmp_path / "log.csv", log)
+    code, _, err = vpp(path, "--yes", "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"omega={header}:erpm/7" in err
+    assert vpp(path, "--map", f"omega={header}:erpm/7", "-o", tmp_path / "out")[0] == 0
+    np.testing.assert_allclose(read_record(tmp_path / "out" / "open_loop.csv")["omega"], log[header] / 7.0, rtol=1e-8)
+
+
+def test_a_motor_at_its_commanded_speed_is_not_electrical(tmp_path, vpp):
+    t = truth()
+    headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "omega": "speed (rpm)", "thrust": "Fz (N)"}
+    path = table(tmp_path / "log.csv", {h: t[n] * (1.5 if n == "omega" else 1.0) for n, h in headers.items()})
+    assert vpp(path, "-o", tmp_path / "out")[0] == 0
+
+
+@pytest.mark.parametrize("header", ["Pitch Servo (us)", "servo pwm", "pitch_us"])
+def test_a_pitch_in_pulses_stops_until_it_is_calibrated_or_fixed(tmp_path, vpp, header):
+    t = truth()
+    pulses = np.round(1000.0 + (t["beta_ref"] + 5.0) / 0.015)  # -5 deg at 1000 us, 10 deg at 2000 us
+    headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "thrust": "Fz (N)"}
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in headers.items()} | {header: pulses})
+    for words in ((), ("--yes",), ("--map", "thrust=Fz (N):N")):
+        code, _, err = vpp(path, *words, "-o", tmp_path / "out")
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"{header}, which is pitch by its name" in err
+        assert f"beta_ref={header}:us@{pulses.min():g}=A,{pulses.max():g}=B" in err
+    assert header in vpp(path, "--propose")[1].split("beta_ref: ")[1]
+    assert vpp(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10", "-o", tmp_path / "a")[0] == 0
+    record = read_record(tmp_path / "a" / "open_loop.csv")
+    np.testing.assert_allclose(record["beta_ref"], 0.015 * pulses - 20.0, atol=1e-9)
+    assert vpp(path, "--map", tmp_path / "a" / "import.toml", "-o", tmp_path / "b")[0] == 0
+    assert (tmp_path / "a" / "open_loop.csv").read_bytes() == (tmp_path / "b" / "open_loop.csv").read_bytes()
+    assert vpp(path, "--fixed", "beta_ref=2:deg", "-o", tmp_path / "c")[0] == 0
+    np.testing.assert_array_equal(read_record(tmp_path / "c" / "open_loop.csv")["beta_ref"], 2.0)
+
+
+def test_a_servo_that_is_not_connected_and_a_pitch_rate_are_no_pitch(tmp_path, vpp):
+    t = truth()
+    headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "thrust": "Fz (N)"}
+    more = {"Servo 1": np.full(400, np.nan), "Servo 2 (us)": np.zeros(400), "Pitch rate (deg/s)": t["beta_ref"]}
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in headers.items()} | more)
+    code, out, _ = vpp(path, "-o", tmp_path / "out")
+    assert code == 0
+    assert "fixed pitch of 0 deg" in out
+
+
+@pytest.mark.parametrize(
+    "unit", ["us@1000=-5,1000=10", "us@1000=-5,2000=-5", "us@1000=-5", "us@1.2.3=1,2=3", "us@1000=-5,2000=10,3000=20"]
+)
+def test_a_calibration_that_is_no_line_is_refused(tmp_path, vpp, unit):
+    text(PLAIN)(tmp_path / "log.csv", truth())
+    code, _, err = vpp(tmp_path / "log.csv", "--map", f"beta_ref=beta_ref:{unit}", "-o", tmp_path / "out")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "two points of a calibration" in err
+
+
+@pytest.mark.parametrize(("labels", "second"), [(("1", "2"), "2"), (("left", "right"), "right")])
+def test_a_second_rotor_is_said_and_taken_on_demand(tmp_path, vpp, labels, second):
+    t = truth()
+    names = {"omega_ref": "rpm_cmd", "beta_ref": "pitch_cmd", "thrust": "thrust", "omega": "rpm"}
+    columns = {"time (s)": t["time"]}
+    for label, gain in zip(labels, (1.0, 0.9), strict=True):
+        columns |= {f"{header}_{label}": gain * t[n] for n, header in names.items()}
+    path = table(tmp_path / "log.csv", columns)
+    code, out, _ = vpp(path, "--yes", "-o", tmp_path / "a")
+    assert code == 0
+    assert f"rotor {labels[0]} is taken, with rpm_cmd_{labels[0]}," in out
+    assert f"--rotor {second} takes the other" in out
+    assert vpp(path, "--yes", "--rotor", second, "-o", tmp_path / "b")[0] == 0
+    assert vpp(path, "--yes", "--map", f"thrust=thrust_{second}:N", "-o", tmp_path / "c")[0] == 0  # the rest goes with it
+    for folder, gain in (("a", 1.0), ("b", 0.9), ("c", 0.9)):
+        record = read_record(tmp_path / folder / "open_loop.csv")
+        for name in names:
+            np.testing.assert_allclose(record[name], gain * t[name], rtol=1e-8)
+    assert f"--rotor: found 7, allowed is one of {', '.join(labels)}" in vpp(path, "--rotor", "7")[2]
+
+
+def test_coefficients_become_the_thrust_of_a_propeller(tmp_path, vpp):
+    """T = CT rho n^2 D^4: 0.1 * 1.225 * 100^2 * 0.25^4 = 4.785 N at 6000 rpm."""
+    table(tmp_path / "ct.txt", {"RPM": [6000, 3000, 6000], "CT": [0.1, 0.08, 0.05], "CP": [0.05] * 3, "J": [0.0, 0.0, 0.4]})
+    words = (tmp_path / "ct.txt", "--as", "static")
+    assert "--diameter D" in vpp(*words, "-o", tmp_path / "out")[2]
+    assert "--as static" in vpp(tmp_path / "ct.txt", "--diameter", "0.25", "-o", tmp_path / "out")[2]
+    code, out, _ = vpp(*words, "--diameter", "0.25", "-o", tmp_path / "out")
+    assert code == 0
+    assert "rho = 1.225 kg/m^3" in out
+    assert "advance ratio: 1 rows above 0 are not static, left out" in out
+    static = read_static(tmp_path / "out" / "static.csv")
+    np.testing.assert_allclose(static.thrust, [4.78515625, 0.8 * 4.78515625 / 4.0], rtol=1e-8)
+    np.testing.assert_allclose(static.omega, [6000.0, 3000.0])
+    assert vpp(*words, "--diameter", "0.25", "--density", "1.1", "-o", tmp_path / "thin")[0] == 0
+    thin = read_static(tmp_path / "thin" / "static.csv").thrust
+    np.testing.assert_allclose(thin, static.thrust * 1.1 / 1.225, rtol=1e-8)
+
+
+def test_a_map_by_hand_completes_the_proposal(tmp_path, vpp):
+    t = truth()
+    headers = {"time": "t (s)", "omega_ref": "speed cmd (rpm)", "beta_ref": "pitch cmd (deg)", "omega": "speed (rpm)"}
+    path = table(tmp_path / "log.csv", {h: t[n] for n, h in headers.items()} | {"channel 7": t["thrust"], "u": t["voltage"]})
+    code, out, _ = vpp(path, "--map", "thrust=channel 7:N", "-o", tmp_path / "a")
+    assert code == 0
+    assert "u: not taken as voltage" in out
+    record = read_record(tmp_path / "a" / "open_loop.csv")
+    assert "voltage" not in record
+    for name in (*headers, "thrust"):
+        np.testing.assert_allclose(record[name], t[name], rtol=1e-8)
+    assert vpp(path, "--map", "thrust=channel 7:N", "omega=-", "--yes", "-o", tmp_path / "b")[0] == 0
+    record = read_record(tmp_path / "b" / "open_loop.csv")
+    assert "omega" not in record
+    np.testing.assert_allclose(record["voltage"], t["voltage"], rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("header", "pair", "contradicts"),
+    [
+        ("Fz (gf)", "thrust=Fz (gf):N", True),
+        ("Fz (gf)", "thrust=Fz (gf):kgf", True),
+        ("Fz (V)", "thrust=Fz (V):N", True),
+        ("Fz (gf)", "thrust=Fz (gf):-1 gf", False),
+        ("Fz (g)", "thrust=Fz (g):gf", False),
+        ("Fz (V)", "thrust=Fz (V):12.3 N", False),
+        ("Fz (raw)", "thrust=Fz (raw):N", False),
+    ],
+)
+def test_a_unit_against_the_header_needs_force(tmp_path, vpp, header, pair, contradicts):
+    t = truth()
+    path = table(tmp_path / "log.csv", {"t (s)": t["time"], "speed cmd (rpm)": t["omega_ref"], header: t["thrust"]})
+    code, _, err = vpp(path, "--yes", "--map", pair, "-o", tmp_path / "out")
+    assert code == (2 if contradicts else 0)
+    assert ("whose header says" in err) == contradicts
+    assert vpp(path, "--map", pair, "--force", "-o", tmp_path / "forced")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -320,6 +508,58 @@ def test_the_command_of_a_signal_is_the_parabola_that_the_motor_follows(tmp_path
     x = log["ESC (us)"] - 1000.0
     np.testing.assert_allclose(record["omega_ref"], 200.0 + 9.5 * x - 0.0025 * x**2, atol=3.0)  # rpm, written in whole ones
     assert not record["beta_ref"].any()
+
+
+def test_a_level_held_shortly_is_no_rotor_at_rest(tmp_path, vpp):
+    """The lowest levels hold for less than a steady part; the motor turns there all the same, as the parabola says."""
+    rng = np.random.default_rng(3)
+    levels = [v for pair in zip(rng.uniform(1300, 1900, 30), rng.uniform(1160, 1280, 30), strict=True) for v in pair]
+    signal = np.concatenate([np.full(200 if v >= 1300.0 else 60, round(v)) for v in levels]).astype(float)
+    x = signal - 1000.0
+    wanted = 200.0 + 9.5 * x - 0.0025 * x**2
+    speed = lagged(wanted, 0.01, 0.12)
+    columns = {"Time (s)": np.round(0.01 * np.arange(len(x)), 6), "ESC (us)": signal, "RPM": np.round(speed)}
+    path = table(tmp_path / "log.csv", columns | {"Thrust (N)": 8.0 * (speed / 6000.0) ** 2 + rng.normal(0.0, 0.05, len(x))})
+    code, out, _ = vpp(path, "-o", tmp_path / "mine")
+    assert code == 0
+    assert "at most" in out
+    np.testing.assert_allclose(read_record(tmp_path / "mine" / "open_loop.csv")["omega_ref"], wanted, atol=10.0)
+    assert "--speed-from" not in out  # the motor holds its command
+
+
+def test_a_motor_that_does_not_hold_its_command_is_offered_the_measured_speed(tmp_path, vpp):
+    """Each hold ends 5 % off the map, at random; thrust follows the measured speed."""
+    log, rng = stand(), np.random.default_rng(8)
+    hold = np.cumsum(np.append(0, np.diff(log["ESC (us)"]) != 0))
+    log["RPM"] = np.round(log["RPM"] * (1.0 + rng.normal(0.0, 0.05, hold.max() + 1))[hold])
+    log["Thrust (gf)"] = 8.0 * (log["RPM"] / 6000.0) ** 2 / 9.80665e-3 + rng.normal(0.0, 5.0, len(hold))
+    path = table(tmp_path / "log.csv", log)
+    code, out, _ = vpp(path, "-o", tmp_path / "map")
+    assert code == 0
+    assert "--speed-from measured takes it as omega_ref" in out
+    assert vpp(path, "--speed-from", "measured", "-o", tmp_path / "mine")[0] == 0
+    record = read_record(tmp_path / "mine" / "open_loop.csv")
+    np.testing.assert_array_equal(record["omega_ref"], log["RPM"])
+    assert "omega" not in record
+    assert not (tmp_path / "mine" / "speed_map.json").exists()
+    code, _, err = vpp(path, "--map", "omega=-", "--speed-from", "measured", "-o", tmp_path / "none")
+    assert (code, err.count("\n")) == (2, 1)
+
+
+def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
+    """Thrust w^2 at 4 pitches a speed: a commanded speed with independent errors leaves what the errors make, the right one the
+    noise; n / 2 log of the ratio is 20 log(10) for a tenfold residual of 20 points, but for the few fitted terms."""
+    rng = np.random.default_rng(4)
+    omega, beta = (g.ravel() for g in np.meshgrid(np.linspace(2000.0, 6000.0, 10), [0.0, 3.0, 6.0, 9.0]))
+    w = omega / 6000.0
+    noise, error = rng.normal(0.0, 1e-3, 40), rng.normal(0.0, 1e-3, 40)
+    clean = 10.0 * w**2 + 0.3 * w**2 * beta
+    off = omega * (1.0 + error)
+    gain = likelihood_gain(off, omega, beta, clean + noise)
+    expected = 20.0 * np.log(np.mean((2.0 * clean * error) ** 2 + 1e-6) / 1e-6)
+    assert gain == pytest.approx(expected, rel=0.15)
+    assert likelihood_gain(omega, off, beta, clean + noise) == pytest.approx(-gain)
+    assert likelihood_gain(off[:4], omega[:4], beta[:4], clean[:4]) == 0.0
 
 
 def test_a_signal_that_never_holds_is_mapped_behind_a_lag():

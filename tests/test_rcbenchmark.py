@@ -16,6 +16,7 @@ from identification.logs.speed_map import (
     fit_speed_map,
     read_speed_map,
     steady_points,
+    turning_from,
 )
 from vpp_fmu import cli
 from vpp_fmu.campaign import read_static
@@ -316,6 +317,7 @@ def test_the_command_depends_on_the_signal_alone(log):
 
 
 def test_parts_that_are_short_or_unsteady_make_no_point():
+    """A motor that stutters is at rest half of the time; one that is held shortly turns."""
     time = np.arange(0.0, 6.0, 0.01)
     signal = np.select([time < 2.0, time < 2.8, time < 4.0], [100.0, 200.0, 300.0], 400.0)
     speed = np.where(time < 2.0, 1000.0 * (np.arange(len(time)) % 3 == 0), 10.0 * signal)
@@ -324,7 +326,42 @@ def test_parts_that_are_short_or_unsteady_make_no_point():
     points = steady_points(time, signal, speed, np.full(len(time), 20.0), usable)
     np.testing.assert_array_equal(points.signal, [300.0, 400.0])
     np.testing.assert_allclose(points.speed, [3000.0, 4000.0])
-    assert points.turns_from == 300.0
+    assert points.turns_from == 200.0
+
+
+def coasting(levels, held, tau, step=0.01):
+    """(time, signal, speed) of a motor that turns 10 rpm a unit of signal from 100 on, behind one lag."""
+    rows = [round(h / step) for h in held]
+    signal = np.repeat(np.array(levels, float), rows)
+    goal, speed = np.where(signal >= 100.0, 10.0 * signal, 0.0), np.zeros(len(signal))
+    for k in range(1, len(signal)):
+        speed[k] = goal[k - 1] + np.exp(-step / tau) * (speed[k - 1] - goal[k - 1])
+    return step * np.arange(len(signal)), signal, speed
+
+
+@pytest.mark.parametrize(
+    ("levels", "held", "turns_from"),
+    [
+        ((0, 500, 0, 400, 120), (2.0, 2.0, 0.3, 2.0, 0.4), 120.0),  # coasting at no throttle; slowing down at 120, which turns
+        ((500, 60, 400, 50), (2.0, 3.0, 2.0, 0.3), 400.0),  # at 60 it came to rest, so at 50 it coasts
+        ((0, 500), (2.0, 0.5), 500.0),  # starting is no rest
+        ((0, 0), (2.0, 2.0), np.nan),
+    ],
+)
+def test_a_rotor_that_coasts_does_not_turn_by_its_signal(levels, held, turns_from):
+    time, signal, speed = coasting(levels, held, 0.3)
+    assert turning_from(time, signal, speed, 0.0) == pytest.approx(turns_from, nan_ok=True)
+
+
+def test_shorter_parts_complete_a_map_where_they_are_settled():
+    levels = (300, 400, 500, 600, 700, 150, 650, 200)
+    time, signal, speed = coasting(levels, (2.0,) * 5 + (0.9,) * 3, 0.05)
+    points = steady_points(time, signal, speed, np.ones(len(time)), np.isfinite(speed))
+    np.testing.assert_array_equal(points.signal, [300.0, 400.0, 500.0, 600.0, 700.0, 150.0, 200.0])
+    np.testing.assert_allclose(points.speed, 10.0 * points.signal, rtol=1e-3)
+    slow = coasting(levels, (4.0,) * 5 + (0.9,) * 3, 0.6)
+    points = steady_points(*slow, np.ones(len(slow[0])), np.isfinite(slow[2]))
+    assert set(points.signal) == {300.0, 400.0, 500.0, 600.0, 700.0}
 
 
 def cubic_points(signals) -> SteadyPoints:
@@ -489,6 +526,44 @@ def test_logs_in_one_folder_share_the_first_ones_map(tmp_path, vpp, capsys):
     assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 0
 
 
+def test_a_map_of_another_log_reaches_down_to_where_this_one_turns(tmp_path, vpp, capsys):
+    write(tmp_path / "monday.csv", truth())
+    write(tmp_path / "tuesday.csv", truth((0, 500, 1200, 100, 300), seed=2))
+    assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 0
+    capsys.readouterr()
+    assert vpp(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "validation") == 0
+    assert "here the rotor turns from signal 100 on, there from 200" in capsys.readouterr().out
+    record = read_record(tmp_path / "stand" / "validation.csv", holes=("thrust", "omega"))
+    assert not np.any((record["omega_ref"] == 0.0) & (np.nan_to_num(record["omega"]) > 0.0))
+    nominal = read_speed_map(tmp_path / "stand" / "speed_map.json").nominal_voltage
+    expected = np.polyval(COEFFICIENTS[::-1], 100.0 / 2047.0 * nominal / NOMINAL)
+    assert record["omega_ref"][record["omega_ref"] > 0.0].min() == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_servo_in_use_asks_for_the_pitch(tmp_path, vpp, capsys):
+    t = truth()
+    headers = HEADERS | {"servo": "Servo 1"}
+    path = write(tmp_path / "log.csv", t | {"servo": np.where(t["time"] < 5.0, 1200.0, 1700.0)}, headers)
+    assert vpp(path, "-o", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "Servo 1, which is pitch by its name, from 1200 to 1700" in error
+    assert vpp(path, "--fixed", "omega_ref=8:rpm", "-o", tmp_path / "out") == 2
+    assert vpp(path, "--fixed", "beta_ref=8:deg", "-o", tmp_path / "out") == 0
+    np.testing.assert_array_equal(read_record(tmp_path / "out" / "record.csv", holes=("thrust", "omega"))["beta_ref"], 8.0)
+
+
+def test_the_measured_speed_as_command_has_no_gaps(tmp_path, vpp):
+    t = truth()
+    path = write(tmp_path / "log.csv", t | {"time": gapped(t, (400,))})
+    assert vpp(path, "--speed-from", "measured", "-o", tmp_path / "out") == 0
+    record = read_record(tmp_path / "out" / "record.csv", holes=("thrust",))
+    assert "omega" not in record
+    kept = ~read_log(path).stalled
+    np.testing.assert_allclose(record["omega_ref"][kept], t["optical"][kept], rtol=1e-8, atol=1e-6)
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["import.json", "record.csv"]
+
+
 @pytest.mark.parametrize(
     ("keep", "told"),
     [
@@ -565,6 +640,18 @@ def test_a_map_of_one_day_misses_the_other_by_a_few_hundred_rpm():
     assert 100.0 < other["rms"] < 300.0
     assert other["largest"] < 500.0
     assert other["points"] >= 20
+
+
+@real
+def test_a_real_rotor_that_turns_is_not_mapped_to_rest():
+    """The second day has levels, 58 and 84, below all of the first: 1344 rpm at 84."""
+    first, second = read_log(FIRST), read_log(SECOND)
+    found = fit_speed_map(first.steady_points(), first.span, first.loaded_voltage, FIRST.name)
+    here = found.reaching(second.steady_points().turns_from)
+    assert found.omega_ref(np.array([58.0, 84.0])).max() == 0.0
+    assert here.omega_ref(np.array([84.0]))[0] == pytest.approx(1344.0, abs=200.0)
+    assert here.omega_ref(np.array([58.0]))[0] > 300.0
+    assert here.omega_ref(np.array([0.0]))[0] == 0.0
 
 
 @real

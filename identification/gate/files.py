@@ -22,6 +22,13 @@ from vpp_fmu.rig import DECLARED, RANGES, Rig
 SPEEDS = {"rad/s": 2.0 * np.pi / 60.0, "Hz": 1.0 / 60.0, "deg/s": 6.0}
 """What one rpm is in other units."""
 
+POLE_PAIRS = (2, 30)
+"""Pole pairs of motors. A measured speed that is so many times the commanded one is most likely electrical."""
+
+WHOLE = 0.03
+"""Share by which a ratio of speeds may miss a whole number: speed controllers settle within it. From 17 pole pairs on, each
+ratio is that close to a whole number; no unit of speed has such a ratio, so nothing else is missed."""
+
 FORCES = {"gf": 101.972, "kgf": 0.101972, "lbf": 0.224809, "ozf": 3.59694, "mN": 1000.0, "kN": 0.001}
 """What one newton is in other units."""
 
@@ -151,6 +158,10 @@ def _speeds(files: Sequence[File]) -> Iterator[Finding]:
     """Measured speed in another unit than commanded, files in different ones, and both wrong where the mark's pulses tell."""
     for file in files:
         ratio = _ratio(file)
+        if ratio is not None and (pairs := pole_pairs(ratio)):
+            told = f"measured speed is {ratio:.4g} times the commanded one"
+            yield Finding("speed_unit", file.where, "omega", ratio, "1", told, electrical_cause(pairs))
+            continue
         if ratio is not None and (found := as_unit(ratio, SPEEDS)):
             unit, field = found[0], "omega" if found[1] else "omega_ref"
             told = f"measured speed is {ratio:.4g} of what is commanded"
@@ -166,13 +177,33 @@ def _speeds(files: Sequence[File]) -> Iterator[Finding]:
 
 
 def _ratio(file: File) -> float | None:
-    """Median of measured over commanded speed, where the command is not near rest; None without a speed."""
+    """The ratio of speeds of a file; None without a measured speed."""
     if file.static is None and not all("omega" in r for r in file.records):
         return None
-    omega, command = file.column("omega"), file.column("omega_ref")
+    return speed_ratio(file.column("omega"), file.column("omega_ref"))
+
+
+def speed_ratio(omega: np.ndarray, command: np.ndarray) -> float | None:
+    """Median of measured over commanded speed, each (n,) rpm, where the command is not near rest; None without any."""
     moving = np.isfinite(omega) & (command > 0.2 * command.max())
     ratio = float(np.median(omega[moving] / command[moving])) if moving.any() else 0.0
     return ratio if ratio > 0.0 else None
+
+
+def pole_pairs(ratio: float) -> int | None:
+    """The pole pairs by which a measured over a commanded speed is electrical; None where the ratio is no whole number, or is
+    nearer to that of a unit."""
+    pairs = round(ratio)
+    if not POLE_PAIRS[0] <= pairs <= POLE_PAIRS[1] or abs(np.log(ratio / pairs)) > WHOLE:
+        return None
+    units = [size for factor in SPEEDS.values() for size in (factor, 1.0 / factor)]
+    return pairs if all(abs(np.log(ratio / pairs)) <= abs(np.log(ratio / size)) for size in units) else None
+
+
+def electrical_cause(pairs: int) -> str:
+    """Why a measured speed is so many times the commanded one, in words."""
+    cause = f"electrical speed of a motor with {pairs} pole pairs"
+    return f"{cause}, or deg/s" if pairs == SPEEDS["deg/s"] else cause
 
 
 def turns_a_value(record: Record) -> float | None:

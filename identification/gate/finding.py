@@ -29,7 +29,7 @@ KINDS = {
     "thrust_dead": Kind(ERROR, "the thrust never changes", "Look at the load cell and its wires"),
     "copied": Kind(ERROR, "a file holds another one's readings", "Leave the file out, and it is known to be missing"),
     "time_unit": Kind(ERROR, "responses are slower or faster than any rotor's", "Write seconds", _GO_ON),
-    "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s", "Write rpm", _GO_ON),
+    "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s, or electrical speed", "Write rpm of the rotor", _GO_ON),
     "pitch_unit": Kind(ERROR, "pitch in rad, or as a share of its travel", "Write degrees", _GO_ON),
     "thrust_unit": Kind(ERROR, "thrust in gf, kgf, lbf, ozf, mN or kN", "Write newtons", _GO_ON),
     "thrust_sign": Kind(ERROR, "thrust counts downwards", "Change the column's sign", _GO_ON),

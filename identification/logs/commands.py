@@ -8,14 +8,17 @@ import numpy as np
 from scipy.signal import lfilter
 
 from identification.logs.speed_map import (
+    AT_REST,
     FEWEST,
     PLATEAU,
     SignalRange,
     SpeedMap,
     SteadyPoints,
+    fit_quality,
     fit_speed_map,
     read_speed_map,
     steady_points,
+    turning_from,
 )
 from vpp_fmu.errors import BadInput
 
@@ -50,6 +53,32 @@ def map_beside(folder: str | os.PathLike, span: SignalRange, log: str | os.PathL
     return found if found.signal == span and found.source != Path(log).name else None
 
 
+def taken_over(
+    known: SpeedMap,
+    time: np.ndarray | None,
+    signal: np.ndarray,
+    speed: np.ndarray | None,
+    voltage: np.ndarray | None,
+) -> Fitted:
+    """The map of another log for this one, (n,): it reaches down to where this log shows the rotor turning. In words: how it
+    fits here. `time`: None of steady points, one a row; `speed`: None where it was not measured."""
+    told = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)"
+    if speed is None or not (turning := np.nan_to_num(speed) > 0.0).any():
+        return Fitted(known, told)
+    volts = np.full(len(signal), known.nominal_voltage) if voltage is None else voltage
+    if time is None:
+        points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
+    else:
+        points = steady_points(time, signal, speed, volts, np.isfinite(speed), known.signal.low)
+    found = known.reaching(points.turns_from)
+    here = fit_quality(points, found)
+    if here["points"]:
+        told += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
+    if found is not known:
+        told += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
+    return Fitted(found, told)
+
+
 def fitted_map(
     source: str,
     time: np.ndarray,
@@ -68,17 +97,21 @@ def fitted_map(
         raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal, or --speed-map M.json")
     nominal = float(np.median(volts[turning]))
     alone = "" if voltage is not None else "; without a voltage it is of the signal alone"
-    points = steady_points(time, signal, speed, volts, np.isfinite(speed))
+    points = steady_points(time, signal, speed, volts, np.isfinite(speed), span.low)
     if len(np.unique(points.signal)) >= FEWEST:
         found = fit_speed_map(points, span, nominal, Path(source).name)
-        return Fitted(found, f"fitted to {len(points)} steady parts, rms {found.rms:.3g} rpm{alone}")
+        worst = fit_quality(points, found)
+        told = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
+        return Fitted(found, f"fitted to {len(points)} steady parts, {told}{alone}")
     return _lagged(source, time, signal, speed, volts, span, nominal, alone)
 
 
 def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> Fitted:
     """omega = lag of a polynomial in x = throttle * voltage / nominal: linear in its coefficients, for each lag."""
     x = span.throttle(signal) * volts / nominal
-    turns_from = float(np.min(signal[np.nan_to_num(speed) > 0.05 * np.nanmax(speed)]))
+    turns_from = turning_from(time, signal, speed, span.low)
+    if np.isnan(turns_from):  # a signal that holds nowhere
+        turns_from = float(np.min(signal[np.nan_to_num(speed) > AT_REST * np.nanmax(speed)]))
     on, rows = signal >= turns_from, np.isfinite(speed)
     degree = min(3, len(np.unique(signal[on])) - 1)
     if degree < 1:

@@ -1,20 +1,25 @@
 """A sheet and what its columns are, as a record: its clock, commands and readings, and what had to be done to them."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from identification.gate.files import SPEEDS, electrical_cause, pole_pairs, speed_ratio
 from identification.logs.clock import Clock, read_clock
-from identification.logs.commands import averaged_map, fitted_map
-from identification.logs.mapping import ROWS, Plan
+from identification.logs.coefficients import Propeller, thrust_of
+from identification.logs.commands import averaged_map, fitted_map, taken_over
+from identification.logs.mapping import ROWS, Column, Plan, pitch_in_other_unit
 from identification.logs.sheet import Sheet
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
-from identification.logs.units import QUANTITIES, SIGNALS, factor_of, signal_unit
+from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES as RANGE
 from vpp_fmu.record import Record
+
+_E_RPM = re.compile(r"(?i)(?<![a-z])e[-_ ]?rpm")
 
 COMMANDS = ("omega_ref", "beta_ref", "signal", "run")
 
@@ -50,8 +55,16 @@ def signal_range(sheet: Sheet, plan: Plan) -> SignalRange | None:
     return RANGES[SIGNALS[signal_unit(plan.columns["signal"].unit)]] if "signal" in plan.columns else None
 
 
-def take_in(sheet: Sheet, plan: Plan, kind: str, speed_map: SpeedMap | None = None) -> Taken:
-    """Take a sheet in as a campaign's `kind`. `speed_map`: what the signal means; None: fitted to the log. BadInput."""
+def take_in(
+    sheet: Sheet,
+    plan: Plan,
+    kind: str,
+    speed_map: SpeedMap | None = None,
+    propeller: Propeller | None = None,
+    force: bool = False,
+) -> Taken:
+    """Take a sheet in as a campaign's `kind`. `speed_map`: what the signal means; None: fitted to the log. `propeller`: of a
+    table of coefficients; `force`: take a speed that looks electrical. BadInput."""
     _check(sheet, plan, kind)
     clock, rows, said = None, np.arange(len(sheet)), []
     if "time" in plan.columns:
@@ -60,7 +73,12 @@ def take_in(sheet: Sheet, plan: Plan, kind: str, speed_map: SpeedMap | None = No
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
         if quantity != "time":
-            columns[quantity] = sheet.numbers(column.name)[rows] * factor_of(QUANTITIES[quantity], column.unit)
+            columns[quantity] = values_of(sheet, quantity, column)[rows]
+    if "ct" in columns:
+        columns, told = thrust_of(columns | _fixed_speed(plan, columns), propeller or Propeller(), sheet.source)
+        said += told
+    if not force and (contradiction := electrical(plan.columns, columns)):
+        raise BadInput(sheet.source, f"omega, column {plan.columns['omega'].name}", *contradiction)
     if clock and len(clock.restarts) > 1 and "run" not in columns:
         columns["run"] = np.searchsorted(clock.restarts, np.arange(len(rows)), side="right").astype(float)
         said.append(f"time: begins anew {len(clock.restarts) - 1} times, each a run")
@@ -80,8 +98,61 @@ def take_in(sheet: Sheet, plan: Plan, kind: str, speed_map: SpeedMap | None = No
     return taken
 
 
+def values_of(sheet: Sheet, quantity: str, column: Column) -> np.ndarray:
+    """(n,) a column in the record's unit. BadInput for a cell that is no number."""
+    factor, offset = scale_of(QUANTITIES[quantity], column.unit)
+    return sheet.numbers(column.name) * factor + offset
+
+
+def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str] | None:
+    """(what was found, what is allowed) where the measured speed is a whole multiple of the commanded one, or where it is
+    electrical by its name and no command tells the pole pairs; else None."""
+    if "omega" not in columns:
+        return None
+    if "omega_ref" not in columns or not np.isfinite(columns["omega_ref"]).any():
+        name = plan["omega"].name
+        if not _E_RPM.search(name) or plan["omega"].unit.casefold().startswith("erpm"):
+            return None
+        return "electrical speed by its name", f"--map 'omega={name}:erpm/7' with the motor's own pole pairs, or --force"
+    ratio = speed_ratio(columns["omega"], np.nan_to_num(columns["omega_ref"]))
+    if ratio is None or not (pairs := pole_pairs(ratio)):
+        return None
+    column = plan["omega"]
+    found = f"measured speed is {ratio:.4g} times the commanded one: {electrical_cause(pairs)}?"
+    unit = f"erpm/{pairs}" if factor_of(QUANTITIES["omega"], column.unit) == 1.0 else f"{column.unit}/{pairs}"
+    also = ", or in deg/s" if pairs == SPEEDS["deg/s"] else ""
+    return found, f"--map 'omega={column.name}:{unit}'{also}, or --force to take it as it is"
+
+
+def _no_angle(sheet: Sheet, plan: Plan) -> tuple[str, str] | None:
+    """(what was found, what is allowed) where the plan has no pitch and the log one that is no angle; else None."""
+    if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
+        return None
+    if (other := pitch_in_other_unit(sheet, {c.name for c in plan.columns.values()})) is None:
+        return None
+    name, unit, low, high = other
+    found = f"no column in deg, but {name}, which is pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
+    points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
+    return found, f"--map {points}, A and B the pitch there in deg; or --fixed beta_ref=8:deg if the pitch is fixed"
+
+
+def contradictions(sheet: Sheet, plan: Plan) -> list[str]:
+    """Why a plan will not be taken in, a line each: a speed that looks electrical, a pitch that is no angle."""
+    speeds = {q: values_of(sheet, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
+    found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(sheet, plan)}
+    return [f"{name}: {pair[0]}; allowed is {pair[1]}" for name, pair in found.items() if pair]
+
+
+def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The fixed speed as a column, where the table has none."""
+    speed = plan.fixed.get("omega_ref")
+    return {} if speed is None or "omega" in columns else {"omega": np.full(len(columns["ct"]), speed)}
+
+
 def _check(sheet: Sheet, plan: Plan, kind: str) -> None:
-    if "thrust" not in plan.columns:
+    if "ct" in plan.columns and kind != "static":
+        raise BadInput(sheet.source, f"ct, column {plan.columns['ct'].name}", "coefficients, steady points", "--as static")
+    if not {"thrust", "ct"} & {*plan.columns}:
         raise BadInput(sheet.source, "thrust", f"no column for it among {_names(sheet)}", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
         allowed = "--map time=COLUMN:UNIT, or time=row:4ms where rows are that far apart"
@@ -135,18 +206,19 @@ def _commanded(sheet: Sheet, plan: Plan, columns: dict, clock: Clock | None, kin
         span = signal_range(sheet, plan)
         signal = columns.pop("signal")
         _check_signal(sheet, plan, signal, span)
+        volts = _filled(columns["voltage"]) if "voltage" in columns else None
+        points = clock is None or clock.step > FASTER
         if speed_map is not None:
-            said.append(f"speed map: taken over from {speed_map.source} (there rms {speed_map.rms:.3g} rpm)")
+            time = None if points else columns["time"]
+            found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
+        elif "omega" not in columns:
+            allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
+            raise BadInput(sheet.source, "omega_ref", "a signal and no measured speed", allowed)
         else:
-            if "omega" not in columns:
-                allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
-                raise BadInput(sheet.source, "omega_ref", "a signal and no measured speed", allowed)
-            volts = _filled(columns["voltage"]) if "voltage" in columns else None
-            points = clock is None or clock.step > FASTER
             args = (signal, columns["omega"], volts, span)
             found = averaged_map(sheet.source, *args) if points else fitted_map(sheet.source, columns["time"], *args)
-            speed_map = found.map
-            said.append(f"speed map: {found.told}")
+        speed_map = found.map
+        said.append(f"speed map: {found.told}")
         columns["omega_ref"] = speed_map.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]
@@ -162,6 +234,8 @@ def _commanded(sheet: Sheet, plan: Plan, columns: dict, clock: Clock | None, kin
             raise BadInput(
                 sheet.source, "beta_ref", found, "--map beta_ref=COLUMN:deg, the measured column if there is no other"
             )
+        if no_angle := _no_angle(sheet, plan):
+            raise BadInput(sheet.source, "beta_ref", *no_angle)
         value = 0.0 if pitch is None else float(np.nanmean(pitch))
         columns["beta_ref"] = np.full(rows, value)
         said.append(

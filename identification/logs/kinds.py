@@ -82,7 +82,7 @@ def static_of(taken: Taken) -> tuple[StaticMap, list[str]]:
     """(steady points, what was said): the log's rows where they are points, else means over where both commands hold."""
     if not taken.points:
         record = taken.record()
-        settle = min(SETTLE, 0.5 * _typical_hold(record))
+        settle = min(SETTLE, 0.5 * typical_hold(record))
         points = steady_points(record, settle)
         return points, [f"static: {len(points.thrust)} steady stretches, the first {settle:.2g} s of each left out"]
     columns = taken.columns
@@ -100,7 +100,7 @@ def static_of(taken: Taken) -> tuple[StaticMap, list[str]]:
     return StaticMap(**own, thrust_std=np.full(len(omega), spread), source=taken.source), said
 
 
-def _typical_hold(record: Record) -> float:
+def typical_hold(record: Record) -> float:
     """s, the median time over which both commands stand."""
     moved = (np.diff(record["omega_ref"]) != 0.0) | (np.diff(record["beta_ref"]) != 0.0)
     edges = record.time[[0, *(np.flatnonzero(moved) + 1).tolist(), len(record) - 1]]

@@ -4,14 +4,14 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from identification.logs.clock import CALENDAR, guessed_unit, is_calendar
 from identification.logs.sheet import Sheet, plain, split_unit
-from identification.logs.units import QUANTITIES, factor_of
+from identification.logs.units import QUANTITIES, contradicts, factor_of, is_rate, scale_of
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text, shown
 
@@ -28,8 +28,15 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 ROWS = "row"
 """Stands for a column that counts rows, where a log has no time: time=row:4ms."""
 
-SURE, LIKELY, GUESS = "sure", "likely", "guess"
-"""How a proposal was come by: name and unit stand in the log; the unit doesn't, but only one will do; else."""
+SURE, LIKELY, NAMED, GUESS = "sure", "likely", "by its name", "guess"
+"""How a proposal was come by: name and unit are in the log; the unit isn't, but only one will do; the name ends with what may
+be a unit (thrust_g; but thrust_t need not be in tons); else."""
+
+LEAVE_OUT = "-"
+"""In the place of a column: the log has one that is not to be taken, NAME=-."""
+
+STEEP = 90.0
+"""deg: no blade is set beyond; larger numbers are a servo's pulses or counts."""
 
 _WORDS = {
     "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
@@ -42,8 +49,14 @@ _WORDS = {
     "run": "run step stepnumber lauf test",
     "thrust_std": "",
     "samples": "samples",
+    "ct": "ct",
+    "advance_ratio": "j advance",
 }
 """Words of a header by what they mean, what is sought first in front."""
+
+
+_PITCH = ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel")
+"""Of these words those that mean nothing but pitch; an angle may be the stand's."""
 
 
 def _words(text: str) -> frozenset[str]:
@@ -88,9 +101,12 @@ class Plan:
         return " ".join(["--map", *(f"'{p}'" if re.search(r"[^\w=:./%-]", p) else p for p in pairs), *fixed])
 
 
-def parse_pairs(pairs: Iterable[str], sheet: Sheet) -> dict[str, Column]:
-    """The columns of NAME=COLUMN:UNIT, each as the sheet names it; without :UNIT the unit is the header's. BadInput."""
-    found = {}
+def parse_pairs(pairs: Iterable[str], sheet: Sheet, force: bool = False) -> dict[str, Column | None]:
+    """The columns of NAME=COLUMN:UNIT, each as the sheet names it; without :UNIT the unit is the header's; None of NAME=-.
+
+    `force`: take a unit that contradicts the header. BadInput.
+    """
+    found: dict[str, Column | None] = {}
     for pair in pairs:
         quantity, equals, rest = pair.partition("=")
         if not equals or quantity not in QUANTITIES or not rest.strip():
@@ -98,7 +114,8 @@ def parse_pairs(pairs: Iterable[str], sheet: Sheet) -> dict[str, Column]:
             raise BadInput("command line", "--map", shown(pair), allowed)
         if quantity in found:
             raise BadInput("command line", f"--map {quantity}", "twice", "each quantity once")
-        found[quantity] = _pair(quantity, rest.strip(), sheet)
+        left_out = rest.strip() == LEAVE_OUT and LEAVE_OUT not in sheet.columns
+        found[quantity] = None if left_out else _pair(quantity, rest.strip(), sheet, force)
     return found
 
 
@@ -120,7 +137,7 @@ def parse_fixed(pairs: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def _pair(quantity: str, text: str, sheet: Sheet) -> Column:
+def _pair(quantity: str, text: str, sheet: Sheet, force: bool) -> Column:
     """COLUMN or COLUMN:UNIT; a column's own name may hold a colon."""
     name, colon, unit = text.rpartition(":")
     if not colon or text in sheet.columns:
@@ -135,27 +152,38 @@ def _pair(quantity: str, text: str, sheet: Sheet) -> Column:
     if unit is None or (not _fits(quantity, unit)):
         found = "no unit, in the log or behind the column" if unit is None else f"the unit {shown(unit)}"
         raise BadInput(sheet.source, f"{quantity}={name}", found, _allowed(quantity))
+    header = None if counts_rows or unit == CALENDAR else sheet.unit(name)
+    if header and not force and contradicts(QUANTITIES[quantity], unit, header):
+        found = f"the unit {shown(unit)} for a column whose header says {shown(header)}"
+        raise BadInput(
+            sheet.source, f"{quantity}={name}", found, f"{quantity}={name}:{header}, or --force if the header is wrong"
+        )
     return Column(name, unit)
 
 
 def _fits(quantity: str, unit: str) -> bool:
-    return (quantity == "time" and unit == CALENDAR) or factor_of(QUANTITIES[quantity], unit) is not None
+    return (quantity == "time" and unit == CALENDAR) or scale_of(QUANTITIES[quantity], unit) is not None
 
 
 def _allowed(quantity: str) -> str:
     if quantity == "signal":
         return "us, % or 1, or no unit for the numbers of DShot: signal=COLUMN:us"
     unit = QUANTITIES[quantity].unit
+    if QUANTITIES[quantity].turning:
+        return f"a unit that pint can turn into rpm, or electrical speed by its pole pairs: {quantity}=COLUMN:erpm/7"
+    if quantity in ("beta", "beta_ref"):
+        return f"a unit that pint can turn into deg, or two points of a calibration: {quantity}=COLUMN:us@1000=-5,2000=10"
     if quantity == "time":
         return f"a unit of time, or {CALENDAR} for dates and times of day: time=COLUMN:s"
     return f"a unit that pint can turn into {unit}, with a factor if need be: {quantity}=COLUMN:{unit}" if unit else "no unit"
 
 
-def propose(sheet: Sheet) -> dict[str, Column]:
-    """What the header makes likely, by quantity: at most one column each, and of those that fit equally the first."""
+def propose(sheet: Sheet, without: Collection[str] = ()) -> dict[str, Column]:
+    """What the header makes likely, by quantity: at most one column each, and of those that fit equally the first. `without`:
+    columns that are another rotor's, or are spoken for."""
     best: dict[str, tuple[tuple, Column]] = {}
     for place, name in enumerate(sheet.columns):
-        if found := _proposed(sheet, name):
+        if name not in without and (found := proposed(sheet, name)):
             quantity, score, column = found
             _, moving = _alive(sheet, name, quantity)
             if column.sure == GUESS and not moving:
@@ -164,13 +192,75 @@ def propose(sheet: Sheet) -> dict[str, Column]:
             if quantity not in best or key > best[quantity][0]:
                 best[quantity] = key, column
     found = {quantity: best[quantity][1] for quantity in QUANTITIES if quantity in best}
-    if "omega_ref" in found:
-        found.pop("signal", None)
-    return found
+    return {q: c for q, c in found.items() if not any(other in found for other in _INSTEAD.get(q, ()))}
 
 
-def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
-    """(quantity, score, column) of a header's name; None where it says nothing of a record's."""
+_INSTEAD = {"signal": ("omega_ref",), "ct": ("thrust",), "advance_ratio": ("thrust",)}
+"""What a quantity is not taken beside: it says the same."""
+
+_REPLACED = _INSTEAD | {"omega_ref": ("signal",), "thrust": ("ct",)}
+"""The same for a proposal beside what a user maps."""
+
+_DECIDE = ("time", "omega_ref", "beta_ref", "thrust", "signal", "ct", "advance_ratio")
+"""Quantities without which a log means something else; the others are left out where nothing says their unit."""
+
+
+def completed(
+    sheet: Sheet, own: Mapping[str, Column | None], fixed: Mapping[str, float], without: Collection[str], accept: bool
+) -> tuple[dict[str, Column], list[str]]:
+    """(a user's columns, and for all other quantities those of the proposal; what was said). `accept`: also units that only
+    the end of a name gives, or nothing. BadInput where such a unit decides and is not accepted."""
+    taken = {column.name for column in own.values() if column}
+    given = {*own, *fixed}
+    columns = {q: c for q, c in propose(sheet, {*without, *taken}).items() if q not in given}
+    columns = {q: c for q, c in columns.items() if not any(other in given for other in _REPLACED.get(q, ()))}
+    doubtful = {} if accept else {q: c for q, c in columns.items() if c.sure in (NAMED, GUESS)}
+    deciding = [q for q in doubtful if not own or q in _DECIDE]
+    mapped = {q: c for q, c in own.items() if c}
+    if deciding:
+        found = ", ".join(f"{c.name} as {q}{f' in {c.unit}' if c.unit else ''}" for q, c in doubtful.items())
+        plan = Plan({q: c for q, c in (columns | mapped).items() if q not in fixed}, fixed)
+        raise BadInput(sheet.source, "columns", f"guessed units: {found}", f"these with --yes, or others with {plan.words()}")
+    said = [f"{c.name}: not taken as {q}, its unit is a guess; --yes takes it in {c.unit}" for q, c in doubtful.items()]
+    columns = {q: c for q, c in columns.items() if q not in doubtful} | mapped
+    return {q: columns[q] for q in QUANTITIES if q in columns}, said
+
+
+def pitch_in_other_unit(sheet: Sheet, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+    """(column, unit, its lowest and highest number) of a column that is pitch by its name, but no angle: a servo's pulse, a
+    stroke, counts. None where there is none, or where it is empty or 0 throughout."""
+    for name in sheet.columns:
+        quantity, _, tokens, _ = _meant(sheet, name)
+        unit = sheet.unit(name) or _ending(name) or None
+        plainly = quantity in ("beta", "beta_ref") and any(_is(token, word) for token in tokens for word in _PITCH)
+        if name in taken or not plainly or not _numeric(sheet, name):
+            continue
+        if unit is not None and (_fits(quantity, unit) or is_rate(unit)):
+            continue
+        seen = _seen(sheet, name)
+        if seen.any() and (unit is not None or np.abs(seen).max() > STEEP):
+            return name, unit or "", float(seen.min()), float(seen.max())
+    return None
+
+
+def _seen(sheet: Sheet, name: str) -> np.ndarray:
+    """(n,) the numbers of a column; none where a cell is no number, which matters once the column is read."""
+    try:
+        values = sheet.numbers(name)
+    except BadInput:
+        return np.zeros(0)
+    return values[np.isfinite(values)]
+
+
+def _ending(name: str) -> str:
+    """A unit that ends a name and is no abbreviation of a word: %, or us (of a pulse); "" where there is none."""
+    found = re.search(r"(?i)(%|(?<=[\W_])(?:us|pwm))$", name.strip())
+    return "" if found is None else "%" if found[0] == "%" else "us"
+
+
+def _meant(sheet: Sheet, name: str) -> tuple[str, float, list[str], str]:
+    """(quantity, score, words, the last word as it is written) of a header's name; quantity "" where it says nothing of a
+    record's."""
     base, _ = split_unit(name)
     text = re.sub(r"(?i)\bload[ _]cell\b", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
@@ -179,36 +269,50 @@ def _proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
         tokens.pop()
     exact = base.casefold().replace(" ", "_")
     if exact in QUANTITIES:
-        quantity, score = exact, 3.0
-    else:
-        if not tokens or set(tokens) & _NOT:
-            return None
-        command = any(_commands(t) for t in tokens)
-        scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
-        if set(tokens) <= _COMMAND | _NOISE and _fits("omega", sheet.unit(name) or ""):
-            scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
-        quantity = max(scores, key=scores.get)
-        score = scores[quantity]
-        if score <= 0.0:
-            return None
-        if command and quantity in ("omega", "beta"):
-            quantity += "_ref"
+        return exact, 3.0, tokens, tail
+    if not tokens or set(tokens) & _NOT:
+        return "", 0.0, tokens, tail
+    command = any(_commands(t) for t in tokens)
+    scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
+    if scores["beta"] > 0.0:
+        scores["signal"] = 0.0  # "servo pwm" is no motor's
+    if set(tokens) <= _COMMAND | _NOISE and _fits("omega", sheet.unit(name) or ""):
+        scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
+    quantity = max(scores, key=scores.get)
+    score = scores[quantity]
+    if score <= 0.0:
+        return "", 0.0, tokens, tail
+    return f"{quantity}_ref" if command and quantity in ("omega", "beta") else quantity, score, tokens, tail
+
+
+def proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
+    """(quantity, score, column) of a header's name; None where it says nothing of a record's."""
+    quantity, score, tokens, tail = _meant(sheet, name)
+    if not quantity:
+        return None
     unit, sure = sheet.unit(name), SURE
+    if quantity == "omega" and unit and unit.casefold() == "erpm":
+        unit = "rpm"  # until the command tells the pole pairs
     if quantity == "time" and is_calendar(sheet.columns[name]):
         return quantity, score, Column(name, CALENDAR, SURE)
-    if sheet.columns[name].dtype.kind == "O" and not _numeric(sheet, name):
+    if not _numeric(sheet, name):
         return None
-    if unit is None and tail and factor_of(QUANTITIES[quantity], tail) is not None and QUANTITIES[quantity].unit:
-        unit = tail
-    if unit is None and exact in QUANTITIES and {"omega_ref", "beta_ref"} <= set(sheet.columns):
-        unit = QUANTITIES[exact].unit  # a record in this project's own names, which has its own units
+    if unit is None and quantity in QUANTITIES and {"omega_ref", "beta_ref"} <= set(sheet.columns):
+        own = split_unit(name)[0].casefold().replace(" ", "_") == quantity
+        unit = QUANTITIES[quantity].unit if own else None  # a record in this project's own names, which has its own units
     if unit is None and quantity in ("omega", "omega_ref") and "rpm" in tokens:
         unit = "rpm"
+    if quantity in ("signal", "beta", "beta_ref"):
+        tail = _ending(name) or tail
+    if unit is None and tail and (tail == _ending(name) or (QUANTITIES[quantity].unit and _fits(quantity, tail))):
+        unit, sure = tail, LIKELY if _assumed(sheet, name, quantity) == (tail, LIKELY) else NAMED
     if unit is not None and not _fits(quantity, unit):  # "motor cmd (us)" is no speed
         is_signal = quantity in ("omega", "omega_ref") and unit and factor_of(QUANTITIES["signal"], unit) is not None
         return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
     if unit is None:
         unit, sure = _assumed(sheet, name, quantity)
+    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(_seen(sheet, name)) > STEEP):
+        return None
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 
 
@@ -253,6 +357,8 @@ def _assumed(sheet: Sheet, name: str, quantity: str) -> tuple[str | None, str]:
 
 def _numeric(sheet: Sheet, name: str) -> bool:
     """Whether most cells are numbers: what the others are is said when the column is read."""
+    if sheet.columns[name].dtype.kind != "O":
+        return sheet.columns[name].dtype.kind == "f"
     texts = [plain(cell, sheet.decimal) for cell in sheet.columns[name].tolist()[:1000]]
     filled = [text for text in texts if text]
     return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)

@@ -130,7 +130,17 @@ class Log:
         if self.points and (turning := self.speed > 0.0).any():
             signal = self.signal[turning]
             return SteadyPoints(signal, self.voltage[turning], self.speed[turning], float(signal.min()))
-        return steady_points(self.time, self.signal, self.speed, self.voltage, ~self.stalled)
+        return steady_points(self.time, self.signal, self.speed, self.voltage, ~self.stalled, self.span.low)
+
+    def filled_speed(self) -> np.ndarray:
+        """(n,) rpm: the measured speed as a command, which has no gaps: on a line over empty cells and rows behind a stall.
+        BadInput without one."""
+        there = np.isfinite(self.speed) & ~self.stalled if self.speed is not None else np.zeros(0, bool)
+        if not there.any():
+            raise BadInput(
+                self.source, "columns", "no speed", "the motor's optical or electrical speed for --speed-from measured"
+            )
+        return np.interp(self.time, self.time[there], self.speed[there])
 
     def tare(self) -> tuple[float, float, int] | None:
         """Thrust at rest: (mean [N], spread of a reading [N], readings); None where the log has too little rest."""

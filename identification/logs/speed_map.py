@@ -8,7 +8,8 @@ nominal voltage and so depends on the signal alone, as a command must: what the 
 
 import json
 import os
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +23,16 @@ PLATEAU = 1.0
 
 UNSTEADY = 0.02
 """Spread of the speed over its mean from which a part is not steady: a motor that stops, or that stutters at low throttle."""
+
+SETTLED = 0.002
+"""Share by which the speed may still move between the last two quarters of a part held for PLATEAU or less: behind a lag of
+half such a part, the mean of its second half is then within twice as much of the settled speed."""
+
+AT_REST = 0.01
+"""Share of a log's largest speed below which the rotor is at rest: no motor turns a hundred times slower than it can."""
+
+ROWS = 3
+"""Readings from which a held signal shows whether the rotor turns, and whether it still slows down."""
 
 FEWEST = 5
 """Different signals that a fit needs: a cubic, and one to contradict it."""
@@ -52,7 +63,7 @@ RANGES = {
 class SteadyPoints:
     """Where the motor ran steadily: signal, voltage [V] and speed [rpm], each (points,).
 
-    `turns_from`: the smallest signal that kept the motor turning, steadily or not; NaN where none did.
+    `turns_from`: the smallest signal at which the log shows the rotor turning, steadily or not; NaN where none does.
     """
 
     signal: np.ndarray
@@ -89,6 +100,10 @@ class SpeedMap:
         """(n,) rpm: the command that a signal means, whatever the battery's voltage is."""
         return self.speed(signal, self.nominal_voltage)
 
+    def reaching(self, turns_from: float) -> "SpeedMap":
+        """The map for a log that shows the rotor turning from a lower signal on; NaN: none does."""
+        return replace(self, turns_from=turns_from) if turns_from < self.turns_from else self
+
     def error(self, points: SteadyPoints) -> np.ndarray:
         """(points,) rpm, map less measured at the measured voltage."""
         return self.speed(points.signal, points.voltage) - points.speed
@@ -110,22 +125,64 @@ class SpeedMap:
 
 
 def steady_points(
-    time: np.ndarray, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray, usable: np.ndarray
+    time: np.ndarray, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray, usable: np.ndarray, lowest: float = 0.0
 ) -> SteadyPoints:
-    """Means over the steady parts with the motor turning; all (n,), in s, rpm, V; rows that are not `usable` are left out."""
-    starts = np.flatnonzero(np.append(True, signal[1:] != signal[:-1]))
-    found, turning = [], [np.nan]
-    for first, end in zip(starts, [*starts[1:], len(signal)], strict=True):
-        held = time[end - 1] - time[first]
-        rows = slice(first + np.searchsorted(time[first:end], time[first] + held / 2), end)
+    """Means over the steady parts with the motor turning; all (n,), in s, rpm, V; rows that are not `usable` are left out.
+
+    Parts held for PLATEAU or less only complete a map: they are points where no longer part has so low or so high a signal.
+    `lowest`: the signal of no throttle.
+    """
+    long, short = [], []
+    for rows, held in _held_parts(signal, time):
         good = usable[rows] & np.isfinite(speed[rows]) & np.isfinite(voltage[rows])
-        if held > PLATEAU and good.any():
-            there = speed[rows][good]
-            if np.median(there) > 0.0:
-                turning.append(signal[first])
-                if there.std() < UNSTEADY * there.mean():
-                    found.append((signal[first], voltage[rows][good].mean(), there.mean()))
-    return SteadyPoints(*np.array(found).reshape(-1, 3).T, float(np.fmin.reduce(turning)))
+        there = speed[rows][good]
+        if len(there) and np.median(there) > 0.0 and np.std(there) < UNSTEADY * np.mean(there):
+            point = signal[rows][0], voltage[rows][good].mean(), there.mean()
+            if held > PLATEAU:
+                long.append(point)
+            elif len(there) >= ROWS and abs(np.subtract(*_quarters(there))) < SETTLED * there.mean():
+                short.append(point)
+    signals = {point[0] for point in long}
+    enough = len(signals) >= FEWEST
+    found = long + [point for point in short if enough and not min(signals) <= point[0] <= max(signals)]
+    turns_from = turning_from(time, signal, np.where(usable, speed, np.nan), lowest)
+    return SteadyPoints(*np.array(found).reshape(-1, 3).T, turns_from)
+
+
+def turning_from(time: np.ndarray, signal: np.ndarray, speed: np.ndarray, lowest: float) -> float:
+    """The smallest held signal at whose end the rotor turns; all (n,), speed in rpm with NaN where there is none. NaN: none.
+
+    A rotor that still slows down there may be coasting: it counts only above every signal at which one came to rest, and above
+    the `lowest` one, of no throttle.
+    """
+    rest, turning, slowing = [lowest], [], []
+    floor = AT_REST * np.nanmax(speed, initial=0.0, where=np.isfinite(speed))
+    for rows, held in _held_parts(signal, time):
+        there = speed[rows][np.isfinite(speed[rows])]
+        if len(there) < ROWS:
+            continue
+        before, end = _quarters(there)
+        level = float(signal[rows][0])
+        if end > floor:
+            (slowing if end < (1.0 - UNSTEADY) * before else turning).append(level)
+        elif before > floor or held > PLATEAU:  # else it may be about to start
+            rest.append(level)
+    stops = max((level for level in rest if level < min(turning, default=np.inf)), default=-np.inf)
+    return min([*turning, *(level for level in slowing if level > stops)], default=np.nan)
+
+
+def _quarters(half: np.ndarray) -> tuple[float, float]:
+    """Medians of the third and the last quarter of a part, from its second half."""
+    before, end = (float(np.median(part)) for part in np.array_split(half, 2))
+    return before, end
+
+
+def _held_parts(signal: np.ndarray, time: np.ndarray) -> Iterator[tuple[slice, float]]:
+    """(rows of the second half, s held) of each part in which the signal holds."""
+    starts = np.flatnonzero(np.append(True, signal[1:] != signal[:-1]))
+    for first, end in zip(starts, [*starts[1:], len(signal)], strict=True):
+        held = float(time[end - 1] - time[first])
+        yield slice(first + int(np.searchsorted(time[first:end], time[first] + held / 2)), end), held
 
 
 def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: float, source: str) -> SpeedMap:
@@ -183,10 +240,12 @@ def _number(path: str | os.PathLike, field: str, found: object, above: float = -
 
 
 def fit_quality(points: SteadyPoints, speed_map: SpeedMap) -> dict[str, float | int]:
-    """How a map fits a log's steady points: how many it is good for and how many lie beyond, rms and largest error [rpm]."""
+    """How a map fits a log's steady points: how many it is good for and how many lie beyond, rms and largest error [rpm], and
+    the signal of the largest."""
     known = (points.signal >= speed_map.turns_from) & (points.signal <= speed_map.fitted_to)
     figures = {"points": int(known.sum()), "points_beyond": int((~known).sum())}
     if not known.any():
         return figures
     error = np.abs(speed_map.error(points)[known])
-    return figures | {"rms": float(np.sqrt(np.mean(error**2))), "largest": float(error.max())}
+    worst = {"largest": float(error.max()), "largest_at": float(points.signal[known][np.argmax(error)])}
+    return figures | {"rms": float(np.sqrt(np.mean(error**2)))} | worst

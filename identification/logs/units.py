@@ -3,6 +3,10 @@
     value in a record = factor * value in the log
 
 A unit may bear a number of its own: "4 ms" of a count of rows, "-1 N" of a cell that counts downwards, "0.0123 N" of a digit.
+"erpm/7" is the electrical speed [rpm] of a motor with 7 pole pairs. "us@1000=-5,2000=10" is a linear calibration by two points:
+raw readings in us, and the values there in the record's unit:
+
+    value in a record = factor * value in the log + offset
 """
 
 import re
@@ -10,6 +14,7 @@ import tokenize
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
 import pint
 
 
@@ -40,6 +45,8 @@ QUANTITIES = {
         Quantity("run", "", "number of a step's run"),
         Quantity("thrust_std", "N", "spread of the readings of a mean", force=True),
         Quantity("samples", "", "readings in a mean"),
+        Quantity("ct", "", "thrust coefficient T / (rho n^2 D^4) of a steady point, n in rev/s"),
+        Quantity("advance_ratio", "", "advance ratio J of a steady point; 0 is static"),
     )
 }
 """All that a mapping may name."""
@@ -47,6 +54,11 @@ QUANTITIES = {
 _NO = (pint.errors.PintError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, SyntaxError, AssertionError)
 _NO += (RecursionError, tokenize.TokenError)
 """How pint's parser, which is a calculator's, says that a text is no unit."""
+
+_ELECTRICAL = re.compile(r"(?i)e[-_ ]?rpm\s*/\s*([1-9]\d*)")
+
+_POINT = r"\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*"
+_CALIBRATION = re.compile(rf"(?i)([^@]*)@{_POINT}={_POINT},{_POINT}={_POINT}")
 
 SIGNALS = {"us": "PWM", "%": "throttle", "1": "throttle", "": "DShot"}
 """The kind of a motor's signal, by the unit it is in."""
@@ -60,12 +72,56 @@ def factor_of(quantity: Quantity, unit: str) -> float | None:
     if quantity.name == "signal":
         return _signal_factor(unit)
     if not quantity.unit:
-        return 1.0 if unit.strip() in ("", "1") else None
+        return 1.0 if unit.strip() in ("", "1", "-") else None
+    if quantity.turning and (electrical := _ELECTRICAL.fullmatch(unit.strip())):
+        return 1.0 / int(electrical[1])
     for text in dict.fromkeys((unit.strip(), unit.strip().lower())):
         found = _parsed(text)
         if found is not None and (factor := _factor(quantity, found)) is not None:
             return factor
     return None
+
+
+def scale_of(quantity: Quantity, unit: str) -> tuple[float, float] | None:
+    """(factor, offset) from a unit or a calibration to the quantity's own unit; None where it is neither."""
+    found = _CALIBRATION.fullmatch(unit.strip())
+    if found is None:
+        factor = factor_of(quantity, unit)
+        return None if factor is None else (factor, 0.0)
+    try:
+        raw, value, other_raw, other = map(float, found.groups()[1:])
+    except ValueError:
+        return None
+    if raw == other_raw or value == other or not quantity.unit or quantity.name == "time":
+        return None
+    factor = (other - value) / (other_raw - raw)
+    return factor, value - factor * raw
+
+
+def contradicts(quantity: Quantity, given: str, header: str) -> bool:
+    """Whether a unit that a user gives for a column contradicts the one in the log's header.
+
+    A number in the given unit is a scale of the user's: "-1 gf" agrees with gf, "0.0123 N" with V, and "1000 N" not with gf.
+    """
+    if found := _CALIBRATION.fullmatch(given.strip()):
+        pair = _known(quantity, found[1].strip()), _known(quantity, header)
+        return None not in pair and pair[0].units != pair[1].units
+    if quantity.name == "signal":
+        return signal_unit(header) not in (None, signal_unit(given))
+    electrical = quantity.turning and _ELECTRICAL.fullmatch(given.strip())
+    mine, theirs = _known(quantity, "rpm" if electrical else given), _known(quantity, header)
+    if mine is None or theirs is None:
+        return False
+    expected = _factor(quantity, 1.0 * theirs.units)
+    if expected is None:
+        return float(mine.magnitude) == 1.0
+    return not np.isclose(_factor(quantity, 1.0 * mine.units), expected, rtol=1e-6)
+
+
+def is_rate(text: str) -> bool:
+    """Whether a unit is one of something by time, such as deg/s."""
+    found = _parsed(text.strip())
+    return found is not None and found.units.dimensionality.get("[time]", 0) < 0
 
 
 def is_unit(text: str) -> bool:
@@ -104,6 +160,12 @@ def _factor(quantity: Quantity, found: pint.Quantity) -> float | None:
     except pint.errors.PintError:
         return None
     return factor if factor else None
+
+
+def _known(quantity: Quantity, text: str) -> pint.Quantity | None:
+    """A unit as pint knows it, by preference one of the quantity."""
+    found = [f for t in dict.fromkeys((text.strip(), text.strip().lower())) if (f := _parsed(t)) is not None]
+    return next((f for f in found if _factor(quantity, f) is not None), found[0] if found else None)
 
 
 @lru_cache(maxsize=512)

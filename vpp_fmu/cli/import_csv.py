@@ -1,27 +1,33 @@
 """Any table as a file of a campaign: CSV with any delimiter, decimal mark, head, encoding and clock; Parquet, MAT, HDF5.
 
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
-("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). In the place of
-omega_ref a signal to the motor's controller will do, with a measured omega: its map is fitted to the log, and shared by all
-logs of the folder. Without --map a log's own header must leave no uncertainty; --propose shows it. The mapping is saved in
-import.toml beside the record, and --map import.toml uses it again.
+("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
+the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
+reading of 1000, 10 deg at 2000. In the place of omega_ref a signal to the motor's controller will do, with a measured omega:
+its map is fitted to the log, and shared by all logs of the folder. What --map does not name is taken as the log's header says,
+unless NAME=- leaves it out; --propose shows it. The mapping is saved in import.toml beside the record, and --map import.toml
+uses it again.
 
-Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples."""
+A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
+in rev/s; rows with J above 0 are left out.
+
+Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples ct advance_ratio."""
 
 import codecs
 from pathlib import Path
 
 import numpy as np
 
+from identification.logs.coefficients import Propeller
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
 from identification.logs.containers import read_container
 from identification.logs.delimited import DELIMITERS, read_delimited
-from identification.logs.intake import Taken, signal_range, take_in
+from identification.logs.intake import Taken, contradictions, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
-    GUESS,
     Plan,
+    completed,
     parse_fixed,
     parse_pairs,
     propose,
@@ -29,11 +35,14 @@ from identification.logs.mapping import (
     section_of,
     to_toml,
 )
+from identification.logs.rotors import chosen
 from identification.logs.sampling import said_of_gaps
 from identification.logs.sheet import Sheet
 from identification.logs.speed_map import read_speed_map
 from identification.logs.units import QUANTITIES
-from vpp_fmu.cli.import_place import add_kind, placed
+from identification.static.static_map import DENSITY
+from vpp_fmu.cli.import_place import add_kind, add_speed_from, placed
+from vpp_fmu.cli.options import Number
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -47,8 +56,21 @@ EXAMPLE = (
 
 def configure(parser):
     parser.add_argument("log", metavar="LOG", help="the table; .gz is unpacked")
-    text = "NAME=COLUMN:UNIT, one or more, or an import.toml (default: as --propose says, where it is sure)"
+    text = "NAME=COLUMN:UNIT, one or more, or an import.toml; for all other names as --propose says, where it is sure"
     parser.add_argument("--map", action="extend", nargs="+", default=[], metavar="M", help=text)
+    text = "accept units that the log does not state and the importer guesses (thrust_g, throttle_%%); never a contradiction"
+    parser.add_argument("--yes", action="store_true", help=text)
+    text = "take a unit that contradicts the header, or a speed that looks electrical"
+    parser.add_argument("--force", action="store_true", help=text)
+    parser.add_argument(
+        "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
+    )
+    add_speed_from(parser)
+    parser.add_argument(
+        "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
+    )
+    text = "kg/m^3, of the air, for coefficients (default: %(default)s)"
+    parser.add_argument("--density", type=Number(0.0, 2000.0, "kg/m^3", above=True), default=DENSITY, metavar="RHO", help=text)
     text = "a command or voltage that the log does not have: beta_ref=8:deg; may be repeated"
     parser.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE:UNIT", help=text)
     add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
@@ -74,6 +96,8 @@ def run(options):
         _propose(sheet, options)
         return
     plan = _plan(options, section, sheet)
+    if options.diameter and "ct" not in plan.columns:
+        raise BadInput(options.log, "ct", "no column of thrust coefficients", "--map ct=COLUMN, or no --diameter")
     span = signal_range(sheet, plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
@@ -81,7 +105,8 @@ def run(options):
             options.speed_map, "signal, kind", given.signal.kind, f"a map for {span.kind}, which is in {options.log}"
         )
     beside = map_beside(options.output, span, options.log) if span and given is None else None
-    taken = take_in(sheet, plan, options.kind, given or beside)
+    propeller = Propeller(options.diameter, options.density)
+    taken = take_in(sheet, plan, options.kind, given or beside, propeller, options.force)
     _say_columns(sheet, plan, taken)
     for line in taken.said:
         print(line)
@@ -112,31 +137,47 @@ def _sheet(options, read: dict) -> Sheet:
 
 
 def _plan(options, section: dict, sheet: Sheet) -> Plan:
-    """Pairs of the command line before the TOML's; where there is neither the proposal, if it is sure. BadInput."""
-    own = parse_pairs([word for word in options.map if "=" in word], sheet)
-    saved = parse_pairs([f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own], sheet)
+    """Pairs of the command line before the TOML's, which is complete; else the proposal completes them. BadInput."""
+    own = parse_pairs([word for word in options.map if "=" in word], sheet, options.force)
+    saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
     fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
-    columns = {**saved, **own}
-    if not columns:
-        columns = propose(sheet)
-        if doubtful := {q: c for q, c in columns.items() if c.sure == GUESS}:
-            found = ", ".join(f"{q} from {c.name} without a unit" for q, c in doubtful.items())
-            raise BadInput(sheet.source, "columns", found, f"the right units with {Plan(columns, fixed).words()}")
-    columns = {q: columns[q] for q in QUANTITIES if q in columns and q not in fixed}
+    if saved and options.rotor:
+        raise BadInput("command line", "--rotor", options.rotor, "none beside an import.toml, which names its columns")
+    if saved:
+        columns, said = parse_pairs(saved, sheet, options.force) | own, []
+    else:
+        others, said = chosen(sheet, options.rotor, [c.name for c in own.values() if c])
+        for line in said:
+            print(line)
+        columns, said = completed(sheet, own, fixed, others, options.yes)
+    for line in said:
+        print(line)
+    columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
+    if options.speed_from == "measured":
+        if "omega" not in columns:
+            raise BadInput(sheet.source, "omega", "no measured speed", "--map omega=COLUMN:rpm, or --speed-from command")
+        columns = {"omega_ref": columns.pop("omega"), **{q: c for q, c in columns.items() if q not in ("omega_ref", "signal")}}
+        fixed.pop("omega_ref", None)
     return Plan(columns, fixed, sheet.read)
 
 
 def _propose(sheet: Sheet, options) -> None:
-    columns = propose(sheet)
-    plan = Plan(columns, parse_fixed(options.fixed), sheet.read)
+    fixed = parse_fixed(options.fixed)
+    others, said = chosen(sheet, options.rotor, ())
+    columns = propose(sheet, others)
+    plan = Plan(columns, fixed, sheet.read)
     width = max((len(c.name) for c in columns.values()), default=0)
     for quantity, column in columns.items():
         note = {"": ""}.get(column.unit, f"in {column.unit}")
         print(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
     unused = [name for name in sheet.columns if name not in {c.name for c in columns.values()}]
+    for line in said:
+        print(line)
     print(f"not used: {', '.join(unused) or 'none'}")
     if columns:
         print(f"as options: {plan.words()}")
+    for line in contradictions(sheet, plan):
+        print(line)
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
         if (folder.path / name).exists() and not options.replace:

@@ -5,6 +5,7 @@ from pathlib import Path
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
 from identification.logs.sampling import findings, said_of_rows
+from identification.logs.speed_choice import said_of_speed
 from vpp_fmu.campaign import write_static, write_steps
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -16,6 +17,12 @@ def add_kind(parser, default: str | None, text: str) -> None:
     """The options --as and --replace."""
     parser.add_argument("--as", dest="kind", choices=KINDS, default=default, help=text)
     parser.add_argument("--replace", action="store_true", help="replace a file of another log")
+
+
+def add_speed_from(parser) -> None:
+    """The option --speed-from."""
+    text = "take omega_ref from the command or signal, or from the measured speed, where the motor does not hold its command"
+    parser.add_argument("--speed-from", choices=("command", "measured"), default="command", help=text)
 
 
 def placed(place: Path, kind: str, taken: Taken, replace: bool) -> tuple[OutputSet, list[str]]:
@@ -48,6 +55,8 @@ def _record(place: Path, kind: str, taken: Taken) -> tuple[Record, list[str]]:
         raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed)
     if kind == "repeat" and (first := there(place, "open_loop")):
         record, said = repeat_of(record, read_record(first, holes=("thrust",)))
+    if taken.speed_map is not None:
+        said += said_of_speed(record)
     return record, [*said, *said_of_rows(record), *(f.text for f in findings(record))]
 
 

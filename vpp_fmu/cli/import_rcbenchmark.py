@@ -1,10 +1,12 @@
 """A thrust stand's log as a file of a campaign: the ESC's signal becomes omega_ref through a map fitted to its steady parts.
 
-Logs of one stand share one map: that which another log has left in the folder is taken over. Fixed pitch: beta_ref is 0. Empty
-in the record: what the log did not measure, or measured before the time it says. Rows that are averages become static.csv.
+Logs of one stand share one map: that which another log has left in the folder is taken over. The pitch is fixed: beta_ref is 0,
+or what --fixed says. Empty in the record: what the log did not measure, or measured before the time it says. Rows that are
+averages become static.csv.
 """
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,12 @@ import numpy as np
 from identification.logs.clock import Clock
 from identification.logs.commands import FILE as SPEED_MAP
 from identification.logs.commands import map_beside
+from identification.logs.delimited import read_delimited
 from identification.logs.intake import Taken
+from identification.logs.mapping import parse_fixed, pitch_in_other_unit
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
-from vpp_fmu.cli.import_place import add_kind, placed
+from vpp_fmu.cli.import_place import add_kind, add_speed_from, placed
 from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
@@ -26,34 +30,70 @@ EXAMPLE = "vpp import rcbenchmark tuesday.csv --speed-map monday/speed_map.json 
 
 def configure(parser):
     parser.add_argument("log", metavar="LOG", help="CSV as the stand's program wrote it")
-    text = "speed_map.json of another log, used as it is (default: the folder's own, else fit one)"
+    text = "speed_map.json of another log (default: the folder's own, else fit one)"
     parser.add_argument("--speed-map", metavar="M", help=text)
     add_kind(parser, None, "which file of a campaign (default: record.csv of samples, static.csv of averages)")
+    add_speed_from(parser)
+    parser.add_argument("--fixed", metavar="beta_ref=V:UNIT", help="the pitch, which is fixed (default: beta_ref=0:deg)")
     parser.add_argument("--keep-stalls", action="store_true", help="keep what was logged right behind a stall of the logger")
     add_output(parser)
 
 
 def run(options):
     log = read_log(options.log)
-    beside = None if options.speed_map else map_beside(options.output, log.span, options.log)
-    speed_map = read_speed_map(options.speed_map) if options.speed_map else beside or fitted(log)
-    if speed_map.signal != log.span:
-        allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
-        raise BadInput(options.speed_map, "signal, kind", speed_map.signal.kind, allowed)
+    pitch = _pitch(options, log)
+    measured = options.speed_from == "measured"
+    known = None if measured else _speed_map(options, log)
+    speed_map = known and known.map.reaching(log.steady_points().turns_from)
     figures = told(log, speed_map, options.keep_stalls)
     kind = options.kind or ("static" if log.averaged else "record")
     tare = log.tare()
-    record = log.record(speed_map.omega_ref(log.signal), tare[0] if tare else 0.0, options.keep_stalls)
+    omega_ref = log.filled_speed() if measured else speed_map.omega_ref(log.signal)
+    record = log.record(omega_ref, tare[0] if tare else 0.0, options.keep_stalls)
+    columns = {name: column for name, column in record.columns.items() if not (measured and name == "omega")}
+    columns["beta_ref"] = np.full(len(record), pitch)
     if kind != "static":
         warn_beyond(record)
-    taken = Taken(record.columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
+    taken = Taken(columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
     folder, said = placed(Path(options.output), kind, taken, options.replace)
-    folder.write(SPEED_MAP, speed_map.to_json())
+    if known:
+        folder.write(SPEED_MAP, known.map.to_json())
     folder.write("import.json", as_json(figures))
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
-    lines += [said_of_map(figures["speed_map"], bool(options.speed_map or beside)), *said]
+    lines += said_of_map(figures["speed_map"], known) if known else ["omega_ref: the measured speed"]
+    lines += said
     print(*lines, sep="\n")
     say_written(folder)
+
+
+def _pitch(options, log: Log) -> float:
+    """deg, the fixed pitch. BadInput where it is not declared and the log has a servo's column that is in use."""
+    if options.fixed is not None:
+        if [*(fixed := parse_fixed([options.fixed]))] != ["beta_ref"]:
+            raise BadInput("command line", "--fixed", options.fixed, "beta_ref=VALUE:UNIT, such as beta_ref=8:deg")
+        return fixed["beta_ref"]
+    if other := pitch_in_other_unit(read_delimited(options.log, {}), log.names.values()):
+        found = f"{other[0]}, which is pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
+        raise BadInput(log.source, "beta_ref", found, "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map it")
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Known:
+    """A speed map, and whether it is another log's."""
+
+    map: SpeedMap
+    taken_over: bool
+
+
+def _speed_map(options, log: Log) -> Known:
+    """The map that is given, else the folder's, else one fitted to the log. BadInput for one of another kind of signal."""
+    beside = None if options.speed_map else map_beside(options.output, log.span, options.log)
+    found = read_speed_map(options.speed_map) if options.speed_map else beside or fitted(log)
+    if found.signal != log.span:
+        allowed = f"a map for {log.span.kind} {log.span.low:g} to {log.span.high:g}, which is in {options.log}"
+        raise BadInput(options.speed_map, "signal, kind", found.signal.kind, allowed)
+    return Known(found, bool(options.speed_map or beside))
 
 
 def said_of_averages(log: Log, kind: str) -> list[str]:
@@ -72,8 +112,8 @@ def fitted(log: Log) -> SpeedMap:
     return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
 
 
-def told(log: Log, speed_map: SpeedMap, keep_stalls: bool) -> dict:
-    """The content of import.json: what the log was, and what was done to it."""
+def told(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
+    """The content of import.json: what the log was, and what was done to it. No `speed_map`: the speed is the measured one."""
     filled, behind = np.isfinite(log.thrust), log.stalled & ~log.repeated
     emptied = behind & (not keep_stalls)
     gaps, tare = np.diff(log.time)[log.late[1:]], log.tare()
@@ -101,10 +141,12 @@ def told(log: Log, speed_map: SpeedMap, keep_stalls: bool) -> dict:
         },
         "tare": dict(zip(("mean", "spread", "readings"), tare, strict=True)) if tare else None,
         "signal": {"kind": log.span.kind, "minimum": float(log.signal.min()), "maximum": float(log.signal.max())},
-        "speed_map": {
+        "speed_map": speed_map
+        and {
             "source": speed_map.source,
             "nominal_voltage": speed_map.nominal_voltage,
             "rms": speed_map.rms,
+            "turns_from": speed_map.turns_from,
             "here": fit_quality(log.steady_points(), speed_map),
             "rows_beyond": int(np.sum(log.signal > speed_map.fitted_to)),
         },
@@ -155,20 +197,22 @@ def said_of_thrust(figures: dict) -> list[str]:
     return lines
 
 
-def said_of_map(figures: dict, taken_over: bool) -> str:
+def said_of_map(figures: dict, known: Known) -> list[str]:
     """Where the map is from and how it fits, in words."""
     here = figures["here"]
     own = f"rms {figures['rms']:.0f} rpm, nominal {figures['nominal_voltage']:.2f} V"
-    if not taken_over:
-        return f"speed map: fitted to {here['points']} steady parts, {own}"
+    worst = f"at most {here['largest']:.0f} rpm at signal {here['largest_at']:g}" if here["points"] else ""
+    if not known.taken_over:
+        return [f"speed map: fitted to {here['points']} steady parts, {own}, {worst}"]
     lines = [f"speed map: taken over from {figures['source']} (there {own})"]
     if here["points"]:
         beyond = f", {here['points_beyond']} beyond its signals left out" if here["points_beyond"] else ""
-        error = f"rms {here['rms']:.0f} rpm, at most {here['largest']:.0f} rpm"
-        lines.append(f"speed map here: {error}, on {here['points']} steady parts{beyond}")
+        lines.append(f"speed map here: rms {here['rms']:.0f} rpm, {worst}, on {here['points']} steady parts{beyond}")
+    if (low := figures["turns_from"]) < known.map.turns_from:
+        lines.append(f"speed map: here the rotor turns from signal {low:g} on, there from {known.map.turns_from:g}")
     if figures["rows_beyond"]:
         lines.append(f"note: {figures['rows_beyond']} rows have a higher signal than the map was fitted to")
-    return "\n".join(lines)
+    return lines
 
 
 def warn_beyond(record: Record) -> None:

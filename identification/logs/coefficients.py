@@ -1,0 +1,41 @@
+"""Steady points from a table of thrust coefficients, as wind tunnels publish them.
+
+    T = CT rho n^2 D^4   (N; n in rev/s, D the diameter in m)
+
+The definition with n and D; a helicopter's coefficient, of tip speed and disc area, is another one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.static.static_map import DENSITY
+from vpp_fmu.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Propeller:
+    """What makes coefficients thrust: `diameter` [m], None where it is not known, and `density` of the air [kg/m^3]."""
+
+    diameter: float | None = None
+    density: float = DENSITY
+
+
+def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
+    """(columns (n,) with `thrust` [N] in the place of `ct`, without rows at an advance ratio above 0; what was said). BadInput
+    without a diameter, or without a row that is static."""
+    if propeller.diameter is None:
+        allowed = "--diameter D, the rotor's in m: T = CT rho n^2 D^4"
+        raise BadInput(source, "ct", "a thrust coefficient and no diameter", allowed)
+    advance = columns.get("advance_ratio", np.zeros(len(columns["ct"])))
+    static = ~(advance > 0.0)
+    if not static.any():
+        raise BadInput(source, "advance_ratio", f"above 0 in all {len(advance)} rows", "rows at no airspeed: static points")
+    kept = {name: column[static] for name, column in columns.items() if name != "advance_ratio"}
+    turns = kept.get("omega", kept.get("omega_ref")) / 60.0
+    kept["thrust"] = kept.pop("ct") * propeller.density * turns**2 * propeller.diameter**4
+    said = [f"thrust: CT rho n^2 D^4 with D = {propeller.diameter:g} m and rho = {propeller.density:g} kg/m^3"]
+    if not static.all():
+        said.append(f"advance ratio: {int((~static).sum())} rows above 0 are not static, left out")
+    return kept, said

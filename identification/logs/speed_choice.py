@@ -1,0 +1,68 @@
+"""Whether a record's thrust follows the speed that its signal means, or the measured one: which should be its omega_ref.
+
+A motor that holds its speed poorly hides the rotor: its errors look like errors of the thrust map. With the measured speed as
+the command they are out of the model, and so is the motor.
+"""
+
+import numpy as np
+
+from identification.logs.kinds import typical_hold
+from identification.logs.speed_map import UNSTEADY
+from identification.static.static_map import design
+from identification.static.steady import SETTLE, resting
+from vpp_fmu.digits import number
+from vpp_fmu.record import Record
+from vpp_fmu.rig import infer_rig
+
+POOR = 3.0
+"""Misfit of the commanded speed over the scatter of readings within steady parts from which the motor does not hold its
+command: neither noise nor the end of a move reaches that."""
+
+PREFERS = 3.0
+"""Nats of log-likelihood by which the measured speed must explain the steady thrust better: odds of 20 to 1, where both speeds
+were as likely before."""
+
+
+def said_of_speed(record: Record) -> list[str]:
+    """A proposal to take the measured speed for the command, with the numbers that show it; empty where it explains the steady
+    thrust no better, or where the motor holds its command."""
+    if "omega" not in record:
+        return []
+    found = [
+        s
+        for s in resting(record, min(SETTLE, 0.5 * typical_hold(record)))
+        if len(s.omega) > 1 and s.omega_ref > 0.0 and s.omega.std() < UNSTEADY * s.omega.mean()
+    ]
+    if not found:
+        return []
+    command, beta = (np.array([getattr(s, name) for s in found]) for name in ("omega_ref", "beta_ref"))
+    omega, thrust = (np.array([getattr(s, name).mean() for s in found]) for name in ("omega", "thrust"))
+    misfit = float(np.sqrt(np.mean((command - omega) ** 2)))
+    scatter = float(np.sqrt(np.mean([s.omega.var() for s in found])))
+    gain = likelihood_gain(command, omega, beta, thrust)
+    if misfit < POOR * scatter or gain < PREFERS:
+        return []
+    return [
+        f"speed: at {len(found)} steady parts the measured speed is {number(misfit)} rpm (rms) off omega_ref and scatters by "
+        f"{number(scatter)} rpm; it explains their thrust better by {gain:.1f} nats: "
+        "--speed-from measured takes it as omega_ref"
+    ]
+
+
+def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, thrust: np.ndarray) -> float:
+    """Log-likelihood [nats] that steady thrust (n,) N gains if measured speed `omega` takes the place of the commanded one,
+    both rpm, in the thrust map at pitch `beta` [deg]:
+
+        n / 2 log(S_command / S_omega),   S: sum of squared residuals of the fitted map
+
+    Both maps have the same terms, so no penalty differs. 0 where there are too few points for a residual.
+    """
+    sums = []
+    for speed in (command, omega):
+        points = {"omega_ref": speed, "omega": speed, "beta_ref": beta, "thrust": thrust}
+        scales = vars(infer_rig([], points, {}).scales)
+        found, _, rank, _ = np.linalg.lstsq(a := design(speed, beta, scales), thrust, rcond=1e-9)
+        if len(thrust) <= rank + 2:
+            return 0.0
+        sums.append(max(float(np.sum((thrust - a @ found) ** 2)), 1e-12 * float(thrust @ thrust)))
+    return 0.5 * len(thrust) * float(np.log(sums[0] / sums[1]))
