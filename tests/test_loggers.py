@@ -12,6 +12,8 @@ from tests.studies.loggers import Case
 from tests.studies.physics import BASE, PAPER
 from tests.studies.sensors import FINE, TIMER, Encoder, LoggedRig, Logger, Mark, Motion, Telemetry
 from vpp_fmu.campaign import read_campaign
+from vpp_fmu.kernel.plant import BASE as MODEL
+from vpp_fmu.native import Simulator
 
 START, SLOPE = 2400.0, 1800.0
 """rpm and rpm/s of a rotor that speeds up evenly."""
@@ -124,6 +126,24 @@ def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
     band = {"deadband": 0.1}
     alone, free = nats(band), nats(band, sensor_filter=0.0)
     assert 0.5 * alone < free < alone
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_the_record_that_judges_is_the_true_models_read_by_the_true_logger(number):
+    case = Case("nothing", 1, number)
+    rig, (record, delay), fine = case.rig, case.unseen(), 0.001
+    many = round(1.0 / rig.rate / fine)
+    columns = {n: np.repeat(record[n], many) for n in ("omega_ref", "beta_ref")} | {
+        "time": fine * np.arange(many * len(record))
+    }
+    thrust, omega, _ = Simulator(MODEL).simulate(rig.truth(), columns, np.full(many * len(record) - 1, fine)).T
+    at = rig.logger.times(len(record), 1.0 / rig.rate)
+    known = at[:, -1] < columns["time"][-1]
+    force, speed = (np.interp(t, columns["time"], y).mean(axis=1) for t, y in ((at, thrust), (at - delay, omega)))
+    assert np.std((force - record["thrust"])[known]) < 0.03 * rig.noise.std
+    new = known & (np.diff(record["omega"], prepend=0.0) != 0.0)
+    rate = np.gradient(speed)[new] * rig.rate
+    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; how old a held value is goes with speed
 
 
 def test_cases_are_balanced_and_depend_on_their_number_alone():
