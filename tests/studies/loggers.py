@@ -292,12 +292,12 @@ def table(part: str, found: Sequence[dict]) -> str:
     done = [r for r in found if not r["failed"]]
     judged = [r for r in done if part == "nothing" or r["evidence"] >= LIMIT]
     heads = ("cases", *COLUMNS[part], f"<= {CLOSE}", "lag off", "delay off", "seconds")
-    lines = [f"{part:44}" + "".join(f"{h:>10}" for h in heads)]
+    lines = [f"{part:52}" + "".join(f"{h:>10}" for h in heads)]
     for factor, level in FACTORS.items():
         for value in sorted({level(r) for r in judged}):
             if value or factor == "all":
                 own = [r for r in judged if level(r) == value]
-                lines.append(f"{f'{factor}: {value}'.removesuffix(': '):44}{_cells(part, own)}")
+                lines.append(f"{f'{factor}: {value}'.removesuffix(': '):52}{_cells(part, own)}")
     lines += [share(f"{part}: {head}", COLUMNS[part][head], judged) for head in AIMS[part]]
     lines.append(share(f"{part}: unseen error at most {CLOSE} of the noise", close, judged))
     if part != "nothing":
