@@ -89,7 +89,7 @@ def test_a_late_reading_is_the_same_later():
     assert np.array_equal(later.omega, now.omega)
 
 
-@pytest.mark.parametrize("kind", NOISES)
+@pytest.mark.parametrize("kind", [*NOISES, "1/f"])
 def test_noise_has_the_power_it_says(kind):
     noise, rows = Noise(kind, 0.13, 0.004, 1.0, 0.003), 2**17
     # A force that wanders over many counts: else one of a coarse converter's counts would always be the same.

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from vpp_fmu.record import Record
 
@@ -17,6 +18,9 @@ from .rig import JITTER, Rig
 
 STEP = 0.0005
 """Of the integration, s on the paper's rig: its error is in both signals alike."""
+
+DELAY = 0.1
+"""s of a free delay of the logger that one unit of the search is."""
 
 BLOCK = 0.016
 """s on the paper's rig that speed is averaged over, a revolution at least: its sensor's errors are then nearly white."""
@@ -34,25 +38,31 @@ def evidence(
     known: Mapping[str, float] | None = None,
     records: int = 2,
     free: Mapping[str, float] | None = None,
+    sensor_filter: float | None = None,
 ) -> float:
     """Log-likelihood over the best base model, of so many records of these commands (rpm, deg).
 
     `known`: settings that the base model has too; `free`: those that it has and that are fitted with it, from these values on.
+    `sensor_filter` [s] of the speed reading: where it is given, the logger's nuisance parameters are free too. They are the
+    offset of all readings, the delay of the speed reading and, above 0, its filter.
     """
     base = {**base, **(free or {})}
     names = [*BASE, *(free or {})]
     found = with_it.run(speed, pitch, STEP)
     uncertain = _speed_noise(with_it, found)
-    true = _white(with_it, found, speed, pitch, uncertain)
+    true = _white(with_it, found, speed, pitch, uncertain, (0.0, 0.0, sensor_filter or 0.0))
     scale = np.array([base[n] for n in names])
+    logger = 0 if sensor_filter is None else 3 if sensor_filter else 2
 
     def error(x):
         # Time constants must stay positive whatever the fit tries: their logarithm is free, the map's own values are.
-        factors = np.where([n.startswith("tau") for n in names], np.exp(x), 1.0 + x)
+        factors = np.where([n.startswith("tau") for n in names], np.exp(x[: len(names)]), 1.0 + x[: len(names)])
         other = replace(with_it, settings=dict(zip(names, scale * factors, strict=True)) | dict(known or {}), extra=None)
-        return _white(other, other.run(speed, pitch, STEP), speed, pitch, uncertain) - true
+        offset, delay, filter_change = (*x[len(names) :], 0.0, 0.0, 0.0)[:3]
+        read = DELAY * offset, DELAY * delay, (sensor_filter or 0.0) * np.exp(filter_change)
+        return _white(other, other.run(speed, pitch, STEP), speed, pitch, uncertain, read) - true
 
-    best = least_squares(error, np.zeros(len(names)), diff_step=1e-4, bounds=(-4.0, 4.0), max_nfev=8)
+    best = least_squares(error, np.zeros(len(names) + logger), diff_step=1e-4, bounds=(-4.0, 4.0), max_nfev=8)
     return records * float(best.cost)
 
 
@@ -66,9 +76,28 @@ def behind(rig: Rig, record: Record, thrust: np.ndarray, omega: np.ndarray, reco
     return records * 0.5 * float(away @ away)
 
 
-def _white(one: Rig, found: Run, speed: np.ndarray, pitch: np.ndarray, uncertain: np.ndarray) -> np.ndarray:
-    """Thrust and speed as they are read, in units of the noise, all directions alike."""
-    return np.concatenate([_over_noise(one, one.force(found, speed, pitch)), _blocks(one, _told(one, found)) / uncertain])
+def _white(
+    one: Rig,
+    found: Run,
+    speed: np.ndarray,
+    pitch: np.ndarray,
+    uncertain: np.ndarray,
+    read: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> np.ndarray:
+    """Thrust and speed as they are read, in units of the noise, all directions alike. `read` s: offset of both readings, delay
+    and filter of speed."""
+    offset, delay, time_constant = read
+    omega = _told(one, found)
+    if time_constant:
+        keep = np.exp(-1.0 / (one.rate * time_constant))
+        omega = lfilter([1.0 - keep], [1.0, -keep], omega, zi=keep * omega[:1])[0]
+    thrust, omega = _later(one, one.force(found, speed, pitch), offset), _later(one, omega, offset + delay)
+    return np.concatenate([_over_noise(one, thrust), _blocks(one, omega) / uncertain])
+
+
+def _later(one: Rig, rows: np.ndarray, delay: float) -> np.ndarray:
+    """(rows,) `delay` s later, to first order: it is small at the optimum, and a straight line between rows has kinks in it."""
+    return rows - delay * one.rate * np.gradient(rows) if delay else rows
 
 
 def _told(one: Rig, found: Run) -> np.ndarray:

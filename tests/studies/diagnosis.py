@@ -11,7 +11,7 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
@@ -118,26 +118,6 @@ def _key(row: dict) -> str:
     return json.dumps([row["name"], row["factors"], row["deleted"]], sort_keys=True)
 
 
-def rows(cases: Sequence[Case], workers: int, threads: int, limit: float, cold: bool = False) -> Iterator[dict]:
-    """Each case's row as it is done, in whatever order."""
-
-    def one(case: Case) -> dict:
-        began = time.perf_counter()
-        try:
-            with tempfile.TemporaryDirectory() as cache:
-                return apart(outcome, case, threads, limit=limit, environment={"XDG_CACHE_HOME": cache} if cold else None)
-        except Failed as failed:
-            return case.summary() | {"failed": str(failed), "seconds": time.perf_counter() - began}
-
-    pool = ThreadPoolExecutor(workers)
-    try:
-        futures = [pool.submit(one, case) for case in cases]
-        for future in tqdm(as_completed(futures), total=len(cases), desc="cases", disable=None, leave=False):
-            yield future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)  # stopped: those that have begun end, no other begins
-
-
 def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -> dict:
     """Measure the case, diagnose it, compare with the truth: all that the tables need."""
     measured, whole = case.measured(), tuple(library)
@@ -156,6 +136,28 @@ def outcome(case: Case, threads: int = 1, library: Iterable[Effect] = LIBRARY) -
         again, *_ = told(measured, whole, threads)
         row |= {"with_own_name": sorted({e["name"] for e in again["effects"]}.union(*again["family"].values()))}
     return row
+
+
+def rows(
+    cases: Sequence, workers: int, threads: int, limit: float, cold: bool = False, work: Callable = outcome
+) -> Iterator[dict]:
+    """Each case's row as it is done, in whatever order: `work(case, threads)`, or the case's summary and why it failed."""
+
+    def one(case) -> dict:
+        began = time.perf_counter()
+        try:
+            with tempfile.TemporaryDirectory() as cache:
+                return apart(work, case, threads, limit=limit, environment={"XDG_CACHE_HOME": cache} if cold else None)
+        except Failed as failed:
+            return case.summary() | {"failed": str(failed), "seconds": time.perf_counter() - began}
+
+    pool = ThreadPoolExecutor(workers)
+    try:
+        futures = [pool.submit(one, case) for case in cases]
+        for future in tqdm(as_completed(futures), total=len(cases), desc="cases", disable=None, leave=False):
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)  # stopped: those that have begun end, no other begins
 
 
 def told(measured: Campaign, library: Sequence[Effect], threads: int = 1) -> tuple[dict, ParameterSet, ParameterSet]:

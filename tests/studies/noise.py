@@ -34,8 +34,8 @@ COARSE, DITHER = 1.5, 0.5
 
 @dataclass(frozen=True)
 class Noise:
-    """Of one of KINDS: `std` N, readings `row` s apart, on a rig that is `slow` times slower than the paper's; `count` N of the
-    converter."""
+    """Of one of KINDS, or "1/f" without hum. `std` N; readings `row` s apart; a rig `slow` times slower than the paper's; a
+    converter's `count` N."""
 
     kind: str
     std: float
@@ -59,6 +59,8 @@ class Noise:
             return np.sqrt(1.0 - SLOW**2) * white + SLOW * self.std * lfilter([1.0], [1.0, -self._rho], drive)[500:]
         if self.kind == "1/f + hum":
             return white + self._flicker(rng, rows) + self._hum(rng, rows)
+        if self.kind == "1/f":
+            return white + self._flicker(rng, rows)
         if self.kind == "Student t":
             return self.std * rng.standard_t(FREEDOM, rows) / np.sqrt(FREEDOM / (FREEDOM - 2.0))
         if self.kind == "spikes":
@@ -91,7 +93,7 @@ class Noise:
         if self.kind == "AR":
             slow = SLOW**2 * (1.0 - self._rho**2) / np.abs(1.0 - self._rho * np.exp(-2j * np.pi * turns)) ** 2
             power *= 1.0 - SLOW**2 + slow
-        elif self.kind == "1/f + hum":
+        elif self.kind in ("1/f", "1/f + hum"):
             power *= 1.0 + CORNER * self.row / turns
         elif self.kind == "quantised":
             power *= DITHER**2

@@ -1,0 +1,377 @@
+"""python -m tests.studies loggers: does `vpp diagnose` depend on what measured speed, and on when its rows were written?
+
+On the emulator of the diagnosis study (rig.c), read by other speed sensors and loggers (sensors.py). `--part nothing`: rigs
+that hide nothing, and the diagnosis should say nothing. `hidden`: one effect of the pitch or of the inflow. `pairs`: a strong
+slow effect and a weak fast one; the weak one should not be passed over.
+
+An effect counts as detectable where the true model is 20 nats or more above the best base model, in expectation: half the
+squared distance, over the noise, of the noise-free readings from those of the same rig without the effect, with the nine base
+parameters and the logger's nuisance parameters free (offset of all readings, delay of speed, its filter where it has one).
+There speed has the uncertainty of a mark's pulses, one a revolution, whatever the sensor. Of a pair it is the weak effect, with
+the strong one known. Each case depends on `--first-seed` and its number alone.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from identification.diagnose.diagnose import Diagnosis, diagnose
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.record import Record
+
+from . import orders
+from .detectable import LIMIT, evidence
+from .diagnosis import read, rows
+from .missing import HIDDEN, Draw
+from .physics import BASE, in_time
+from .rig import SIZES, Files, campaign, random_base, save
+from .scores import NAMED, named, share
+from .sensors import Encoder, LoggedRig, Logger, Mark, Telemetry
+
+PARTS = {"nothing": 300, "hidden": 400, "pairs": 100}
+"""Cases of each by default; of `hidden` the effects take turns."""
+
+EFFECTS = ("pitch_command_deadband", "pitch_backlash", "inflow_lag", "pitch_rate_limit")
+STRONG = ("thrust_gain_drift", "sensor_drift")
+WEAK = ("inflow_lag", "pitch_rate_feedthrough", "pitch_backlash", "pitch_command_deadband")
+STRENGTHS = dict.fromkeys(EFFECTS, (0.5, 1.0)) | dict.fromkeys(STRONG, (0.8, 1.0))
+STRENGTHS_WEAK = dict(zip(WEAK, ((0.4, 1.0), (0.3, 0.8), (0.0, 0.4), (0.0, 0.4)), strict=True))
+"""As in missing.py, from 0, the least size, to 1. Inflow and feedthrough are faint: they need more to be detectable."""
+
+LEVELS = {
+    "sensor": ("1 mark", "2 marks", "3 marks", "4 marks", "encoder", "telemetry"),
+    "rows": ("before", "after", "middle", "mean", "late", "early"),
+    "rate": (25, 50, 100, 250, 1000),
+    "noise": ("white", "white", "white", "white", "1/f", "quantised"),
+    "static": (True, False),
+    "steps": (True, False),
+    "repeat": (True, False),
+    "validation": (True, False),
+}
+"""Each factor's levels come equally often. Rate in Hz; the files that a campaign may have beside its open-loop record."""
+
+LATE = (0.5, 1.0, 1.5, 2.0)
+"""Rows by which a command is logged late or early."""
+
+FILTER, REFRESH = (0.01, 0.05), (0.005, 0.04)
+"""s of telemetry."""
+
+NOISE = (0.3, 2.0)
+"""Over SHARE of the rig's thrust, log-uniform."""
+
+SECONDS, SECONDS_FAST = (40.0, 90.0), (30.0, 40.0)
+"""Of the open-loop record; from 1000 Hz on."""
+
+UNSEEN = 40.0
+"""s of the noise-free record that judges the model."""
+
+CLOSE = 1.02
+"""Thrust error on unseen data over the noise, up to which it counts as the noise's."""
+
+LOGGERS = {"row_clock", "reading_delay", "speed_reading_delay"}
+"""Effects of the logger: a name, but no defect of the rig."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One campaign."""
+
+    part: str
+    first: int
+    number: int
+
+    def random(self, stream: int) -> np.random.Generator:
+        """One of the case's own sources."""
+        return np.random.default_rng([self.first, [*PARTS].index(self.part), self.number, stream])
+
+    @cached_property
+    def factors(self) -> dict:
+        """What the campaign is like. `lag` and `span` of rows, as `sensors.Logger`; `level` of the noise."""
+        found = {name: self._balanced(k, levels) for k, (name, levels) in enumerate(LEVELS.items())}
+        rng = self.random(0)
+        late, within = float(rng.choice(LATE)), float(rng.uniform(0.0, 1.0))
+        lags = {"before": 0.0, "after": -within, "middle": -0.5, "mean": -0.5, "late": -late, "early": late}
+        found["lag"] = lags[found["rows"]]
+        found["span"] = float(found["rows"] == "mean")
+        found["level"] = float(np.exp(rng.uniform(*np.log(NOISE))))
+        found["seconds"] = float(np.round(rng.uniform(*(SECONDS_FAST if found["rate"] >= 1000 else SECONDS))))
+        found["filter"], found["refresh"] = (float(np.round(rng.uniform(*ends), 4)) for ends in (FILTER, REFRESH))
+        return found
+
+    def _balanced(self, factor: int, levels: Sequence):
+        """Each level once in as many cases as there are levels, in random order."""
+        turn, place = divmod(self.number, len(levels))
+        rng = np.random.default_rng([self.first, [*PARTS].index(self.part), factor, turn])
+        return levels[rng.permutation(len(levels))[place]]
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Names of what is hidden; of a pair the strong one first."""
+        if self.part == "pairs":
+            return STRONG[self.number % 2], WEAK[self.number // 2 % len(WEAK)]
+        return (EFFECTS[self.number % len(EFFECTS)],) if self.part == "hidden" else ()
+
+    @cached_property
+    def sizes(self) -> tuple[dict[str, float], ...]:
+        """Settings of each hidden effect."""
+        rng, strengths = self.random(1), STRENGTHS | (STRENGTHS_WEAK if self.part == "pairs" else {})
+        drawn = [HIDDEN[n].draw(Draw(rng, rng.uniform(*strengths[n]))) for n in self.hidden]
+        return tuple(in_time(dict(own), self.rig_alone.size.slow) for own in drawn)
+
+    @cached_property
+    def rig_alone(self) -> LoggedRig:
+        """The rig without what it hides."""
+        f, rng = self.factors, self.random(2)
+        size = SIZES["paper"].drawn(rng)
+        kind = f["sensor"]
+        marks = {f"{n} mark{'s' * (n > 1)}": Mark(n) for n in range(1, 5)}
+        sensor = {"encoder": Encoder(), "telemetry": Telemetry(f["filter"], f["refresh"]), **marks}[kind]
+        settings, logger = random_base(rng, size.slow), Logger(f["lag"], f["span"])
+        return LoggedRig(settings, size, float(f["rate"]), f["noise"], f["level"], sensor=sensor, logger=logger)
+
+    def with_sizes(self, *sizes: dict[str, float]) -> LoggedRig:
+        """The rig with these settings too."""
+        alone = self.rig_alone
+        merged = {k: v for own in (alone.settings, *sizes) for k, v in own.items()}
+        return replace(alone, settings=merged)
+
+    @property
+    def rig(self) -> LoggedRig:
+        """With what it hides."""
+        return self.with_sizes(*self.sizes)
+
+    def measured(self) -> Campaign:
+        """What the diagnosis is given."""
+        files = (self.factors[n] for n in ("repeat", "validation", "static", "steps"))
+        return campaign(self.rig, self.random(3), Files(self.factors["seconds"], *files))
+
+    def unseen(self) -> tuple[Record, float]:
+        """(a record of other commands without noise, the true delay [s] of its speed behind its thrust)."""
+        rng, rig = self.random(4), self.rig
+        read = rig.read(rng, orders.both(rng, rig.clock, UNSEEN))
+        time = np.round(np.arange(len(read.speed)) / rig.rate, 9)
+        columns = {"time": time, "omega_ref": read.speed, "beta_ref": read.pitch, "omega": read.omega, "thrust": read.force}
+        return Record(columns, "unseen"), read.delay
+
+    def evidence(self, record: Record) -> float:
+        """Nats by which the true model is above the best base model, in expectation."""
+        if not self.sizes:
+            return 0.0
+        known = self.sizes[0] if self.part == "pairs" else {}
+        alone, f = self.rig_alone, self.factors
+        base = {n: alone.settings[n] for n in BASE}
+        time_constant = f["filter"] if f["sensor"] == "telemetry" else 0.0
+        commands = record["omega_ref"], record["beta_ref"]
+        return evidence(self.rig, base, *commands, known, 1 + f["repeat"], sensor_filter=time_constant)
+
+    def summary(self) -> dict:
+        """For a line of the file."""
+        head = {"part": self.part, "first": self.first, "number": self.number}
+        return head | {"hidden": list(self.hidden), "factors": self.factors, "sizes": list(self.sizes)}
+
+
+def logger_of(found: Diagnosis, rpm: float) -> dict | None:
+    """What a diagnosis says of the logger, s: `lag` of all readings (below 0 they lead), and by how much speed is read later
+    than thrust at `rpm`, a mean over a mark's window included; its sensor in words. None where it says nothing."""
+    logger = getattr(found, "logger", None)
+    if logger is None:
+        return None
+    sensor, row = logger.sensor, found.fitted[0].record.period
+    delay = (sensor.filter or 0.0) + (sensor.delay or 0.0)
+    if sensor.kind == "mark":
+        window = 60.0 / (sensor.marks * rpm)
+        delay += 0.5 * window + 0.5 * min(row, window)  # its last pulse came in the row before, anywhere
+    return {"lag": logger.offset, "delay": delay, "sensor": f"{sensor.kind} {sensor.marks or ''}".strip()}
+
+
+def outcome(case: Case, threads: int = 1) -> dict:
+    """Measure the case, diagnose it, compare with the truth."""
+    measured = case.measured()
+    began = time.perf_counter()
+    found = diagnose(measured, workers=threads)
+    seconds = time.perf_counter() - began
+    record, delay = case.unseen()
+    noise = float(np.sqrt(case.rig.noise.power(np.fft.rfftfreq(len(record))[1:]).mean()))
+    error = found.prediction(found.final, record).rmse_thrust
+    row = case.summary() | {"failed": None, "verdict": found.verdict, "effects": list(found.final.effects)}
+    row |= {"family": {k: v for k, v in found.selection.family.items() if v}, "seconds": seconds}
+    row |= {"over_noise": float(np.hypot(error, noise) / noise), "evidence": case.evidence(measured.open_loop)}
+    said = logger_of(found, float(record["omega"].mean()))
+    true = {"lag": case.factors["lag"] / case.factors["rate"], "delay": delay}
+    off = {} if said is None else {f"{n}_off": 1e3 * (said[n] - true[n]) for n in true}
+    return row | {"logger": said, "true": true} | off
+
+
+def says_something(row: dict) -> bool:
+    """Names nothing, but says that something is missing."""
+    return row["verdict"] != "none" and not gives_name(row)
+
+
+def gives_name(row: dict) -> bool:
+    """Puts an effect, of the list or learned, into the model, or names some that it can't tell apart."""
+    return bool(row["effects"]) or row["verdict"] in (*NAMED, "learned")
+
+
+def gives_logger(row: dict) -> bool:
+    """Names effects, and all of them are the logger's."""
+    return bool(row["effects"]) and set(row["effects"]) <= LOGGERS
+
+
+def names_all(row: dict) -> bool:
+    """Every hidden effect is named, or is in a family that is."""
+    return set(row["hidden"]) <= named(row)
+
+
+def wrong(row: dict) -> bool:
+    """Claims to know, and has an effect in its model for which nothing hidden is among the names that it can't tell apart."""
+    known = (set(row["hidden"]) & {name, *row["family"].get(name, ())} for name in row["effects"])
+    return row["verdict"] in NAMED and not all(known)
+
+
+def learns(row: dict) -> bool:
+    """Has learned an effect of no list."""
+    return row["verdict"] == "learned"
+
+
+def open_ended(row: dict) -> bool:
+    """Says that something is missing, or partly missing, with or without names."""
+    return row["verdict"] in ("partly", "unexplained")
+
+
+def passes_over(row: dict) -> bool:
+    """Claims the strong effect of a pair alone."""
+    return row["hidden"][0] in named(row) and not names_all(row) and not wrong(row)
+
+
+def admits(row: dict) -> bool:
+    """Names the strong effect of a pair, and says that something is left."""
+    return row["verdict"] == "partly" and row["hidden"][0] in row["effects"]
+
+
+def close(row: dict) -> bool:
+    """The model's thrust error on unseen data is the noise's."""
+    return row["over_noise"] <= CLOSE
+
+
+def silent(row: dict) -> bool:
+    """Says that nothing is missing."""
+    return row["verdict"] == "none"
+
+
+COLUMNS: dict[str, dict[str, Callable[[dict], bool]]] = {
+    "nothing": {"names": gives_name, "logger's": gives_logger, "missing": says_something},
+    "hidden": {"named": names_all, "wrong": wrong, "learned": learns, "open": open_ended, "none": silent},
+    "pairs": {"both": names_all, "admits": admits, "passes": passes_over, "wrong": wrong, "learned": learns, "none": silent},
+}
+AIMS = {"nothing": ("names", "missing"), "hidden": ("named", "wrong"), "pairs": ("both", "passes")}
+"""Columns (`wrong` may be beside a right name) that are also printed as shares with their intervals."""
+
+FACTORS: dict[str, Callable[[dict], str]] = {
+    "all": lambda r: "",
+    "sensor": lambda r: r["factors"]["sensor"],
+    "rows": lambda r: r["factors"]["rows"],
+    "rate": lambda r: f"{r['factors']['rate']:4d} Hz",
+    "noise": lambda r: r["factors"]["noise"],
+    "level": lambda r: "below 0.8" if r["factors"]["level"] < 0.8 else "0.8 and more",
+    "static": lambda r: str(r["factors"]["static"]),
+    "steps": lambda r: str(r["factors"]["steps"]),
+    "repeat": lambda r: str(r["factors"]["repeat"]),
+    "validation": lambda r: str(r["factors"]["validation"]),
+    "hidden": lambda r: " + ".join(r["hidden"]),
+}
+
+
+def table(part: str, found: Sequence[dict]) -> str:
+    """Counts by factor over the detectable cases (all where nothing is hidden), what is off, seconds, and what failed."""
+    done = [r for r in found if not r["failed"]]
+    judged = [r for r in done if part == "nothing" or r["evidence"] >= LIMIT]
+    heads = ("cases", *COLUMNS[part], f"<= {CLOSE}", "lag off", "delay off", "seconds")
+    lines = [f"{part:52}" + "".join(f"{h:>10}" for h in heads)]
+    for factor, level in FACTORS.items():
+        for value in sorted({level(r) for r in judged}):
+            if value or factor == "all":
+                own = [r for r in judged if level(r) == value]
+                lines.append(f"{f'{factor}: {value}'.removesuffix(': '):52}{_cells(part, own)}")
+    lines += [share(f"{part}: {head}", COLUMNS[part][head], judged) for head in AIMS[part]]
+    lines.append(share(f"{part}: unseen error at most {CLOSE} of the noise", close, judged))
+    if part != "nothing":
+        below = [r for r in done if r["evidence"] < LIMIT]
+        lines.append(share("not detectable", lambda r: r in below, done))
+        lines.append(share("  of these wrong", wrong, below))
+    if done:
+        seconds = np.array([r["seconds"] for r in done])
+        lines.append(f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.0f} s at worst")
+    lines += [f"FAILED {r['part']} {r['number']}: {r['failed']}" for r in found if r["failed"]]
+    return "\n".join(lines)
+
+
+def _cells(part: str, own: Sequence[dict]) -> str:
+    counts = [sum(map(test, own)) for test in (*COLUMNS[part].values(), close)]
+    off = [_middle([abs(r[n]) for r in own if n in r]) for n in ("lag_off", "delay_off")]
+    shown = [str(n) for n in (len(own), *counts)] + [f"{o} ms" if o else "-" for o in off]
+    return "".join(f"{cell:>10}" for cell in (*shown, _middle([r["seconds"] for r in own])))
+
+
+def _middle(values: Sequence[float]) -> str:
+    return f"{np.median(values):.2f}" if values else ""
+
+
+def line(row: dict) -> str:
+    """One case in a line."""
+    f = row["factors"]
+    files = ", ".join(n for n in ("static", "steps", "repeat", "validation") if f[n]) or "one record"
+    like = f"{f['sensor']}, {f['rows']} {f['lag']:+.2f} rows, {f['rate']} Hz, {f['noise']} {f['level']:.2f}, {files}"
+    head = f"{row['part']} {row['number']} ({like}) {' + '.join(row['hidden'])}".rstrip()
+    if row["failed"]:
+        return f"{head}: failed, {row['failed']}"
+    names = ", ".join([*row["effects"], *(f"({n})" for other in row["family"].values() for n in other)])
+    off = "".join(f", {n} {row[n]:+.2f} ms" for n in ("lag_off", "delay_off") if n in row)
+    told = f"{row['verdict']} {names}".rstrip()
+    return f"{head}: {told}; {row['over_noise']:.3f} of the noise{off}, {row['evidence']:.0f} nats, {row['seconds']:.0f} s"
+
+
+def main(arguments: list[str]) -> None:
+    """`python -m tests.studies loggers`."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies loggers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--part", choices=PARTS, default="nothing", help="(default: %(default)s)")
+    parser.add_argument("--seeds", type=int, metavar="N", help=f"cases (default: {PARTS})")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="of all that is drawn (default: %(default)s)")
+    parser.add_argument("--only", type=int, metavar="K", help="this case alone")
+    parser.add_argument("--save", metavar="DIR", help="no diagnosis: write the campaign of the case of --only there")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="cases side by side (default: %(default)s)")
+    parser.add_argument("--limit", type=float, default=900.0, metavar="S", help="seconds for a case (default: %(default)g)")
+    parser.add_argument("--only-table", action="store_true", help="no new cases: the table of those that the file has")
+    parser.add_argument("-o", "--output", metavar="F", help="lines, one a case; a run that was stopped goes on there")
+    options = parser.parse_args(arguments)
+    numbers = range(options.seeds or PARTS[options.part]) if options.only is None else [options.only]
+    cases = [Case(options.part, options.first_seed, k) for k in numbers]
+    if options.save:
+        if options.only is None:
+            parser.error("--save: which case? --only K")
+        save(cases[0].measured(), cases[0].rig.size, Path(options.save))
+        print(json.dumps(cases[0].summary() | {"rig": asdict(cases[0].rig)}, indent=2))
+        return
+    path = Path(options.output or f"out/loggers_{options.part}.jsonl")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done = {_key(row): row for row in read(path)}
+    missing = [] if options.only_table else [c for c in cases if _key(c.summary()) not in done or options.only is not None]
+    with path.open("a") as file:
+        for row in rows(missing, options.workers, 1, options.limit, work=outcome):
+            print(line(row), flush=True)
+            done[_key(row)] = row
+            if options.only is None:
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+    print(table(options.part, [row for c in cases if (row := done.get(_key(c.summary())))]))
+
+
+def _key(row: dict) -> tuple:
+    return row["part"], row["first"], row["number"]

@@ -1,0 +1,237 @@
+"""Speed sensors and loggers of the loggers study against closed forms, and what the study makes of its cases."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.studies import loggers, orders
+from tests.studies.detectable import LIMIT, evidence
+from tests.studies.diagnosis import rows
+from tests.studies.loggers import Case
+from tests.studies.physics import BASE, PAPER
+from tests.studies.sensors import FINE, TIMER, Encoder, LoggedRig, Logger, Mark, Motion, Telemetry
+from vpp_fmu.campaign import read_campaign
+from vpp_fmu.kernel.plant import BASE as MODEL
+from vpp_fmu.native import Simulator
+
+START, SLOPE = 2400.0, 1800.0
+"""rpm and rpm/s of a rotor that speeds up evenly."""
+
+RNG = np.random.default_rng(0)
+
+
+def speeding_up(seconds=1.5):
+    """From a second before 0 on, its speed and turns in closed form."""
+    time = np.arange(-1.0, seconds, FINE)
+    return Motion(time, START + SLOPE * time, (START * time + 0.5 * SLOPE * time**2) / 60.0)
+
+
+@pytest.mark.parametrize("marks", [1, 2, 3, 4])
+def test_marks_show_the_mean_speed_over_the_last_part_of_a_revolution(marks):
+    at = np.arange(0.0, 1.4, 0.0037)
+    shown, age = Mark(marks).shows(RNG, speeding_up(), at)
+    turned = (START * at + 0.5 * SLOPE * at**2) / 60.0
+    pulse = np.floor(marks * turned)[:, None] - [0, 1]  # the last two, and when they came, by the quadratic formula
+    came, before = ((np.sqrt(START**2 + 120.0 * SLOPE * pulse / marks) - START) / SLOPE).T
+    wanted = 60.0 / (marks * (came - before))
+    assert np.all(np.abs(shown - wanted) < 0.5 + 1.01 * wanted * TIMER / (came - before))
+    assert age == pytest.approx(at - 0.5 * (came + before), abs=1e-6)
+
+
+def test_telemetry_is_a_first_order_filter_whose_value_is_held():
+    sensor, at = Telemetry(0.03, 0.04), np.arange(0.5, 1.3, 0.001)
+    shown, age = sensor.shows(np.random.default_rng(1), speeding_up(), at)
+    # Behind a first-order filter a ramp is late by the time constant.
+    assert np.all(np.abs(shown - (START + SLOPE * (at - age))) < 0.51)
+    news = np.flatnonzero(np.diff(shown))
+    assert set(np.diff(news)) == {40}
+    assert 0.03 <= age.min() < 0.0311
+    assert 0.0689 < age.max() < 0.07
+
+
+def test_telemetry_answers_a_step_as_a_first_order_filter_does():
+    time = np.arange(-1.0, 0.5, FINE)
+    step = Motion(time, np.where(time > 0.5 * FINE, 5000.0, 3000.0), time)
+    shown, age = Telemetry(0.05, 0.01).shows(np.random.default_rng(2), step, np.arange(0.0, 0.4, 0.01))
+    came = np.arange(0.0, 0.4, 0.01) - (age - 0.05)
+    answer = np.where(came > 0.0, 5000.0 - 2000.0 * np.exp(-np.maximum(came - 0.5 * FINE, 0.0) / 0.05), 3000.0)
+    assert shown == pytest.approx(answer, abs=0.6 + 2000.0 * FINE / 0.05)
+
+
+def stepped(rate, lag=0.0, span=0.0):
+    """What is read of a step from half of full speed to 0.9, sent after 0.4 s; the rows' times [s] behind the step."""
+    rows = round(2.4 * rate)
+    w = np.where(np.arange(rows) < 0.4 * rate, 0.5, 0.9)
+    read = LoggedRig(PAPER, rate=rate, logger=Logger(lag, span)).read(np.random.default_rng(3), (w, w))
+    return read, np.arange(rows) / rate - 0.4
+
+
+def integral(t):
+    """Of the speed's answer to the step, per unit, from 0 on: s."""
+    a, c = PAPER["tau_w1"], PAPER["tau_w2"]
+    t = np.maximum(t, 0.0)
+    return t - (a + c) + (a**2 * np.exp(-t / a) - c**2 * np.exp(-t / c)) / (a - c)
+
+
+def answer(t):
+    """rpm at times [s] behind the step."""
+    a, c = PAPER["tau_w1"], PAPER["tau_w2"]
+    t = np.maximum(t, 0.0)
+    return 6000.0 * (0.9 - 0.4 * (a * np.exp(-t / a) - c * np.exp(-t / c)) / (a - c))
+
+
+@pytest.mark.parametrize("lag", [0.0, -0.5, -1.3, -2.0, 0.5, 2.0])
+def test_the_offset_of_rows_is_that_of_speed_and_thrust(lag):
+    read, t = stepped(50.0, lag)
+    assert read.omega == pytest.approx(answer(t - lag * 0.02), abs=2.0)  # a digit, and steps of 0.1 ms at 8 rpm/ms
+    same, _ = stepped(50.0)
+    shift = int(lag)
+    if lag == shift:  # whole rows: the same readings beside other commands
+        assert read.force[2:-2] == pytest.approx(same.force[2 - shift : len(t) - 2 - shift], abs=1e-9)
+    assert np.array_equal(read.speed, same.speed)
+
+
+def test_readings_are_means_over_the_row():
+    read, t = stepped(25.0, -0.5, 1.0)
+    mean = 3000.0 + 2400.0 * (integral(t + 0.04) - integral(t)) / 0.04
+    assert read.omega == pytest.approx(mean, abs=2.0)
+    assert np.abs(answer(t + 0.02) - mean).max() > 8.0  # which the speed in the row's middle is not
+
+
+@pytest.mark.parametrize(
+    ("sensor", "rate", "delay"),
+    [
+        (Encoder(), 100.0, 0.0),
+        (Telemetry(0.03, 0.04), 1000.0, 0.0305),  # a new value is seen within a row of 1 ms
+        (Telemetry(0.02, 0.0071), 25.0, 0.02355),  # rows take, at any time, what comes every 7.1 ms
+    ],
+)
+def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
+    w = orders.levels(np.random.default_rng(4), orders.Clock(1.0 / rate, 1.0), round(60.0 * rate), *orders.SPEED)
+    rig = LoggedRig(PAPER, rate=rate, sensor=sensor)
+    assert rig.read(np.random.default_rng(5), (w, np.full(len(w), 0.5))).delay == pytest.approx(delay, abs=3e-4)
+
+
+def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
+    def nats(settings, **nuisances):
+        rig = LoggedRig(PAPER | settings, rate=100.0)
+        sent = rig.size.commands(*orders.open_loop(np.random.default_rng(6), rig.clock, 20.0))
+        return evidence(rig, {n: PAPER[n] for n in BASE}, *sent, **nuisances)
+
+    late = {"reading_delay": 0.01, "speed_late": 0.01}
+    alone, free = nats(late), nats(late, sensor_filter=0.02)
+    assert alone > LIMIT
+    assert free < 0.05 * alone
+    band = {"deadband": 0.1}
+    alone, free = nats(band), nats(band, sensor_filter=0.0)
+    assert 0.5 * alone < free < alone
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_the_record_that_judges_is_the_true_models_read_by_the_true_logger(number):
+    case = Case("nothing", 1, number)
+    rig, (record, delay), fine = case.rig, case.unseen(), 0.001
+    many = round(1.0 / rig.rate / fine)
+    columns = {n: np.repeat(record[n], many) for n in ("omega_ref", "beta_ref")} | {
+        "time": fine * np.arange(many * len(record))
+    }
+    thrust, omega, _ = Simulator(MODEL).simulate(rig.truth(), columns, np.full(many * len(record) - 1, fine)).T
+    at = rig.logger.times(len(record), 1.0 / rig.rate)
+    known = at[:, -1] < columns["time"][-1]
+    force, speed = (np.interp(t, columns["time"], y).mean(axis=1) for t, y in ((at, thrust), (at - delay, omega)))
+    assert np.std((force - record["thrust"])[known]) < 0.03 * rig.noise.std
+    new = known & (np.diff(record["omega"], prepend=0.0) != 0.0)
+    rate = np.gradient(speed)[new] * rig.rate
+    assert abs(np.polyfit(rate, (record["omega"] - speed)[new], 1)[0]) < 0.003  # s; how old a held value is goes with speed
+
+
+def test_cases_are_balanced_and_depend_on_their_number_alone():
+    found = [Case("nothing", 5, k).factors for k in range(60)]
+    for name in ("sensor", "rows", "rate", "static", "steps", "repeat", "validation"):
+        levels = loggers.LEVELS[name]
+        assert {sum(f[name] == v for f in found) for v in levels} == {60 // len(levels)}
+    assert Case("nothing", 5, 17).factors == found[17]
+    assert Case("nothing", 6, 17).factors != found[17]
+    leads = {"before": 0, "after": -1, "middle": -1, "mean": -1, "late": -1, "early": 1}
+    assert all(np.sign(f["lag"]) == leads[f["rows"]] for f in found)
+    pairs = {Case("pairs", 0, k).hidden for k in range(8)}
+    assert len(pairs) == 8
+    case = Case("pairs", 0, 0)
+    assert set(case.rig.settings) - set(BASE) == {n for own in case.sizes for n in own}
+
+
+def test_a_case_that_raises_is_a_line_with_its_reason():
+    (row,) = rows([Case("nothing", 0, 3)], 1, 1, 60.0, work=int)
+    assert row["failed"].startswith("ValueError")
+    assert "failed, ValueError" in loggers.line(row)
+
+
+def judged(case, **change):
+    """A line as `outcome` makes it."""
+    found = {"failed": None, "verdict": "none", "effects": [], "family": {}, "seconds": 4.0, "over_noise": 1.01}
+    return case.summary() | found | {"evidence": 50.0, "lag_off": -0.5, "delay_off": 2.0} | change
+
+
+def test_the_table_counts_three_outcomes():
+    found = [
+        judged(Case("nothing", 0, 0)),
+        judged(Case("nothing", 0, 1), verdict="unexplained", over_noise=1.4, seconds=30.0, lag_off=-1.5),
+        judged(Case("nothing", 0, 2), verdict="attributed", effects=["row_clock"], seconds=6.0, lag_off=2.5),
+        Case("nothing", 0, 3).summary() | {"failed": "ValueError: x", "seconds": 1.0},
+    ]
+    text = loggers.table("nothing", found)
+    lines = text.splitlines()
+    assert lines[0].split()[:5] == ["nothing", "cases", "names", "logger's", "missing"]
+    assert lines[1].split() == ["all", "3", "1", "1", "1", "2", "1.50", "ms", "2.00", "ms", "6.00"]
+    assert "nothing: names: 1 of 3" in text
+    assert "6.0 s in the median, 30 s at worst" in text
+    assert lines[-1] == "FAILED nothing 3: ValueError: x"
+
+
+@pytest.mark.parametrize(
+    ("change", "counts"),
+    [
+        ({"verdict": "attributed", "effects": ["sensor_drift", "x"]}, (0, 0, 0, 1, 0, 0)),
+        ({"verdict": "attributed", "effects": ["sensor_drift"]}, (0, 0, 1, 0, 0, 0)),
+        ({"verdict": "attributed", "effects": ["sensor_drift", "inflow_lag"]}, (1, 0, 0, 0, 0, 0)),
+        ({"verdict": "family", "effects": ["sensor_drift", "x"], "family": {"x": ["inflow_lag"]}}, (1, 0, 0, 0, 0, 0)),
+        ({"verdict": "partly", "effects": ["sensor_drift"]}, (0, 1, 0, 0, 0, 0)),
+        ({"verdict": "attributed", "effects": ["x"]}, (0, 0, 0, 1, 0, 0)),
+        ({"verdict": "learned", "effects": ["learned"]}, (0, 0, 0, 0, 1, 0)),
+        ({}, (0, 0, 0, 0, 0, 1)),
+    ],
+)
+def test_outcomes_of_a_pair(change, counts):
+    case = Case("pairs", 0, 1)
+    assert case.hidden == ("sensor_drift", "inflow_lag")
+    assert tuple(int(test(judged(case, **change))) for test in loggers.COLUMNS["pairs"].values()) == counts
+    assert "pairs: both: no cases" in loggers.table("pairs", [judged(case, **change, evidence=LIMIT - 1.0)])
+
+
+def test_a_study_that_was_cut_short_goes_on(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def faked(cases, *options, work):
+        asked.append([c.number for c in cases])
+        yield from map(judged, cases)
+
+    monkeypatch.setattr(loggers, "rows", faked)
+    path = tmp_path / "some" / "lines.jsonl"
+    for seeds in ("2", "5"):
+        loggers.main(["--seeds", seeds, "-o", str(path)])
+    loggers.main(["--only", "1", "-o", str(path)])
+    assert asked == [[0, 1], [2, 3, 4], [1]]
+    assert [json.loads(text)["number"] for text in path.read_text().splitlines()] == [0, 1, 2, 3, 4]
+    assert "nothing: names: 0 of 5" in capsys.readouterr().out
+
+
+def test_one_case_can_be_written_as_a_folder(tmp_path, capsys):
+    like = ((k, Case("hidden", 0, k).factors) for k in range(100))
+    number = next(k for k, f in like if f["rate"] == 25 and not f["static"])
+    loggers.main(["--part", "hidden", "--only", str(number), "--save", str(tmp_path)])
+    case, again = Case("hidden", 0, number), read_campaign(tmp_path)
+    assert again.open_loop["thrust"] == pytest.approx(case.measured().open_loop["thrust"], abs=1e-9)
+    assert json.loads(capsys.readouterr().out)["hidden"] == list(case.hidden)
+    with pytest.raises(SystemExit):
+        loggers.main(["--save", str(tmp_path)])
