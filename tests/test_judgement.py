@@ -16,7 +16,7 @@ from identification.diagnose.search.threshold import FINE, FINEST, divided, scan
 from identification.diagnose.selection import _ranked
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
-from identification.fit.problem import Prior, Problem
+from identification.fit.problem import Block, Prior, Problem, Score
 from identification.fit.uncertainty import WIDEST, Uncertainty, disagreement
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
@@ -550,12 +550,44 @@ def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_ref
     assert why == {"limit": ("rises there",)} | dict.fromkeys(refuted, ("rises",))
 
 
-def test_beside_a_strong_effect_a_weak_one_must_exceed_what_the_other_s_form_may_leave():
-    """Described to 5 % of its amplitude, an effect worth 8000 nats leaves 0.05^2 of them, 20: in the channel where it shows."""
+def test_an_effect_must_exceed_what_the_form_of_another_may_leave_in_its_band():
+    """An effect that explains 8000 nats and is described to 5 % of its amplitude leaves 0.05^2 of them, 20, in its own band."""
     left = 0.05**2 * 8000.0
-    assert left_by_forms({"thrust": 25.0, "omega": 0.0}, {"thrust": 8000.0, "omega": 0.0}) == pytest.approx(left)
-    assert left_by_forms({"thrust": 25.0, "omega": 3.0}, {"thrust": 0.0, "omega": 8000.0}) == 3.0
-    assert left_by_forms({"thrust": 25.0, "omega": -3.0}, {"thrust": -3.0, "omega": 8000.0}) == 0.0
+    assert left_by_forms(np.array([25.0, 0.0]), np.array([8000.0, 0.0])) == pytest.approx(left)
+    assert left_by_forms(np.array([3.0, 25.0]), np.array([8000.0, 0.0])) == 3.0
+    assert left_by_forms(np.array([-3.0, 25.0]), np.array([8000.0, -3.0])) == 0.0
+
+
+def thrust_fit(rows):
+    """A fit that has whitened thrust `rows` as its residual, of one record with a repeat, beside a speed that it explains."""
+    squares, counts = {"thrust": float(rows @ rows), "omega": 10.0}, {"thrust": len(rows), "omega": 10}
+    problem = SimpleNamespace(
+        residual_at=lambda values: np.append(rows, np.ones(10)),
+        scale={"thrust": 1.0, "omega": 1.0},
+        experiments=[SimpleNamespace(noise=SimpleNamespace(verified=True))],
+        blocks=(Block(0, "thrust", TIME, slice(len(rows))), Block(0, "omega", TIME, slice(len(rows), len(rows) + 10))),
+    )
+    return SimpleNamespace(problem=problem, values={}, score=Score(squares, counts))
+
+
+@pytest.mark.parametrize(("weak", "accepted"), [("wave of 2 Hz", True), ("error of the drift's form", False)])
+def test_beside_a_strong_drift_an_effect_of_30_nats_is_accepted_in_another_band_alone(weak, accepted):
+    """90 s at 100 Hz. A drift explains 16 000 nats, of which its form may leave 40. A lag shows at 2 Hz, where the drift has no
+    power; the error of the drift's form is the curve that a line leaves of a drift that settles."""
+    count, since = 9000, np.linspace(-1.0, 1.0, 9000)
+    drift = since * np.sqrt(3.0 * np.expm1(2.0 * 16000.0 / count))
+    wave, curve = np.sin(2.0 * np.pi * 2.0 * 90.0 * np.arange(count) / count), since**2 - np.mean(since**2)
+    trace = wave if weak == "wave of 2 Hz" else curve
+    trace *= np.sqrt(2.0 * 30.0 / (trace @ trace))
+    known = np.stack([wave, curve, since, np.ones(count)], axis=1)
+    noise = np.random.default_rng(4).standard_normal(count)
+    noise -= known @ np.linalg.lstsq(known, noise, rcond=None)[0]  # so that the nats are exact
+    base, without, with_it = (thrust_fit(rows) for rows in (noise + trace + drift, noise + trace, noise))
+    fall, by_forms = selection.Judge(SimpleNamespace(experiments=()), base, None, ()).likelihood_gain(with_it, without)
+    assert fall == pytest.approx({"thrust": 30.0, "omega": 0.0}, rel=0.02)
+    assert by_forms == pytest.approx(0.0 if accepted else fall["thrust"], abs=0.5)
+    needed = needed_fall(1, 500) + by_forms
+    assert (refusals(fall["thrust"], needed, 25.0, fall, 1, True) == []) is accepted
 
 
 @pytest.mark.parametrize(("away", "factor"), [(0.5, 1.0), (2.0, None), (500.0, WIDEST)])

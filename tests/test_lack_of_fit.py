@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from identification.diagnose import following as shapes_of
 from identification.diagnose import lack
-from identification.diagnose.following import Following, banded_fall, last_thirds, scores_covariance
+from identification.diagnose.following import Following, banded_falls, last_thirds, scores_covariance
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.converter import Converter
@@ -83,7 +83,8 @@ def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a
         spectrum = np.fft.rfft(rng.standard_normal(n))
         spectrum[:12] *= 2.0
         after = np.fft.irfft(spectrum, n)
-        found.append(banded_fall(after + 8.0 * np.sin(wave * turns), after, np.zeros((0, n)))[1])
+        (fall,), level = banded_falls([after + 8.0 * np.sin(wave * turns), after], np.zeros((0, n)))
+        found.append(np.sum(fall / level) / np.sum(fall))
     assert np.median(found) == pytest.approx(share, abs=0.05)
 
 

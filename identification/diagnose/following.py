@@ -281,29 +281,36 @@ def _levels(spectrum: np.ndarray, taken: np.ndarray) -> tuple[np.ndarray, np.nda
     return banded(spectrum) / free, free
 
 
-def borne_out(fit: Fit, other: Fit) -> float:
-    """Share, 1 at most, of the fall of the thrust's squares from an `other` fit to this one that is left where each band counts
-    by the noise that it holds.
+def falls_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.ndarray]:
+    """(`falls` (fits - 1, bands), `level` (bands,)): by how much half of a channel's sum of squares falls from each fit to the
+    next, in bands of a third of an octave of each record; and the power that whitened noise has in a band, over the power it
+    was taken for.
 
-    Noise of a single record has been whitened by a colour that was estimated from it: what wanders slower than any past that
-    the filter knows is more than it says, and would pass for a drift.
+    A repeat verifies the noise: the level is then 1. The colour of a single record's noise is estimated from that record. Noise
+    that wanders more slowly than any past of the filter exceeds it, and would pass for a drift. Then the level is what the last
+    fit leaves in the band, and 1 at least.
     """
-    about, whole, borne, scale = fit.linearised(), 0.0, 0.0, fit.problem.scale["thrust"]
-    before = other.problem.residual_at(other.values) * (other.problem.scale["thrust"] / scale)
-    after = fit.problem.residual_at(fit.values)
-    for at in _places(fit, "thrust"):
-        fall, share = banded_fall(before[at], after[at], about.directions(at))
-        whole, borne = whole + fall, borne + fall * share
-    return float(np.clip(borne / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
+    last = fits[-1].problem
+    residuals = [f.problem.residual_at(f.values) * (f.problem.scale[channel] / last.scale[channel]) for f in fits]
+    known = channel != "thrust" or all(e.noise.verified for e in last.experiments)
+    about = None if known else fits[-1].linearised()
+    parts = [
+        banded_falls([rows[b.at] for rows in residuals], about and about.directions(b.at))
+        for b in last.blocks
+        if b.channel == channel
+    ]
+    falls, levels = zip(*parts, strict=True)
+    return np.hstack(falls), np.concatenate(levels)
 
 
-def banded_fall(before: np.ndarray, after: np.ndarray, fitted: np.ndarray) -> tuple[float, float]:
-    """(fall of the sum of squares of whitened rows (n,), the share of it that is left where no band counts for more than its
-    noise allows). `fitted` (m, n): directions, orthonormal, that the fit had taken of what is `after`."""
-    old, new = (np.abs(np.fft.rfft(rows)) ** 2 / len(rows) for rows in (before, after))
-    level, _ = _levels(new, _powers(fitted))
-    fall = float(np.sum(old - new))
-    return fall, float(np.sum((old - new) / np.maximum(level, 1.0))) / fall if fall else 1.0
+def banded_falls(rows: Sequence[np.ndarray], fitted: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """The same of whitened rows (n,) of one record. `fitted` (m, n): orthonormal directions that the last fit has taken out of
+    the last rows; None: the noise's power is known."""
+    powers = [_powers(each[None]) for each in rows]
+    first = starts(len(powers[0]))
+    falls = np.array([np.add.reduceat(old - new, first) for old, new in pairwise(powers)])
+    level = np.ones(len(first)) if fitted is None else np.maximum(_levels(powers[-1], _powers(fitted))[0][first], 1.0)
+    return falls, level
 
 
 def thrust_shapes(values: Mapping[str, float], record: Record, outputs: np.ndarray) -> Iterator[np.ndarray]:

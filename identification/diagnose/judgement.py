@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
+import numpy as np
 from scipy.stats import chi2
 
 LEVEL = 0.01
@@ -19,9 +20,9 @@ STRONG = 5.0
 and Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
 
 FORM = 0.0025
-"""Share of the log-likelihood that the rest of a set explains of a channel which one more effect must exceed there, beside what
-chance reaches: no form is a rig's own, and what one leaves of an effect that it describes to 5 % of its amplitude is 0.25 % of
-its power."""
+"""Share of the log-likelihood that the rest of a set explains in a band of a channel's frequencies which one more effect must
+exceed there, beside what chance reaches: no form is a rig's own, and where an effect is described to 5 % of its amplitude the
+error of its form has 0.25 % of its power. A slow effect has no power in fast bands, and the error of its form has none."""
 
 CERTAIN = 0.001
 """Level of each test of lack of fit where nothing is claimed: of the pure error in a band, and of the score test on generic
@@ -81,10 +82,10 @@ def needed_fall(parameters: int, comparisons: int) -> float:
     return 0.5 * float(chi2.isf(LEVEL / max(comparisons, 1), max(parameters, 1)))
 
 
-def left_by_forms(fall: Mapping[str, float], explained: Mapping[str, float]) -> float:
-    """How much of a `fall` may be what a set leaves that has `explained` so much already, in forms that are not quite the
-    rig's: channel by channel, for what a form leaves of the speed is not in the thrust."""
-    return sum(min(max(fall[c], 0.0), FORM * max(explained.get(c, 0.0), 0.0)) for c in fall)
+def left_by_forms(fall: np.ndarray, explained: np.ndarray) -> float:
+    """How much of the log-likelihood that an effect gains, `fall` (bands,) of a channel, may come from errors of the forms of
+    the set's others, which have `explained` (bands,) already."""
+    return float(np.sum(np.minimum(np.maximum(fall, 0.0), FORM * np.maximum(explained, 0.0))))
 
 
 def refusals(

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated
-from identification.diagnose.following import borne_out
+from identification.diagnose.following import falls_in_bands
 from identification.diagnose.judgement import MOST, RIVALS, SMALLEST, STRONG, Judgement, left_by_forms, needed_fall, refusals
 from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.search.candidates import Candidate
@@ -76,17 +76,27 @@ class Judge:
 
     def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
         """The judgement of one effect of a set."""
-        falls = with_it.score.fall(without.score)
-        if not all(e.noise.verified for e in self.searcher.experiments) and falls["thrust"] > 0.0:
-            falls["thrust"] *= borne_out(with_it, without)
+        falls, by_forms = self.likelihood_gain(with_it, without)
         fall, more = sum(falls.values()), max(1, len(with_it.free) - len(without.free))
         evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - fall)
-        needed = needed_fall(more, self.searcher.points) + left_by_forms(falls, without.score.fall(self.base.score))
+        needed = needed_fall(more, self.searcher.points) + by_forms
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
         refused = refusals(fall, needed, evidence, gain, more, material)
         return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
+
+    def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
+        """(log-likelihood that a set gains over the one without an effect, by channel; how much of it may come from errors of
+        the forms of the others). In each band it counts by the noise that is there."""
+        falls, explained, by_forms = with_it.score.fall(without.score), without.score.fall(self.base.score), 0.0
+        for channel in [c for c, fall in falls.items() if fall > 0.0]:
+            (known, gained), level = falls_in_bands((self.base, without, with_it), channel)
+            gained = falls[channel] * gained / (gained.sum() or 1.0) / level
+            falls[channel] = float(np.clip(gained.sum(), 0.0, falls[channel]))
+            if explained[channel] > 0.0:
+                by_forms += left_by_forms(gained, explained[channel] * known / (known.sum() or 1.0) / level)
+        return falls, by_forms
 
     def lack(self, fit: Fit) -> Lack:
         """The tests of lack of fit."""
