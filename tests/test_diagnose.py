@@ -301,7 +301,9 @@ def test_a_refuted_effect_is_the_best_guess_with_its_size_and_what_speaks_agains
     assert guess.against == (found.refuted,)
     assert "validation.csv" in found.refuted
     told = summary(found)["best_guess"]
-    assert told["effects"] == [{"name": name, "parameters": {"half_gap": {"value": size.value, "std": size.std, "unit": "deg"}}}]
+    assert told["effects"] == [
+        {"name": name, "parameters": {"half_gap": {"value": size.value, "std": size.std, "unit": "deg"}}}
+    ]
     assert (told["explains"], told["against"]) == (guess.explains, [found.refuted])
     commands = found.experiment
     fits = found.selection.final, found.selection.base

@@ -76,7 +76,9 @@ def best_guess(
     base, final = judge.base, selection.final
     if final.effects and not partly:
         explains = gone(base, final, before, after)
-        against = refuted or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, {100.0 * HALF:.0f} % are asked for"
+        against = (
+            refuted or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, {100.0 * HALF:.0f} % are asked for"
+        )
         return _guess(base, final, (explains, explains), (against,), ("", base), experiment)
     beside, missing = (final, after) if partly else (base, before)
     ranked = tried()

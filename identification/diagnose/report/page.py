@@ -43,7 +43,8 @@ def _guessed(guess: Guess) -> str:
     rest = f" beside {' and '.join(guess.beside)}" if guess.beside else ""
     if guess.near:
         return f"Best guess{rest}: {_sized(guess)}; it would explain {share} of the lack of fit, and is not accepted."
-    return f"No candidate{rest} explains more than {100.0 * guess.most:.0f} % of the lack of fit; the most likely is {_sized(guess)}."
+    most = f"{100.0 * guess.most:.0f} %"
+    return f"No candidate{rest} explains more than {most} of the lack of fit; the most likely is {_sized(guess)}."
 
 
 def _sized(guess: Guess) -> str:

@@ -233,7 +233,8 @@ class Searcher:
             if name in rounding:
                 solution, intervals[name] = settle(problem, solution, rounding[name])
             else:
-                solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), WHOLE if thorough else NEAR)
+                grids = WHOLE if thorough else NEAR
+                solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), grids)
         found = problem.values | problem.coordinates.values(solution.value)
         score = problem.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
@@ -263,7 +264,7 @@ class Searcher:
         return all(np.array_equal(*pair) for pair in runs)
 
     def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
-        """Free parameters (with a tangent, that are scanned: the response is piecewise constant in them, or jumps); any other is
+        """Free parameters (with a tangent, to be scanned: the response is piecewise constant in them, or jumps); any other is
         idle here, and stays."""
         simulator = Simulator(model, [*self.names, *free])  # the fit's own, where all are smooth
         moved = np.zeros(len(free), bool)

@@ -6,7 +6,7 @@ alone. What a step moves the levels by is then a product away: thousands of step
 is taken for linear in its level, so a simulation of the best few steps decides.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -30,6 +30,10 @@ PHASE = 0.08
 
 FINER = 16
 """Parts of the way from one step of the search to the next that are looked at about the best ones."""
+
+CLOSER = 256
+"""Steps of the search about which is looked more finely. Between two of them each level's multiple may change: a step may then
+explain half of what its neighbour does."""
 
 BEST, SPACED = 4, 20
 """Steps that are simulated; how many steps of the finer search are between them at least."""
@@ -104,8 +108,8 @@ class Rounding:
     def best(self) -> list[float]:
         """The BEST steps, the most likely first."""
         steps = self.steps
-        costs = self.costs(steps)
-        fine = np.unique(np.concatenate([self.about(step) for step in steps[np.argsort(costs, kind="stable")[:BEST]]]))
+        near = steps[np.argsort(self.costs(steps), kind="stable")[:CLOSER]]
+        fine = np.unique(np.concatenate([self.about(step) for step in near]))
         costs, found = self.costs(fine), []
         for k in np.argsort(costs, kind="stable"):
             if all(abs(k - other) >= SPACED for other in found):

@@ -10,7 +10,7 @@ from vpp_fmu.kernel.types import Effect, Parameter
 
 
 def _resolution(channel: str, scale: str, unit: str, largest: float, plausible: float) -> Effect:
-    """The effect that the command of a `channel`, in its `unit`, is executed in steps; sizes are shares of the rig's `scale`."""
+    """The effect that a `channel`'s command, in its `unit`, is executed in steps; sizes are shares of the rig's `scale`."""
     command = f"{channel}_ref"
 
     def step(ops, s, x, p, dt):
@@ -23,7 +23,9 @@ def _resolution(channel: str, scale: str, unit: str, largest: float, plausible: 
         f"the {scale} command is executed in steps",
         step,
         parameters=(
-            Parameter("step", unit, 0.0, 0.0, largest, f"step of the executed {scale} command; 0: none", plausible, scale=scale),
+            Parameter(
+                "step", unit, 0.0, 0.0, largest, f"step of the executed {scale} command; 0: none", plausible, scale=scale
+            ),
         ),
         off={"step": 0.0},
         probe={"step": plausible},
