@@ -15,7 +15,7 @@ from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import CERTAIN
 from identification.diagnose.report.effect import at_rest
 from identification.diagnose.report.identification import identification_of
-from identification.diagnose.report.page import diagnosis_page, key_figures
+from identification.diagnose.report.page import diagnosis_page, headline, key_figures
 from identification.diagnose.report.residual import moves
 from identification.diagnose.report.summary import summary
 from identification.identify import identify
@@ -280,6 +280,59 @@ def test_what_a_record_of_other_commands_refutes_does_not_ship():
     assert summary(found)["refuted"]["effects"] == ["sensor_drift"]
     assert summary(found)["after"]["rmse_thrust"] == summary(found)["before"]["rmse_thrust"]
     assert "refuted" in diagnosis_page(found).html()
+
+
+def test_a_refuted_effect_is_the_best_guess_with_its_size_and_what_speaks_against_it():
+    """The rig has play; its validation record is that of a rig without it, as the fitted records bend the base model."""
+    name, half = "pitch_backlash", 0.75
+    campaign = rig(**{f"{name}.half_gap": half})
+    base = diagnose(replace(campaign, validation=None), some(name), thorough=False).base
+    validation = campaign.validation
+    thrust = Simulator(base.problem.model).simulate(base.values, validation.columns, validation.steps)[:, 0]
+    validation = validation.with_columns(thrust=thrust + NOISE * np.random.default_rng(1).standard_normal(len(thrust)))
+    found = diagnose(replace(campaign, validation=validation), some(name), thorough=False)
+    guess = found.best_guess
+    assert (found.verdict, found.final.effects, guess.effects) == ("unexplained", (), (name,))
+    (size,) = guess.sizes
+    assert (size.name, size.unit) == ("half_gap", "deg")
+    assert abs(size.value - half) < 4.0 * size.std < 0.1 * half
+    assert guess.near
+    assert guess.explains > 0.9  # nothing else is missing
+    assert guess.against == (found.refuted,)
+    assert "validation.csv" in found.refuted
+    told = summary(found)["best_guess"]
+    assert told["effects"] == [
+        {"name": name, "parameters": {"half_gap": {"value": size.value, "std": size.std, "unit": "deg"}}}
+    ]
+    assert (told["explains"], told["against"]) == (guess.explains, [found.refuted])
+    commands = found.experiment
+    fits = found.selection.final, found.selection.base
+    with_it, without = (Simulator(f.problem.model).simulate(f.values, commands.columns, commands.steps)[:, 0] for f in fits)
+    assert told["next_experiment"]["difference"]["value"] == pytest.approx(np.sqrt(np.mean((with_it - without) ** 2)))
+    shown = number(size.value, 2)
+    label, value, note = key_figures(found)[-1]  # the command's last lines
+    assert (label, shown in value, found.refuted in note) == ("best guess", True, True)
+    assert "next_experiment.csv tells it from the model without it" in note
+    assert f"Best guess: {name} half_gap {shown}" in headline(found)
+    assert f"Best guess: {name} half_gap {shown}" in diagnosis_page(found).html()
+
+
+def test_where_no_candidate_comes_near_the_report_says_so():
+    """A rotor that speeds up faster than it slows down, and a library that knows of slow drifts only."""
+    found = diagnose(rig(**{"speed_asymmetry.asymmetry": 0.3}), some("sensor_drift", "sensor_gain"), thorough=False)
+    guess = found.best_guess
+    assert (found.verdict, found.final.effects) == ("unexplained", ())
+    assert not guess.near
+    assert guess.explains <= guess.most < 0.5
+    assert guess.against
+    assert f"No candidate explains more than {100.0 * guess.most:.0f} % of the lack of fit" in headline(found)
+    assert not summary(found)["best_guess"]["near"]
+
+
+def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
+    assert nothing_missing.best_guess is None
+    assert example.best_guess is None
+    assert summary(example)["best_guess"] is None
 
 
 def test_the_validation_record_moves_nothing(example):

@@ -141,6 +141,23 @@ def test_deadband_ignores_changes_up_to_its_half_width():
     assert reached == pytest.approx([2.0, 2.0, 3.500001, 3.500001, 3.500001, 5.001, 5.001, 3.5, 3.5], abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "step", "output", "commands", "executed"),
+    [
+        ("pitch_command_resolution", 0.4, "beta", (1.0, 1.19, 1.21, -0.21, -0.19, 5.9), (0.8, 1.2, 1.2, -0.4, 0.0, 6.0)),
+        ("speed_command_resolution", 50.0, "omega", (2024.0, 2026.0, 4975.0, 4976.0), (2000.0, 2050.0, 5000.0, 5000.0)),
+    ],
+)
+def test_a_command_is_executed_as_the_nearest_multiple_of_the_step_from_0_on(name, step, output, commands, executed):
+    """Ties go to the even multiple: 1.0 / 0.4 is 2.5, 4975 / 50 is 99.5."""
+    simulation, reached = Simulation(plant([name]), {f"{name}.step": step}), []
+    held = {"omega_ref": 4000.0, "beta_ref": 2.0}
+    simulation.start(held)
+    for command in commands:
+        reached.append(simulation.advance(held | {f"{output}_ref": command}, 100.0)[output])
+    assert reached == pytest.approx(executed, abs=1e-9)
+
+
 @pytest.mark.parametrize("gain", [25.0, -80.0])
 def test_coupling_is_the_transfer_function_under_scipy(gain):
     """From pitch command to speed: -gain s / ((0.207 s + 1)(0.374 s + 1)(0.172 s + 1)(0.053 s + 1))."""

@@ -153,6 +153,7 @@ def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_r
         learned=None,
         selection=SimpleNamespace(final=SimpleNamespace(problem=SimpleNamespace(model=model))),
         left_out=("rotor_vibration",),
+        best_guess=None,
     )
     said = headline(found)
     for part in ("rotor_vibration (", LEFT_OUT, *shipped, *errors):

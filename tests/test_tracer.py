@@ -44,6 +44,7 @@ FORMULAS = {
     "sin": lambda ops, a, b, u, y: ops.sin(a * u + y),
     "cos": lambda ops, a, b, u, y: ops.cos(a * u + b),
     "tanh": lambda ops, a, b, u, y: ops.tanh(a * u + b * y),
+    "whole": lambda ops, a, b, u, y: a * ops.whole(2.2 * b * u) + ops.whole(3.0 * u) * b,
     "where": lambda ops, a, b, u, y: ops.where(u < 0.1, a * u, ops.where(u > 0.6, b * u * u, a * b)),
     "abs": lambda ops, a, b, u, y: ops.abs(a * u - 0.3),
     "minimum": lambda ops, a, b, u, y: ops.minimum(a * u, b),
@@ -84,7 +85,7 @@ def test_every_operation_has_a_formula_above():
     for formula in FORMULAS.values():
         formula(graph, a, b, u, y)
     seen = {n.op for n in graph._known.values()}
-    assert seen == {"v", "+", "-", "*", "/", "neg", "where", *CALLS, *COMPARE}
+    assert seen == {"v", "+", "-", "*", "/", "neg", "whole", "where", *CALLS, *COMPARE}
 
 
 @pytest.mark.parametrize(("x", "slope"), [(0.0, -0.5), (1e-9, -0.5), (0.2999999, None), (0.3000001, None), (5.0, None)])

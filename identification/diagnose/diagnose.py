@@ -14,6 +14,7 @@ from identification.diagnose.crossval import HeldOut, cross_validated, falls, fo
 from identification.diagnose.distinguish import Distinguishability, distinguishability
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
+from identification.diagnose.guess import Guess, best_guess
 from identification.diagnose.initial import InitialModel, exportable, from_given, from_identification
 from identification.diagnose.judgement import SLOW, STRONG
 from identification.diagnose.lack import Lack, with_turning
@@ -22,7 +23,7 @@ from identification.diagnose.locate import locate
 from identification.diagnose.search.candidates import Candidate, candidates
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over, refitted, screened
-from identification.diagnose.selection import Judge, Selection, alternatives, select, without
+from identification.diagnose.selection import Judge, Selection, alternatives, nearest, select, without
 from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
@@ -50,6 +51,10 @@ CHANGED = ("attributed", "family", "partly", "learned")
 """Verdicts that put effects into the model."""
 
 
+UNEXPLAINED = ("partly", "unexplained")
+"""Verdicts that leave something unexplained, and come with a best guess."""
+
+
 CLEARING = 3
 """Candidates of which the best one's residual tells the noise."""
 
@@ -64,7 +69,8 @@ class Diagnosis:
     where the campaign was identified first. `before`, `after`: what base and set lack. `held_out_before`, `held_out_after`:
     cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the model
     stood. `refuted`: why what was found does not ship, in words; "" where it does. `attempt`: at a term of no list, where no
-    effect explains all.
+    effect explains all. `best_guess`: the best candidate where something stays unexplained; None elsewhere, and where no
+    candidate is left.
     """
 
     campaign: Campaign
@@ -89,6 +95,7 @@ class Diagnosis:
     unseen: Unseen | None
     refuted: str
     attempt: Attempt
+    best_guess: Guess | None
 
     @property
     def learned(self) -> Learned | None:
@@ -256,7 +263,7 @@ def _diagnosed(
     lacks = before if refuted else after
     word = unnamed(before) if refuted else word  # what was found is not it
     attempt = Attempt()
-    if thorough and word in ("unexplained", "partly") and lacks.found:
+    if thorough and word in UNEXPLAINED and lacks.found:
         besides = [base, selection.final] if word == "partly" else [base]
 
         def learned_beside(beside: Fit) -> Attempt:
@@ -266,6 +273,10 @@ def _diagnosed(
     if attempt.learned:
         word, refuted, selection = "learned", "", _with(selection, attempt.learned)
         after = with_turning(judge.lack(selection.final), selection.final)
+    experiment, guess = discriminating_experiment(_timed(at, final), seed, fitted[0].record.period), None
+    if word in UNEXPLAINED:
+        tried = partial(nearest, judge, selection, options, pool)
+        guess = best_guess(judge, selection, (before, after), refuted, word == "partly", tried, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
     return Diagnosis(
         campaign=campaign,
@@ -283,13 +294,14 @@ def _diagnosed(
         after=after,
         apart=apart,
         location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
-        experiment=discriminating_experiment(_timed(at, final), seed, fitted[0].record.period),
+        experiment=experiment,
         final=final,
         held_out_before=judge.held_out(identified),
         held_out_after=judge.held_out(final),
         unseen=unseen,
         refuted=refuted,
         attempt=attempt,
+        best_guess=guess,
     )
 
 

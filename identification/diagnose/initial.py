@@ -85,7 +85,13 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
                 raise BadInput(record.source, f"column {name}", "no such column", f"what {', '.join(kept)} of the model needs")
     library = tuple(always_on(e) if e.name in kept else e for e in sized(library, given.rig.scales))
     model = plant((), library)
-    own = [e.full(p.name) for e in model.effects if e.name in kept for p in e.parameters if not p.choices]
+    own = [
+        e.full(p.name)
+        for e in model.effects
+        if e.name in kept
+        for p in e.parameters
+        if not p.choices and p.name not in e.rounds.values()
+    ]
     free = [*BASE_PARAMETERS, *own]
     knowledge = _knowledge(campaign, static_fit(campaign, given.values), given.values)
     found = refine(model, fitted, given.values, free, knowledge and knowledge(model, model.values(given.values), free))

@@ -224,6 +224,31 @@ def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator
         yield effect, name, replace(found, final=fit, judgements=judgements, rivals=rivals)
 
 
+Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
+"""(name, fit, its judgement when asked for) of candidates."""
+
+
+def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], pool) -> Tried:
+    """The candidates beside the final set, the most evidence first.
+
+    They are those of the last round where that is of this set; where none was refitted, the most promising one is.
+    """
+    searcher, final = judge.searcher, found.final
+    last = found.rounds[-1] if found.rounds else []
+    if not last or key(final)[0] != tuple(sorted(last[0].beside)):
+        last = first_round(searcher, final, options, pool)
+    refits = [t for t in last if t.fit is not None]
+    if last and not refits:
+        candidate, at = screened(searcher, final, [t.candidate for t in last], pool)[0]
+        fit = refitted(searcher, final, candidate, at)
+        refits = [CandidateFit(candidate, final.effects, at.fall, fit, evidence_over(fit, final))]
+    fits = []
+    for t in _ranked(refits):
+        fit = _bounded(searcher, final, t) if t.fit.at_bound else t.fit
+        fits.append((t.candidate.name, fit, partial(judge, t.candidate.name, fit, final)))
+    return fits
+
+
 def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[CandidateFit], judge: Judge) -> Fit | None:
     """The candidate of most evidence that stands beside what is there already."""
     for t in _ranked([t for t in tried if t.fit is not None]):

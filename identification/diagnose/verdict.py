@@ -12,7 +12,7 @@ def verdict(base: Fit, final: Fit, before: Lack, after: Lack, family: Mapping[st
     if not final.effects:
         return unnamed(before)
     if after.found:
-        return "partly" if _gone(base, final, before, after) > HALF else "unexplained"
+        return "partly" if gone(base, final, before, after) > HALF else "unexplained"
     if after.turns:
         return "partly"
     return "family" if any(family.values()) else "attributed"
@@ -23,7 +23,7 @@ def unnamed(lack: Lack) -> str:
     return "unexplained" if lack.found or lack.turns else "none"
 
 
-def _gone(base: Fit, final: Fit, before: Lack, after: Lack) -> float:
+def gone(base: Fit, final: Fit, before: Lack, after: Lack) -> float:
     """Share of the lack of fit that the set removes: of the pure error's power, else of the log-likelihood there is to gain;
     where it is the speed that lacks something, of what of its error follows the commands, if that is less, and where rest has
     not what passes for noise, of the power of that."""

@@ -7,6 +7,7 @@ import numpy as np
 from identification.fit.least_squares import Solution
 from identification.fit.problem import Problem
 from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
 from vpp_fmu.tracer import LANES
 
 
@@ -20,6 +21,11 @@ class Linearised:
         # pinv: at a double pole, or at a bound, columns may coincide or vanish.
         self._inverse = np.linalg.pinv(self._columns.T @ self._columns, rcond=1e-12, hermitian=True)
         self.residual = self.apart(residual[:size])
+
+    @property
+    def records(self) -> list[Record]:
+        """Whose commands its experiments ran."""
+        return [e.record for e in self._problem.experiments]
 
     @classmethod
     def of(cls, problem: Problem, solution: Solution) -> "Linearised":
@@ -65,6 +71,14 @@ class Linearised:
         """Outputs (rows, 3, points) of a simulator's model for each experiment, each point a change to the fitted values."""
         values = [{**self._values, **point} for point in points]
         return [simulator.simulate_all(values, *e.record.run) for e in self._problem.experiments]
+
+    def rerun(
+        self, simulator: Simulator, change: Mapping[str, float], columns: Sequence[Mapping[str, np.ndarray]]
+    ) -> list[np.ndarray]:
+        """Outputs (rows, 3) of a simulator's model for each experiment under `columns` in the place of its record's own, with a
+        change to the fitted values."""
+        values, experiments = {**self._values, **change}, self._problem.experiments
+        return [simulator.simulate(values, c, e.record.steps) for c, e in zip(columns, experiments, strict=True)]
 
     def rows(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> np.ndarray:
         """Scaled residual (rows, points) of a simulator's model with changes to the fitted values."""

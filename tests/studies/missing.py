@@ -280,7 +280,8 @@ OUTSIDE = (
     # Thrust turns the blade back: in rest a bend of the map.
     Hidden("blade_torsion", _some("torsion", 0.08, 0.25), relatives=("map_terms",)),
     Hidden("warming_actuator", _some("warm", 0.4, 1.2)),  # pitch grows slower within 40 s
-    Hidden("servo_steps", _some("pitch_step", 0.05, 0.1)),  # the servo knows whole steps of about 1 deg only
+    # The servo knows whole steps of about 1 deg only, counted from where the normalised pitch is 0, not from 0 deg.
+    Hidden("servo_steps", _some("pitch_step", 0.05, 0.1), relatives=("pitch_command_resolution",)),
     Hidden("speed_hunting", lambda g: {"hunt_hz": g.size(3.0, 1.5), "hunt_zeta": g.size(0.4, 0.15)}),
     Hidden("one_sided_delay", _some_signed("late_up", 0.05, 0.15)),  # only steps up, or only steps down, are late
     Hidden("speed_ramp", _some("ramp", 2.0, 0.8)),  # the speed controller limits acceleration

@@ -83,6 +83,9 @@ class Duals(Ops):
 
         return Dual(self.ops.where(condition, x.value, y.value), _each(chosen, x, y))
 
+    def whole(self, x):
+        return self.constant(self.ops.whole(x.value)) if isinstance(x, Dual) else self.ops.whole(x)
+
     def exp(self, x):
         return self._apply(x, self.ops.exp, lambda u, f: f)
 

@@ -13,9 +13,12 @@ SERIES_BELOW = 0.3
 SERIES_TERMS = 13
 """0.3**13 / 14! < 1e-17: the series is exact to rounding where it is used."""
 
+WHOLE = 1.5 * 2.0**52
+"""Added and subtracted again it leaves a whole number: doubles of this size have no other digits."""
+
 
 class Ops:
-    """What every arithmetic has; subclasses bring `exp expm1 sqrt sin cos tanh where`."""
+    """What every arithmetic has; subclasses bring `exp expm1 sqrt sin cos tanh whole where`."""
 
     def abs(self, x):
         """|x|, same unit."""
@@ -77,6 +80,11 @@ class Numbers(Ops):
     sin = staticmethod(math.sin)
     cos = staticmethod(math.cos)
     tanh = staticmethod(math.tanh)
+
+    @staticmethod
+    def whole(x):
+        """The whole number nearest to x, ties to even; |x| < 2**51. Its derivative is 0."""
+        return x + WHOLE - WHOLE
 
     @staticmethod
     def where(condition, yes, no):

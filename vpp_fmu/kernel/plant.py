@@ -5,6 +5,7 @@ from functools import cache
 
 from vpp_fmu.kernel.effects import (
     actuator,
+    command_resolution,
     dead_time,
     inflow_lag,
     map_terms,
@@ -50,6 +51,8 @@ _DECLARED: tuple[Effect, ...] = (
     normalisation.EFFECT,
     speed_delay.EFFECT,
     pitch_delay.EFFECT,
+    command_resolution.SPEED,
+    command_resolution.PITCH,
     pitch_command_deadband.EFFECT,
     pitch_offset.EFFECT,
     pitch_travel_limit.EFFECT,

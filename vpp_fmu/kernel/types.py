@@ -117,11 +117,13 @@ class Effect:
     `off` holds the parameter values at which the effect is exactly the identity; None: always part of the model. `probe` holds
     a plausible size: where a search starts, what a sensitivity picture uses. `inputs` are measured quantities that the effect
     needs beside the commands; a model with the effect has them as inputs. `delays` maps an input's name to the parameter that
-    holds it back [s]; the schedule does it, between steps, exactly. `largest_step` is the longest step [s] that the discrete
-    form is good for; None: exact for held inputs at any step. `contains` maps the name of an effect that is a special case of
-    this one to the parameters that they share, own name to its: a search for this one starts at what was found for that one,
-    too. `channels`: "beta" and "omega", whichever it acts in; none: it changes the thrust alone. `reading`: "thrust",
-    "speed" or "thrust and speed", it is how that is read, not what it is. `common`: every rig has a little of it, and it is
+    holds it back [s]; the schedule does it, between steps, exactly. `rounds` maps an input's name to the parameter whose
+    multiples are all that is executed of it: the response jumps in that parameter, and the input's levels tell where.
+    `largest_step` is the longest step [s] that the discrete form is good for; None: exact for held inputs at any step.
+    `contains` maps the name of an effect that is a special case of this one to the parameters that they share, own name to
+    its: a search for this one starts at what was found for that one, too. `channels`: "beta" and "omega", whichever it acts
+    in; none: it changes the thrust alone. `reading`: "thrust", "speed" or "thrust and speed", it is how that is read, not what
+    it is. `common`: every rig has a little of it, and it is
     worth a name from this share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its
     file declares it, in shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as
     `settled_<name>`, each with the input that it is about; "": it is about 0."""
@@ -135,6 +137,7 @@ class Effect:
     probe: Mapping[str, float] = field(default_factory=dict)
     inputs: tuple[Signal, ...] = ()
     delays: Mapping[str, str] = field(default_factory=dict)
+    rounds: Mapping[str, str] = field(default_factory=dict)
     largest_step: float | None = None
     contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     channels: tuple[str, ...] = ()

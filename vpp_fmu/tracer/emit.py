@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import takewhile
 from math import isinf
 
+from vpp_fmu.kernel.ops import WHOLE
 from vpp_fmu.tracer.graph import CALLS, COMPARE, Node, needed
 from vpp_fmu.tracer.program import Program, Write
 
@@ -206,6 +207,8 @@ def _python_operation(op: str, x: list[str]) -> str:
         return f"{x[1]} if {x[0]} else {x[2]}"
     if op == "neg":
         return f"-{x[0]}"
+    if op == "whole":
+        return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
     return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"
 
 
@@ -214,4 +217,6 @@ def _c_operation(op: str, x: list[str]) -> str:
         return f"{x[0]} ? {x[1]} : {x[2]}"
     if op == "neg":
         return f"-{x[0]}"
+    if op == "whole":
+        return f"{x[0]} + {WHOLE!r} - {WHOLE!r}"
     return f"{op}({x[0]})" if op in CALLS else f"{x[0]} {op} {x[1]}"

@@ -81,6 +81,9 @@ class Graph(Ops):
     def where(self, condition, yes, no):
         return self.node("where", condition, yes, no) if isinstance(condition, Node) else NUMBERS.where(condition, yes, no)
 
+    def whole(self, x):
+        return self._call("whole", x)
+
     def exp(self, x):
         return self._call("exp", x)
 

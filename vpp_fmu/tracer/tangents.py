@@ -46,6 +46,8 @@ def _rule(graph: Graph, n: Node, d: Sequence[object]):
             return -_product(graph.sin(x[0]), d[0])
         case "tanh":
             return _product(1.0 - n * n, d[0])
+        case "whole":
+            return 0.0
         case "where":
             return graph.where(x[0], d[1], d[2])
     raise TypeError(f"no derivative is known for {n.op}")

@@ -4,16 +4,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
+from identification.diagnose.guess import Guess
 from identification.diagnose.learned.description import sentence
 from identification.diagnose.report.effect import add_effects
 from identification.diagnose.report.evidence import add_apart, add_evidence, add_shift
 from identification.diagnose.report.learned import add_attempt, add_learned
 from identification.diagnose.report.residual import add_residual
-from identification.diagnose.report.summary import LEFT_OUT, artefact, errors, summary
+from identification.diagnose.report.summary import LEFT_OUT, NEXT, artefact, errors, summary
 from identification.fit.noise import blocks
 from identification.gate.report import add_quality, quality_tile
-from vpp_fmu.digits import chance, interval, number, signed
+from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
@@ -33,7 +34,42 @@ ZOOM, SMOOTHED = 3.0, 0.2
 
 
 def headline(found: Diagnosis) -> str:
-    """The finding in one or two sentences."""
+    """The finding in one or two sentences, and the best guess where something stays unexplained."""
+    return f"{_finding(found)} {_guessed(found.best_guess)}" if found.best_guess else _finding(found)
+
+
+def _guessed(guess: Guess) -> str:
+    share = f"{100.0 * guess.explains:.0f} %"
+    rest = f" beside {' and '.join(guess.beside)}" if guess.beside else ""
+    if guess.near:
+        return f"Best guess{rest}: {_sized(guess)}; it would explain {share} of the lack of fit, and is not accepted."
+    most = f"{100.0 * guess.most:.0f} %"
+    return f"No candidate{rest} explains more than {most} of the lack of fit; the most likely is {_sized(guess)}."
+
+
+def _sized(guess: Guess) -> str:
+    """The effects of a guess with their sizes and standard errors."""
+    found = []
+    for name in guess.effects:
+        sizes = []
+        for s in (s for s in guess.sizes if s.effect == name):
+            unit = "" if s.unit == "1" else s.unit
+            known = f" ({UNTOLD})" if s.std is None else ""
+            sizes.append(f"{s.name} {with_uncertainty(s.value, s.std or 0.0, unit)}{known}")
+        found.append(" ".join([name, ", ".join(sizes)]))
+    return " and ".join(found)
+
+
+def _guess(guess: Guess) -> tuple[str, str, str]:
+    """What speaks for and against the best guess, and what the next experiment tells it from."""
+    share = f"would explain {100.0 * guess.explains:.0f} % of the lack of fit; ± is one standard error"
+    rival = guess.rival or "the model without it"
+    told = f"{NEXT} tells it from {rival}: thrusts {number(guess.there, 2)} N rms apart there, {number(guess.here, 2)} N so far"
+    value = _sized(guess) if guess.near else f"none near; most likely {_sized(guess)}"
+    return "best guess", value, f"{share}; against it: {'; '.join(guess.against)}; {told}"
+
+
+def _finding(found: Diagnosis) -> str:
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     noise, where = f"the noise is {number(found.noise.floor)} N", _where_judged(found)
     if found.refuted:
@@ -48,7 +84,7 @@ def headline(found: Diagnosis) -> str:
         told = f"The rotor shakes the reading once a revolution, by {number(found.before.turning.size)} N rms"
         return f"{told}: most of what passes for noise ({number(found.noise.floor)} N). Nothing else is missing."
     if found.verdict == "unexplained":
-        return f"Something is missing that no effect to choose from explains: {number(before)} N {where}, {noise}."
+        return f"Something is missing that no effect to choose from explains: {number(before)} N {where.rstrip(',')}, {noise}."
     described = {e.name: e.description for e in found.selection.final.problem.model.effects}
     named = [f"{name} ({described[name]})" for name in found.final.effects]
     effects = " and ".join([*named, *(f"{name} ({described[name]}; {LEFT_OUT})" for name in found.left_out)])
@@ -95,7 +131,8 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     figures.append(("verdict", found.verdict, said))
     figures.append(_lack(found))
     figures += [quality_tile(found.quality)] if found.quality else []
-    return [*figures, _where(found)] if found.verdict in ("partly", "unexplained") else figures
+    figures += [_where(found)] if found.verdict in UNEXPLAINED else []
+    return [*figures, _guess(found.best_guess)] if found.best_guess else figures
 
 
 def _lack(found: Diagnosis) -> tuple[str, str, str]:

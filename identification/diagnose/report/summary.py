@@ -15,6 +15,8 @@ from vpp_fmu.digits import number
 
 FORMAT = "vpp-diagnosis/2"
 
+NEXT = "next_experiment.csv"
+
 UNITS = {
     "rmse_thrust": "N",
     "rmse_omega": "rpm",
@@ -25,6 +27,8 @@ UNITS = {
     "held_out_gain": "nat",
     "log_likelihood": "nat",
     "explained_fraction": "1",
+    "explains": "1",
+    "most_explained": "1",
 }
 """Of the numbers that do not stand beside their unit."""
 
@@ -42,7 +46,8 @@ def summary(found: Diagnosis) -> dict:
         "learning": _learning(found),
         "effects": [_effect(found, name) for name in (*found.final.effects, *found.left_out)],
         "family": {name: others for name, others in found.selection.family.items() if others},
-        "next_experiment": "next_experiment.csv" if found.verdict != "none" else None,
+        "best_guess": _best_guess(found),
+        "next_experiment": NEXT if found.verdict != "none" else None,
         "fitted": [one.name for one in found.fitted],
         "before": errors(found, found.base),
         "after": errors(found, found.final),
@@ -56,6 +61,31 @@ def summary(found: Diagnosis) -> dict:
         "cannot_be_seen": found.apart.invisible(),
         "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],
         "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
+    }
+
+
+def _best_guess(found: Diagnosis) -> dict | None:
+    """The best candidate where something stays unexplained."""
+    guess = found.best_guess
+    if guess is None:
+        return None
+    sizes = {name: {} for name in guess.effects}
+    for size in guess.sizes:
+        sizes[size.effect][size.name] = {"value": size.value, "std": size.std, "unit": size.unit}
+    return {
+        "effects": [{"name": name, "parameters": own} for name, own in sizes.items()],
+        "beside": list(guess.beside),
+        "near": guess.near,
+        "evidence": guess.evidence,
+        "explains": guess.explains,
+        "most_explained": guess.most,
+        "against": list(guess.against),
+        "next_experiment": {
+            "file": NEXT,
+            "tells_from": guess.rival or None,
+            "difference": {"value": guess.there, "unit": "N"},
+            "difference_so_far": {"value": guess.here, "unit": "N"},
+        },
     }
 
 

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from identification.diagnose.search.rounding import settle
 from identification.diagnose.search.threshold import NEAR, WHOLE, piecewise_constant, scan
 from identification.fit.coordinates import regular_start
 from identification.fit.experiment import Experiment
@@ -227,8 +228,13 @@ class Searcher:
         prior = self.known(model, values, [*self.names, *smooth])
         problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
         solution, intervals = problem.fit(values), {}
+        rounding = {e.full(p): e for e in model.effects for p in e.rounds.values()}
         for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
-            solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), WHOLE if thorough else NEAR)
+            if name in rounding:
+                solution, intervals[name] = settle(problem, solution, rounding[name])
+            else:
+                grids = WHOLE if thorough else NEAR
+                solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), grids)
         found = problem.values | problem.coordinates.values(solution.value)
         score = problem.score_of(solution.residual)
         told = tuple(n for n in free if n in smooth or n in stuck)
@@ -258,7 +264,8 @@ class Searcher:
         return all(np.array_equal(*pair) for pair in runs)
 
     def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
-        """Free parameters (with a tangent, in which the response is piecewise constant); any other is idle here, and stays."""
+        """Free parameters (with a tangent, to be scanned: the response is piecewise constant in them, or jumps); any other is
+        idle here, and stays."""
         simulator = Simulator(model, [*self.names, *free])  # the fit's own, where all are smooth
         moved = np.zeros(len(free), bool)
         for e in self.experiments:
@@ -266,8 +273,11 @@ class Searcher:
                 moved |= tangents[:, e.compared, len(self.names) :].any(axis=(0, 1))
                 if moved.all():
                     break
-        smooth = [n for n, does in zip(free, moved, strict=True) if does]
-        return smooth, [n for n in free if n not in smooth and piecewise_constant(model, self.experiments, values, n)]
+        jumping = {e.full(p) for e in model.effects for p in e.rounds.values()}
+        smooth = [n for n, does in zip(free, moved, strict=True) if does and n not in jumping]
+        scanned = {n for n, does in zip(free, moved, strict=True) if does and n in jumping}
+        scanned |= {n for n in free if not {n} & {*smooth, *jumping} and piecewise_constant(model, self.experiments, values, n)}
+        return smooth, [n for n in free if n in scanned]
 
 
 def _corners(record: Record) -> Iterable[dict[str, float]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.rounding import Rounding
 from identification.diagnose.search.threshold import divided
 from identification.fit.linearised import Linearised
 from identification.fit.problem import Problem
@@ -108,6 +109,8 @@ class _Screened:
 
     def _grid(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
         candidate = trace.candidate
+        if candidate.effect.rounds:
+            return self._rounded(trace)
         axes = {n: candidate.axis(n) for n in candidate.sizes}
         if len(axes) == 1 and trace.sharp(shape, axes):
             if trace.stepwise(shape):
@@ -124,6 +127,12 @@ class _Screened:
             for name, values in axes.items():
                 best = max(best, self._best(trace, [best[1] | {name: v} for v in values]), key=lambda pair: pair[0])
         return self._closer(trace, best)
+
+    def _rounded(self, trace: "_Trace") -> tuple[float, dict[str, float]]:
+        """The best step of an effect that rounds a command."""
+        look = trace.rounding()
+        points = [{look.name: step} for step in look.best()]
+        return max(((self._fall(trace.at([point])[:, 0]), point) for point in points), key=lambda pair: pair[0])
 
     def _divided(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
         """The best value of a threshold."""
@@ -234,6 +243,12 @@ class _Trace:
     def followed(self, point) -> dict[str, float]:
         """Where the fitted parameters go with the candidate at `point`."""
         return self._about.followed(self._about.rows(self._simulator, [{**self.candidate.form, **point}])[:, 0])
+
+    def rounding(self) -> Rounding:
+        """What goes with the step of a candidate that rounds a command."""
+        look = Rounding(self._about, self._simulator, self.candidate.effect, self._about.records)
+        self.points += look.points
+        return look
 
     def tangents(self, point) -> np.ndarray:
         """(rows, sizes)"""

@@ -1,0 +1,119 @@
+"""The best guess where something is unexplained: the best candidate, its size, and what speaks against it.
+
+It changes nothing that ships. It says which candidate comes nearest, and how far the next experiment would separate it from its
+strongest rival.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.assessment.prediction import predict
+from identification.diagnose.judgement import HALF, MOST
+from identification.diagnose.lack import Lack
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.refits import evidence_over
+from identification.diagnose.selection import Judge, Selection, Tried
+from identification.diagnose.verdict import gone
+from vpp_fmu.record import Record
+
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter of an effect: `std` is its standard error, None where the records leave it open."""
+
+    effect: str
+    name: str
+    value: float
+    unit: str
+    std: float | None
+
+
+@dataclass(frozen=True)
+class Guess:
+    """The best candidate, beside the effects `beside` that are accepted already.
+
+    `effects`: its names, more than one where a whole set is refuted. `evidence`: its penalised log-likelihood ratio.
+    `explains`: share of the lack of fit that it would remove; `most`: the largest such share of any refitted candidate.
+    `against`: why it is not accepted. `rival`: the next best candidate, "" where there is none and the model without the guess
+    takes its place. `here`, `there` [N]: rms by which the thrusts of the two differ on the fitted record and on the next
+    experiment.
+    """
+
+    effects: tuple[str, ...]
+    beside: tuple[str, ...]
+    sizes: tuple[Size, ...]
+    evidence: float
+    explains: float
+    most: float
+    against: tuple[str, ...]
+    rival: str
+    here: float
+    there: float
+
+    @property
+    def near(self) -> bool:
+        """Whether it would remove more than HALF of the lack of fit; else no candidate comes near."""
+        return self.explains > HALF
+
+
+def best_guess(
+    judge: Judge,
+    selection: Selection,
+    lacks: tuple[Lack, Lack],
+    refuted: str,
+    partly: bool,
+    tried: Callable[[], Tried],
+    experiment: Record,
+) -> Guess | None:
+    """The best guess at what is still missing; None where no candidate is left.
+
+    `lacks`: of the base and of the selected set. `refuted`: why that set does not ship, "" where nothing refutes it. `partly`:
+    it ships, and a guess is made at the rest. `tried()`: the candidates beside what is accepted, the best first.
+    """
+    before, after = lacks
+    base, final = judge.base, selection.final
+    if final.effects and not partly:
+        explains = gone(base, final, before, after)
+        against = (
+            refuted or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, {100.0 * HALF:.0f} % are asked for"
+        )
+        return _guess(base, final, (explains, explains), (against,), ("", base), experiment)
+    beside, missing = (final, after) if partly else (base, before)
+    ranked = tried()
+    if not ranked:
+        return None
+    (name, fit, judged), *others = ranked
+
+    def explained(fit: Fit) -> float:
+        return gone(beside, fit, missing, judge.lack(fit))
+
+    explains = most = explained(fit)
+    if explains <= HALF:  # else nobody asks for the most
+        most = max(explains, *(explained(other) for _, other, _ in others), 0.0)
+    limit = f"a diagnosis names {MOST} effects at most"
+    against = judged().refused or ((limit,) if len(beside.effects) >= MOST else ("beside it another effect is dropped again",))
+    rival = next(((other, its) for other, its, _ in others if other != name), ("", beside))
+    return _guess(beside, fit, (explains, most), against, rival, experiment)
+
+
+def _guess(
+    beside: Fit, fit: Fit, shares: tuple[float, float], against: tuple[str, ...], rival: tuple[str, Fit], experiment: Record
+) -> Guess:
+    own = tuple(n for n in fit.effects if n not in beside.effects)
+    std, sizes = fit.std(), []
+    for effect in (e for e in fit.problem.model.effects if e.name in own):
+        free = [p for p in effect.parameters if effect.full(p.name) in fit.free]
+        sizes += [Size(effect.name, p.name, fit.values[n := effect.full(p.name)], p.unit, std.get(n)) for p in free]
+    explains, most = (float(np.clip(share, 0.0, 1.0)) for share in shares)
+    record = fit.problem.experiments[0].record
+    here, there = (_apart(fit, rival[1], one) for one in (record, experiment))
+    evidence = float(evidence_over(fit, beside))
+    return Guess(own, tuple(beside.effects), tuple(sizes), evidence, explains, most, against, rival[0], here, there)
+
+
+def _apart(one: Fit, other: Fit, record: Record) -> float:
+    """N, rms: by how much the thrusts differ that two fits predict."""
+    shown = [predict(fit.problem.model, fit.values, record).thrust for fit in (one, other)]
+    return float(np.sqrt(np.mean((shown[0] - shown[1]) ** 2)))
