@@ -26,7 +26,7 @@ class Logger:
 
     @property
     def offset(self) -> float:
-        """s by which readings are taken after the command of their row acts; negative: before it acts."""
+        """s by which readings are taken before the command of their row acts; negative: after it acts."""
         return self.rows * self.period
 
     def applied(self, record: Record) -> Record:

@@ -16,7 +16,7 @@ from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.following import beyond, speed_shapes, thrust_shapes
 from identification.diagnose.guess import Guess, best_guess
 from identification.diagnose.initial import InitialModel, exportable, from_given, from_identification
-from identification.diagnose.judgement import SLOW, STRONG
+from identification.diagnose.judgement import SLOW, STRONG, Smallest
 from identification.diagnose.lack import Lack, with_turning
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
@@ -179,6 +179,7 @@ def diagnose(
     stage: Callable[[str], None] = lambda text: None,
     given: ParameterSet | None = None,
     smallest: float | None = None,
+    smallest_speed: float | None = None,
     records: Mapping[str, Record] | None = None,
     accept: Iterable[str] = (),
     thorough: bool = True,
@@ -186,9 +187,9 @@ def diagnose(
     """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. Fitted are the open-loop
-    record, its repeat and further `records`; the validation record is opened when the model stands. `smallest` [N]: the least
-    size of interest. `thorough`: where what was tried leaves something, more candidates are refitted, and a term of no list is
-    looked for. BadInput where the campaign has no record to fit.
+    record, its repeat and further `records`; the validation record is opened when the model stands. `smallest` [N],
+    `smallest_speed` [rpm]: least sizes of interest. `thorough`: where what was tried leaves something, more candidates are
+    refitted, and a term of no list is looked for. BadInput where the campaign has no record to fit.
 
     The logger is estimated first, beside the base model. A missing effect may bias that estimate: where effects are found, it
     is estimated once more beside them, and if it differs, the campaign is diagnosed with it, too.
@@ -199,7 +200,7 @@ def diagnose(
         gate = passed(campaign, records, accept)
         library = tuple(library)
         present = (given.model.optional, library, given.values) if given else ()
-        run = partial(_diagnosed, campaign, library, pool, seed, stage, given, smallest, thorough)
+        run = partial(_diagnosed, campaign, library, pool, seed, stage, given, Smallest(smallest, smallest_speed), thorough)
         stage("logger")
         first = as_logged(gate, *present)
         found = run(first)
@@ -221,7 +222,7 @@ def _diagnosed(
     seed: int,
     stage: Callable[[str], None],
     given: ParameterSet | None,
-    smallest: float | None,
+    smallest: Smallest,
     thorough: bool,
     gate: Passed,
 ) -> Diagnosis:

@@ -181,17 +181,20 @@ def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
     return [((a + 2.0 * b) / 3.0, b) for a, b in pairwise(ends.tolist()) if b - a >= shortest]
 
 
-def speed_size(fit: Fit, share: float) -> float:
-    """N, rms below 10 Hz: what such a share of the speed's error is worth as thrust, by the map's slope at rest."""
-    power, count = 0.0, 0
+def speed_size(fit: Fit, share: float) -> tuple[float, float]:
+    """(N, rms below 10 Hz: what such a share of the speed's error is worth as thrust, by the map's slope at rest; rpm, rms of
+    that share)."""
+    power, count, own, readings = 0.0, 0, 0.0, 0
     for e in fit.problem.experiments:
         outputs = _outputs(fit, e)
         _, to_speed = _slopes(fit.values, outputs[:, 1], outputs[:, 2])
         for sensor in e.tachometers:
-            wrong = np.interp(e.record.time, e.record.time[sensor.rows], sensor.shows(outputs[:, 1]) - sensor.measured)
+            error = sensor.shows(outputs[:, 1]) - sensor.measured
+            own, readings = own + float(error @ error), readings + len(error)
+            wrong = np.interp(e.record.time, e.record.time[sensor.rows], error)
             worth = e.slow_thrust(to_speed * wrong)
             power, count = power + float(worth @ worth), count + len(worth)
-    return float(np.sqrt(share * power / max(count, 1)))
+    return float(np.sqrt(share * power / max(count, 1))), float(np.sqrt(share * own / max(readings, 1)))
 
 
 def _outputs(fit: Fit, e: Experiment) -> np.ndarray:

@@ -88,10 +88,25 @@ def left_by_forms(fall: np.ndarray, explained: np.ndarray) -> float:
     return float(np.sum(np.minimum(np.maximum(fall, 0.0), FORM * np.maximum(explained, 0.0))))
 
 
+@dataclass(frozen=True)
+class Smallest:
+    """Least sizes of interest that a user names: of the thrust [N] and of the speed [rpm], rms; None: not named."""
+
+    thrust: float | None = None
+    speed: float | None = None
+
+
 def refusals(
-    fall: float, needed: float, evidence: float, gain: Mapping[str, float], parameters: int, material: bool
+    fall: float,
+    needed: float,
+    evidence: float,
+    gain: Mapping[str, float],
+    parameters: int,
+    material: bool,
+    carries_over: bool = True,
 ) -> list[str]:
-    """Why an effect does not stand, in words; empty where it does.
+    """Why an effect is rejected, in words; empty where it is accepted. `material`: it reaches the least size of interest;
+    `carries_over`: so does the error that it removes from held-out data.
 
     Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose
     what free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more.
@@ -108,4 +123,6 @@ def refusals(
         found.append(f"thrust is predicted worse in cross-validation: log-likelihood {gain['thrust']:.1f}")
     if not material:
         found.append("below the least size of interest")
+    elif not carries_over:
+        found.append("the error that it removes from held-out data is below the least size of interest")
     return found

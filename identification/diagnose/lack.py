@@ -45,8 +45,8 @@ class Lack:
 
     `size` [N]: rms of what is left below 10 Hz, as the tests see it, 0 where they see nothing; `least`: the least size of
     interest. `speed`: the share of what is left of the speed that is no noise (`following.speed_share`), and `speed_size` [N]
-    what that is worth as thrust, 0 where it is less than HALF. `level`: of the tests. `turning`: a line at once a revolution,
-    which counts from `most` [N] rms on."""
+    what that is worth as thrust, 0 where it is less than HALF, `speed_rpm` its rms, which counts from `least_speed` [rpm] on.
+    `level`: of the tests. `turning`: a line at once a revolution, which counts from `most` [N] rms on."""
 
     bands: tuple[Band, ...]
     score: Following
@@ -56,6 +56,8 @@ class Lack:
     claims: bool
     speed: float = 0.0
     speed_size: float = 0.0
+    speed_rpm: float = 0.0
+    least_speed: float = 0.0
     moving: float = 0.0
     moving_size: float = 0.0
     turning: Turning = UNTURNED
@@ -79,7 +81,12 @@ class Lack:
     @property
     def lacks_speed(self) -> bool:
         """Whether it is the speed that something worth a name is lacking of."""
-        return self.speed > HALF and self.speed_size > self.least
+        return self.speed > HALF and self.speed_size > self.least and self.speed_rpm > self.least_speed
+
+    @property
+    def only_speed(self) -> bool:
+        """Whether nothing but the measured speed says that something is missing."""
+        return self.lacks_speed and not (self.certain and self.size > self.least) and not self.lacks_moving
 
     @property
     def lacks_moving(self) -> bool:
@@ -101,6 +108,8 @@ class Lack:
                 "share": self.speed,
                 "least_share": HALF,
                 "size": {"value": self.speed_size, "unit": "N"},
+                "structured": {"value": self.speed_rpm, "unit": "rpm"},
+                "least_structured": {"value": self.least_speed, "unit": "rpm"} if np.isfinite(self.least_speed) else None,
             },
             "moving": {
                 "share": self.moving,
@@ -119,7 +128,7 @@ class Lack:
         }
 
 
-def lack_of_fit(fit: Fit, least: float) -> Lack:
+def lack_of_fit(fit: Fit, least: float, least_speed: float = 0.0) -> Lack:
     """The tests on a fit, stricter with one that has effects: it claims to know what was missing. Of the p-values the smallest
     counts, for as many independent ones (Sidak, 1967)."""
     bands, score = pure_error(fit), following(fit)
@@ -128,9 +137,9 @@ def lack_of_fit(fit: Fit, least: float) -> Lack:
     p = -float(np.expm1(len(tests) * np.log1p(-smallest))) if smallest < 1.0 else 1.0
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
     share = speed_share(fit)
-    worth = speed_size(fit, share) if share > HALF else 0.0
+    worth, rpm = speed_size(fit, share) if share > HALF else (0.0, 0.0)
     moving = moving_share(fit, "thrust")
-    return Lack(bands, score, p, float(max(sizes)), least, bool(fit.effects), share, worth, *moving)
+    return Lack(bands, score, p, float(max(sizes)), least, bool(fit.effects), share, worth, rpm, least_speed, *moving)
 
 
 def with_turning(lack: Lack, fit: Fit) -> Lack:

@@ -8,7 +8,17 @@ import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated
 from identification.diagnose.following import falls_in_bands
-from identification.diagnose.judgement import MOST, RIVALS, SMALLEST, STRONG, Judgement, left_by_forms, needed_fall, refusals
+from identification.diagnose.judgement import (
+    MOST,
+    RIVALS,
+    SMALLEST,
+    STRONG,
+    Judgement,
+    Smallest,
+    left_by_forms,
+    needed_fall,
+    refusals,
+)
 from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
@@ -23,6 +33,8 @@ from identification.diagnose.search.refits import (
     refitted,
     screened,
 )
+from identification.fit.uncertainty import NORMAL_95
+from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
 
 MORE_ROUNDS = 2
@@ -53,11 +65,11 @@ class Selection:
 class Judge:
     """Judges effects against the set without them, which may be the `base`.
 
-    `smallest` [N]: the least size of interest, None: SMALLEST of the noise's. `runs`: of steps, which no fit of a diagnosis
-    takes.
+    `smallest`: least sizes of interest; where none is named, SMALLEST of the noise's slow power in the thrust, and the sensor's
+    uncertainty in the speed. `runs`: of steps, which no fit of a diagnosis takes.
     """
 
-    def __init__(self, searcher: Searcher, base: Fit, smallest: float | None, runs: Sequence[Record]):
+    def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
         self.searcher, self.base, self.smallest = searcher, base, smallest
         self.runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
         self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
@@ -83,7 +95,10 @@ class Judge:
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
-        refused = refusals(fall, needed, evidence, gain, more, material)
+        carries_over = bool(declared.common) or self._carries_over(with_it, without)
+        refused = refusals(fall, needed, evidence, gain, more, material, carries_over)
+        if not refused and (unsure := _may_be_off(with_it, declared)):
+            refused.append(unsure)
         return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
@@ -100,12 +115,28 @@ class Judge:
 
     def lack(self, fit: Fit) -> Lack:
         """The tests of lack of fit."""
-        return lack_of_fit(fit, self.least())
+        return lack_of_fit(fit, self.least(), self.least_speed())
 
     def least(self) -> float:
         """N: the least size of interest of the thrust below 10 Hz."""
-        slow = max(e.noise.slow for e in self.searcher.experiments)
-        return self.smallest if self.smallest is not None else float(np.sqrt(SMALLEST * slow))
+        if self.smallest.thrust is not None:
+            return self.smallest.thrust
+        return float(np.sqrt(SMALLEST * max(e.noise.slow for e in self.searcher.experiments)))
+
+    def least_speed(self) -> float:
+        """rpm: the least size of interest of the speed; infinite where none was measured."""
+        if self.smallest.speed is not None:
+            return self.smallest.speed
+        known = [np.median(t.std) for e in self.searcher.experiments for t in e.tachometers if len(t)]
+        return float(max(known, default=np.inf))
+
+    def _carries_over(self, with_it: Fit, without: Fit) -> bool:
+        """Whether the mean square error that an effect removes from the folds left out reaches the least size, in either
+        channel."""
+        now, was = self.held_out(with_it), self.held_out(without)
+        if was.rmse_thrust**2 - now.rmse_thrust**2 >= self.least() ** 2:
+            return True
+        return was.rmse_omega is not None and was.rmse_omega**2 - now.rmse_omega**2 >= self.least_speed() ** 2
 
     def matters(self, effect: str, fit: Fit) -> bool:
         """Whether an effect of a fit reaches the least size of interest where the rest of the fit stays as it is."""
@@ -123,14 +154,29 @@ class Judge:
             rows.append(change[:, 0])
             thrust.append(e.slow_thrust(change[:, 0]))
             if len(e.omega_time):
-                speed.append(np.concatenate([t.shows(change[:, 1]) / t.std for t in e.tachometers]))
+                speed.append(np.concatenate([t.shows(change[:, 1]) for t in e.tachometers]))
         size, least = _rms(thrust), self.least()
         if common:
             floor = max(e.noise.floor for e in self.searcher.experiments)
             return _rms(rows), float(np.sqrt(common)) * floor, _rms(rows) ** 2 >= common * floor**2
-        # Speed has no least size of its own that a user could name: the same share of what its sensor can tell.
-        seen = bool(speed) and self.smallest is None and _rms(speed) ** 2 >= SMALLEST
-        return size, least, size >= least or seen
+        return size, least, size >= least or (bool(speed) and _rms(speed) >= self.least_speed())
+
+
+def _may_be_off(fit: Fit, effect: Effect) -> str:
+    """Why an effect of a fit may as well not be there, in words: the 95 % interval of each of its sizes holds the value that
+    switches it off. "" where one does not."""
+    sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
+    sizes = {name: off for name, off in sizes.items() if name in fit.free}
+    if not sizes:
+        return ""
+    std, told = fit.std(), []
+    for name, off in sizes.items():
+        half = np.inf if std[name] is None else NORMAL_95 * std[name]
+        low, high = fit.thresholds.get(name, (fit.values[name] - half, fit.values[name] + half))
+        if not low <= off <= high or half == 0.0:
+            return ""
+        told.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
+    return f"its size may be none: {', '.join(told)}"
 
 
 def _outputs(fit: Fit, experiment) -> np.ndarray:

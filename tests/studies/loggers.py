@@ -176,18 +176,17 @@ class Case:
         return head | {"hidden": list(self.hidden), "factors": self.factors, "sizes": list(self.sizes)}
 
 
-def logger_of(found: Diagnosis, rpm: float) -> dict | None:
+def logger_of(found: Diagnosis, rpm: float) -> dict:
     """What a diagnosis says of the logger, s: `lag` of all readings (below 0 they lead), and by how much speed is read later
-    than thrust at `rpm`, a mean over a mark's window included; its sensor in words. None where it says nothing."""
-    logger = getattr(found, "logger", None)
-    if logger is None:
-        return None
-    sensor, row = logger.sensor, found.fitted[0].record.period
-    delay = (sensor.filter or 0.0) + (sensor.delay or 0.0)
+    than thrust at `rpm`, a mean over a mark's window included; its sensor in words."""
+    logger, row = found.logger, found.fitted[0].record.period
+    sensor, delay = logger.sensor, logger.sensor.filter + logger.sensor.delay
     if sensor.kind == "mark":
-        window = 60.0 / (sensor.marks * rpm)
+        window = 60.0 / (sensor.marks_per_revolution * rpm)
         delay += 0.5 * window + 0.5 * min(row, window)  # its last pulse came in the row before, anywhere
-    return {"lag": logger.offset, "delay": delay, "sensor": f"{sensor.kind} {sensor.marks or ''}".strip()}
+    elif sensor.refresh:
+        delay += 0.5 * min(row, sensor.refresh)
+    return {"lag": logger.offset, "delay": delay, "sensor": f"{sensor.kind} {sensor.marks_per_revolution}"}
 
 
 def outcome(case: Case, threads: int = 1) -> dict:
@@ -198,13 +197,13 @@ def outcome(case: Case, threads: int = 1) -> dict:
     seconds = time.perf_counter() - began
     record, delay = case.unseen()
     noise = float(np.sqrt(case.rig.noise.power(np.fft.rfftfreq(len(record))[1:]).mean()))
-    error = found.prediction(found.final, record).rmse_thrust
+    error = found.prediction(found.final, found.logger.applied(record)).rmse_thrust
     row = case.summary() | {"failed": None, "verdict": found.verdict, "effects": list(found.final.effects)}
     row |= {"family": {k: v for k, v in found.selection.family.items() if v}, "seconds": seconds}
     row |= {"over_noise": float(np.hypot(error, noise) / noise), "evidence": case.evidence(measured.open_loop)}
     said = logger_of(found, float(record["omega"].mean()))
     true = {"lag": case.factors["lag"] / case.factors["rate"], "delay": delay}
-    off = {} if said is None else {f"{n}_off": 1e3 * (said[n] - true[n]) for n in true}
+    off = {f"{n}_off": 1e3 * (said[n] - true[n]) for n in true}
     return row | {"logger": said, "true": true} | off
 
 

@@ -97,6 +97,7 @@ def diagnose(
     effects: Iterable[str] | None = None,
     records: Mapping[str, Any] | None = None,
     smallest: float | None = None,
+    smallest_speed: float | None = None,
     seed: int = 0,
     workers: int = 2,
     accept: Iterable[str] = (),
@@ -105,9 +106,9 @@ def diagnose(
     """What the model lacks, and the model with it.
 
     `parameters`: a model to start from and to judge against (a file, a set, a result); else the campaign is identified first.
-    `effects`: names of the candidates, else the whole library. `smallest` N: the least rms change of thrust that is of
-    interest. `effects_from`: Python files with effects of one's own. BadInput: no record to fit, data that the gate refuses, an
-    effect that the library does not have.
+    `effects`: names of the candidates, else the whole library. `smallest` N, `smallest_speed` rpm: the least rms changes of
+    thrust and of speed that are of interest. `effects_from`: Python files with effects of one's own. BadInput: no record to
+    fit, data that the gate refuses, an effect that the library does not have.
 
     >>> found = vpp.diagnose(vpp.example_campaign(), effects=["pitch_command_deadband", "pitch_backlash"])
     >>> found.verdict, found.effects
@@ -125,6 +126,7 @@ def diagnose(
         seed,
         given=given,
         smallest=smallest,
+        smallest_speed=smallest_speed,
         records={name: as_record(record, needed) for name, record in (records or {}).items()},
         accept=accept,
     )

@@ -43,6 +43,8 @@ def configure(parser):
     parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
     text = "least size of interest: what an effect must change the thrust by, rms (default: a small share of the noise)"
     parser.add_argument("--smallest", type=Number(0.0, 1e5, "N"), metavar="N", help=text)
+    text = "least size of interest of the speed, rms (default: the uncertainty of the sensor's readings)"
+    parser.add_argument("--smallest-speed", type=Number(0.0, 1e5, "rpm"), metavar="RPM", help=text)
     text = "fits that run side by side, of several campaigns the campaigns (default: %(default)s)"
     parser.add_argument("--workers", type=WORKERS, default=2, metavar="N", help=text)
     text = "a Dask scheduler to diagnose several campaigns on instead; its workers read the same folders"
@@ -86,8 +88,8 @@ def _model(options) -> dict:
     whole = library_with(options.effects_from)
     given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
     library = _library(options.effects, given.model.optional if given else (), whole)
-    common = {"seed": options.seed, "smallest": options.smallest, "accept": options.accept}
-    return {"library": library, "given": given, **common}
+    names = ("seed", "smallest", "smallest_speed", "accept")
+    return {"library": library, "given": given, **{name: getattr(options, name) for name in names}}
 
 
 def _of_fleet(job: tuple) -> Entry:

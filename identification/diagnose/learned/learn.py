@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.diagnose.crossval import HeldOut, cross_validated, fall, thirds
-from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, Judgement
+from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, Judgement, Smallest
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.score import TOLD
@@ -88,13 +88,13 @@ def by_chance(comparisons: int) -> float:
 def learn(
     searcher: Searcher,
     beside: Fit,
-    smallest: float | None,
+    smallest: Smallest,
     scales: Scales,
     runs: Sequence[Record],
     pool,
     stage: Callable[[str], None] = lambda text: None,
 ) -> Attempt:
-    """Learn a term beside a fit. `smallest` [N]: the least size of interest, None: as of any effect; `scales`: of the rig;
+    """Learn a term beside a fit. `smallest`: least sizes of interest; `scales`: of the rig;
     `runs`: of steps, where terms are checked."""
     stage("look for an effect of no list")
     leads = screened(beside, spread=pool.map)
@@ -146,7 +146,7 @@ def _own(name: str) -> bool:
 class Carried(Judge):
     """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
 
-    def __init__(self, searcher: Searcher, beside: Fit, smallest: float | None, runs: Sequence[Record]):
+    def __init__(self, searcher: Searcher, beside: Fit, smallest: Smallest, runs: Sequence[Record]):
         super().__init__(searcher, beside, smallest, runs)
         self._carried: dict[int, tuple[Fit, HeldOut]] = {}
 

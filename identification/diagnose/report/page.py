@@ -83,6 +83,10 @@ def _finding(found: Diagnosis) -> str:
     if found.verdict == "unexplained" and not found.before.found:
         told = f"The rotor shakes the reading once a revolution, by {number(found.before.turning.size)} N rms"
         return f"{told}: most of what passes for noise ({number(found.noise.floor)} N). Nothing else is missing."
+    if found.verdict == "unexplained" and found.before.only_speed:
+        told = f"The measured speed is {number(found.before.speed_rpm)} rpm rms off its model, and no effect to choose from"
+        told += f" explains it; the thrust shows nothing of it: its error {where} is {number(before)} N, {noise}"
+        return f"{told}. Look at the speed sensor first."
     if found.verdict == "unexplained":
         return f"Something is missing that no effect to choose from explains: {number(before)} N {where.rstrip(',')}, {noise}."
     described = {e.name: e.description for e in found.selection.final.problem.model.effects}
