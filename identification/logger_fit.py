@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.fit.coordinates import slowest
 from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
 from identification.fit.noise import independent
@@ -20,6 +21,7 @@ from identification.fit.problem import Problem
 from identification.gate.gate import Passed
 from identification.logger import FINEST, SIGNIFICANT, Logger
 from identification.roles import Fitted, roles
+from identification.run_in import run_in
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, LIBRARY, plant, sized
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
@@ -27,6 +29,9 @@ from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
 
 EARLIEST = 3
 """Rows by which readings may lead their commands, at most."""
+
+ROUNDS = 3
+"""Fits in which run-ins are looked for, at most."""
 
 MARKS = (1, 2, 3, 4)
 """Pulses of a revolution that are tried."""
@@ -69,30 +74,29 @@ DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
 
 
 def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
-    """What passed the gate, its records as their logger took them. Estimated beside `effects` of a `library` at `values`."""
-    campaign = gate.campaign
-    found = estimate(gate, effects, library, values)
-    names = ("open_loop", "repeat", "validation", "static_raw")
-    moved = {n: found.applied(r) for n in names if (r := getattr(campaign, n)) is not None}
-    steps = tuple(found.applied(run) for run in campaign.steps)
-    further = {n: found.applied(r) for n, r in gate.further.items()}
-    return replace(gate, campaign=replace(campaign, **moved, steps=steps), further=further, logger=found)
-
-
-def estimate(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Logger:
-    """The logger of a campaign's fitted records; the contract's where the campaign has none."""
+    """What passed the gate, its records as their logger took them, without their run-ins. Estimated beside `effects` of a
+    `library` at `values`, from the fitted records; without any, the logger is the contract's, and no start is judged."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
-        return Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
-    groups, _ = roles(campaign, gate.further)
-    return _Estimate(groups, campaign.rig.scales, declared, effects, library, values).logger()
+        found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
+        return replace(gate.changed(found.applied), logger=found)
+    settled, before = gate, None
+    for _ in range(ROUNDS):  # a fit to a run-in has wrong lags, which say how long it is
+        groups, _ = roles(settled.campaign, settled.further)
+        of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values)
+        thrust = of.fit_to_thrust()
+        before, settled = settled, gate.without_run_ins(thrust.run_in)
+        if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
+            break
+    found = of.logger(thrust)
+    return replace(settled.changed(found.applied), logger=found)
 
 
 class _Estimate:
     def __init__(self, groups: Sequence[Sequence[Fitted]], scales, declared, effects, library, values):
         effects = [e for e in effects if e not in DELAYS.values()]
         self._model = plant([*effects, *DELAYS.values()], sized(library, scales))
-        self._groups = [[_prepared(one) for one in group] for group in groups]
+        self._groups = [[Fitted(one.name, _as_modelled(one.record)) for one in group] for group in groups]
         self._first, self._declared = self._groups[0][0].record, declared
         self._period = self._first.period
         moves = {u: any(np.ptp(g[0].record[f"{u}_ref"]) > 0.0 for g in groups) for u in DELAYS}
@@ -107,10 +111,14 @@ class _Estimate:
         self._thrust_alone = [Experiment(group, noise, channels=("thrust",)) for group in self._groups]
         self._measured = any(len(e.omega_time) for e in self._experiments)
 
-    def logger(self) -> Logger:
+    def fit_to_thrust(self) -> "_SensorFit":
+        """Without the speed."""
+        found = _SensorFit(self, None, ())
+        found.solve(FULL)
+        return found
+
+    def logger(self, thrust: "_SensorFit") -> Logger:
         """The most likely one. Every sensor is fitted roughly, from the fit to the thrust alone, then the best ones in full."""
-        thrust = _SensorFit(self, None, ())
-        thrust.solve(FULL)
         if not self._measured:
             return self._decided(thrust)
         fits = [_SensorFit(self, sensor, free, thrust, score) for sensor, free, score in self._hypotheses()]
@@ -213,6 +221,12 @@ class _SensorFit:
             for k, (t, omega) in enumerate(readings)
             for row, *pair in zip(t.rows.tolist(), (t.shows(omega) - t.measured).tolist(), t.std.tolist(), strict=True)
         }
+
+    def run_in(self, record: Record) -> float:
+        """s at the record's start that its initial state takes to die away."""
+        shown = _as_modelled(record)
+        outputs = self._problem.simulator.simulate(self._values, *shown.run)
+        return run_in(shown, outputs, slowest(self._values, self._values))
 
     @property
     def unknown_instant(self) -> float:
@@ -321,9 +335,8 @@ def _scores(fits: Sequence[_SensorFit]) -> list[float]:
     return [f.score(rows) for f in fits]
 
 
-def _prepared(one: Fitted) -> Fitted:
-    record = one.record.part(slice(0, MOST_ROWS))
-    return Fitted(one.name, record.commands_later(-EARLIEST))
+def _as_modelled(record: Record) -> Record:
+    return record.part(slice(0, MOST_ROWS)).commands_later(-EARLIEST)
 
 
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
