@@ -21,17 +21,18 @@ from identification.fit.problem import Problem
 from identification.gate.gate import Passed
 from identification.logger import FINEST, SIGNIFICANT, Logger
 from identification.roles import Fitted, roles
-from identification.run_in import run_in
+from identification.run_in import BLOCKS, run_in
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, LIBRARY, plant, sized
 from vpp_fmu.kernel.types import Effect
+from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
 
 EARLIEST = 3
 """Rows by which readings may lead their commands, at most."""
 
-ROUNDS = 3
-"""Fits in which run-ins are looked for, at most."""
+ROUNDS, QUARTER = 4, 0.25
+"""Fits in which run-ins are looked for, at most, and the share of a record that the first of them leaves out, at most."""
 
 MARKS = (1, 2, 3, 4)
 """Pulses of a revolution that are tried."""
@@ -80,15 +81,17 @@ def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effec
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
         return replace(gate.changed(found.applied), logger=found)
-    settled, before = gate, None
-    for _ in range(ROUNDS):  # a fit to a run-in has wrong lags, which say how long it is
+    values = {**AVERAGED, **(values or {})}
+    longest = 0.5 * BLOCKS * slowest(values, values)
+    settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
+    for _ in range(ROUNDS):  # a fit to a run-in may explain it by wrong lags: so the first one is to none
         groups, _ = roles(settled.campaign, settled.further)
         of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values)
-        thrust = of.fit_to_thrust()
-        before, settled = settled, gate.without_run_ins(thrust.run_in)
+        values = of.values
+        before, settled = settled, gate.without_run_ins(of.run_in)
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
             break
-    found = of.logger(thrust)
+    found = of.logger()
     return replace(settled.changed(found.applied), logger=found)
 
 
@@ -105,20 +108,25 @@ class _Estimate:
         lags = [f"tau_{u}_{k}" for u in DELAYS if moves[u] for k in (1, 2)]
         self._names = [n for n in FINE_TUNED if not n.startswith("tau_") or n in lags] + own + delays
         start = {f"{name}.delay": EARLIEST * self._period for name in DELAYS.values()}
-        self._start = self._model.values({**AVERAGED, **(values or {}), **start})
-        noise = independent(self._start["thrust_scale"])
+        start = self._model.values({**values, **start})
+        noise = independent(start["thrust_scale"])
         self._experiments = [Experiment(group, noise) for group in self._groups]
         self._thrust_alone = [Experiment(group, noise, channels=("thrust",)) for group in self._groups]
         self._measured = any(len(e.omega_time) for e in self._experiments)
+        # Delays that are free from the start take the place of lags.
+        base = Problem(self._model, self._thrust_alone, start, [n for n in self._names if n not in delays])
+        self.values = start | base.coordinates.values(base.fit(start).value)
 
-    def fit_to_thrust(self) -> "_SensorFit":
-        """Without the speed."""
-        found = _SensorFit(self, None, ())
-        found.solve(FULL)
-        return found
+    def run_in(self, record: Record) -> float:
+        """s at the record's start that its initial state takes to die away."""
+        shown = _as_modelled(record)
+        outputs = Simulator(self._model).simulate(self.values, *shown.run)
+        return run_in(shown, outputs, slowest(self.values, self._names))
 
-    def logger(self, thrust: "_SensorFit") -> Logger:
+    def logger(self) -> Logger:
         """The most likely one. Every sensor is fitted roughly, from the fit to the thrust alone, then the best ones in full."""
+        thrust = _SensorFit(self, None, ())
+        thrust.solve(FULL)
         if not self._measured:
             return self._decided(thrust)
         fits = [_SensorFit(self, sensor, free, thrust, score) for sensor, free, score in self._hypotheses()]
@@ -190,13 +198,13 @@ class _SensorFit:
     ):
         self._of, self.free, self.sensor, self._renewed = of, free, sensor or SpeedSensor(), renewed
         self._experiments = of._experiments if sensor else of._thrust_alone
-        self._problem = Problem(of._model, self._experiments, of._start, of._names)
+        self._problem = Problem(of._model, self._experiments, of.values, of._names)
         c = self._problem.coordinates
         self._count, self._sensor = len(c.names), self.sensor
         earliest = -of._period if self.sensor.kind == TELEMETRY else -LATEST
         limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
         self._lower, self._upper = (np.append(x, [limits[n][k] for n in free]) for k, x in enumerate((c.lower, c.upper)))
-        own = c.vector(of._start) if start is None else start._x
+        own = c.vector(of.values) if start is None else start._x
         self._x = np.append(own, [getattr(self.sensor, n) for n in free])
         if start is not None:
             self._problem.scale["thrust"] = start._problem.scale["thrust"]
@@ -222,12 +230,6 @@ class _SensorFit:
             for row, *pair in zip(t.rows.tolist(), (t.shows(omega) - t.measured).tolist(), t.std.tolist(), strict=True)
         }
 
-    def run_in(self, record: Record) -> float:
-        """s at the record's start that its initial state takes to die away."""
-        shown = _as_modelled(record)
-        outputs = self._problem.simulator.simulate(self._values, *shown.run)
-        return run_in(shown, outputs, slowest(self._values, self._values))
-
     @property
     def unknown_instant(self) -> float:
         """s: half the time within which the instant of a value is not known."""
@@ -236,7 +238,7 @@ class _SensorFit:
     def _with(self, sensor: SpeedSensor) -> Problem:
         if not self.free:
             return self._problem
-        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._of._start, self._of._names)
+        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._of.values, self._of._names)
         found.scale = self._problem.scale
         return found
 

@@ -13,17 +13,17 @@ from scipy.stats import f as f_distribution
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.record import Record
 
-SETTLED = 5.0
-"""Times of a channel's lags after which it has settled, to a few per cent."""
+BLOCKS = 10
+"""Half lags of a run-in: five lags leave a per cent of an initial state or two."""
 
-FIRST = 0.5
-"""Part of the lags in which a start is judged: a state that was not settled shows there in full, a command's move hardly."""
+CHANCE = 1e-6
+"""Chance that white noise, or another error that comes and goes in half a lag, passes for a run-in."""
 
-LARGER, CHANCE = 4.0, 1e-6
-"""Ratio of the mean squares at the start and later that shows a run-in, and the chance of that ratio in white noise."""
+DECAYED = 0.8
+"""Share of the initial error from which one is constant while commands hold; a transient has less after half a lag."""
 
-RESOLVED = 1e-3
-"""Share of a signal's range below which a difference is none: without noise, what remains is the integration's."""
+RESOLVED = 5e-3
+"""Share of a signal's range below which a difference is none: sensors are no better, nor is the map at a single command."""
 
 
 def run_in(record: Record, outputs: np.ndarray, lag: float) -> float:
@@ -31,7 +31,10 @@ def run_in(record: Record, outputs: np.ndarray, lag: float) -> float:
 
     `outputs` (rows, 3): a model's, that starts settled; `lag` [s]: of its slower channel. Thrust and speed are judged alike.
     """
-    return SETTLED * lag if any(_in_motion(*signal, lag) for signal in _signals(record, outputs)) else 0.0
+    moves = np.any([np.diff(record[n]) != 0.0 for n in ("omega_ref", "beta_ref")], axis=0)
+    held = record.time[np.argmax(moves) + 1 if moves.any() else -1]
+    half = 0.5 * lag
+    return BLOCKS * half if any(_in_motion(*signal, half, int(held / half)) for signal in _signals(record, outputs)) else 0.0
 
 
 def without(record: Record, run_in: float) -> Record:
@@ -49,13 +52,18 @@ def _signals(record: Record, outputs: np.ndarray) -> Iterator[tuple[np.ndarray, 
         yield sensor.times, sensor.measured, sensor.shows(outputs[:, 1])
 
 
-def _in_motion(time: np.ndarray, measured: np.ndarray, predicted: np.ndarray, lag: float) -> bool:
-    """Whether the error is larger at the start than in all that follows the run-in, and than in what follows it next: an error
-    that stays for longer is no run-in."""
-    square, behind = (predicted - measured) ** 2, time >= SETTLED * lag
-    first, rest, following = square[time < FIRST * lag], square[behind], square[behind & (time < 2.0 * SETTLED * lag)]
-    if len(first) < 2 or len(following) < 2:
+def _in_motion(time: np.ndarray, measured: np.ndarray, predicted: np.ndarray, half: float, held: int) -> bool:
+    """Whether the mean error of the first `half` lag [s] is larger than those behind the run-in, and no other error.
+
+    What grows, what stays while commands hold (for so many blocks, `held`), or what is there behind the run-in is no run-in.
+    """
+    block = (time / half).astype(int)
+    count = np.bincount(block, minlength=1)
+    means = np.bincount(block, weights=predicted - measured, minlength=1)[count > 0] / count[count > 0]
+    means, rest = np.abs(means), np.abs(means[BLOCKS:])
+    if len(rest) < 2 or count[0] == 0:
         return False
-    ratio = max(LARGER, float(f_distribution.isf(CHANCE, len(first), len(rest))))
-    usual = max(float(rest.mean()), float(following.mean()), (RESOLVED * float(np.ptp(measured))) ** 2)
-    return bool(first.mean() > ratio * usual)
+    first, usual = means[0], max(np.mean(part**2) for part in (rest, rest[:BLOCKS]))
+    larger = first > max(RESOLVED * np.ptp(measured), np.sqrt(usual * f_distribution.isf(CHANCE, 1, len(rest))))
+    grows, stays = first < 0.5 * means[:BLOCKS].max(), held > 1 and means[min(held, BLOCKS) - 1] > DECAYED * first
+    return bool(larger and not grows and not stays)
