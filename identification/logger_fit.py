@@ -84,7 +84,7 @@ def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effec
     values = {**AVERAGED, **(values or {})}
     longest = 0.5 * BLOCKS * slowest(values, values)
     settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
-    for _ in range(ROUNDS):  # a fit to a run-in may explain it by wrong lags: so the first one is to none
+    for _ in range(ROUNDS):  # wrong lags may explain a run-in: the first fit leaves the start of every record out
         groups, _ = roles(settled.campaign, settled.further)
         of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values)
         values = of.values

@@ -87,7 +87,12 @@ def campaigns(tmp_path_factory):
     return found
 
 
-IN_MOTION = {"settled": [], "fitted": ["open_loop.csv"], "unseen": ["validation.csv"], "both": ["open_loop.csv", "validation.csv"]}
+IN_MOTION = {
+    "settled": [],
+    "fitted": ["open_loop.csv"],
+    "unseen": ["validation.csv"],
+    "both": ["open_loop.csv", "validation.csv"],
+}
 
 
 @pytest.mark.parametrize("name", IN_MOTION)
@@ -123,7 +128,9 @@ def test_of_step_runs_those_in_motion_lose_their_run_in(campaigns):
     def run(since: float) -> Record:
         commanded = {"omega_ref": np.full(2000, 5000.0), "beta_ref": np.where(np.arange(2000) < 1000, 2.0, 6.0)}
         rows = round(since / STEP)
-        longer = {n: np.r_[c[0] - 1500.0 * (n == "omega_ref") * bool(rows), np.full(rows, c[0]), c] for n, c in commanded.items()}
+        longer = {
+            n: np.r_[c[0] - 1500.0 * (n == "omega_ref") * bool(rows), np.full(rows, c[0]), c] for n, c in commanded.items()
+        }
         shown = Simulator(BASE).simulate(TRUTH, longer, np.full(2000 + rows, STEP))[rows + 1 :]
         thrust = shown[:, 0] + NOISE * np.random.default_rng(3).standard_normal(2000)
         return Record({"time": np.arange(2000) * STEP, **commanded, "thrust": thrust}, f"steps.csv, run {since:g}")
