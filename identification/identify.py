@@ -202,7 +202,7 @@ def identify(
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
-    noise = noise_floor(campaign.open_loop, campaign.repeat) if {"open_loop", "repeat"} <= set(fitted) else None
+    noise = noise_floor(fitted["open_loop"], fitted["repeat"]) if {"open_loop", "repeat"} <= set(fitted) else None
     source = {**_made(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig))

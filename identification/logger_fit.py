@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.fit.coordinates import slowest
 from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
 from identification.fit.noise import independent
@@ -20,13 +21,18 @@ from identification.fit.problem import Problem
 from identification.gate.gate import Passed
 from identification.logger import FINEST, SIGNIFICANT, Logger
 from identification.roles import Fitted, roles
+from identification.run_in import BLOCKS, run_in
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, LIBRARY, plant, sized
 from vpp_fmu.kernel.types import Effect
+from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
 
 EARLIEST = 3
 """Rows by which readings may lead their commands, at most."""
+
+ROUNDS, QUARTER = 4, 0.25
+"""Fits in which run-ins are looked for, at most, and the share of a record that the first of them leaves out, at most."""
 
 MARKS = (1, 2, 3, 4)
 """Pulses of a revolution that are tried."""
@@ -69,23 +75,24 @@ DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
 
 
 def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
-    """What passed the gate, its records as their logger took them. Estimated beside `effects` of a `library` at `values`."""
-    campaign = gate.campaign
-    found = estimate(gate, effects, library, values)
-    names = ("open_loop", "repeat", "validation", "static_raw")
-    moved = {n: found.applied(r) for n in names if (r := getattr(campaign, n)) is not None}
-    steps = tuple(found.applied(run) for run in campaign.steps)
-    further = {n: found.applied(r) for n, r in gate.further.items()}
-    return replace(gate, campaign=replace(campaign, **moved, steps=steps), further=further, logger=found)
-
-
-def estimate(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Logger:
-    """The logger of a campaign's fitted records; the contract's where the campaign has none."""
+    """What passed the gate, its records as their logger took them, without their run-ins. Estimated beside `effects` of a
+    `library` at `values`, from the fitted records; without any, the logger is the contract's, and no start is judged."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
-        return Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
-    groups, _ = roles(campaign, gate.further)
-    return _Estimate(groups, campaign.rig.scales, declared, effects, library, values).logger()
+        found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
+        return replace(gate.changed(found.applied), logger=found)
+    values = {**AVERAGED, **(values or {})}
+    longest = 0.5 * BLOCKS * slowest(values, values)
+    settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
+    for _ in range(ROUNDS):  # wrong lags may explain a run-in: the first fit leaves the start of every record out
+        groups, _ = roles(settled.campaign, settled.further)
+        of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values)
+        values = of.values
+        before, settled = settled, gate.without_run_ins(of.run_in)
+        if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
+            break
+    found = of.logger()
+    return replace(settled.changed(found.applied), logger=found)
 
 
 class _Estimate:
@@ -94,7 +101,7 @@ class _Estimate:
         library = tuple(library)
         delays = (e for e in LIBRARY if e.name in DELAYS.values() and e.name not in {known.name for known in library})
         self._model = plant([*effects, *DELAYS.values()], sized((*library, *delays), scales))
-        self._groups = [[_prepared(one) for one in group] for group in groups]
+        self._groups = [[Fitted(one.name, _as_modelled(one.record)) for one in group] for group in groups]
         self._first, self._declared = self._groups[0][0].record, declared
         self._period = self._first.period
         moves = {u: any(np.ptp(g[0].record[f"{u}_ref"]) > 0.0 for g in groups) for u in DELAYS}
@@ -103,11 +110,21 @@ class _Estimate:
         lags = [f"tau_{u}_{k}" for u in DELAYS if moves[u] for k in (1, 2)]
         self._names = [n for n in FINE_TUNED if not n.startswith("tau_") or n in lags] + own + delays
         start = {f"{name}.delay": EARLIEST * self._period for name in DELAYS.values()}
-        self._start = self._model.values({**AVERAGED, **(values or {}), **start})
-        noise = independent(self._start["thrust_scale"])
+        known = {p.name for p in self._model.parameters}
+        start = self._model.values({n: v for n, v in {**values, **start}.items() if n in known})
+        noise = independent(start["thrust_scale"])
         self._experiments = [Experiment(group, noise) for group in self._groups]
         self._thrust_alone = [Experiment(group, noise, channels=("thrust",)) for group in self._groups]
         self._measured = any(len(e.omega_time) for e in self._experiments)
+        # Delays that are free from the start take the place of lags.
+        base = Problem(self._model, self._thrust_alone, start, [n for n in self._names if n not in delays])
+        self.values = start | base.coordinates.values(base.fit(start).value)
+
+    def run_in(self, record: Record) -> float:
+        """s at the record's start that its initial state takes to die away."""
+        shown = _as_modelled(record)
+        outputs = Simulator(self._model).simulate(self.values, *shown.run)
+        return run_in(shown, outputs, slowest(self.values, self._names))
 
     def logger(self) -> Logger:
         """The most likely one. Every sensor is fitted roughly, from the fit to the thrust alone, then the best ones in full."""
@@ -184,13 +201,13 @@ class _SensorFit:
     ):
         self._of, self.free, self.sensor, self._renewed = of, free, sensor or SpeedSensor(), renewed
         self._experiments = of._experiments if sensor else of._thrust_alone
-        self._problem = Problem(of._model, self._experiments, of._start, of._names)
+        self._problem = Problem(of._model, self._experiments, of.values, of._names)
         c = self._problem.coordinates
         self._count, self._sensor = len(c.names), self.sensor
         earliest = -of._period if self.sensor.kind == TELEMETRY else -LATEST
         limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
         self._lower, self._upper = (np.append(x, [limits[n][k] for n in free]) for k, x in enumerate((c.lower, c.upper)))
-        own = c.vector(of._start) if start is None else start._x
+        own = c.vector(of.values) if start is None else start._x
         self._x = np.append(own, [getattr(self.sensor, n) for n in free])
         if start is not None:
             self._problem.scale["thrust"] = start._problem.scale["thrust"]
@@ -224,7 +241,7 @@ class _SensorFit:
     def _with(self, sensor: SpeedSensor) -> Problem:
         if not self.free:
             return self._problem
-        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._of._start, self._of._names)
+        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._of.values, self._of._names)
         found.scale = self._problem.scale
         return found
 
@@ -323,9 +340,8 @@ def _scores(fits: Sequence[_SensorFit]) -> list[float]:
     return [f.score(rows) for f in fits]
 
 
-def _prepared(one: Fitted) -> Fitted:
-    record = one.record.part(slice(0, MOST_ROWS))
-    return Fitted(one.name, record.commands_later(-EARLIEST))
+def _as_modelled(record: Record) -> Record:
+    return record.part(slice(0, MOST_ROWS)).commands_later(-EARLIEST)
 
 
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:

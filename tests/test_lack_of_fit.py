@@ -155,7 +155,6 @@ def left_of_holds(monkeypatch, std=1.0, verified=False, count=0.0):
         records=[SimpleNamespace(record=record)],
         tachometers=[sensor],
         converter=Converter(count, 0.0, 1.0),
-        skip=0.0,
         noise=SimpleNamespace(verified=verified),
     )
     values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}

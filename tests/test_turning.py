@@ -19,7 +19,7 @@ def fit_of(readings, speed=SPEED):
     """A model that predicts this speed and no thrust, beside records of the readings."""
     commands = {"omega_ref": speed, "beta_ref": np.zeros(len(TIME))}
     records = [SimpleNamespace(record=Record({"time": TIME, **commands, "thrust": r}, "made")) for r in readings]
-    experiment = SimpleNamespace(records=records, converter=SimpleNamespace(reads=lambda thrust: thrust), skip=0.0)
+    experiment = SimpleNamespace(records=records, converter=SimpleNamespace(reads=lambda thrust: thrust))
     outputs = np.column_stack([np.zeros(len(TIME)), speed, np.zeros(len(TIME))])
     return SimpleNamespace(problem=SimpleNamespace(experiments=[experiment], outputs=lambda values: [outputs]), values={})
 

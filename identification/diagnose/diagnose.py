@@ -28,7 +28,6 @@ from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.experiment import Experiment
 from identification.fit.noise import BLOCKS_A_TIME, Noise, blocks, independent, noise_from
-from identification.fit.refine import run_ins
 from identification.fit.tachometer import Tachometer
 from identification.fit.uncertainty import WIDEST, disagreement
 from identification.gate.finding import Finding
@@ -518,7 +517,7 @@ def _clearer(
 def _based(
     groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float]
 ) -> tuple[Searcher, Fit]:
-    """A searcher on experiments of this noise, and the base fitted to them; a run-in that was not settled gets no weight."""
+    """A searcher on experiments of this noise, and the base fitted to them."""
     experiments = [Experiment(group, noise) for group in groups]
 
     def fitted(values: Mapping[str, float], factor: float) -> tuple[Searcher, Fit]:
@@ -526,10 +525,6 @@ def _based(
         return searcher, searcher.fit((), {}, (), values)
 
     searcher, base = fitted(values, WIDEST)
-    skips = run_ins(base.problem, base.values)
-    if any(skips):
-        experiments = [e.but(skip=skip) for e, skip in zip(experiments, skips, strict=True)]
-        searcher, base = fitted(base.values, WIDEST)
     if at.knowledge and (told := base.told(at.knowledge)):
         searcher, base = fitted(base.values, disagreement(told, base.uncertainty))
     return searcher, base
@@ -550,7 +545,7 @@ def _noise(
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]
     (first, one), *others = [_heard(one.record, outputs[:, 1]) for one in group]
-    between = [(one - np.interp(_times(first), _times(sensor), other)) / np.sqrt(2.0) for sensor, other in others if len(other)]
+    between = [(one - np.interp(first.times, sensor.times, other)) / np.sqrt(2.0) for sensor, other in others if len(other)]
     return noise_from(group[0].record, errors, between if len(one) else [], block, SLOW, verified=True)
 
 
@@ -580,7 +575,3 @@ def _heard(record: Record, omega: np.ndarray) -> tuple[Tachometer | None, np.nda
         return None, np.zeros(0)
     sensor = Tachometer(record)
     return sensor, (sensor.shows(omega) - sensor.measured) / sensor.std
-
-
-def _times(sensor: Tachometer) -> np.ndarray:
-    return sensor.rows_time(0.0, 0)[1]

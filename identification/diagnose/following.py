@@ -151,7 +151,7 @@ def moving_share(fit: Fit, channel: str) -> tuple[float, float]:
             return 0.0, 0.0
         at_rest = last_thirds(e.record, SETTLED * slowest(fit.values, fit.values))  # of all: they have the same commands
         for times, all_left, best in _unwhitened(e, _outputs(fit, e), channel):
-            kept = np.isfinite(all_left) & (times >= e.skip)
+            kept = np.isfinite(all_left)
             left, time, least = all_left[kept], times[kept], max(least, best**2)
             whole, count = whole + float(left @ left), count + len(left)
             for part in (left[(time >= start) & (time < end)] for start, end in at_rest):

@@ -150,7 +150,7 @@ def with_turning(lack: Lack, fit: Fit) -> Lack:
 
 def _score_size(fit: Fit, score: Following) -> float:
     """N: what the generic shapes take up. A nat a slow sample is worth its noise's power; a second has 2 SLOW of them."""
-    seconds = sum(float(e.record.time[-1]) - e.skip for e in fit.problem.experiments)
+    seconds = sum(float(np.ptp(e.thrust_time)) for e in fit.problem.experiments)
     slow = max(e.noise.slow for e in fit.problem.experiments)
     return float(np.sqrt(max(2.0 * score.gain, 0.0) / (2.0 * SLOW * seconds) * slow))
 
@@ -163,8 +163,7 @@ def pure_error(fit: Fit) -> tuple[Band, ...]:
             continue
         shown = e.converter.reads(simulator.simulate(fit.values, *e.record.run)[:, 0])
         at = blocks(e.record, 0.5 / SLOW)
-        kept = at.time >= e.skip
-        errors = np.stack([_filled(at.mean(shown - r.record["thrust"])[kept]) for r in e.records])
+        errors = np.stack([_filled(at.mean(shown - r.record["thrust"])) for r in e.records])
         between, within = spectra(errors)
         step = float(np.median(np.diff(at.time)))
         # The test takes noise in a band for flat, which it is once what rises towards rest is evened out.

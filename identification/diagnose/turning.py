@@ -45,7 +45,7 @@ def turning(fit: Fit) -> Turning:
     for e, outputs in zip(fit.problem.experiments, fit.problem.outputs(fit.values), strict=True):
         for one in e.records:
             residual = one.record["thrust"] - e.converter.reads(outputs[:, 0])
-            for window, frequency in _windows(one.record, outputs[:, 1], residual, e.skip):
+            for window, frequency in _windows(one.record, outputs[:, 1], residual):
                 own, beside = window[0], window[1:]
                 lines.append(own - beside.mean())
                 ranks.append(float(np.sum(own > beside)) / len(beside))
@@ -58,11 +58,11 @@ def turning(fit: Fit) -> Turning:
     return Turning(float(np.sqrt(max(2.0 * np.mean(lines), 0.0))), float(norm.sf((np.mean(ranks) - 0.5) / std)))
 
 
-def _windows(record: Record, predicted: np.ndarray, residual: np.ndarray, skip: float):
+def _windows(record: Record, predicted: np.ndarray, residual: np.ndarray):
     """(power [N^2] of the residual's coefficients at order 1 and BESIDE it, the rotor's frequency [Hz]) of each window."""
     speed = _speed(record, predicted)
     turns = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) / 60.0 * record.steps))
-    seen = np.isfinite(residual) & (record.time >= skip)
+    seen = np.isfinite(residual)
     number = (turns / TURNS).astype(int)
     edges = np.searchsorted(number, np.arange(number[-1] + 1))
     for first, last in pairwise(edges):

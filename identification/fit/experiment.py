@@ -32,15 +32,14 @@ CACHED = 65536
 class Experiment:
     """Fitted records of the same commands, and what of them counts. TypeError for a record of another role.
 
-    `skip` [s]: the run-in at the start that has no weight, where a record did not start settled. `channels`: what of "thrust",
-    "omega" counts where a record has it.
+    `channels`: what of "thrust", "omega" counts where a record has it.
     """
 
-    def __init__(self, records: Sequence[Fitted], noise: Noise, skip: float = 0.0, channels: Sequence[str] = CHANNELS):
+    def __init__(self, records: Sequence[Fitted], noise: Noise, channels: Sequence[str] = CHANNELS):
         if not all(isinstance(r, Fitted) for r in records):
             raise TypeError("only records that are there to be fitted may be fitted")
         own = [r.record for r in records]
-        self.records, self.record, self.noise, self.skip, self.channels = tuple(records), own[0], noise, skip, tuple(channels)
+        self.records, self.record, self.noise, self.channels = tuple(records), own[0], noise, tuple(channels)
         thrust = np.stack([_thrust(r, "thrust" in channels) for r in own])
         self._there = np.isfinite(thrust).all(axis=0)
         self.thrust_rows = np.where(self._there, thrust.mean(axis=0), np.nan)
@@ -48,17 +47,15 @@ class Experiment:
         self._blocks = blocks(self.record, noise.block)
         self.thrust = self._blocks.mean(self.thrust_rows)
         order = noise.colour.order
-        self._seen = _indexed(np.isfinite(noise.colour.whiten(self.thrust)) & (self._blocks.time[order:] >= skip))
+        self._seen = _indexed(np.isfinite(noise.colour.whiten(self.thrust)))
         self._share = 1.0 / np.sqrt(len(own))  # the mean's noise
         self.thrust_time = self._blocks.time[order:][self._seen]
         self._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in channels])
 
     def _read_speed(self, tachometers: list[Tachometer]) -> None:
         self.tachometers = tachometers
-        late = [t.rows_time(self.skip, self.noise.speed.order) for t in tachometers]
-        self._late = [(_indexed(kept), time) for kept, time in late]
-        self.omega_times = [time for _, time in self._late]
-        self.omega_time = np.concatenate(self.omega_times) if self._late else np.zeros(0)
+        self.omega_times = [t.times[self.noise.speed.order :] for t in tachometers]
+        self.omega_time = np.concatenate(self.omega_times) if tachometers else np.zeros(0)
         self.sizes = {"thrust": len(self.thrust_time)}
         if len(self.omega_time):
             self.sizes["omega"] = len(self.omega_time)
@@ -70,9 +67,9 @@ class Experiment:
         other._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in self.channels])
         return other
 
-    def but(self, skip: float | None = None, noise: Noise | None = None) -> "Experiment":
-        """The same with another run-in [s], or of other noise."""
-        return Experiment(self.records, noise or self.noise, self.skip if skip is None else skip, self.channels)
+    def of_noise(self, noise: Noise) -> "Experiment":
+        """The same of other noise."""
+        return Experiment(self.records, noise, self.channels)
 
     @property
     def compared(self) -> list[int]:
@@ -160,10 +157,8 @@ class Experiment:
         cotangents[:, 0] = self._blocks.spread(means, self._there) * self.converter.slope(outputs[:, 0])
         ends = np.cumsum([len(time) for time in self.omega_times])
         parts = np.split(weights["omega"], ends[:-1]) if len(self.omega_time) else []
-        for t, (kept, _), own in zip(self.tachometers, self._late, parts, strict=False):
-            shown = np.zeros(len(t))
-            shown[kept] = own / noise.speed.innovation
-            cotangents[:, 1] += t.transpose(shown / t.std)
+        for t, own in zip(self.tachometers, parts, strict=False):
+            cotangents[:, 1] += t.transpose(own / (noise.speed.innovation * t.std))
         return cotangents
 
     def _white(self, means, into=None):
@@ -174,9 +169,7 @@ class Experiment:
         return _some_columns(white, means, into)
 
     def _heard(self, parts):
-        whiten = self.noise.speed.whiten
-        white = [_some_columns(lambda c, k=kept: whiten(c)[k], p) for p, (kept, _) in zip(parts, self._late, strict=True)]
-        return np.concatenate(white)
+        return np.concatenate([_some_columns(self.noise.speed.whiten, part) for part in parts])
 
 
 def _thrust(record: Record, counts: bool) -> np.ndarray:

@@ -79,9 +79,10 @@ def blocks(record: Record, length: float) -> Blocks:
     Where thrust renews more slowly than that, blocks are long enough to hold a reading each. 0: the rows as they are.
     """
     renewed = record.time[np.isfinite(record["thrust"])] if "thrust" in record else record.time
-    if length and 1 < len(renewed) < len(record):
-        length = max(length, 1.5 * float(np.median(np.diff(renewed))))
-    rows = max(1, round(length / float(np.median(record.steps))))
+    between = float(np.median(np.diff(renewed))) if len(renewed) > 1 else 0.0
+    if length and between > 1.5 * record.period:
+        length = max(length, 1.5 * between)
+    rows = max(1, round(length / record.period))
     edges = np.arange(0, len(record) - rows + 1, rows)
     edges = np.append(edges, edges[-1] + rows)
     time = record.time

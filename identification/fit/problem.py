@@ -128,14 +128,6 @@ class Problem:
         self.coordinates = Coordinates(model, names, slow_first)
         self.scale = dict.fromkeys(CHANNELS, 1.0)
 
-    def but(self, skips: Sequence[float]) -> "Problem":
-        """The same, weighed as it is, with other run-ins [s] of its experiments."""
-        experiments = [e if e.skip == s else e.but(skip=s) for e, s in zip(self.experiments, skips, strict=True)]
-        c = self.coordinates
-        found = type(self)(self.model, experiments, self.values, c.names, self.prior, c.slow_first)
-        found.scale = dict(self.scale)
-        return found
-
     @cached_property
     def simulator(self) -> Simulator:
         """The model's, with sensitivities in what is free."""

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from identification.fit.adjoint import AdjointProblem
-from identification.fit.coordinates import regular_start, slowest
+from identification.fit.coordinates import regular_start
 from identification.fit.experiment import CHANNELS, Experiment
 from identification.fit.gradient_descent import descend
 from identification.fit.identifiability import held as undetermined
@@ -30,13 +30,6 @@ BASE_PARAMETERS = tuple(FINE_TUNED)
 """The four time constants and the five map coefficients."""
 
 METHODS = ("levenberg-marquardt", "gradient-descent", "adjoint")
-
-SETTLED = 5.0
-"""Times of a channel's lags after which it has settled, to a few per cent."""
-
-RUN_IN = 4.0
-"""Times by which the mean square of the residual must be larger in the run-in than behind it for the record not to have
-started settled; of its 50 or more rows, noise reaches 2 in less than one case in 10^5."""
 
 SAME, ROUGH = 1e-6, 1e-8
 """Two starts have reached the same optimum when their costs differ by less than the first share; one is told to the second."""
@@ -91,7 +84,7 @@ def refine(
 ) -> Refinement:
     """Fit the parameters `names` of `model` to `records`, from the values `start` and from `starts` - 1 random ones.
 
-    `start`: changes to the model's defaults, by name. A run-in at a record's start that was not settled gets no weight.
+    `start`: changes to the model's defaults, by name. Each record starts settled on its first command.
     Gradient descent uses thrust alone, one start and no prior, as the paper does. The random starts repeat with the `seed`.
     """
     # Threads of a numerical library cost more than they bring on matrices this narrow, and much more on a busy machine.
@@ -123,11 +116,6 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
         rounds = [descend(problem, problem.coordinates.vector(values))]
     else:
         rounds = problem.solve_and_weigh(values)
-        skips = run_ins(problem, values | problem.coordinates.values(rounds[-1].value))
-        if any(skips):
-            problem = problem.but(skips)
-            rounds[-1] = rounds[-1].slim()
-            rounds += problem.solve_and_weigh(problem.coordinates.values(rounds[-1].value))
     best, found = rounds[-1], [rounds[-1].slim()]
     if starts > 1:  # while others are sought, there is no room for the first one's rows
         best, rounds = found[0], [solution.slim() for solution in rounds]
@@ -164,20 +152,6 @@ def independent_readings(
     """Records as experiments, those of the same commands together, whose readings are taken for independent."""
     noise = independent(values["thrust_scale"])
     return [Experiment(g, noise, channels=channels) for g in together(Fitted(r.source, r) for r in records)]
-
-
-def run_ins(problem: Problem, values: Mapping[str, float]) -> list[float]:
-    """s: for each experiment the time at its start that gets no weight: all lags have settled then; 0 where it began settled,
-    which is where the thrust's error is no larger there than behind."""
-    settled, outputs = SETTLED * slowest(values, values), problem.outputs(values)
-    return [settled if _unsettled(e, y, settled) else 0.0 for e, y in zip(problem.experiments, outputs, strict=True)]
-
-
-def _unsettled(e: Experiment, outputs: np.ndarray, settled: float) -> bool:
-    residual, first = e.thrust_residual(outputs[:, 0]), e.thrust_time < settled
-    if first.sum() < 2 or (~first).sum() < 10 * first.sum() // 2:
-        return False
-    return bool(np.mean(residual[first] ** 2) > RUN_IN * np.mean(residual[~first] ** 2))
 
 
 def paper_cost(problem: Problem, values: Mapping[str, float]) -> float:

@@ -102,10 +102,10 @@ class Tachometer:
         bent = diags_array([1.0 - kept], offsets=[-1], shape=(n, n - 1))
         return csr_array(straight + bent @ _bends(self._time)), np.vstack([np.ones(n), np.append(-kept, 0.0)])
 
-    def rows_time(self, skip: float, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """(mask of the updates behind the first `order` that came at `skip` [s] or later, their times [s])."""
-        time = self._time[self.rows][order:]
-        return time >= skip, time[time >= skip]
+    @property
+    def times(self) -> np.ndarray:
+        """(m,) s of the rows at which a new value came in."""
+        return self._time[self.rows]
 
     def _kinks(self) -> np.ndarray:
         """(m,) rpm: how far the speed may be off a parabola between two rows, from how the bend changes between readings."""

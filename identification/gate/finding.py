@@ -38,6 +38,7 @@ KINDS = {
     "frozen": Kind(WARNING, "a reading stands still where noise or a command would move it", "Look at wires and logger", _KEEP),
     "clipped": Kind(WARNING, "readings at the sensor's limit", "Measure with more range, or less thrust", _KEEP),
     "spikes": Kind(WARNING, "single readings far from their neighbours", "Look at wires and shield", _KEEP),
+    "run_in": Kind(WARNING, "a record begins before its rig has settled", "Hold the first command before the log begins"),
     "gap": Kind(WARNING, "rows are missing", "Log without gaps", _KEEP),
     "speed_off": Kind(WARNING, "the measured speed does not follow its command", "Look at both columns"),
     "not_logged": Kind(WARNING, "a command stands still while what it commands moves", "Log what was commanded, row by row"),

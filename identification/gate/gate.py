@@ -1,6 +1,6 @@
 """The gate: a campaign goes through, with what can't be trusted left empty, or is refused in one line."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from identification.gate.files import files_of, of_files
 from identification.gate.finding import ERROR, Finding, check_accepted, refuse, settled
 from identification.gate.sensors import screen, unusable
 from identification.logger import Logger
+from identification.run_in import without
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 
@@ -26,6 +27,27 @@ class Passed:
     further: Mapping[str, Record]
     findings: tuple[Finding, ...]
     logger: Logger | None = None
+
+    def changed(self, change: Callable[[Record], Record]) -> "Passed":
+        """The same with each record changed, steps among them."""
+        own = {n: change(r) for n in (*RECORDS, "static_raw") if (r := getattr(self.campaign, n)) is not None}
+        campaign = replace(self.campaign, **own, steps=tuple(map(change, self.campaign.steps)))
+        return replace(self, campaign=campaign, further={n: change(r) for n, r in self.further.items()})
+
+    def without_run_ins(self, run_in: Callable[[Record], float]) -> "Passed":
+        """The same with empty readings in the run-in [s] of each record that does not begin settled, and a finding for it."""
+        found = []
+
+        def emptied(record: Record) -> Record:
+            if not (seconds := run_in(record)):
+                return record
+            told = f"begins in motion: its first {seconds:.2g} s are left out of every figure"
+            cause = "the log begins less than a few lags after a command has moved"
+            found.append(Finding("run_in", record.source, "time", seconds, "s", told, cause))
+            return without(record, seconds)
+
+        kept = self.changed(emptied)
+        return replace(kept, findings=(*self.findings, *_of_one_file(found)))
 
 
 def look(campaign: Campaign, further: Mapping[str, Record] | None = None, accept: Iterable[str] = ()) -> Passed:

@@ -74,7 +74,7 @@ class Fit:
         """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent, and
         with `knowledge` as it stands."""
         scale = self.values["thrust_scale"]
-        again = self._anew([e.but(noise=independent(scale)) for e in self.problem.experiments], self.told(knowledge))
+        again = self._anew([e.of_noise(independent(scale)) for e in self.problem.experiments], self.told(knowledge))
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
     def with_map_of(self, other: "Fit") -> "Fit":
@@ -83,7 +83,7 @@ class Fit:
         Records may tell little of the map beside effects that show on the way, and it need not be another one for these."""
         scale, c = self.values["thrust_scale"], self.problem.coordinates
         names, held = [n for n in c.names if n not in TERMS], {n: other.values[n] for n in c.names if n in TERMS}
-        experiments = [e.but(noise=independent(scale)) for e in self.problem.experiments]
+        experiments = [e.of_noise(independent(scale)) for e in self.problem.experiments]
         problem = Problem(self.problem.model, experiments, {**self.values, **held}, names, None, c.slow_first)
         again = replace(self, problem=problem)
         again = again._solved(problem.solve_and_weigh(problem.values)[-1])
