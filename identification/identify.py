@@ -11,7 +11,7 @@ from identification.assessment.model_error import ModelError, model_error
 from identification.assessment.pairs import forms, slow_first
 from identification.assessment.prediction import Prediction, band, predict
 from identification.assessment.profile import profiled
-from identification.assessment.quality import noise_floor
+from identification.assessment.reading_noise import ReadingNoise, reading_noise
 from identification.assessment.residual_tests import ResidualTests, residual_tests
 from identification.fit.coordinates import CHANNELS, slowest
 from identification.fit.identifiability import hardly_told
@@ -42,8 +42,9 @@ class Identification:
     `refinement` and `tests` are None where there is no record to fit: the parameters are then those of steady points and steps.
     `fitted`: names of the records that the parameters were fitted to; the other predictions are of records that no fit has
     seen. `logger`: the one that the records were corrected for. `bands`: standard deviation of a predicted reading (rows,) N by
-    record, of parameters and noise together. `tests`: of the thrust residual of the first fitted record. `quality`: what the
-    gate found in the files and in the fit. `bootstrap` where it was asked for.
+    record, of parameters and noise together. `tests`: of the thrust residual of the first fitted record. `noise`: of one
+    thrust reading, None where the campaign shows no scatter. `quality`: what the gate found in the files and in the fit.
+    `bootstrap` where it was asked for.
     """
 
     campaign: Campaign
@@ -58,7 +59,7 @@ class Identification:
     predictions: Mapping[str, Prediction]
     bands: Mapping[str, np.ndarray]
     tests: ResidualTests | None
-    noise_floor: float | None
+    noise: ReadingNoise | None
     quality: tuple[Finding, ...]
     logger: Logger
     bootstrap: Bootstrap | None = None
@@ -77,7 +78,7 @@ class Identification:
         )
         points, terms = (self.static.residual, len(self.static.coefficients)) if self.static else (None, 0)
         count = len(self.uncertainty.names)
-        return model_error(fitted, unseen, self.parameters.values, count, self.noise_floor, points, terms)
+        return model_error(fitted, unseen, self.parameters.values, count, self.noise.std if self.noise else 0.0, points, terms)
 
     @property
     def unseen(self) -> tuple[str, ...]:
@@ -120,7 +121,7 @@ class Identification:
             "bootstrap": self.bootstrap and self.bootstrap.summary(),
             "residual_tests": self.tests and {"share_of_lags_outside_95_percent_band": self.tests.outside},
             "prediction_band_coverage": self.coverage,
-            "noise_floor_thrust": self.noise_floor,
+            **(self.noise.summary() if self.noise else {"noise_floor_thrust": None}),
             "model_error": (found := self.model_error) and found.summary(),
             "fitted": list(self.fitted),
             "unseen": list(self.unseen),
@@ -202,10 +203,10 @@ def identify(
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
     left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
-    noise = noise_floor(fitted["open_loop"], fitted["repeat"]) if {"open_loop", "repeat"} <= set(fitted) else None
+    noise = reading_noise([predictions[name] for name in fitted], campaign.static, found.values)
     source = {**_made(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
-    quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise or _steady_noise(campaign), campaign.rig))
+    quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise, campaign.rig))
     found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
     uncertainty = with_steps(found.uncertainty, found.values, steps)
     known = dict(zip(uncertainty.names, uncertainty.std.tolist(), strict=True))
@@ -225,7 +226,7 @@ def identify(
         predictions=predictions,
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},
         tests=residual_tests(first.record, first.record["thrust"] - first.thrust),
-        noise_floor=noise,
+        noise=noise,
         quality=quality,
         logger=gate.logger,
         bootstrap=drawn,
@@ -259,7 +260,7 @@ def _without_record(
         predictions={},
         bands={},
         tests=None,
-        noise_floor=None,
+        noise=reading_noise([predict(model, values, run) for run in campaign.steps], campaign.static, values),
         quality=gate.findings,
         logger=gate.logger,
     )
@@ -279,11 +280,6 @@ def off_bounds(
     pairs = [{f"tau_{u}_1", f"tau_{u}_2"} for u in CHANNELS]
     doubtful = {n for pair in pairs if pair & stuck for n in pair & set(steps.start if steps else ())}
     return {**values, **{n: start[n] for n in stuck | doubtful}}
-
-
-def _steady_noise(campaign: Campaign) -> float | None:
-    """N: the usual spread of single readings at the steady points."""
-    return None if campaign.static is None else float(np.median(campaign.static.thrust_std))
 
 
 def _to_fit(campaign: Campaign, more: Mapping[str, Record]) -> dict[str, Record]:

@@ -22,8 +22,8 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
         p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
         fit = "" if p.fit_thrust is None else f", fit {p.fit_thrust:.1f} %"
         figures.append((f"thrust error, {name}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
-    if found.noise_floor is not None:
-        figures.append(("noise of one reading", _newton(found.noise_floor), "from the repeated record"))
+    if found.noise is not None:
+        figures.append(("noise of one reading", _newton(found.noise.std), found.noise.basis))
     if (r := found.refinement) is not None:
         spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
         figures.append(("cost", f"{number(r.cost_start, 3)} → {number(r.cost_final, 3)}", f"mean(e²)/2, {spent}"))
@@ -118,8 +118,8 @@ def _add_steps(page: Page, found: Identification) -> None:
 
 def _record_figure(found: Identification, name: str):
     """(figure, caption) of a record beside its prediction."""
-    p, noise = found.predictions[name], found.noise_floor
-    beside = "" if noise is None else f"; the noise alone is {_newton(noise)}"
+    p, noise = found.predictions[name], found.noise.std
+    beside = f"; the noise alone is {_newton(noise)}"
     used = "which it was fitted to" if name in found.fitted else "which it has never seen"
     title = f"The model errs by {_newton(p.rmse_thrust)} on {name}, {used}{beside}"
     if p.rmse_thrust is None:

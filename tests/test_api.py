@@ -120,7 +120,7 @@ def test_a_plan_knows_what_is_known(identified, tmp_path):
     told = vpp.plan(identified, seconds=20, knowledge=identified)
     assert blind.to_dict()["before"] is None
     assert told.to_dict()["before"] is not None
-    assert told.found.noise_std == identified.found.noise_floor
+    assert told.found.noise_std == identified.found.noise.std
     assert told.save(tmp_path).joinpath("plan.csv").exists()
 
 

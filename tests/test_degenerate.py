@@ -7,8 +7,11 @@ import pytest
 from studies.crippled import CASES
 from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, valid
 
+from identification.assessment.prediction import Prediction
+from identification.assessment.reading_noise import reading_noise
 from identification.fit.noise import noise_from
 from vpp_fmu.cli import VERBS
+from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record, read_record
 
 IDENTIFIED = (
@@ -91,8 +94,9 @@ def test_readings_that_repeat_to_the_last_digit_have_the_noise_of_that_digit():
     time = np.arange(1000) * 0.004
     thrust = np.round(5.0 + np.sin(time), 2)
     record = Record({"time": time, "omega_ref": time, "beta_ref": time, "thrust": thrust}, "made up")
-    noise = noise_from(record, [np.zeros(1000)] * 2, [], 0.016, 10.0, verified=True)
-    assert noise.floor == pytest.approx(0.01 / np.sqrt(12.0))
+    shown = Prediction(record, thrust, time, time)
+    assert reading_noise([shown, shown], None, BASE.values()).std == pytest.approx(0.01 / np.sqrt(12.0))
+    noise = noise_from(record, [np.zeros(1000)] * 2, [], 0.016, 10.0, 0.0, verified=True)
     assert np.isfinite(noise.colour.whiten(np.linspace(0.0, 1.0, 50))).all()
     assert noise.slow > 0.0
 

@@ -248,7 +248,7 @@ def test_one_record_is_enough_and_all_of_it_is_used():
     assert len(found.base.problem.experiments[0].record) == len(record)
     assert summary(found)["before"]["from"] == "cross-validation"
     assert summary(found)["before"]["rmse_thrust"] == pytest.approx(NOISE, rel=0.05)
-    assert "not verified" in diagnosis_page(found).html()
+    assert found.reading_noise.source in diagnosis_page(found).html()
 
 
 def test_no_record_to_fit_is_bad_input():

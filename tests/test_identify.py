@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from studies.synthetic import NOISE, TRUTH, commands, measured
 
+from identification.assessment.reading_noise import HOLDS, REPEATS
 from identification.fit.tachometer import Tachometer
 from identification.identify import identify, off_bounds, slowest
 from identification.steps.response import StepSummary
@@ -62,7 +63,8 @@ def test_records_of_a_campaign_are_fitted_together_and_the_other_only_predicted(
     assert tuple(found.predictions) == ("open_loop", "repeat", "validation")
     assert found.campaign.missing == ("steps.csv",)
     assert all(near_truth(found))
-    assert found.noise_floor == pytest.approx(NOISE, rel=0.05)
+    assert found.noise.std == pytest.approx(NOISE, rel=0.05)
+    assert found.noise.source == REPEATS
 
 
 def test_the_band_holds_what_it_says_on_unseen_data(found):
@@ -80,7 +82,8 @@ def test_raw_samples_give_the_static_map(found):
 def test_a_second_record_makes_the_intervals_shorter(found, folder):
     alone = identify(replace(read_campaign(folder), repeat=None, static_raw=None), starts=1)
     assert alone.fitted == ("open_loop",)
-    assert alone.noise_floor is None
+    assert alone.noise.std == pytest.approx(NOISE, rel=0.1)
+    assert alone.noise.source == HOLDS
     both = identify(replace(read_campaign(folder), static_raw=None), starts=1)
     # 0.71 for independent noise; a standard deviation is known to some 14 %.
     assert 0.5 < np.median(both.refinement.uncertainty.std / alone.refinement.uncertainty.std) < 0.95

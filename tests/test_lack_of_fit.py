@@ -7,9 +7,10 @@ import pytest
 from scipy.signal import bilinear, lfilter
 from scipy.stats import kstest
 
+from identification.assessment.reading_noise import last_thirds
 from identification.diagnose import following as shapes_of
 from identification.diagnose import lack
-from identification.diagnose.following import Following, banded_falls, last_thirds, scores_covariance
+from identification.diagnose.following import Following, banded_falls, scores_covariance
 from identification.diagnose.lack import Band, spectra
 from identification.diagnose.verdict import unnamed, verdict
 from identification.fit.converter import Converter

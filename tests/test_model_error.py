@@ -28,21 +28,21 @@ def visits():
 
 
 def test_of_places_that_no_fit_has_seen_it_is_their_rms(visits):
-    found = model_error([], [visits], VALUES, 9, noise=None)
+    found = model_error([], [visits], VALUES, 9, noise=0.0)
     assert found.steady == pytest.approx(ERROR, rel=4.0 / (2 * 200) ** 0.5)
     assert found.freedom == 4 * 5  # boxes of 0.2 by 0.2 from 0.35 to 0.98 and from 0.01 to 0.99
 
 
 def test_of_what_was_fitted_to_it_is_scaled_by_the_parameters_that_took_part(visits):
-    unseen, fitted = (model_error(*records, VALUES, 9, noise=None) for records in (([], [visits]), ([visits], [])))
+    unseen, fitted = (model_error(*records, VALUES, 9, noise=0.0) for records in (([], [visits]), ([visits], [])))
     assert fitted.freedom == unseen.freedom - 9
     assert (fitted.steady / unseen.steady) ** 2 == pytest.approx(unseen.freedom / fitted.freedom)
-    assert model_error([visits], [], VALUES, 400, noise=None) is None  # more parameters than places: it tells nothing
+    assert model_error([visits], [], VALUES, 400, noise=0.0) is None  # more parameters than places: it tells nothing
 
 
 def test_steady_points_count_with_the_terms_that_they_were_fitted_by():
     points = np.full(25, 0.1)
-    found = model_error([], [], VALUES, 9, None, points, terms=5)
+    found = model_error([], [], VALUES, 9, 0.0, points, terms=5)
     assert found.steady == pytest.approx(0.1 * (25 / 20) ** 0.5)
     assert (found.moving, found.freedom) == (0.0, 20)
 
@@ -50,6 +50,6 @@ def test_steady_points_count_with_the_terms_that_they_were_fitted_by():
 def test_an_error_of_moves_goes_with_their_size(visits):
     """A reading that is late by 0.1 s is off on the move alone."""
     late = visits.record.with_columns(thrust=np.concatenate([np.full(10, visits.thrust[0]), visits.thrust[:-10]]))
-    found = model_error([], [Prediction(late, visits.thrust, visits.omega, visits.beta)], VALUES, 9, noise=None)
+    found = model_error([], [Prediction(late, visits.thrust, visits.omega, visits.beta)], VALUES, 9, noise=0.0)
     assert found.steady < 0.02
     assert found.moving > 0.03

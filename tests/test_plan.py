@@ -266,6 +266,7 @@ def parameters(tmp_path, monkeypatch):
         "parameters": fitted,
         "correlation": correlation,
         "noise_floor_thrust": 0.3,
+        "noise_floor_thrust_from": "scatter within steady holds",
         "inflation_by_coloured_residuals": dict.fromkeys(fitted, 4.0),
     }
     (tmp_path / "identification.json").write_text(json.dumps(content))
@@ -291,7 +292,7 @@ def test_the_verb_writes_a_record_that_can_be_run(parameters, tmp_path, capsys):
     told = capsys.readouterr().out
     assert "gain over the paper's plan" in told
     assert "--noise 1.2" in told  # residuals were coloured, four times as wide
-    assert "noise of a thrust reading 0.3 N (of a repeated record)" in told
+    assert "noise of a thrust reading 0.3 N (scatter within steady holds)" in told
     assert "speed 2500 to 5000 rpm (the command line, within 2100 to 5800 of the campaign)" in told
     assert "slew of speed 6000 rpm/s (the command line)" in told
     assert said["rig"]["origin"]["pitch_slew"] == "the command line"

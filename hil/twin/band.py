@@ -49,7 +49,7 @@ class Band:
 
 def read_band(path: str | os.PathLike) -> Band:
     """The band from what `vpp identify` and `vpp diagnose` write (identification.json). BadInput names what is missing."""
-    allowed = "noise_floor_thrust and model_error, as vpp identify writes them for a campaign with a repeat"
+    allowed = "noise_floor_thrust and model_error, as vpp identify writes them"
     try:
         content = json.loads(read_text(path))
         floor, error = float(content["noise_floor_thrust"]), content["model_error"]

@@ -43,7 +43,7 @@ def model_error(
     unseen: Iterable[Prediction],
     values: Mapping[str, float],
     count: int,
-    noise: float | None,
+    noise: float,
     points: np.ndarray | None = None,
     terms: int = 0,
 ) -> ModelError | None:
@@ -79,7 +79,7 @@ def model_error(
     return ModelError(float(np.sqrt(steady)), float(np.sqrt(max(more, 0.0))), freedom)
 
 
-def _blocks(one: Prediction, values: Mapping[str, float], noise: float | None):
+def _blocks(one: Prediction, values: Mapping[str, float], noise: float):
     """(squared error [N^2], move [N], place (2,)) of each block that has all its readings, (blocks, ...)."""
     record = one.record
     rows = max(1, round(BLOCK / record.period))
@@ -93,7 +93,7 @@ def _blocks(one: Prediction, values: Mapping[str, float], noise: float | None):
         return whole.max(axis=1) - whole.min(axis=1)
 
     residual, thrust = cut(record["thrust"] - one.thrust), cut(one.thrust)
-    about = residual.var(axis=1, ddof=1) - (noise or 0.0) ** 2 if rows > 1 else np.zeros(count)
+    about = residual.var(axis=1, ddof=1) - noise**2 if rows > 1 else np.zeros(count)
     omega, beta = cut(one.omega).mean(axis=1), cut(one.beta).mean(axis=1)
     by_speed = 2.0 * np.abs(thrust).max(axis=1) / np.maximum(omega, 1e-3 * values["omega_scale"])
     moves = lfilter([1.0], [1.0, -FADES], by_speed * swing(one.omega) + np.abs(_slope(omega, beta, values)) * swing(one.beta))

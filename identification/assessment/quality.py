@@ -1,8 +1,6 @@
-"""How good a prediction is, and what limits it."""
+"""How good a prediction is."""
 
 import numpy as np
-
-from vpp_fmu.record import Record
 
 
 def rmse(error: np.ndarray) -> float | None:
@@ -17,12 +15,3 @@ def fit_percent(measured: np.ndarray, predicted: np.ndarray) -> float | None:
     y = measured[seen]
     spread = float(np.sqrt(np.mean((y - y.mean()) ** 2))) if len(y) else 0.0
     return 100.0 * (1.0 - rmse(y - predicted[seen]) / spread) if spread > 0 else None
-
-
-def noise_floor(record: Record, repeat: Record, name: str = "thrust") -> float | None:
-    """Standard deviation of one reading's noise, from two records of the same commands: their difference over sqrt 2.
-
-    None where no row has a reading in both.
-    """
-    apart = rmse(record[name] - repeat[name])
-    return None if apart is None else apart / float(np.sqrt(2.0))

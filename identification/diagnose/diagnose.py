@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from identification.assessment.pairs import agreed_order, exchangeable
 from identification.assessment.prediction import Prediction, predict
+from identification.assessment.reading_noise import ReadingNoise
 from identification.diagnose.crossval import HeldOut, cross_validated, falls, folds, gained, rises, thirds
 from identification.diagnose.distinguish import Distinguishability, distinguishability
 from identification.diagnose.experiment import discriminating_experiment
@@ -81,6 +82,7 @@ class Diagnosis:
     fitted: tuple[Fitted, ...]
     base: Fit
     noise: Noise
+    reading_noise: ReadingNoise
     selection: Selection
     verdict: str
     before: Lack
@@ -288,6 +290,7 @@ def _diagnosed(
         fitted=fitted,
         base=identified,
         noise=searcher.experiments[0].noise,
+        reading_noise=at.noise,
         selection=selection,
         verdict=word,
         before=before,
@@ -487,7 +490,7 @@ def _prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Seq
     Where no repeat tells the noise, its colour is estimated anew from what the most promising candidate leaves: in the base's
     own residual what is missing passes for noise, and hides.
     """
-    noise = _noise(groups, plant((), at.library), at.values, at.names, at.rig)
+    noise = _noise(groups, plant((), at.library), at.values, at.names, at)
     searcher, base = _based(groups, at, noise, at.values)
     if noise.verified:
         return searcher, base
@@ -506,7 +509,7 @@ def _clearer(
     noise = searcher.experiments[0].noise
     if noise.verified:
         return None
-    found = _noise(groups, fit.problem.model, fit.values, fit.problem.coordinates.names, at.rig)
+    found = _noise(groups, fit.problem.model, fit.values, fit.problem.coordinates.names, at)
     if not found.clearer_than(noise):
         return None
     again, base = _based(groups, at, found, base.values)
@@ -531,25 +534,27 @@ def _based(
 
 
 def _noise(
-    groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], rig: Rig
+    groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], at: InitialModel
 ) -> Noise:
     """From the differences of records of the same commands, where there are any; else from what a model leaves, whose `names`
     were fitted, less what of it follows the commands or is a trend: that is not noise, and a filter that took it for noise
     would hide it."""
-    block = rig.scales.time_scale / BLOCKS_A_TIME
+    block, std = at.rig.scales.time_scale / BLOCKS_A_TIME, at.noise.std
     group = max(groups, key=len)
     if len(group) < 2:
-        return _noise_left(group[0], model, values, names, block)
+        return _noise_left(group[0], model, values, names, block, std)
     outputs = Simulator(model).simulate(values, *group[0].record.run)
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]
     (first, one), *others = [_heard(one.record, outputs[:, 1]) for one in group]
     between = [(one - np.interp(first.times, sensor.times, other)) / np.sqrt(2.0) for sensor, other in others if len(other)]
-    return noise_from(group[0].record, errors, between if len(one) else [], block, SLOW, verified=True)
+    return noise_from(group[0].record, errors, between if len(one) else [], block, SLOW, std, verified=True)
 
 
-def _noise_left(one: Fitted, model: Model, values: Mapping[str, float], names: Sequence[str], block: float) -> Noise:
+def _noise_left(
+    one: Fitted, model: Model, values: Mapping[str, float], names: Sequence[str], block: float, std: float
+) -> Noise:
     """Of a single record."""
     record, mean = one.record, blocks(one.record, block).mean
     white = replace(independent(1.0), block=block)
@@ -566,7 +571,7 @@ def _noise_left(one: Fitted, model: Model, values: Mapping[str, float], names: S
             return (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
 
         residual, heard = beyond(heard_shapes, lambda readings: readings, residual, fitted["omega"])
-    return noise_from(record, [error], [residual], block, SLOW, verified=False, taken=(taken, heard))
+    return noise_from(record, [error], [residual], block, SLOW, std, verified=False, taken=(taken, heard))
 
 
 def _heard(record: Record, omega: np.ndarray) -> tuple[Tachometer | None, np.ndarray]:

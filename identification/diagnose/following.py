@@ -11,7 +11,6 @@ and a warming rig's trends span what such forms leave.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
+from identification.assessment.reading_noise import SETTLED, last_thirds
 from identification.diagnose.judgement import SLOW
 from identification.diagnose.search.fits import Fit
 from identification.fit.bands import ORDINATES, banded, starts
@@ -43,9 +43,6 @@ DECAY = 0.35
 
 POWER = 4
 """Of polynomials over speed and pitch, for a map of another form at rest: one more than the map's own."""
-
-SETTLED = 2.0
-"""Holds of a command that end at rest, in the time that the slower channel takes."""
 
 FEWEST = 12
 """Degrees of freedom of what is left at rest, at least: fewer tell its power to worse than a factor of two."""
@@ -172,13 +169,6 @@ def _unwhitened(e: Experiment, outputs: np.ndarray, channel: str) -> Iterator[tu
     slow, shown = blocks(e.record, 0.5 / SLOW), e.converter.reads(outputs[:, 0])
     for one in e.records:
         yield slow.time, slow.mean(shown - one.record["thrust"]), e.converter.count / np.sqrt(12.0)
-
-
-def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
-    """(start, end) s of the last third of each time for which no command moves, of those of `shortest` [s] or more."""
-    moves = np.any([np.diff(record[n]) != 0.0 for n in ("omega_ref", "beta_ref")], axis=0)
-    ends = record.time[np.concatenate([[0], np.flatnonzero(moves) + 1, [len(record) - 1]])]
-    return [((a + 2.0 * b) / 3.0, b) for a, b in pairwise(ends.tolist()) if b - a >= shortest]
 
 
 def speed_size(fit: Fit, share: float) -> tuple[float, float]:

@@ -8,6 +8,8 @@ cost. Thresholds and forms stay as they are given.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
+from identification.assessment.prediction import predict
+from identification.assessment.reading_noise import ReadingNoise, reading_noise
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.fit.uncertainty import Uncertainty
 from identification.gate.gate import Passed
@@ -49,7 +51,7 @@ def exportable(model: Model) -> Model:
 class InitialModel:
     """Library, sized for the `rig`, and free base parameters of a search; the `refinement` to start from, with its
     `uncertainty`, and the values before any fit (`first`); what the steady points tell, None where there are none;
-    `identification` where all this is from one."""
+    `noise` of one thrust reading; `identification` where all this is from one."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
@@ -58,6 +60,7 @@ class InitialModel:
     first: Mapping[str, float]
     knowledge: Knowledge | None
     rig: Rig
+    noise: ReadingNoise
     identification: Identification | None = None
 
     @property
@@ -72,7 +75,7 @@ def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effe
     names = tuple(found.refinement.names)
     rig, knowledge = found.parameters.rig, _knowledge(gate.campaign, found.static, found.parameters.values)
     return InitialModel(
-        sized(library, rig.scales), names, found.refinement, found.uncertainty, found.start, knowledge, rig, found
+        sized(library, rig.scales), names, found.refinement, found.uncertainty, found.start, knowledge, rig, found.noise, found
     )
 
 
@@ -96,7 +99,8 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
     knowledge = _knowledge(campaign, static_fit(campaign, given.values), given.values)
     found = refine(model, fitted, given.values, free, knowledge and knowledge(model, model.values(given.values), free))
     rig = replace(campaign.rig, scales=given.rig.scales)
-    return InitialModel(library, found.names, found, found.uncertainty, given.values, knowledge, rig)
+    noise = reading_noise([predict(model, found.values, record) for record in fitted], campaign.static, found.values)
+    return InitialModel(library, found.names, found, found.uncertainty, given.values, knowledge, rig, noise)
 
 
 def _knowledge(campaign: Campaign, static: StaticFit | None, scales: Mapping[str, float]) -> Knowledge | None:

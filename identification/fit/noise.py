@@ -310,11 +310,11 @@ def _spread(parts: Sequence[np.ndarray], more: np.ndarray | None) -> float:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one record's readings: the thrust's standard deviation `floor` [N] of a row, the `colour` of its block means
+    """Noise of one record's readings: the thrust's standard deviation `floor` [N] of a reading, the `colour` of its block means
     [N], and their power below 10 Hz, `slow` [N^2]; the colour of speed's readings, in units of what a tachometer can tell.
 
-    `block` [s]: how long a block is. `verified`: from repeated records; else from a model's residual, which may hold model
-    error too."""
+    `block` [s]: how long a block is. `verified`: colour and power are from repeated records; else from a model's residual,
+    which may hold model error too."""
 
     floor: float
     colour: Colour
@@ -344,26 +344,26 @@ def noise_from(
     speed: Sequence[np.ndarray],
     block: float,
     slow: float,
+    std: float,
     verified: bool,
     taken: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
 ) -> Noise:
     """From samples of thrust's noise, each (rows,) N on the record's rows, and of speed's (readings,) as the tachometer's
     residual.
 
-    `slow` [Hz]: what is below it counts as slow. `taken`: directions, orthonormal, that are gone from the only sample of
-    thrust's block means (blocks, k), and of speed (readings, k): all of them slow.
+    `slow` [Hz]: what is below it counts as slow. `std` [N]: of one thrust reading. `taken`: directions, orthonormal, that are
+    gone from the only sample of thrust's block means (blocks, k), and of speed (readings, k): all of them slow.
     """
     means = [blocks(record, block).mean(e) for e in error]
     means = [m - np.nanmean(m) for m in means]
-    rows = np.concatenate([e - np.nanmean(e) for e in error])
     below = np.concatenate([blocks(record, 0.5 / slow).mean(e - np.nanmean(e)) for e in error])
     gone = 0 if taken[0] is None else taken[0].shape[1]
     least = grid(record["thrust"])[0] / np.sqrt(12.0)  # what rounding leaves uncertain: noise is never less
-    floor, power = max(float(np.sqrt(_power(rows, gone))), least), max(_power(below, gone), least**2)
+    power = max(_power(below, gone), least**2)
     colour = colour_of(means, taken[0])
     colour = replace(colour, innovation=max(colour.innovation, least))
     heard = colour_of([s - s.mean() for s in speed if len(s)], taken[1])
-    return Noise(floor, colour, power, heard, block, verified)
+    return Noise(std, colour, power, heard, block, verified)
 
 
 def _power(values: np.ndarray, gone: int) -> float:

@@ -8,6 +8,7 @@ from threadpoolctl import ThreadpoolController
 
 from identification.assessment.pairs import forms
 from identification.assessment.prediction import Prediction
+from identification.assessment.reading_noise import ReadingNoise
 from identification.fit.coordinates import CHANNELS
 from identification.fit.refine import Refinement
 from identification.fit.uncertainty import Uncertainty
@@ -37,18 +38,18 @@ SECOND = 1.0
 
 
 def of_fit(
-    found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float | None, rig: Rig
+    found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: ReadingNoise, rig: Rig
 ) -> tuple[Finding, ...]:
-    """Everything that a fit shows. `predictions` by record, those `fitted` to among them; `noise` [N] of one reading, None: not
-    known; `rig`: whose ranges the map should hold in."""
+    """Everything that a fit shows. `predictions` by record, those `fitted` to among them; `noise` of one reading; `rig`: whose
+    ranges the map should hold in."""
     where = predictions[fitted[0]].record.source
     with _BLAS.limit(limits=1):  # threads cost more than they bring on matrices this narrow
         return (
             *_bounds(found, where),
-            *_errors(predictions, fitted, noise),
+            *_errors(predictions, fitted, noise.high),
             *_thin(found, where, rig),
             *_sampling(found, predictions, fitted),
-            *_offset(found, where, noise, rig),
+            *_offset(found, where, noise.std, rig),
         )
 
 
@@ -73,7 +74,7 @@ def _bounds(found: Refinement, where: str) -> Iterator[Finding]:
         yield Finding("on_bound", where, name, value, p.unit, told, cause)
 
 
-def _errors(predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float | None) -> Iterator[Finding]:
+def _errors(predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float) -> Iterator[Finding]:
     for name, p in predictions.items():
         fit = p.fit_thrust
         moved = any(np.ptp(p.record[n]) > 0.0 for n in ("omega_ref", "beta_ref"))  # else there is nothing to explain
@@ -83,7 +84,7 @@ def _errors(predictions: Mapping[str, Prediction], fitted: tuple[str, ...], nois
             yield Finding("poor_fit", p.record.source, "thrust", fit, "%", told, cause)
         elif noise and name in fitted and p.rmse_thrust > NOISE * noise:
             ratio = p.rmse_thrust / noise
-            told = f"the error is {p.rmse_thrust:.3g} N, {ratio:.1f} times the noise of {noise:.3g} N"
+            told = f"the error is {p.rmse_thrust:.3g} N, {ratio:.1f} times the noise of at most {noise:.3g} N"
             yield Finding("above_noise", p.record.source, "thrust", ratio, "1", told, "an effect that the model lacks")
 
 
@@ -154,7 +155,7 @@ def _sampling(found: Refinement, predictions: Mapping[str, Prediction], fitted: 
                 yield Finding("slow_sampling", record.source, "time", row, "s", told, cause)
 
 
-def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Iterator[Finding]:
+def _offset(found: Refinement, where: str, noise: float, rig: Rig) -> Iterator[Finding]:
     """A constant in the thrust, by the score of one at the solution: what is left, along what no other parameter explains.
 
     Where it takes less than MOST of what is left above the noise, the model lacks something else, of which this is a part.
@@ -177,7 +178,7 @@ def _offset(found: Refinement, where: str, noise: float | None, rig: Rig) -> Ite
     offset = -float(score.sum()) / information
     std = float(np.sqrt(len(parts)) * np.std(parts, ddof=1)) / information  # an offset itself does not scatter
     left = np.mean(np.concatenate(problem.thrust_errors(found.values)) ** 2)  # N^2 a reading
-    above, taken = float(left) - (noise or 0.0) ** 2, offset**2 * information / whole
-    if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and (noise is None or taken > MOST * above):
+    above, taken = float(left) - noise**2, offset**2 * information / whole
+    if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and taken > MOST * above:
         told = f"the reading is {offset:+.3g} ± {std:.1g} N off the map, whatever is commanded"
         yield Finding("tare", where, "thrust", offset, "N", told, "the sensor was not tared")

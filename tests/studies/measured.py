@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from identification.assessment.quality import noise_floor, rmse
+from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.report.summary import artefact
 from identification.fit.refine import refine
@@ -112,9 +112,8 @@ def _no_record(path: Path) -> str:
 def of_campaign(campaign: Campaign, look: bool) -> Row:
     """A campaign by its validation record, where it has one; else cross-validated."""
     known, name = identify(campaign), campaign.folder.name
-    twice = campaign.open_loop is not None and campaign.repeat is not None
-    floor = noise_floor(campaign.open_loop, campaign.repeat) if twice else None
-    told = f"{name}: noise floor {'not measured' if floor is None else f'{floor:.4g} N'}"
+    floor = known.noise.std
+    told = f"{name}: noise of one reading {floor:.4g} N ({known.noise.basis})"
     error = known.predictions[known.fitted[0]].rmse_thrust
     if campaign.validation is not None:
         error = in_fmpy(known.parameters, campaign)

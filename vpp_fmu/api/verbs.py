@@ -175,7 +175,7 @@ def plan(
             Prior(uncertainty.names, uncertainty.values, uncertainty.covariance),
             float(np.median(uncertainty.inflation)),
         )
-        floor = knowledge.found.noise_floor
+        floor = knowledge.found.noise.std if knowledge.found.noise else None
     elif knowledge is not None:
         prior, inflation = read_knowledge(knowledge)
     told = held.source.get("sample_period")

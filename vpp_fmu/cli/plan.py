@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.assessment.information import read_knowledge
-from identification.assessment.quality import noise_floor
+from identification.assessment.prediction import predict
+from identification.assessment.reading_noise import reading_noise
 from identification.fit.uncertainty import NORMAL_95
 from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import NOISE, Plan, plan
@@ -148,7 +149,7 @@ def _basis(options, parameters: ParameterSet) -> Basis:
     if rig.unknown:
         allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
         raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
-    return Basis(rig, *_noise(options, campaign, rig), _step(options, campaign, parameters))
+    return Basis(rig, *_noise(options, campaign, parameters), _step(options, campaign, parameters))
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
@@ -189,20 +190,20 @@ def _narrowed(rig: Rig, options) -> Rig:
     return replace(rig, **changes, origin=origin)
 
 
-def _noise(options, campaign: Campaign | None, rig: Rig) -> tuple[float, str]:
+def _noise(options, campaign: Campaign | None, parameters: ParameterSet) -> tuple[float, str]:
     """(standard deviation of a thrust reading [N], where it comes from)."""
     if options.noise is not None:
         return options.noise, ASKED
     if options.knowledge:
         told = json.loads(read_text(options.knowledge))  # read_knowledge found it sound
         if told.get("noise_floor_thrust"):
-            return float(told["noise_floor_thrust"]), "of a repeated record"
-        left = [x for x in (told.get("rmse_thrust") or {}).values() if isinstance(x, float) and x > 0.0]
-        if left:
-            return min(left), "what the model left of the thrust"
-    if campaign is not None and campaign.open_loop is not None and campaign.repeat is not None:
-        return noise_floor(campaign.open_loop, campaign.repeat), "of a repeated record"
-    return NOISE * rig.scales.thrust_scale, f"{NOISE:g} of the thrust scale, not measured"
+            return float(told["noise_floor_thrust"]), told.get("noise_floor_thrust_from", options.knowledge)
+    if campaign is not None:
+        records = [record for record in (campaign.open_loop, campaign.repeat) if record is not None]
+        shown = [predict(parameters.model, parameters.values, record) for record in records]
+        if found := reading_noise(shown, campaign.static, parameters.values):
+            return found.std, found.source
+    return NOISE * parameters.values["thrust_scale"], f"{NOISE:g} of the thrust scale, not measured"
 
 
 def _overload(found: Plan) -> list[str]:

@@ -177,7 +177,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
 
 
 def _noise(options) -> float:
-    """N; a floor is known only where a campaign was repeated."""
+    """N: what is asked for, else what the identification found; 0 without either."""
     if options.noise is not None or not options.knowledge:
         return options.noise or 0.0
     floor = json.loads(read_text(options.knowledge)).get("noise_floor_thrust")

@@ -127,7 +127,7 @@ def _why_coefficient(study: Study, name: str) -> str:
 
 def _costs(study: Study) -> dict[str, Counterpart]:
     rig, model, scale = study.fine_tuning, study.fine_tuning_model, BASE.values()["thrust_scale"]
-    noise = 0.5 * (study.found.noise_floor / scale) ** 2
+    noise = 0.5 * (study.found.noise.std / scale) ** 2
     papers, ours = (scale * np.sqrt(2.0 * cost) for cost in (COST_END, rig.ours.cost_final))
     only_lags = paper_cost(model.ours.problem, BASE.values({n: v for n, v in AVERAGED.items() if n.startswith("tau_")}))
     taken = [len(tuned.ours.curve) - 1 for tuned in (rig, model)]

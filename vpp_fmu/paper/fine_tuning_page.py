@@ -18,7 +18,7 @@ def add_fine_tuning(page: Page, study: Study) -> dict[str, int]:
     """Learning curve, and the open-loop record in its three parts."""
     page.section("Fine-tuning (figures 7, 8)")
     rig, model = study.fine_tuning, study.fine_tuning_model
-    noise = 0.5 * (study.found.noise_floor / BASE.values()["thrust_scale"]) ** 2
+    noise = 0.5 * (study.found.noise.std / BASE.values()["thrust_scale"]) ** 2
     took, count = len(rig.ours.curve) - 1, len(rig.costs) - 1
     title = (
         f"The paper's descent takes {rig.fall[0]:.0f} % off the cost in {count} iterations; ours {rig.fall[1]:.0f} % in {took}"
@@ -34,7 +34,7 @@ def add_fine_tuning(page: Page, study: Study) -> dict[str, int]:
     page.table(
         ("part", *(f"{name} [N]" for name in models(study))),
         [(part, *own.values()) for part, own in errors.items()],
-        f"Thrust error, rms, of the record that was fitted; noise of one reading {study.found.noise_floor:.3f} N. Fine-tuned: "
+        f"Thrust error, rms, of the record that was fitted; noise of one reading {study.found.noise.std:.3f} N. Fine-tuned: "
         "this project's identification, of this record and its repeat together.",
     )
     return places
@@ -61,7 +61,7 @@ def _add_part(page: Page, study: Study, rows: np.ndarray, name: str, errors: dic
         lines,
         title,
         commands={n: record[n][rows] for n in ("omega_ref", "beta_ref")},
-        noise=study.found.noise_floor,
+        noise=study.found.noise.std,
     )
     caption = "The published model is that of the paper's blades and actuator, not of these. "
     return page.figure(figure, caption + thinning(len(rows)))

@@ -75,7 +75,7 @@ def tiles(study: Study, total: float) -> list[tuple[str, str, str]]:
     up, down = (f"{seconds(dual[way])} / {seconds(alone[way])}" for way in (UP, DOWN))
     errors = [f"squared error {dual[way].squared_error:.3f} / {alone[way].squared_error:.3f} s" for way in (UP, DOWN)]
     return [
-        ("error on an unseen record", f"{rmse:.3f} N", f"rms; the noise alone is {study.found.noise_floor:.3f} N"),
+        ("error on an unseen record", f"{rmse:.3f} N", f"rms; the noise alone is {study.found.noise.std:.3f} N"),
         ("step up, both / speed alone", up, f"{errors[UP]}; rig, tuned gains"),
         ("step down, both / speed alone", down, f"{errors[DOWN]}; rig, tuned gains"),
         ("the whole study", f"{total:.0f} s", f"{_minutes(study):.0f} min on a real rig" if study.is_full else "quick"),

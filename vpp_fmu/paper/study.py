@@ -70,6 +70,6 @@ def study(folder: OutputFolder, plan: Plan, repeats: int, seed: int, stages: Sta
     tuned = fine_tuned(campaign.open_loop, {name: found.start[name] for name in BASE_PARAMETERS})
     tuned_model = on_the_papers_model(campaign.open_loop, seed)
     stages.done("fine-tuning the paper's way")
-    loops = control(found.parameters, found.noise_floor, seed, repeats, stages.show)
+    loops = control(found.parameters, found.noise.std, seed, repeats, stages.show)
     stages.done("control")
     return Study(plan, seed, campaign, found, held, means, tuned, tuned_model, loops, stages.seconds)

@@ -42,7 +42,7 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
         "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
         "not_identifiable": dict.fromkeys(uncertainty.left_open, "the records leave open where it is"),
-        "noise_floor_thrust": found.noise.floor,
+        **found.reading_noise.summary(),
         "model_error": error and error.summary(),
         "fitted": [one.name for one in found.fitted],
         "records": {name: p.summary() for name, p in shown.items()},

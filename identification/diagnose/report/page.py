@@ -119,8 +119,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
             figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     change = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
-    checked = "" if found.noise.verified else ", not verified by a repeat"
-    noise = f"noise of one reading {number(found.noise.floor)} N{checked}"
+    noise = f"noise of one reading {number(found.noise.floor)} N: {found.reading_noise.basis}"
     figures.append((f"thrust error {_where_judged(found)}".rstrip(","), change, noise))
     if found.given is not None:
         as_given = summary(found)["given"]["rmse_thrust"]

@@ -1,0 +1,167 @@
+"""The noise of one thrust reading, from records whose noise is known."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from studies.synthetic import NOISE, STEP, TRUTH, commands, measured
+
+from identification.assessment.prediction import Prediction, predict
+from identification.assessment.reading_noise import HOLDS, NEIGHBOURS, POINTS, REPEATS, reading_noise
+from identification.demo import example_folder
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.report.summary import summary
+from identification.identify import identify
+from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
+from vpp_fmu.kernel.plant import BASE, LIBRARY
+from vpp_fmu.record import Record
+
+SEEDS = range(5)
+
+
+def coloured(noise: np.ndarray, memory: float) -> np.ndarray:
+    """First-order autoregressive noise of variance 1 from white noise of variance 1; `memory` s."""
+    rho = np.exp(-STEP / memory)
+    return lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], noise, zi=[rho * noise[0]])[0]
+
+
+def flicker(noise: np.ndarray) -> np.ndarray:
+    """1/f noise over the record's length, of mean square 1 in it."""
+    frequency = np.fft.rfftfreq(len(noise))
+    frequency[0] = np.inf
+    found = np.fft.irfft(np.fft.rfft(noise) / np.sqrt(frequency), len(noise))
+    return found / found.std()
+
+
+def shown(rng: np.random.Generator, noise, count: float = 0.0, record: Record | None = None) -> tuple[Prediction, float]:
+    """(a record beside the true model's thrust, the rms of its readings' error), read by a converter of `count` N."""
+    record = record or commands(rng)
+    true = predict(BASE, TRUTH, record)
+    reading = true.thrust + NOISE * noise(rng.standard_normal(len(record)))
+    reading = count * np.round(reading / count) if count else reading
+    error = float(np.sqrt(np.mean((reading - true.thrust) ** 2)))
+    return replace(true, record=record.with_columns(thrust=reading)), error
+
+
+def white(noise: np.ndarray) -> np.ndarray:
+    """As it is."""
+    return noise
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_white_noise_is_known_within_a_tenth_without_a_repeat(seed):
+    rng = np.random.default_rng(seed)
+    one, error = shown(rng, white)
+    found = reading_noise([one], None, TRUTH)
+    assert found.source == HOLDS
+    assert found.std == pytest.approx(error, rel=0.1)
+    assert found.low < error < found.high < 1.2 * error
+
+
+@pytest.mark.parametrize(
+    ("noise", "count"),
+    [(lambda n: coloured(n, 0.1), 0.0), (white, NOISE), (white, 3.0 * NOISE), (flicker, 0.0)],
+    ids=["AR(1) of 0.1 s", "a count of noise", "three counts of noise", "1/f"],
+)
+def test_the_range_holds_the_error_of_other_noise_without_a_repeat(noise, count):
+    held = []
+    for seed in range(40):
+        one, error = shown(np.random.default_rng(seed), noise, count)
+        found = reading_noise([one], None, TRUTH)
+        assert found.source == HOLDS
+        held.append(found.low < error < found.high)
+    # Fewer than 34 of 40 have a probability of 0.1 % where 95 % of the ranges hold it.
+    assert sum(held) >= 34
+
+
+def test_records_of_the_same_commands_tell_slow_noise_that_holds_do_not():
+    rng = np.random.default_rng(1)
+    first, error = shown(rng, flicker)
+    second, other = shown(rng, flicker, record=first.record)
+    found = reading_noise([first, second], None, TRUTH)
+    assert found.source == REPEATS
+    assert found.std == pytest.approx(np.hypot(error, other) / np.sqrt(2.0), rel=0.05)
+    assert reading_noise([first], None, TRUTH).std < error
+
+
+def test_a_tare_that_moves_between_repeated_records_is_no_noise():
+    rng = np.random.default_rng(2)
+    (first, error), offset = shown(rng, white), 5.0
+    second, _ = shown(rng, white, record=first.record)
+    moved = replace(second, record=second.record.with_columns(thrust=second.record["thrust"] + offset))
+    assert reading_noise([first, moved], None, TRUTH).std == pytest.approx(error, rel=0.05)
+
+
+def test_without_a_hold_that_ends_at_rest_neighbours_tell_the_least_and_the_residual_the_most():
+    rng = np.random.default_rng(3)
+    time = np.arange(15000) * STEP
+    restless = Record({"time": time, "omega_ref": 4000.0 + 500.0 * np.sin(time), "beta_ref": 0.0 * time}, "restless")
+    one, error = shown(rng, lambda n: coloured(n, 0.1), record=restless)
+    found = reading_noise([one], None, TRUTH)
+    assert found.source == NEIGHBOURS
+    # Half the mean squared difference of neighbours of AR(1) noise: the variance times 1 - rho.
+    assert found.std == pytest.approx(NOISE * np.sqrt(1.0 - np.exp(-STEP / 0.1)), rel=0.05)
+    assert found.low < error < found.high
+
+
+def test_steady_points_tell_the_noise_by_their_samples():
+    std, samples = np.array([0.1, 0.1, 0.2]), np.array([100.0, 100.0, 200.0])
+    points = StaticMap(*(np.arange(3.0),) * 4, std, samples, "static.csv")
+    found = reading_noise([], points, TRUTH)
+    assert found.source == POINTS
+    assert found.std == pytest.approx(np.sqrt((0.01 + 0.01 + 2 * 0.04) / 4))
+    assert found.low < found.std < found.high
+    assert reading_noise([], replace(points, thrust_std=np.zeros(3)), TRUTH) is None
+
+
+def test_noise_that_grows_with_speed_widens_the_range_of_a_record_to_that_of_the_points():
+    rng = np.random.default_rng(4)
+    one, error = shown(rng, white)
+    points = StaticMap(*(np.arange(10.0),) * 4, np.full(10, 2.0 * NOISE), np.full(10, 100.0), "static.csv")
+    found = reading_noise([one], points, TRUTH)
+    assert found.low < error < 2.0 * NOISE <= found.high
+
+
+def alone(**changes) -> Campaign:
+    """The campaign that ships with the project without its repeat."""
+    return replace(read_campaign(example_folder()), repeat=None, **changes)
+
+
+TRUE = 0.128
+"""N: of the campaign that ships with the project, by its repeat."""
+
+
+@pytest.mark.parametrize("changes", [{}, {"static": None}], ids=["with steady points", "records alone"])
+def test_what_the_model_lacks_is_not_taken_for_noise(changes):
+    found = identify(alone(**changes), starts=1)
+    # The model lacks a dead band of 1.7 deg.
+    assert found.predictions["open_loop"].rmse_thrust > 1.5 * TRUE
+    assert found.noise.std == pytest.approx(TRUE, rel=0.1)
+    assert found.noise.low < TRUE < found.noise.high < found.predictions["open_loop"].rmse_thrust
+    said = json.loads(json.dumps(found.summary(), allow_nan=False))
+    assert said["noise_floor_thrust"] == found.noise.std
+    assert said["noise_floor_thrust_range"] == [found.noise.low, found.noise.high]
+    assert said["noise_floor_thrust_from"] == (HOLDS if changes else POINTS)
+
+
+def test_nor_does_a_diagnosis_that_may_not_name_it():
+    library = [e for e in LIBRARY if e.off is None or e.name == "pitch_offset"]
+    found = diagnose(alone(static=None, validation=None), library, thorough=False)
+    assert found.errors(found.final)[0] > 1.4 * TRUE
+    assert found.noise.floor == pytest.approx(TRUE, rel=0.1)
+    assert summary(found)["noise_floor_thrust_from"] == HOLDS
+
+
+def test_steps_alone_tell_the_noise_too():
+    found = identify(alone(static=None, open_loop=None, validation=None))
+    assert found.noise.source == HOLDS
+    assert found.noise.std == pytest.approx(TRUE, rel=0.1)
+
+
+def test_a_measured_record_s_noise_survives_its_fit():
+    rng = np.random.default_rng(5)
+    record = measured(commands(rng), rng)
+    found = identify(Campaign(example_folder(), None, (), record, None, None), starts=1)
+    assert found.noise.std == pytest.approx(NOISE, rel=0.1)
