@@ -11,6 +11,7 @@ and a warming rig's trends span what such forms leave.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
