@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 from vpp_fmu.record import Record
 from vpp_fmu.sensors import UNKNOWN, SpeedSensor
 
-SIGNIFICANT = 3.0
-"""Standard errors from which an offset or a delay differs from another value."""
+SIGNIFICANT = 4.4
+"""Standard errors from which an offset or a delay differs from another value: half a BIC difference of 5 nats, as is asked for
+an effect, in ten thousand readings, sqrt(2 * 5 + ln 10^4)."""
 
 FINEST = 0.02
 """Rows: a signal is taken as straight from row to row, which an offset can be no finer than."""
@@ -33,6 +34,11 @@ class Logger:
         """The record with its commands beside the readings that they act on, and its sensor."""
         moved = record.commands_later(self.rows) if self.rows else record
         return replace(moved, sensor=self.sensor) if "omega" in record else moved
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is the contract's: it reads before it commands, and its speed sensor has neither delay nor filter."""
+        return not (self.rows or self.sensor.delay or self.sensor.filter)
 
     def agrees_with(self, other: "Logger") -> bool:
         """Whether both are the same within their standard errors."""

@@ -192,8 +192,9 @@ def diagnose(
     `smallest_speed` [rpm]: least sizes of interest. `thorough`: where what was tried leaves something, more candidates are
     refitted, and a term of no list is looked for. BadInput where the campaign has no record to fit.
 
-    The logger is estimated first, beside the base model. A missing effect may bias that estimate: where effects are found, it
-    is estimated once more beside them, and if it differs, the campaign is diagnosed with it, too.
+    The logger is estimated first, beside the base model. A missing effect may bias that estimate: where effects are found
+    beside a logger that is not the contract's, it is estimated once more beside them, and if it differs, the campaign is
+    diagnosed with it, too.
     """
     # The fits run side by side: threads in each would only fight.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
@@ -206,7 +207,8 @@ def diagnose(
         first = as_logged(gate, *present)
         found = run(first)
         known = [e.name for e in library]
-        if not (named := [name for name in found.selection.final.effects if name in known]):
+        named = [name for name in found.selection.final.effects if name in known]
+        if first.logger.plain or not named:
             return found
         stage("logger")
         kept = given.model.optional if given else ()
