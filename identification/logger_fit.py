@@ -10,6 +10,7 @@ command to the measured speed, the least is the logger's; what the others have b
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -18,14 +19,16 @@ from identification.fit.experiment import Experiment
 from identification.fit.least_squares import solve
 from identification.fit.noise import independent
 from identification.fit.problem import Problem
-from identification.gate.gate import Passed
+from identification.gate.gate import Passed, passed
 from identification.logger import FINEST, SIGNIFICANT, Logger
 from identification.roles import Fitted, roles
 from identification.run_in import BLOCKS, run_in
+from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, LIBRARY, plant, sized
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
+from vpp_fmu.rig import infer_rig
 from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
 
 EARLIEST = 3
@@ -93,6 +96,19 @@ def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effec
             break
     found = of.logger()
     return replace(settled.changed(found.applied), logger=found)
+
+
+def mended(record: Record) -> tuple[Record, list[str]]:
+    """(the record with its commands shifted by whole rows to where they acted, what was done in words). BadInput where the gate
+    refuses the record."""
+    campaign = Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {}))
+    logger = as_logged(passed(campaign)).logger
+    rows = round(logger.rows)
+    if not rows:
+        return record, ["mend: no shift of the commands by a whole row"]
+    way = "down" if rows > 0 else "up"
+    told = f"mend: commands shifted {way} by {abs(rows)} row{'s' * (abs(rows) > 1)}: {logger.lines[0]}"
+    return record.commands_later(rows), [told]
 
 
 class _Estimate:

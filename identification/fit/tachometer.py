@@ -110,6 +110,8 @@ class Tachometer:
     def _kinks(self) -> np.ndarray:
         """(m,) rpm: how far the speed may be off a parabola between two rows, from how the bend changes between readings."""
         bend = np.zeros(len(self))
+        if len(self) < 3:
+            return bend
         bend[1:-1] = np.diff(self.measured, 2) / 12.0
         kink = np.abs(np.diff(bend, prepend=0.0))
         return np.maximum.reduce([kink, np.append(kink[1:], 0.0), np.append(0.0, kink[:-1])])

@@ -42,7 +42,11 @@ KINDS = {
     "gap": Kind(WARNING, "rows are missing", "Log without gaps", _KEEP),
     "speed_off": Kind(WARNING, "the measured speed does not follow its command", "Look at both columns"),
     "not_logged": Kind(WARNING, "a command stands still while what it commands moves", "Log what was commanded, row by row"),
-    "early": Kind(WARNING, "the response begins before its command", "Shift the columns against each other"),
+    "early": Kind(
+        WARNING,
+        "the response begins before its command",
+        "Nothing: it is allowed for; vpp import --mend mends the file",
+    ),
     "tare": Kind(WARNING, "the thrust reading is off by a constant", "Tare at rest, or correct the column; else vpp diagnose"),
     "disagree": Kind(WARNING, "files tell different thrust for the same commands", "Measure all files on one rig"),
     "beyond_rig": Kind(WARNING, "commands or readings are not within what rig.json declares", "Correct rig.json, or the file"),

@@ -95,7 +95,7 @@ def _leads(record: Record) -> list[str]:
     if share[0] < CHANCE * std:
         return []
     told = f"speed has gone {100.0 * share[0]:.2g} ± {100.0 * std:.1g} % of a move in the row that commands it"
-    return [f"clock: {told}, and a command acts from its row on: it was sent before; shift the commands' columns up by a row"]
+    return [f"clock: {told}, and a command acts from its row on: it was sent before; --mend shifts the commands by whole rows"]
 
 
 def _slow(record: Record) -> list[str]:

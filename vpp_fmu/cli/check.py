@@ -14,6 +14,7 @@ from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, s
 from identification.gate.gate import look
 from identification.gate.template import write_template
 from identification.identify import identify
+from identification.logger import Logger
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.output import add_accept, as_json, say_written
 from vpp_fmu.errors import BadInput, VppError
@@ -59,13 +60,15 @@ def run(options):
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What a campaign's `files` are (`held`), hold and lack (`missing`, and what that costs), and the gate's `findings`."""
+    """A campaign's `files` with their contents (`held`), what is `missing` and what that costs, the gate's `findings`, and the
+    `logger` that wrote the records, None where no model can be fitted."""
 
     campaign: Campaign
     files: list[File]
     held: list[FileContents]
     missing: dict[str, str]
     findings: tuple[Finding, ...]
+    logger: Logger | None
 
     @property
     def errors(self) -> list[Finding]:
@@ -78,6 +81,7 @@ class Checked:
         content |= {
             "missing": self.missing,
             "rig": self.campaign.rig.summary(),
+            "logger": self.logger and self.logger.summary(),
             "quality": [f.summary() for f in self.findings],
         }
         return content | {"errors": len(self.errors)}
@@ -86,8 +90,8 @@ class Checked:
 def checked(campaign: Campaign, accept: frozenset[str], stage=lambda text: None) -> Checked:
     """Everything that the files show, and a fit of them where nothing forbids one. `stage` is told what begins."""
     files = files_of(campaign, {})
-    findings = _fitted(campaign, look(campaign, accept=accept).findings, accept, stage)
-    return Checked(campaign, files, contents(files), lacks(campaign, files), findings)
+    findings, logger = _fitted(campaign, look(campaign, accept=accept).findings, accept, stage)
+    return Checked(campaign, files, contents(files), lacks(campaign, files), findings, logger)
 
 
 def write_check(folder: OutputFolder, found: Checked) -> None:
@@ -95,18 +99,21 @@ def write_check(folder: OutputFolder, found: Checked) -> None:
     folder.write("check.json", as_json(found.summary()))
 
 
-def _fitted(campaign: Campaign, findings: tuple[Finding, ...], accept: frozenset[str], stage) -> tuple[Finding, ...]:
-    """The findings, with those of a fit where nothing forbids one."""
+def _fitted(
+    campaign: Campaign, findings: tuple[Finding, ...], accept: frozenset[str], stage
+) -> tuple[tuple[Finding, ...], Logger | None]:
+    """The findings, with those of a fit where nothing forbids one, and the logger that it was corrected for."""
     if any(f.level == ERROR for f in findings):
-        return findings
+        return findings, None
     try:
-        return identify(campaign, accept=accept, stage=stage).quality
+        found = identify(campaign, accept=accept, stage=stage)
+        return found.quality, found.logger
     except BadInput as refused:
         told = f"found {refused.found}, needed is {refused.allowed}"
         unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", told, "what is missing")
     except VppError as refused:
         unfit = Finding("no_fit", str(campaign.folder), "fit", 0.0, "1", str(refused), "the data tell too little")
-    return settled([*findings, unfit], accept)
+    return settled([*findings, unfit], accept), None
 
 
 def _say(found: Checked) -> None:
@@ -117,6 +124,8 @@ def _say(found: Checked) -> None:
     for name, cost in found.missing.items():
         print(f"missing {name}: {cost}")
     print(f"rig: {'; '.join(found.campaign.rig.lines())}")
+    for line in found.logger.lines if found.logger else ():
+        print(f"your logger: {line}")
     rotors = [least_diameter(f) for f in found.files if f.response is not None]
     if rotors:
         force, rpm, diameter = max(rotors)

@@ -57,6 +57,8 @@ def run(options):
         write_identification(folder, found)
     for finding in found.quality:
         print(finding.text)
+    for line in found.logger.lines:
+        print(f"your logger: {line}")
     for remark in (*remarks(found), *untold(found)):
         print(remark)
     for label, value, note in key_figures(found):

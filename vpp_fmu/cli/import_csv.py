@@ -204,7 +204,7 @@ def _write(options, plan: Plan, taken: Taken) -> None:
     """The campaign's file, the mapping, the speed map: all of them or none."""
     place = Path(options.output)
     sections = read_toml(place / FILE) if (place / FILE).exists() else {}
-    folder, said = placed(place, options.kind, taken, options.replace)
+    folder, said = placed(place, options.kind, taken, options.replace, options.mend)
     folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
     if taken.speed_map is not None and not (place / SPEED_MAP).exists():
         folder.write(SPEED_MAP, taken.speed_map.to_json())

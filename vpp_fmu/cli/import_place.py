@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
 from identification.logs.sampling import findings, said_of_rows
@@ -14,9 +15,11 @@ from vpp_fmu.record import Record, read_record, write_record
 
 
 def add_kind(parser, default: str | None, text: str) -> None:
-    """The options --as and --replace."""
+    """The options --as, --replace and --mend."""
     parser.add_argument("--as", dest="kind", choices=KINDS, default=default, help=text)
     parser.add_argument("--replace", action="store_true", help="replace a file of another log")
+    text = "shift the commands by whole rows to where the response says that they acted; nothing is changed without this"
+    parser.add_argument("--mend", action="store_true", help=text)
 
 
 def add_speed_from(parser) -> None:
@@ -25,7 +28,7 @@ def add_speed_from(parser) -> None:
     parser.add_argument("--speed-from", choices=("command", "measured"), default="command", help=text)
 
 
-def placed(place: Path, kind: str, taken: Taken, replace: bool) -> tuple[OutputSet, list[str]]:
+def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = False) -> tuple[OutputSet, list[str]]:
     """(the folder with the file KIND.csv written but not yet put into its place, what is to be said of it). BadInput."""
     if kind == "static":
         static, said = static_of(taken)
@@ -33,7 +36,7 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool) -> tuple[OutputS
         runs, said = runs_of(taken)
         said += said_of_rows(runs[0])
     else:
-        record, said = _record(place, kind, taken)
+        record, said = _record(place, kind, taken, mend)
     if (other := there(place, kind)) and other.suffix == ".gz":
         raise BadInput(other, "file", "one that is there already", f"no {kind}.csv.gz beside {kind}.csv")
     folder = OutputSet(place, "import")
@@ -48,13 +51,16 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool) -> tuple[OutputS
     return folder, said
 
 
-def _record(place: Path, kind: str, taken: Taken) -> tuple[Record, list[str]]:
+def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, list[str]]:
     record, said = taken.record(), []
     if taken.points:
         allowed = "rows that show how thrust moves; steady points go in with --as static"
         raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed)
+    if mend:
+        record, said = mended(record)
     if kind == "repeat" and (first := there(place, "open_loop")):
-        record, said = repeat_of(record, read_record(first, holes=("thrust",)))
+        record, told = repeat_of(record, read_record(first, holes=("thrust",)))
+        said += told
     if taken.speed_map is not None:
         said += said_of_speed(record)
     return record, [*said, *said_of_rows(record), *(f.text for f in findings(record))]

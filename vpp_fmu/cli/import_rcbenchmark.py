@@ -55,7 +55,7 @@ def run(options):
     if kind != "static":
         warn_beyond(record)
     taken = Taken(columns, Clock(np.arange(len(record)), log.time, ""), (), log.source, speed_map)
-    folder, said = placed(Path(options.output), kind, taken, options.replace)
+    folder, said = placed(Path(options.output), kind, taken, options.replace, options.mend)
     if known:
         folder.write(SPEED_MAP, known.map.to_json())
     folder.write("import.json", as_json(figures))

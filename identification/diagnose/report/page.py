@@ -172,6 +172,8 @@ def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
     page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
     page.tiles(key_figures(found))
+    for line in found.logger.lines:
+        page.note(f"Your logger: {line}.")
     for effect in found.left_out:
         page.note(f"{effect}: {LEFT_OUT}.")
     for effect in found.final.effects:

@@ -42,6 +42,7 @@ def summary(found: Diagnosis) -> dict:
         "verdict": found.verdict,
         "refuted": {"effects": list(found.selection.final.effects), "why": found.refuted} if found.refuted else None,
         "quality": [finding.summary() for finding in found.quality],
+        "logger": found.logger.summary(),
         "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},
         "learned": block(found.learned, found.std) if found.learned else None,
         "learning": _learning(found),
