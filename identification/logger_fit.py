@@ -29,7 +29,7 @@ from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
-from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, SpeedSensor
+from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, UNKNOWN, SpeedSensor
 
 EARLIEST = 3
 """Rows by which readings may lead their commands, at most."""
@@ -44,16 +44,19 @@ EVIDENCE = 5.0
 """Penalised log-likelihood (half a BIC difference) by which a sensor of more parameters, or another logger, must be better
 (Kass and Raftery, 1995: very strong)."""
 
-MOST_ROWS = 30_000
+MOST_ROWS = 15_000
 """Rows of a record that are used: enough for a hundredth of a row."""
 
 FAST = 3.0
 """Digits by which two values of a moving speed differ, at least."""
 
+LEAST_CHANGE = 0.05
+"""Quantile of the changes between values that counts as one digit."""
+
 STRAY = 0.01
 """Share of intervals between two new values that may be of any length."""
 
-ROUGH, FULL = (3, 3), (12, 12, 30)
+ROUGH, FULL = (3, 3), (8, 20)
 """Evaluations in each round of a fit that ranks a sensor, and of one that estimates."""
 
 NEAR = 100.0
@@ -71,10 +74,14 @@ LATEST = 0.3
 FILTER = 0.02
 """s: filter of a telemetry from which a fit starts."""
 
+UNCLEAR = 0.1
+"""Geometric mean of the probabilities of the intervals between new values, below which no kind explains them."""
+
 FRESH = 1.05
 """Rows between two new values, in the mean, above which they are renewed at an interval that shows."""
 
 DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
+ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 
 def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
@@ -122,7 +129,7 @@ class _Estimate:
         self._period = self._first.period
         moves = {u: any(np.ptp(g[0].record[f"{u}_ref"]) > 0.0 for g in groups) for u in DELAYS}
         own = [e.full(p.name) for e in self._model.effects if e.name in effects for p in e.parameters if not p.choices]
-        delays = [f"{name}.delay" for u, name in DELAYS.items() if moves[u]]
+        self._delays = delays = [f"{name}.delay" for u, name in DELAYS.items() if moves[u]]
         lags = [f"tau_{u}_{k}" for u in DELAYS if moves[u] for k in (1, 2)]
         self._names = [n for n in FINE_TUNED if not n.startswith("tau_") or n in lags] + own + delays
         start = {f"{name}.delay": EARLIEST * self._period for name in DELAYS.values()}
@@ -143,46 +150,39 @@ class _Estimate:
         return run_in(shown, outputs, slowest(self.values, self._names))
 
     def logger(self) -> Logger:
-        """The most likely one. Every sensor is fitted roughly, from the fit to the thrust alone, then the best ones in full."""
-        thrust = _SensorFit(self, None, ())
-        thrust.solve(FULL)
+        """The most likely one. Each sensor is fitted roughly beside one offset of all readings, the best ones in full."""
+        start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
-            return self._decided(thrust)
-        fits = [_SensorFit(self, sensor, free, thrust, score) for sensor, free, score in self._hypotheses()]
-        for fit in fits:
-            fit.solve(ROUGH)
+            return self._decided(start)
+        fits = [_SensorFit(self, *one, start, tied=True).solved(ROUGH) for one in self._hypotheses()]
         scores = _scores(fits)
-        near = [fit for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
-        for fit in near:
-            fit.solve(FULL)
+        near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         return self._decided(max(zip(near, _scores(near), strict=True), key=lambda pair: pair[1])[0])
 
     def _decided(self, fit: "_SensorFit") -> Logger:
-        """The logger that a fit's delays show."""
-        late = {u: self._late(fit, f"{name}.delay") for u, name in DELAYS.items() if f"{name}.delay" in self._names}
-        reading = None
-        if fit.sensor.kind and "omega" in late:
-            own = ["speed_delay.delay", *(["delay"] if "delay" in fit.free else [])]
-            reading = self._late(fit, *own, unknown=fit.unknown_instant)
-        offset = _offset(late, reading, fit.sensor.kind)
-        rows, std = (value / self._period for value in (offset.value, offset.std))
-        near = max(SIGNIFICANT * std, FINEST)
-        rows = next((value for value in (0.0, float(round(rows))) if abs(rows - value) < near), rows)
-        sensor = fit.sensor
-        if reading is not None and "delay" in fit.free:
-            delay, delay_std = fit.estimate("delay")
-            over = reading.value - rows * self._period
-            delay = min(delay, over, key=abs) if abs(delay - over) > SIGNIFICANT * delay_std else delay
-            sensor = replace(sensor, delay=delay if abs(delay) > SIGNIFICANT * delay_std else 0.0)
-        stds = {name: fit.estimate(name)[1] for name in fit.free}
-        return Logger(rows, std, sensor, stds, self._period)
-
-    def _late(self, fit: "_SensorFit", *names: str, unknown: float = 0.0) -> "_Late":
-        value, std = fit.estimate(*names)
-        return _Late(value - EARLIEST * self._period, std, unknown)
+        """The logger that a fit with one offset shows, unless more freedom is worth its parameters."""
+        if not self._delays:
+            return Logger(sensor=fit.sensor, period=self._period)
+        shared = fit.late(self._delays[0])
+        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL)
+        if fit.worse_than(loose):  # the rig has delays of its own
+            shared = loose.shared()
+        rows, std = shared.value / self._period, shared.std / self._period
+        for value in (0.0, float(round(rows))):
+            simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
+            if abs(rows - value) < FINEST or not simpler.worse_than(fit):
+                rows, fit = value, simpler
+                break
+        else:
+            fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
+        if fit.with_delay != fit.free:
+            delayed = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
+            fit = delayed if fit.worse_than(delayed) else fit
+        return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
     def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
-        """(sensor, which of its numbers are free, log-likelihood of the rows at which its values were renewed)."""
+        """(sensor, which of its numbers are free, log-likelihood of the rows at which its values were renewed). A mark and an
+        encoder have no delay unless the data ask for one."""
         declared = self._declared
         rows, turn = renewals(self._first)
         usual = float(rows.mean()) if len(rows) else 1.0
@@ -194,80 +194,112 @@ class _Estimate:
         found = []
         for sensor in every:
             expected = {MARK: turn / sensor.marks_per_revolution, ENCODER: 1.0, TELEMETRY: usual}[sensor.kind]
-            free = {"delay", "filter"} if sensor.kind == TELEMETRY else {"delay"}
+            free = {"delay", "filter"} if sensor.kind == TELEMETRY else set()
             start = {"refresh": refresh, "filter": FILTER} if sensor.kind == TELEMETRY else {}
             found.append(
                 (replace(sensor, **{**start, **known}), tuple(sorted(free - set(known))), renewal_score(rows, expected))
             )
         best = max(score for *_, score in found)
+        if best < len(rows) * np.log(UNCLEAR):  # values that no kind renews so: means over rows, for one
+            return [(sensor, free, 0.0) for sensor, free, _ in found]
         return [one for one in found if one[-1] > best - NEAR]
 
 
 class _SensorFit:
-    """The base model and the delays, fitted with one kind of sensor, whose `free` numbers are parameters too. `sensor` None: to
-    the thrust alone."""
+    """The base model and the delays of its commands, fitted with one kind of sensor, whose `free` numbers are parameters too.
+
+    `sensor` None: to the thrust alone. `tied`: both commands have one delay. `held`: it is so many rows. `renewed`:
+    log-likelihood of the rows at which the sensor's values were renewed.
+    """
 
     def __init__(
         self,
         of: _Estimate,
         sensor: SpeedSensor | None,
         free: tuple[str, ...],
-        start: "_SensorFit | None" = None,
         renewed: float = 0.0,
+        start: "_SensorFit | None" = None,
+        tied: bool = False,
+        held: float | None = None,
     ):
-        self._of, self.free, self.sensor, self._renewed = of, free, sensor or SpeedSensor(), renewed
-        self._experiments = of._experiments if sensor else of._thrust_alone
-        self._problem = Problem(of._model, self._experiments, of.values, of._names)
+        self._of, self.free, self.sensor, self.renewed = of, free, sensor or UNKNOWN, renewed
+        self._experiments = of._thrust_alone
+        if self.sensor.kind:
+            self._experiments = [e.measured_by(self.sensor) for e in of._experiments]
+        fixed = {} if held is None else dict.fromkeys(ALL_DELAYS, (EARLIEST + held) * of._period)
+        self._start = {**(of.values if start is None else start.values), **fixed}
+        self._names = [n for n in of._names if n not in fixed]
+        self._problem = Problem(of._model, self._experiments, self._start, self._names)
         c = self._problem.coordinates
         self._count, self._sensor = len(c.names), self.sensor
+        tie = tied and len(of._delays) == 2
+        self._kept = [k for k, n in enumerate(c.names) if not (tie and n == of._delays[1])]
+        self._tied = (c.names.index(of._delays[1]), self._kept.index(c.names.index(of._delays[0]))) if tie else None
         earliest = -of._period if self.sensor.kind == TELEMETRY else -LATEST
         limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
-        self._lower, self._upper = (np.append(x, [limits[n][k] for n in free]) for k, x in enumerate((c.lower, c.upper)))
-        own = c.vector(of.values) if start is None else start._x
-        self._x = np.append(own, [getattr(self.sensor, n) for n in free])
+        self._lower, self._upper = (
+            np.append(x[self._kept], [limits[n][k] for n in free]) for k, x in enumerate((c.lower, c.upper))
+        )
+        self._x = np.append(c.vector(self._start)[self._kept], [getattr(self.sensor, n) for n in free])
         if start is not None:
             self._problem.scale["thrust"] = start._problem.scale["thrust"]
             residual, _ = self._evaluate(self._x)
             self._problem.weigh(residual)
 
-    def solve(self, limits: Sequence[int]) -> None:
+    @property
+    def with_delay(self) -> tuple[str, ...]:
+        """What is free where the sensor may have a delay too."""
+        return tuple(sorted({*self.free, "delay"})) if self.sensor.kind and "delay" not in self._of._declared else self.free
+
+    def solved(self, limits: Sequence[int]) -> "_SensorFit":
         """Fit in rounds of so many evaluations, the channels weighed by what each round leaves."""
         for limit in limits:
             found = solve(self._evaluate, self._x, self._lower, self._upper, CLOSE, limit)
             self._x, self._solution = found.value, found
             self._problem.weigh(found.residual)
         self.sensor = self._sensor_at(self._x)
-        self._values = self._problem.values | self._problem.coordinates.values(self._x[: self._count])
+        self.values = self._problem.values | self._problem.coordinates.values(self._whole(self._x))
         problem = self._with(self.sensor)
         self._thrust = -sum(e.sizes["thrust"] for e in problem.experiments) * float(np.log(problem.scale["thrust"]))
-        readings = [
-            (t, y[:, 1]) for e, y in zip(problem.experiments, problem.outputs(self._values), strict=True) for t in e.tachometers
-        ]
+        outputs = problem.outputs(self.values)
+        readings = [(t, y[:, 1]) for e, y in zip(problem.experiments, outputs, strict=True) for t in e.tachometers]
         self.speed = {
             (k, row): pair
             for k, (t, omega) in enumerate(readings)
             for row, *pair in zip(t.rows.tolist(), (t.shows(omega) - t.measured).tolist(), t.std.tolist(), strict=True)
         }
+        return self
+
+    def _whole(self, x: np.ndarray) -> np.ndarray:
+        """Coordinates of the problem at coordinates of the search."""
+        own = np.empty(self._count)
+        own[self._kept] = x[: len(self._kept)]
+        if self._tied:
+            own[self._tied[0]] = x[self._tied[1]]
+        return own
 
     @property
     def unknown_instant(self) -> float:
         """s: half the time within which the instant of a value is not known."""
-        return {MARK: 0.5, TELEMETRY: 0.5}.get(self.sensor.kind, 0.0) * self._of._period
+        return max((t.unknown for e in self._with(self.sensor).experiments for t in e.tachometers), default=0.0)
 
     def _with(self, sensor: SpeedSensor) -> Problem:
         if not self.free:
             return self._problem
-        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._of.values, self._of._names)
+        found = Problem(self._of._model, [e.measured_by(sensor) for e in self._experiments], self._start, self._names)
         found.scale = self._problem.scale
         return found
 
     def _sensor_at(self, x: np.ndarray) -> SpeedSensor:
-        return replace(self._sensor, **dict(zip(self.free, x[self._count :].tolist(), strict=True)))
+        return replace(self._sensor, **dict(zip(self.free, x[len(self._kept) :].tolist(), strict=True)))
 
     def _evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own, sensor = x[: self._count], self._sensor_at(x)
+        own, sensor = self._whole(x), self._sensor_at(x)
         problem = self._with(sensor)
         residual, jacobian = problem.evaluate(own)
+        if self._tied:
+            jacobian[:, self._kept[self._tied[1]]] += jacobian[:, self._tied[0]]
+        jacobian = jacobian[:, self._kept]
         if not self.free:
             return residual, jacobian
         outputs = problem.outputs(problem.values | problem.coordinates.values(own))
@@ -281,21 +313,40 @@ class _SensorFit:
 
     def score(self, rows: Sequence[tuple[int, int]]) -> float:
         """Penalised log-likelihood, of the speed on these `rows` (record, row), the noise's variances unknown."""
+        count = len(self._x) * 0.5 * float(np.log(max(len(rows), len(self._problem.blocks[0].time))))
+        total = self._thrust + self.renewed - count
+        if not rows:
+            return total
         error, std = np.array([self.speed[row] for row in rows]).T
         scale = float(np.sqrt(np.mean((error / std) ** 2)))
-        return (
-            self._thrust + self._renewed - float(np.sum(np.log(std * scale))) - 0.5 * len(self.free) * float(np.log(len(rows)))
-        )
+        return total - float(np.sum(np.log(std * scale)))
+
+    def worse_than(self, other: "_SensorFit") -> bool:
+        """Whether the evidence for another fit is very strong."""
+        own, its = _scores([self, other])
+        return its - own > EVIDENCE
 
     def estimate(self, *names: str) -> tuple[float, float]:
-        """(sum of parameters, its standard error) under white noise."""
-        every = [*self._problem.coordinates.names, *self.free]
-        values = self._values | {n: getattr(self.sensor, n) for n in self.free}
+        """(sum of parameters, its standard error) under white noise; of tied delays, that of the first."""
+        every = [*(self._problem.coordinates.names[k] for k in self._kept), *self.free]
+        values = self.values | {n: getattr(self.sensor, n) for n in ("delay", "filter")}
         free = [k for k, active in enumerate(self._solution.active) if not active]
         jacobian = self._solution.jacobian[:, free]
         inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-        at = [free.index(every.index(n)) for n in names if every.index(n) in free]
+        at = [free.index(every.index(n)) for n in names if n in every and every.index(n) in free]
         return sum(values[n] for n in names), float(np.sqrt(inverse[np.ix_(at, at)].sum()))
+
+    def late(self, *names: str, unknown: float = 0.0) -> "_Late":
+        """The sum of delays beyond what the records were moved by."""
+        value, std = self.estimate(*names)
+        return _Late(value - EARLIEST * self._of._period, std, unknown)
+
+    def shared(self) -> "_Late":
+        """What the delays of a fit in which each command has its own share."""
+        thrust = {u: self.late(f"{name}.delay") for u, name in DELAYS.items() if f"{name}.delay" in self._names}
+        if not self.sensor.kind or "omega" not in thrust:
+            return _offset(thrust, None, "")
+        return _offset(thrust, self.late("speed_delay.delay", "delay", unknown=self.unknown_instant), self.sensor.kind)
 
 
 @dataclass(frozen=True)
@@ -340,14 +391,13 @@ def _offset(thrust: Mapping[str, _Late], reading: _Late | None, kind: str) -> _L
         return (
             shared if reading is None or shared.value < reading.value + reading.unknown or shared.agrees_with(reading) else NONE
         )
-    if not reading.differs_from(0.0):
-        return NONE
-    speed, pitch = thrust["omega"], thrust.get("beta")
-    shared = reading.with_(speed) if reading.agrees_with(speed) else reading
-    if shared.value < 0.0:
-        return shared
-    agreed = shared is not reading and pitch is not None and pitch.agrees_with(shared)
-    return shared.with_(pitch) if agreed else NONE
+    speed, pitch, early = thrust["omega"], thrust.get("beta"), reading.differs_from(0.0) and reading.value < 0.0
+    if not reading.agrees_with(speed):
+        return reading if early else NONE
+    shared = reading.with_(speed)
+    if pitch is not None and pitch.agrees_with(shared):
+        return shared.with_(pitch)
+    return shared if early else NONE
 
 
 def _scores(fits: Sequence[_SensorFit]) -> list[float]:
@@ -362,11 +412,17 @@ def _as_modelled(record: Record) -> Record:
 
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """((intervals,) rows from one new value of the speed to the next, (intervals,) the rows that a revolution takes) between
-    values that each differ from the one before by FAST digits or more: equal ones in between are then the same value."""
+    values that each differ from the one before by FAST digits or more: equal ones in between are then the same value.
+
+    A digit is the same at all speeds, or, of a timed period, goes with the square of the speed."""
     shown = np.where(np.isfinite(record["omega"]), record["omega"], 0.0)
     changes = np.append(0.0, np.abs(np.diff(shown)))
-    new = np.flatnonzero(changes > 0.0)
-    clear = changes[new] >= FAST * float(np.min(changes[new], initial=np.inf))
+    new = np.flatnonzero((changes > 0.0) & (shown > 0.0))
+    if not len(new):
+        return np.zeros(0), np.zeros(0)
+    square = shown[new] ** 2
+    digits = [np.quantile(changes[new] / scale, LEAST_CHANGE) * scale for scale in (1.0, square)]
+    clear = changes[new] >= FAST * np.maximum(*digits)
     kept = clear[1:] & clear[:-1] & (shown[new[1:]] > 0.0)
     return np.diff(new)[kept], 60.0 / (shown[new[1:]][kept] * record.period)
 

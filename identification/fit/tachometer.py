@@ -30,7 +30,8 @@ class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
     `rows` (m,): the rows at which a new value came in; `measured` (m,) rpm there; `std` (m,) rpm: the uncertainty that
-    resolution, and the unknown instant of the value within the row's step, leave. `sensor`: as the record declares it; of
+    resolution, and the unknown instant of the value within the row's step, leave; `unknown` s: half of that time, the median.
+    `sensor`: as the record declares it; of
     unknown kind it is taken for one mark, or for an encoder where values are renewed faster than the rotor turns.
     """
 
@@ -49,6 +50,7 @@ class Tachometer:
             since = np.minimum(step, self.sensor.refresh) if kind == TELEMETRY else np.zeros(len(time))
         self.rows = np.flatnonzero(new)
         self.measured, since = shown[self.rows], since[self.rows]
+        self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
         end = time[self.rows] - 0.5 * since - self.sensor.delay
         self.std = self._uncertainty(end, since)
         if kind == ENCODER and not self.sensor.delay:
@@ -122,7 +124,7 @@ class Tachometer:
             return np.full(len(self.rows), 1.0)
         values = np.unique(self.measured)
         digit = np.min(np.diff(values)) if len(values) > 1 else 1.0
-        tick = self.measured**2 * TIMER / 60.0
+        tick = self.measured**2 * TIMER / 60.0 * (self.sensor.marks_per_revolution if self.sensor.kind == MARK else 1)
         # A pulse that comes late makes one revolution long and the next short: neighbours differ by sqrt 3 jitters.
         change = np.diff(self.measured)
         jitter = 1.4826 * np.median(np.abs(change - np.median(change))) / np.sqrt(3.0)
