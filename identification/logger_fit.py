@@ -44,7 +44,7 @@ EVIDENCE = 5.0
 """Penalised log-likelihood (half a BIC difference) by which a sensor of more parameters, or another logger, must be better
 (Kass and Raftery, 1995: very strong)."""
 
-MOST_ROWS = 15_000
+MOST_ROWS = 12_000
 """Rows of a record that are used: enough for a hundredth of a row."""
 
 FAST = 3.0
@@ -56,7 +56,7 @@ LEAST_CHANGE = 0.05
 STRAY = 0.01
 """Share of intervals between two new values that may be of any length."""
 
-ROUGH, FULL = (3, 3), (8, 20)
+ROUGH, FULL = (3, 3), (6, 6, 6, 12)
 """Evaluations in each round of a fit that ranks a sensor, and of one that estimates."""
 
 NEAR = 100.0
@@ -124,7 +124,8 @@ class _Estimate:
         library = tuple(library)
         delays = (e for e in LIBRARY if e.name in DELAYS.values() and e.name not in {known.name for known in library})
         self._model = plant([*effects, *DELAYS.values()], sized((*library, *delays), scales))
-        self._groups = [[Fitted(one.name, _as_modelled(one.record)) for one in group] for group in groups]
+        # A repeat shows the same moments once more.
+        self._groups = [[Fitted(group[0].name, _as_modelled(group[0].record))] for group in groups]
         self._first, self._declared = self._groups[0][0].record, declared
         self._period = self._first.period
         moves = {u: any(np.ptp(g[0].record[f"{u}_ref"]) > 0.0 for g in groups) for u in DELAYS}
@@ -165,7 +166,8 @@ class _Estimate:
             return Logger(sensor=fit.sensor, period=self._period)
         shared = fit.late(self._delays[0])
         loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL)
-        if fit.worse_than(loose):  # the rig has delays of its own
+        delayed = fit.worse_than(loose)
+        if delayed:  # the rig or the sensor has delays of its own
             shared = loose.shared()
         rows, std = shared.value / self._period, shared.std / self._period
         for value in (0.0, float(round(rows))):
@@ -175,9 +177,9 @@ class _Estimate:
                 break
         else:
             fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
-        if fit.with_delay != fit.free:
-            delayed = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
-            fit = delayed if fit.worse_than(delayed) else fit
+        if delayed and fit.with_delay != fit.free:  # a delay within the time in which a value may have come is none
+            other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
+            fit = other if abs(other.sensor.delay) > fit.unknown_instant and fit.worse_than(other) else fit
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
     def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
@@ -242,9 +244,9 @@ class _SensorFit:
         )
         self._x = np.append(c.vector(self._start)[self._kept], [getattr(self.sensor, n) for n in free])
         if start is not None:
-            self._problem.scale["thrust"] = start._problem.scale["thrust"]
-            residual, _ = self._evaluate(self._x)
-            self._problem.weigh(residual)
+            self._problem.scale = dict(start._problem.scale)
+            if not start.sensor.kind and self.sensor.kind:
+                self._problem.weigh(self._evaluate(self._x)[0])
 
     @property
     def with_delay(self) -> tuple[str, ...]:
