@@ -158,7 +158,8 @@ def _speeds(files: Sequence[File]) -> Iterator[Finding]:
     """Measured speed in another unit than commanded, files in different ones, and both wrong where the mark's pulses tell."""
     for file in files:
         ratio = _ratio(file)
-        if ratio is not None and (pairs := pole_pairs(ratio)):
+        # A command that stands still beside a speed that moves is one that was not logged.
+        if ratio is not None and np.ptp(file.column("omega_ref")) > 0.0 and (pairs := pole_pairs(ratio)):
             told = f"measured speed is {ratio:.4g} times the commanded one"
             yield Finding("speed_unit", file.where, "omega", ratio, "1", told, electrical_cause(pairs))
             continue
