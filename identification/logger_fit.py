@@ -177,9 +177,9 @@ class _Estimate:
                 break
         else:
             fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
-        if delayed and fit.with_delay != fit.free:  # a delay within the time in which a value may have come is none
+        if delayed and fit.with_delay != fit.free and loose.has_delay:
             other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
-            fit = other if abs(other.sensor.delay) > fit.unknown_instant and fit.worse_than(other) else fit
+            fit = other if fit.worse_than(other) else fit
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
     def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
@@ -252,6 +252,12 @@ class _SensorFit:
     def with_delay(self) -> tuple[str, ...]:
         """What is free where the sensor may have a delay too."""
         return tuple(sorted({*self.free, "delay"})) if self.sensor.kind and "delay" not in self._of._declared else self.free
+
+    @property
+    def has_delay(self) -> bool:
+        """Whether the sensor's delay is more than its standard error, and the time in which a value may have come, allow."""
+        delay, std = self.estimate("delay")
+        return abs(delay) > max(SIGNIFICANT * std, self.unknown_instant)
 
     def solved(self, limits: Sequence[int]) -> "_SensorFit":
         """Fit in rounds of so many evaluations, the channels weighed by what each round leaves."""

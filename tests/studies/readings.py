@@ -119,11 +119,11 @@ def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
     began = time.perf_counter()
     campaign = case.campaign(seed)
     found = diagnose(campaign, library, workers=1)
-    values, effects = found.final.values, set(found.final.effects)
-    row = 1e3 * campaign.open_loop.period * values.get("row_clock.age", 0.0)
+    values, effects = found.final.values, set(found.final.effects) | ({"row_clock"} if found.logger.rows else set())
+    row = 1e3 * campaign.open_loop.period * (values.get("row_clock.age", 0.0) + found.logger.rows)
     own = {n: 1e3 * values.get(f"{n}.delay", 0.0) for n in (*NAMES[1:], "speed_reading_delay", "pitch_delay")}
     own["sensor_lag"] = 1e3 * values.get("sensor_lag.time_constant", 0.0)
-    shown = own["speed_reading_delay"]
+    shown = own["speed_reading_delay"] + 1e3 * found.logger.sensor.delay
     weighed = own["reading_delay"] + own["sensor_lag"]
     lags = np.array([own["speed_delay"] + shown + row, weighed - shown, own["pitch_delay"] + weighed + row])
     off = lags - case.lags
@@ -142,6 +142,7 @@ def outcome(case: Logged, seed: int = 0, library=SOME) -> dict:
         "verdict": found.verdict,
         "effects": sorted(effects),
         "family": {k: v for k, v in found.selection.family.items() if v},
+        "logger": found.logger.lines,
         "said": {effect: artefact(found, effect) for effect in found.final.effects},
         "off": off,
         "before": before,
