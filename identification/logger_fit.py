@@ -177,7 +177,12 @@ class _Estimate:
                 break
         else:
             fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
-        if delayed and fit.with_delay != fit.free and loose.has_delay:
+        own = (
+            delayed
+            and "speed_delay.delay" in self._delays
+            and loose.late("speed_delay.delay").differs_from(rows * self._period)
+        )
+        if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
             other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
             fit = other if fit.worse_than(other) else fit
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
@@ -255,9 +260,10 @@ class _SensorFit:
 
     @property
     def has_delay(self) -> bool:
-        """Whether the sensor's delay is more than its standard error, and the time in which a value may have come, allow."""
+        """Whether the sensor is later than its standard error, and the time in which a value may have come, allow. A speed that
+        is read earlier than the thrust is a thrust that is read late, which is an effect of the list."""
         delay, std = self.estimate("delay")
-        return abs(delay) > max(SIGNIFICANT * std, self.unknown_instant)
+        return delay > max(SIGNIFICANT * std, self.unknown_instant)
 
     def solved(self, limits: Sequence[int]) -> "_SensorFit":
         """Fit in rounds of so many evaluations, the channels weighed by what each round leaves."""
