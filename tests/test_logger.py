@@ -1,0 +1,155 @@
+"""The logger and the speed sensor: simulated, read, estimated, declared and mended."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.demo import example_folder
+from identification.fit.tachometer import Tachometer
+from identification.gate.gate import passed
+from identification.identify import identify
+from identification.logger_fit import as_logged, mended
+from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+from vpp_fmu.rig import infer_rig, read_rig
+from vpp_fmu.sensors import SpeedSensor
+
+RATE = 50.0
+
+
+def commands(seed, seconds=40.0, rate=RATE):
+    """Random steps of both commands, held for half a second and longer."""
+    rng, count = np.random.default_rng(seed), int(seconds * rate)
+
+    def walk(low, high):
+        lengths = rng.integers(int(0.5 * rate), int(2 * rate), count)
+        return np.repeat(rng.uniform(low, high, count), lengths)[:count]
+
+    time = np.arange(count) / rate
+    return Record({"time": time, "omega_ref": walk(2200.0, 5800.0), "beta_ref": walk(-4.0, 9.0)}, "commands")
+
+
+def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE):
+    """A record of the base model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm."""
+    record = commands(seed, rate=rate)
+    fine = 20
+    late = record.commands_later(rows)
+    columns = {n: np.repeat(late[n], fine) for n in ("omega_ref", "beta_ref")}
+    shift = round(late.late * fine)
+    columns = {n: np.concatenate([np.repeat(c[:1], shift), c[: len(c) - shift]]) for n, c in columns.items()}
+    outputs = Simulator(BASE).simulate({}, columns, np.full(len(record) * fine - 1, 1.0 / (rate * fine)))
+    omega = outputs[:, 1]
+    if filter_:
+        kept, speed = np.exp(-1.0 / (rate * fine * filter_)), omega.copy()
+        for k in range(1, len(omega)):
+            speed[k] = omega[k] + (speed[k - 1] - omega[k]) * kept
+        omega = speed
+    thrust = outputs[::fine, 0] + np.random.default_rng(seed + 1).normal(0.0, noise, len(record))
+    return record.with_columns(omega=np.round(omega[::fine]), thrust=thrust)
+
+
+def campaign(record, declared=None):
+    return Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, declared or {}))
+
+
+@pytest.mark.parametrize("rows", [0.3, 1.7, 2.0])
+def test_commands_that_act_later_are_commands_behind_a_dead_time(rows):
+    """The schedule's exact delay of both commands gives the same outputs."""
+    record, delayed = commands(0), plant(("speed_delay", "pitch_delay"))
+    delays = dict.fromkeys(("speed_delay.delay", "pitch_delay.delay"), rows / RATE)
+    shown = Simulator(BASE).simulate({}, *record.commands_later(rows).run)
+    np.testing.assert_allclose(shown, Simulator(delayed).simulate(delays, *record.run), rtol=1e-12)
+
+
+def test_a_split_row_is_the_same_in_pieces_side_by_side_and_with_sensitivities():
+    run, simulator = commands(1).commands_later(-0.4).run, Simulator(BASE, ("tau_omega_1",))
+    whole = simulator.simulate({}, *run)
+    pieces = [shown.copy() for _, shown, _ in simulator.pieces({}, *run, rows=300)]
+    assert np.array_equal(np.concatenate(pieces), whole)
+    assert np.array_equal(simulator.simulate_all([{}, {}], *run)[:, :, 1], whole)
+
+
+@pytest.mark.parametrize("marks", [1, 2, 4])
+def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(marks):
+    """Of a speed that rises evenly, that is the speed half a period before the pulse."""
+    time = np.arange(2000) * 0.002
+    omega = 3000.0 + 300.0 * time
+    turns = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) / 60.0 * np.diff(time))])
+    pulses = np.interp(np.arange(0.0, turns[-1], 1.0 / marks), turns, time)
+    last = np.searchsorted(pulses, time, side="right") - 1
+    period = pulses[np.maximum(last, 1)] - pulses[np.maximum(last, 1) - 1]
+    shown = np.where(last > 0, 60.0 / marks / period, omega[0])
+    columns = {"time": time, "omega_ref": omega, "beta_ref": 0.0 * time, "omega": shown}
+    sensor = Tachometer(Record(columns, "ramp", sensor=SpeedSensor("mark", marks)))
+    error = sensor.shows(omega) - sensor.measured
+    assert abs(np.mean(error[10:])) < 300.0 * 0.0005  # half a millisecond of the ramp
+
+
+def test_telemetry_reads_a_ramp_late_by_filter_delay_and_half_a_renewal():
+    time = np.arange(3000) * 0.004
+    omega = 2000.0 + 100.0 * time
+    columns = {"time": time, "omega_ref": omega, "beta_ref": 0.0 * time, "omega": omega}
+    sensor = Tachometer(Record(columns, "ramp", sensor=SpeedSensor("telemetry", filter=0.03, refresh=0.02, delay=0.005)))
+    late = 0.03 + 0.005 + 0.5 * 0.004
+    np.testing.assert_allclose(sensor.shows(omega)[-100:], omega[sensor.rows][-100:] - 100.0 * late, rtol=1e-9)
+    np.testing.assert_allclose(sensor.matrix @ omega, sensor.shows(omega), rtol=1e-5)  # cut off at exp(-12)
+    weights = np.random.default_rng(0).normal(size=len(sensor))
+    assert weights @ sensor.shows(omega) == pytest.approx(sensor.transpose(weights) @ omega)
+
+
+@pytest.mark.parametrize("rows", [-1.0, -0.5, 0.0, 1.0])
+def test_the_rows_and_an_encoder_are_found(rows):
+    for seed in (10, 11):
+        logger = as_logged(passed(campaign(logged(seed, rows)))).logger
+        assert logger.sensor == SpeedSensor("encoder")
+        assert logger.rows == pytest.approx(rows, abs=0.05)
+
+
+def test_the_filter_of_telemetry_is_found_and_not_taken_for_the_motors_lag():
+    found = identify(campaign(logged(20, 0.0, filter_=0.03, rate=100.0)), starts=1)
+    assert found.logger.sensor.kind == "telemetry"
+    assert found.logger.sensor.filter == pytest.approx(0.03, rel=0.1)
+    true = {p.name: p.default for p in BASE.parameters}
+    lags = [sum(values[f"tau_omega_{k}"] for k in (1, 2)) for values in (found.parameters.values, true)]
+    assert lags[0] == pytest.approx(lags[1], rel=0.02)
+
+
+def test_a_late_log_is_mended_by_whole_rows():
+    record = logged(30, -1.0)
+    again, said = mended(record)
+    assert np.array_equal(again["omega_ref"][:-1], record["omega_ref"][1:])
+    assert "shifted up by 1 row" in said[0]
+    same, said = mended(logged(31, 0.0))
+    assert np.array_equal(same["omega_ref"], logged(31, 0.0)["omega_ref"])
+
+
+def test_rig_json_declares_the_sensor_and_refuses_what_it_does_not_know(tmp_path):
+    def written(speed):
+        path = tmp_path / "rig.json"
+        path.write_text(json.dumps({"format": "vpp-rig/1", "sensors": {"speed": speed}}))
+        return path
+
+    assert read_rig(written({"kind": "mark", "marks_per_revolution": 2}))["sensor"] == {
+        "kind": "mark",
+        "marks_per_revolution": 2,
+    }
+    for speed, field in (({"kind": "radar"}, "kind"), ({"marks_per_revolution": 0}, "marks"), ({"filter": -1}, "filter")):
+        with pytest.raises(BadInput, match=field):
+            read_rig(written(speed))
+
+
+def test_a_declared_sensor_is_the_only_one_that_is_tried():
+    declared = {"sensor": {"kind": "mark", "marks_per_revolution": 2}}
+    logger = as_logged(passed(campaign(logged(40, 0.0), declared))).logger
+    assert (logger.sensor.kind, logger.sensor.marks_per_revolution) == ("mark", 2)
+
+
+def test_the_example_has_the_contracts_logger():
+    logger = as_logged(passed(read_campaign(example_folder()))).logger
+    assert logger.plain
+    assert logger.sensor.kind == "mark"
