@@ -72,7 +72,7 @@ class Tachometer:
         if not self.sensor.filter:
             return self._average @ omega
         drive, decay = self._filter
-        return self._average @ solve_banded((1, 0), decay, drive @ omega)
+        return self._average @ solve_banded((1, 0), decay, drive @ omega, check_finite=False)  # a trial of a fit may diverge
 
     def transpose(self, weights: np.ndarray) -> np.ndarray:
         """The transpose of `shows`: (rows,) whose product with any speed is that of `weights` (m,) with the readings."""
@@ -80,7 +80,7 @@ class Tachometer:
         if not self.sensor.filter:
             return found
         drive, (ones, decay) = self._filter
-        return drive.T @ solve_banded((0, 1), np.vstack([np.append(0.0, decay[:-1]), ones]), found)
+        return drive.T @ solve_banded((0, 1), np.vstack([np.append(0.0, decay[:-1]), ones]), found, check_finite=False)
 
     @cached_property
     def matrix(self) -> csr_array:
