@@ -34,6 +34,8 @@ def run_in(record: Record, outputs: np.ndarray, lag: float) -> float:
     moves = np.any([np.diff(record[n]) != 0.0 for n in ("omega_ref", "beta_ref")], axis=0)
     held = record.time[np.argmax(moves) + 1 if moves.any() else -1]
     half = 0.5 * lag
+    if moves.sum() == 1 and BLOCKS * half >= held:  # a step run needs readings before its step
+        return 0.0
     return BLOCKS * half if any(_in_motion(*signal, half, int(held / half)) for signal in _signals(record, outputs)) else 0.0
 
 

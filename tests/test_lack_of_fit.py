@@ -133,9 +133,11 @@ def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, 
     monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
     monkeypatch.setattr(lack, "speed_share", lambda fit: share)
     monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (0.0, 0.0))
-    monkeypatch.setattr(lack, "speed_size", lambda fit, told: size)
-    found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1)
+    monkeypatch.setattr(lack, "speed_size", lambda fit, told: (size, 7.0))
+    found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=5.0)
     assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
+    assert found.only_speed is lacks
+    assert not lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=9.0).found  # it is 7 rpm
     assert found.summary()["speed"]["share"] == share
 
 

@@ -167,11 +167,11 @@ def _may_be_off(fit: Fit, effect: Effect) -> str:
     switches it off. "" where one does not."""
     sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
     sizes = {name: off for name, off in sizes.items() if name in fit.free}
-    if not sizes:
-        return ""
     std, told = fit.std(), []
+    if not sizes or any(std[name] is None for name in sizes):  # only a combination of sizes is known, and it is not "off"
+        return ""
     for name, off in sizes.items():
-        half = np.inf if std[name] is None else NORMAL_95 * std[name]
+        half = NORMAL_95 * std[name]
         low, high = fit.thresholds.get(name, (fit.values[name] - half, fit.values[name] + half))
         if not low <= off <= high or half == 0.0:
             return ""
