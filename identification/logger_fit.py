@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import binom
 
 from identification.fit.coordinates import slowest
 from identification.fit.experiment import Experiment
@@ -74,8 +75,11 @@ LATEST = 0.3
 FILTER = 0.02
 """s: filter of a telemetry from which a fit starts."""
 
-UNCLEAR = 0.1
-"""Geometric mean of the probabilities of the intervals between new values, below which no kind explains them."""
+STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: STRAY}
+"""Share of intervals of any length beside which a kind still explains the others: a rotor turns unevenly, a clock does not."""
+
+UNLIKELY = 0.01
+"""Level of the test that the most likely kind explains the intervals between new values."""
 
 FRESH = 1.05
 """Rows between two new values, in the mean, above which they are renewed at an interval that shows."""
@@ -151,21 +155,25 @@ class _Estimate:
         return run_in(shown, outputs, slowest(self.values, self._names))
 
     def logger(self) -> Logger:
-        """The most likely one. Each sensor is fitted roughly beside one offset of all readings, the best ones in full."""
+        """The most likely one. Each sensor is fitted roughly beside one offset of all readings, the best ones in full. Of
+        sensors that the data do not tell apart, the one whose offset is nearest to whole rows is taken."""
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
             return self._decided(start)
         fits = [_SensorFit(self, *one, start, tied=True).solved(ROUGH) for one in self._hypotheses()]
         scores = _scores(fits)
         near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
-        return self._decided(max(zip(near, _scores(near), strict=True), key=lambda pair: pair[1])[0])
+        scores = _scores(near)
+        likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - EVIDENCE]
+        return self._decided(min(likely, key=_SensorFit.from_whole_rows))
 
     def _decided(self, fit: "_SensorFit") -> Logger:
         """The logger that a fit with one offset shows, unless more freedom is worth its parameters."""
         if not self._delays:
             return Logger(sensor=fit.sensor, period=self._period)
         shared = fit.late(self._delays[0])
-        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL)
+        freer = fit.tied or fit.with_delay != fit.free
+        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
         delayed = fit.worse_than(loose)
         if delayed:  # the rig or the sensor has delays of its own
             shared = loose.shared()
@@ -193,21 +201,24 @@ class _Estimate:
         declared = self._declared
         rows, turn = renewals(self._first)
         usual = float(rows.mean()) if len(rows) else 1.0
-        refresh = usual * self._period if usual > FRESH else 0.0
+        # A telemetry that is faster than the rows shows no interval of its own.
+        renewed = {1.0, usual} if usual > FRESH else {1.0}
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
         marks = [declared["marks_per_revolution"]] if "marks_per_revolution" in declared else MARKS
-        every = [SpeedSensor(kind, n) for kind in kinds for n in (marks if kind == MARK else (1,))]
+        every = [(SpeedSensor(kind), 1.0) for kind in kinds if kind == ENCODER]
+        every += [(SpeedSensor(MARK, n), turn / n) for n in marks if MARK in kinds]
+        every += [
+            (SpeedSensor(TELEMETRY, filter=FILTER, refresh=float(n > 1.0) * n * self._period), n)
+            for n in renewed
+            if TELEMETRY in kinds
+        ]
         known = {k: v for k, v in declared.items() if k in ("filter", "refresh", "delay")}
         found = []
-        for sensor in every:
-            expected = {MARK: turn / sensor.marks_per_revolution, ENCODER: 1.0, TELEMETRY: usual}[sensor.kind]
+        for sensor, expected in every:
             free = {"delay", "filter"} if sensor.kind == TELEMETRY else set()
-            start = {"refresh": refresh, "filter": FILTER} if sensor.kind == TELEMETRY else {}
-            found.append(
-                (replace(sensor, **{**start, **known}), tuple(sorted(free - set(known))), renewal_score(rows, expected))
-            )
-        best = max(score for *_, score in found)
-        if best < len(rows) * np.log(UNCLEAR):  # values that no kind renews so: means over rows, for one
+            found.append((replace(sensor, **known), tuple(sorted(free - set(known))), renewal_score(rows, expected)))
+        ((likeliest, expected), (*_, best)) = max(zip(every, found, strict=True), key=lambda pair: pair[1][-1])
+        if unexplained(likeliest.kind, rows, expected):  # no kind renews its values so: means over rows, for one
             return [(sensor, free, 0.0) for sensor, free, _ in found]
         return [one for one in found if one[-1] > best - NEAR]
 
@@ -239,9 +250,9 @@ class _SensorFit:
         self._problem = Problem(of._model, self._experiments, self._start, self._names)
         c = self._problem.coordinates
         self._count, self._sensor = len(c.names), self.sensor
-        tie = tied and len(of._delays) == 2
-        self._kept = [k for k, n in enumerate(c.names) if not (tie and n == of._delays[1])]
-        self._tied = (c.names.index(of._delays[1]), self._kept.index(c.names.index(of._delays[0]))) if tie else None
+        self.tied = tied and len(of._delays) == 2
+        self._kept = [k for k, n in enumerate(c.names) if not (self.tied and n == of._delays[1])]
+        self._tied = (c.names.index(of._delays[1]), self._kept.index(c.names.index(of._delays[0]))) if self.tied else None
         earliest = -of._period if self.sensor.kind == TELEMETRY else -LATEST
         limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
         self._lower, self._upper = (
@@ -334,6 +345,15 @@ class _SensorFit:
         error, std = np.array([self.speed[row] for row in rows]).T
         scale = float(np.sqrt(np.mean((error / std) ** 2)))
         return total - float(np.sum(np.log(std * scale)))
+
+    @property
+    def rows(self) -> float:
+        """The offset of a fit with one, in rows."""
+        return self.late(*self._of._delays[:1]).value / self._of._period
+
+    def from_whole_rows(self) -> float:
+        """By how much the offset differs from whole rows."""
+        return abs(self.rows - round(self.rows))
 
     def worse_than(self, other: "_SensorFit") -> bool:
         """Whether the evidence for another fit is very strong."""
@@ -443,5 +463,15 @@ def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 def renewal_score(rows: np.ndarray, expected: np.ndarray | float) -> float:
     """Log-likelihood of intervals (n,) in whole rows between new values that come `expected` rows apart, at any phase."""
-    away = np.abs(rows - np.maximum(expected, 1.0))
-    return float(np.sum(np.log(np.maximum(1.0 - away, STRAY))))
+    return float(np.sum(np.log(np.maximum(1.0 - _away(rows, expected), STRAY))))
+
+
+def _away(rows: np.ndarray, expected: np.ndarray | float) -> np.ndarray:
+    """Rows (n,) by which intervals differ from the expected ones: from 1 on no phase explains one."""
+    return np.abs(rows - np.maximum(expected, 1.0))
+
+
+def unexplained(kind: str, rows: np.ndarray, expected: np.ndarray | float) -> bool:
+    """Whether more intervals between new values than STRAYS of a kind are unlike the `expected` ones, by a binomial test."""
+    strays = np.sum(_away(rows, expected) >= 1.0)
+    return bool(len(rows)) and float(binom.sf(strays - 1, len(rows), STRAYS[kind])) < UNLIKELY

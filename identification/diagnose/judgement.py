@@ -32,6 +32,10 @@ SMALLEST = 0.002
 """Least size of interest where the user names none: the power that an effect adds below SLOW, as a share of the noise's there.
 An effect's declared `common` share takes its place for what every rig has a little of."""
 
+ACCURACY = 2e-4
+"""Share of the largest measured thrust below which no effect of the thrust is of interest where the user names no size: a load
+cell's own error (class C3 of OIML R 60, 0.02 % of full scale). The noise of a long record may be averaged below it."""
+
 SLOW = 10.0
 """Hz: what lies below is the rig's; above, bearings and blades hum in phase with themselves."""
 

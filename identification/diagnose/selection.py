@@ -9,6 +9,7 @@ import numpy as np
 from identification.diagnose.crossval import HeldOut, cross_validated
 from identification.diagnose.following import falls_in_bands
 from identification.diagnose.judgement import (
+    ACCURACY,
     MOST,
     RIVALS,
     SMALLEST,
@@ -65,8 +66,9 @@ class Selection:
 class Judge:
     """Judges effects against the set without them, which may be the `base`.
 
-    `smallest`: least sizes of interest; where none is named, SMALLEST of the noise's slow power in the thrust, and the sensor's
-    uncertainty in the speed. `runs`: of steps, which no fit of a diagnosis takes.
+    `smallest`: least sizes of interest; where none is named, SMALLEST of the noise's slow power in the thrust or ACCURACY of
+    the largest thrust, if that is more, and the sensor's uncertainty in the speed. `runs`: of steps, which no fit of a
+    diagnosis takes.
     """
 
     def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
@@ -121,7 +123,9 @@ class Judge:
         """N: the least size of interest of the thrust below 10 Hz."""
         if self.smallest.thrust is not None:
             return self.smallest.thrust
-        return float(np.sqrt(SMALLEST * max(e.noise.slow for e in self.searcher.experiments)))
+        experiments = self.searcher.experiments
+        largest = max(float(np.nanmax(np.abs(r.record["thrust"]))) for e in experiments for r in e.records)
+        return max(float(np.sqrt(SMALLEST * max(e.noise.slow for e in experiments))), ACCURACY * largest)
 
     def least_speed(self) -> float:
         """rpm: the least size of interest of the speed; infinite where none was measured."""

@@ -99,10 +99,13 @@ class Candidate:
 
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
-    """Candidates for records; an effect that needs a measured input is left out where a record lacks it."""
+    """Candidates for records; left out are effects that need a measured input which a record lacks, and those that round a
+    command which never changes."""
     records, found = tuple(records), []
     for effect in library:
         if effect.off is None or any(u.name not in r for u in effect.inputs if not u.clock for r in records):
+            continue
+        if any(all(np.ptp(r[command]) == 0.0 for r in records) for command in effect.rounds):
             continue
         choices = [(effect.full(p.name), p.choices) for p in effect.parameters if p.choices]
         free = tuple(effect.full(p.name) for p in effect.parameters if not p.choices)
