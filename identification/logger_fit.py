@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import binom
+from threadpoolctl import threadpool_limits
 
 from identification.fit.coordinates import slowest
 from identification.fit.experiment import Experiment
@@ -88,6 +89,7 @@ DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
 ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 
+@threadpool_limits.wrap(limits=1)  # matrices of ten columns gain nothing by threads
 def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
     """What passed the gate, its records as their logger took them, without their run-ins. Estimated beside `effects` of a
     `library` at `values`, from the fitted records; without any, the logger is the contract's, and no start is judged."""
