@@ -14,7 +14,7 @@ from identification.assessment.profile import profiled
 from identification.assessment.reading_noise import ReadingNoise, reading_noise
 from identification.assessment.residual_tests import ResidualTests, residual_tests
 from identification.fit.coordinates import CHANNELS, slowest
-from identification.fit.identifiability import hardly_told
+from identification.fit.identifiability import weakly_identified
 from identification.fit.problem import Prior
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.fit.uncertainty import Uncertainty
@@ -221,7 +221,7 @@ def identify(
         steps=steps,
         refinement=found,
         uncertainty=uncertainty,
-        not_identifiable={n: why for n, why in found.held.items() if n not in known} | hardly_told(uncertainty),
+        not_identifiable={n: why for n, why in found.held.items() if n not in known} | weakly_identified(uncertainty),
         fitted=tuple(fitted),
         predictions=predictions,
         bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},
@@ -255,7 +255,7 @@ def _without_record(
         steps=steps,
         refinement=None,
         uncertainty=told.uncertainty,
-        not_identifiable={**told.not_identifiable, **hardly_told(told.uncertainty)},
+        not_identifiable={**told.not_identifiable, **weakly_identified(told.uncertainty)},
         fitted=(),
         predictions={},
         bands={},

@@ -12,7 +12,7 @@ from studies.synthetic import STEP, TRUTH, commands
 from identification.assessment.information import read_knowledge
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
-from identification.diagnose.judgement import CERTAIN
+from identification.diagnose.judgement import ALPHA_BASE
 from identification.diagnose.report.effect import at_rest
 from identification.diagnose.report.identification import identification_of
 from identification.diagnose.report.page import diagnosis_page, headline, key_figures
@@ -97,7 +97,7 @@ def test_summary_has_what_the_contract_names(example):
         assert all({"value", "std", "unit"} <= set(p) for p in effect["parameters"].values())
     for entry in (found["before"], found["after"]):
         assert {"record", "from", "rmse_thrust", "rmse_omega", "fit_thrust", "sections"} <= set(entry)
-    assert found["lack_of_fit"]["before"]["p"] < CERTAIN < found["lack_of_fit"]["after"]["p"]
+    assert found["lack_of_fit"]["before"]["p"] < ALPHA_BASE < found["lack_of_fit"]["after"]["p"]
     assert all("why_not" in entry for entry in found["candidates"])
     assert {c["name"] for c in found["candidates"]} == {"pitch_command_deadband", "pitch_offset", "sensor_lag"}
 
@@ -200,9 +200,9 @@ def test_what_no_name_takes_up_is_a_lack_of_fit(missing):
     """And is learned, if at all, in its place, to the good of a record that no fit saw."""
     found = diagnose(rig(**missing), some("sensor_drift"))
     assert found.verdict in ("unexplained", "learned")
-    assert found.before.found
+    assert found.before.significant
     assert found.before.score.gain > 10.0
-    assert summary(found)["lack_of_fit"]["before"]["p"] < CERTAIN
+    assert summary(found)["lack_of_fit"]["before"]["p"] < ALPHA_BASE
     assert found.final.effects == (("learned",) if found.learned else ())
     if found.learned:
         assert found.errors(found.final)[0] < found.errors(found.base)[0]
@@ -229,14 +229,14 @@ def test_a_speed_that_drifts_while_thrust_is_right_is_a_lack_of_fit(drift):
     found = diagnose(replace(campaign, **records), some("sensor_lag"), thorough=False)
     share = drift**2 / 3.0 / (drift**2 / 3.0 + noise**2)
     assert found.before.speed == pytest.approx(share, abs=0.02)
-    assert found.before.p > CERTAIN  # thrust is right
-    assert (found.verdict, found.before.lacks_speed) == (("unexplained", True) if drift else ("none", False))
+    assert found.before.p > ALPHA_BASE  # thrust is right
+    assert (found.verdict, found.before.speed_lack_of_fit) == (("unexplained", True) if drift else ("none", False))
     if drift:  # N: the slope of the map in speed, by differences of the thrust itself at rest
         y = Simulator(plant(())).simulate(plant(()).values(TRUTH), records["open_loop"].columns, records["open_loop"].steps)
         steady, change = ({"omega": y[:, 1] * factor, "beta": y[:, 2]} for factor in (1.0, 1.001))
         slope = (map_at(**change) - map_at(**steady)) / (0.001 * y[:, 1])
         late = drift * np.linspace(0.0, 1.0, len(y))
-        assert found.before.speed_size == pytest.approx(np.sqrt(np.mean((slope * late) ** 2)), rel=0.1)
+        assert found.before.thrust_equivalent == pytest.approx(np.sqrt(np.mean((slope * late) ** 2)), rel=0.1)
 
 
 def test_one_record_is_enough_and_all_of_it_is_used():

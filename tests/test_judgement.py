@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from identification.diagnose import crossval, diagnose, selection
-from identification.diagnose.crossval import HeldOut, cross_validated, folds, rises
-from identification.diagnose.judgement import FOLDS, LEVEL, STRONG, Judgement, left_by_forms, needed_fall, refusals
+from identification.diagnose import acceptance, crossval, diagnose, selection, validation
+from identification.diagnose.crossval import HeldOut, cross_validated, error_increases, folds
+from identification.diagnose.judgement import (
+    ALPHA,
+    FOLDS,
+    MIN_EVIDENCE,
+    Judgement,
+    chance_threshold,
+    model_form_allowance,
+    refusals,
+)
 from identification.diagnose.search.candidates import candidates
 from identification.diagnose.search.fits import Searcher
 from identification.diagnose.search.screening import Screening
@@ -80,8 +88,8 @@ def test_chance_passes_the_needed_fall_as_rarely_as_the_level_says(count):
     """The best of many independent candidates that explain nothing: half a chi^2 each."""
     comparisons, draws = 50, 20000
     best = 0.5 * chi2.rvs(count, size=(draws, comparisons), random_state=1).max(axis=1)
-    passed = np.mean(best > needed_fall(count, comparisons))
-    assert abs(passed - LEVEL) < 3.0 * np.sqrt(LEVEL * (1.0 - LEVEL) / draws)
+    passed = np.mean(best > chance_threshold(count, comparisons))
+    assert abs(passed - ALPHA) < 3.0 * np.sqrt(ALPHA * (1.0 - ALPHA) / draws)
 
 
 def test_an_effect_must_pass_every_rule():
@@ -96,7 +104,7 @@ def test_an_effect_must_pass_every_rule():
     assert refusals(**good) == []
     for change, word in (
         ({"fall": 9.0}, "chance"),
-        ({"evidence": STRONG}, "evidence too weak"),
+        ({"evidence": MIN_EVIDENCE}, "evidence too weak"),
         ({"gain": {"thrust": -4.0, "omega": 3.0}}, "cross-validation gains nothing"),
         ({"gain": {"thrust": -2.0, "omega": 30.0}}, "thrust is predicted worse"),
         ({"material": False}, "least size"),
@@ -148,7 +156,7 @@ def test_a_special_case_takes_the_place_of_what_contains_it_once_the_set_stands(
     for behind, name in ((0.5, "band"), (3.0, "limits")):
         monkeypatch.setattr(selection, "evidence_over", lambda fit, other, behind=behind: -behind)
         found = selection.Selection(final, final)
-        selection._narrow(None, found, lambda *_: SimpleNamespace(refused=()))
+        selection._prefer_special_cases(None, found, lambda *_: SimpleNamespace(refused=()))
         assert found.final.effects == (name, "wake")
 
 
@@ -170,7 +178,7 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
     monkeypatch.setattr(selection, "first_round", first_round)
     monkeypatch.setattr(selection, "evidence_over", lambda one, other: one.worth - other.worth)
     monkeypatch.setattr(selection, "_pruned", lambda searcher, base, one, judge: (one, {}))
-    monkeypatch.setattr(selection, "_narrow", lambda *_: None)
+    monkeypatch.setattr(selection, "_prefer_special_cases", lambda *_: None)
     monkeypatch.setattr(selection, "_rivals", lambda *_: {})
     judge = type("Judged", (), {"searcher": SimpleNamespace(again=lambda one: one), "base": fit()})()
     judge.__class__.__call__ = lambda *_: SimpleNamespace(refused=())
@@ -189,27 +197,27 @@ def test_what_starts_anywhere_in_another_record_ships_only_where_other_starts_co
     rng = np.random.default_rng(8)
     squares = {names: None if r is None else r**2 * rng.uniform(0.9, 1.1, 12) for names, r in rms.items()}
     judge = SimpleNamespace(searcher=None, runs=runs, on_runs=lambda one: squares[one.effects], matters=lambda *_: True)
-    monkeypatch.setattr(diagnose, "without", lambda searcher, base, one, name: rest)
-    monkeypatch.setattr(diagnose, "_estimated", lambda judge, knowledge, present, one: one)
-    monkeypatch.setattr(diagnose, "_refuted", lambda *_: "")
-    final, why = diagnose._shipped(judge, None, None, SimpleNamespace(), SimpleNamespace(effects=()), both)
+    monkeypatch.setattr(validation, "without", lambda searcher, base, one, name: rest)
+    monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
+    monkeypatch.setattr(validation, "_refuted", lambda *_: "")
+    final, why = validation.validated(judge, None, None, SimpleNamespace(), SimpleNamespace(effects=()), both)
     assert (final.effects, why) == (ships, "")
 
 
 def test_an_effect_of_which_an_estimate_leaves_nothing_is_refuted(monkeypatch):
     fit = SimpleNamespace(effects=("band",), problem=SimpleNamespace(model=SimpleNamespace(effects=[])))
-    monkeypatch.setattr(diagnose, "_estimated", lambda judge, knowledge, present, one: one)
+    monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
     present, judge = SimpleNamespace(name="present"), SimpleNamespace(matters=lambda *_: False)
-    final, why = diagnose._shipped(judge, None, None, present, SimpleNamespace(effects=()), fit)
+    final, why = validation.validated(judge, None, None, present, SimpleNamespace(effects=()), fit)
     assert final is present
-    assert "of band nothing is left" in why
+    assert "band is below the minimum size" in why
 
 
 @pytest.mark.parametrize(("after", "worse"), [(0.2, True), (0.1, False), (0.05, False)])
 def test_an_error_rises_where_blocks_that_were_not_fitted_agree_on_it(after, worse):
     """Twelve blocks of noise, 0.1 before: Student's test of their differences."""
     rng, time = np.random.default_rng(3), np.arange(0.0, 60.0, 0.05)
-    assert rises([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
+    assert error_increases([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
 
 
 @pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error rises from 0.1 to 0.11 N"), (False, "")])
@@ -221,9 +229,9 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
     held = {n: HeldOut({"thrust": 1.0}, {"thrust": 1}, (e,), ()) for n, e in {"was": old, "now": new}.items()}
     fit = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
     shipped = SimpleNamespace()
-    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
+    monkeypatch.setattr(validation, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
     judge = SimpleNamespace(held_out=lambda one: held["was"], runs=())
-    assert diagnose._refuted(judge, shipped, shipped, fit, fit, None, partly) == told
+    assert validation._refuted(judge, shipped, shipped, fit, fit, None, partly) == told
 
 
 class Estimates:
@@ -262,7 +270,7 @@ def test_what_ships_is_estimated_as_the_left_out_folds_have_it(found, agreed, ag
     last = estimate("again", with_map_of=estimate("held"))
     own = {"as_identified": last, "with_map_of": estimate("held")}
     fit = estimate("found", **own, agreed=estimate("agreed", **own))
-    assert diagnose._estimated(judge, object(), estimate("present"), fit).name == chosen
+    assert validation._estimated(judge, object(), estimate("present"), fit).name == chosen
 
 
 @pytest.mark.parametrize(
@@ -280,7 +288,7 @@ def test_the_map_stays_what_it_was_where_records_of_an_effect_on_the_way_do_not_
     last = estimate("again", with_map_of=estimate("held"))
     last.at_rest = at_rest
     fit = estimate("found", as_identified=last)
-    assert diagnose._estimated(judge, None, estimate("present"), fit).name == chosen
+    assert validation._estimated(judge, None, estimate("present"), fit).name == chosen
 
 
 @pytest.mark.parametrize(("name", "widened"), [("pitch_asymmetry", False), ("map_terms", True)])
@@ -474,33 +482,33 @@ def test_step_runs_ask_for_the_other_estimate_too(on_runs, chosen):
     judge = Estimates(present=0.1, found=0.08, again=0.09, held=0.2)
     judge.runs, judge.on_runs = [1], lambda fit: np.full(3, {"present": 0.01, "held": 1.0, **on_runs}[fit.name])
     fit = estimate("found", as_identified=estimate("again", with_map_of=held), with_map_of=held)
-    assert diagnose._estimated(judge, None, estimate("present"), fit).name == chosen
+    assert validation._estimated(judge, None, estimate("present"), fit).name == chosen
 
 
 @pytest.mark.parametrize(("after", "told"), [(0.1001, "cross-validated thrust error rises from 0.1 to 0.1001 N"), (0.0999, "")])
 def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, after, told):
     """Whatever the evidence, and however little: that it is so for certain is not asked for."""
-    monkeypatch.setattr(diagnose, "rises", lambda *_: False)
+    monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
-    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: judge.held_out(one))
-    assert diagnose._refuted(judge, present, estimate("base"), found, found, None) == told
+    monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
+    assert validation._refuted(judge, present, estimate("base"), found, found, None) == told
 
 
 @pytest.mark.parametrize(("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error rises from 0.2 to 0.21 N")])
 def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_predicts_better(monkeypatch, as_it_ships, told):
     """Of an actuator that latches the records tell little of the map: with the static map's word it is known."""
-    monkeypatch.setattr(diagnose, "rises", lambda *_: False)
+    monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge = Estimates(present=0.1, found=0.5, final=as_it_ships, base=0.2)
-    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: judge.held_out(one))
+    monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
     found, final = estimate("found"), estimate("final")
-    assert diagnose._refuted(judge, estimate("present"), estimate("base"), found, final, None) == told
+    assert validation._refuted(judge, estimate("present"), estimate("base"), found, final, None) == told
 
 
 @pytest.mark.parametrize(
     ("every", "rise", "told"),
     [
-        (2, 0.48, "thrust error of the step runs rises from 0.1 to 0.5 N"),
-        (20, 4.8, "thrust error of the step runs rises from 0.1 to 0.5 N"),
+        (2, 0.48, "thrust error of the step responses rises from 0.1 to 0.5 N"),
+        (20, 4.8, "thrust error of the step responses rises from 0.1 to 0.5 N"),
         (2, 0.01, ""),
     ],
 )
@@ -516,9 +524,9 @@ def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monk
     found = SimpleNamespace(problem=SimpleNamespace(experiments=[SimpleNamespace(record=SimpleNamespace(time=time))]))
     shipped = SimpleNamespace()
     name = lambda one: "was" if one is shipped else "now"  # noqa: E731
-    monkeypatch.setattr(diagnose, "cross_validated", lambda one, split: held[name(one)])
+    monkeypatch.setattr(validation, "cross_validated", lambda one, split: held[name(one)])
     judge = SimpleNamespace(held_out=lambda one: held[name(one)], on_runs=lambda one: runs[name(one)], runs=[1])
-    assert diagnose._refuted(judge, shipped, shipped, found, found, None) == told
+    assert validation._refuted(judge, shipped, shipped, found, found, None) == told
 
 
 @pytest.mark.parametrize(
@@ -531,15 +539,15 @@ def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_ref
     stands = Judgement("", 9.0, 5.0, 8.0, {}, 0.2, 0.1)
     found = selection.Selection(None, None, {"limit": stands}, rivals={"limit": dict(reversed(fits.items()))})
     monkeypatch.setattr(selection, "without", lambda *_: None)
-    monkeypatch.setattr(diagnose, "with_turning", lambda one, other: "nothing")
-    monkeypatch.setattr(diagnose, "verdict", lambda base, final, before, after, family: "attributed")
+    monkeypatch.setattr(validation, "with_rotor_order", lambda one, other: "nothing")
+    monkeypatch.setattr(validation, "verdict", lambda base, final, before, after, family: "attributed")
     judged = type("Judged", (), {"searcher": None, "lack": lambda *_: None, "__call__": lambda *_: stands})()
 
     def shipped(fit, partly):
         assert not partly
         return fit, "rises" if fit.effects[0] in refuted else ""
 
-    other = diagnose._not_refuted(found, "rises there", judged, None, None, shipped)
+    other = validation.next_valid_alternative(found, "rises there", judged, None, None, shipped)
     if taken is None:
         assert other is None
         return
@@ -553,9 +561,9 @@ def test_what_was_not_told_from_what_is_refuted_takes_its_place_unless_it_is_ref
 def test_an_effect_must_exceed_what_the_form_of_another_may_leave_in_its_band():
     """An effect that explains 8000 nats and is described to 5 % of its amplitude leaves 0.05^2 of them, 20, in its own band."""
     left = 0.05**2 * 8000.0
-    assert left_by_forms(np.array([25.0, 0.0]), np.array([8000.0, 0.0])) == pytest.approx(left)
-    assert left_by_forms(np.array([3.0, 25.0]), np.array([8000.0, 0.0])) == 3.0
-    assert left_by_forms(np.array([-3.0, 25.0]), np.array([8000.0, -3.0])) == 0.0
+    assert model_form_allowance(np.array([25.0, 0.0]), np.array([8000.0, 0.0])) == pytest.approx(left)
+    assert model_form_allowance(np.array([3.0, 25.0]), np.array([8000.0, 0.0])) == 3.0
+    assert model_form_allowance(np.array([-3.0, 25.0]), np.array([8000.0, -3.0])) == 0.0
 
 
 def thrust_fit(rows):
@@ -583,10 +591,10 @@ def test_beside_a_strong_drift_an_effect_of_30_nats_is_accepted_in_another_band_
     noise = np.random.default_rng(4).standard_normal(count)
     noise -= known @ np.linalg.lstsq(known, noise, rcond=None)[0]  # so that the nats are exact
     base, without, with_it = (thrust_fit(rows) for rows in (noise + trace + drift, noise + trace, noise))
-    fall, by_forms = selection.Judge(SimpleNamespace(experiments=()), base, None, ()).likelihood_gain(with_it, without)
+    fall, by_forms = acceptance.Judge(SimpleNamespace(experiments=()), base, None, ()).likelihood_gain(with_it, without)
     assert fall == pytest.approx({"thrust": 30.0, "omega": 0.0}, rel=0.02)
     assert by_forms == pytest.approx(0.0 if accepted else fall["thrust"], abs=0.5)
-    needed = needed_fall(1, 500) + by_forms
+    needed = chance_threshold(1, 500) + by_forms
     assert (refusals(fall["thrust"], needed, 25.0, fall, 1, True) == []) is accepted
 
 
@@ -623,7 +631,7 @@ def test_a_term_must_explain_all_or_be_told_from_others_and_beside_the_base_more
         return diagnose.Attempt(learned=SimpleNamespace(term=term, curve=None, elsewhere=("another",) * elsewhere))
 
     monkeypatch.setattr(diagnose, "evidence_over", lambda term, other: ahead)
-    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(found=leaves))
+    judge = SimpleNamespace(lack=lambda fit: SimpleNamespace(significant=leaves))
     attempt, final = diagnose._learned(
         learned_beside, [base, known], judge, SimpleNamespace(name="present"), lambda present, beside, term: (term, refuted)
     )

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
-from scipy.stats import kstest
+from scipy.stats import chi2, kstest
 
 from identification.assessment.reading_noise import last_thirds
-from identification.diagnose import following as shapes_of
-from identification.diagnose import lack
-from identification.diagnose.following import Following, banded_falls, scores_covariance
-from identification.diagnose.lack import Band, spectra
-from identification.diagnose.verdict import unnamed, verdict
+from identification.diagnose import command_shapes, lack_of_fit
+from identification.diagnose.acceptance import gains_in_bands_of
+from identification.diagnose.lack_of_fit import Band, spectra
+from identification.diagnose.score_test import ScoreTest, scores_covariance
+from identification.diagnose.validation import unnamed, verdict
 from identification.fit.converter import Converter
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
@@ -58,7 +58,8 @@ def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parame
         left, gone = (residual - shapes.T @ score)[None], np.vstack([shapes, fitted])
         covariance, bands = scores_covariance([(shapes, other[None], shapes[:0]) if repeat else (shapes, left, gone)])
         statistic = float(score @ np.linalg.solve(covariance, score))
-        rejected += Following(0.5 * (statistic - count), count, bands).p < 0.01
+        if chi2.sf(statistic, count) < 0.01:  # F terms exceed those of a chi-square: p can't be smaller
+            rejected += ScoreTest(0.5 * (statistic - count), count, bands).p < 0.01
     assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
 
 
@@ -84,7 +85,7 @@ def test_what_falls_where_the_noise_is_four_times_what_it_was_taken_for_counts_a
         spectrum = np.fft.rfft(rng.standard_normal(n))
         spectrum[:12] *= 2.0
         after = np.fft.irfft(spectrum, n)
-        (fall,), level = banded_falls([after + 8.0 * np.sin(wave * turns), after], np.zeros((0, n)))
+        (fall,), level = gains_in_bands_of([after + 8.0 * np.sin(wave * turns), after], np.zeros((0, n)))
         found.append(np.sum(fall / level) / np.sum(fall))
     assert np.median(found) == pytest.approx(share, abs=0.05)
 
@@ -95,7 +96,7 @@ def test_where_slow_bands_tell_little_of_the_noise_a_large_score_is_no_rarity(st
     bands, rng = ((5.0, 4.0), (2.0, 20.0), (1.0, 200.0)), np.random.default_rng(3)
     drawn = sum(rng.chisquare(own, 500_000) * known / rng.chisquare(known, 500_000) for own, known in bands)
     share = float(np.mean(drawn >= statistic))
-    assert Following(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
+    assert ScoreTest(0.5 * (statistic - 8), 8, bands).p == pytest.approx(share, rel=0.05)
 
 
 def test_the_score_test_sees_what_follows_a_shape():
@@ -105,7 +106,7 @@ def test_the_score_test_sees_what_follows_a_shape():
     residual = rng.standard_normal(rows) + 20.0 * shapes[3]
     score = shapes @ residual
     covariance, bands = scores_covariance([(shapes, (residual - shapes.T @ score)[None], shapes)])
-    assert Following(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
+    assert ScoreTest(0.5 * (float(score @ np.linalg.solve(covariance, score)) - count), count, bands).p < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -114,30 +115,32 @@ def test_the_score_test_sees_what_follows_a_shape():
 def test_a_model_that_claims_to_explain_all_must_pass_a_stricter_test(monkeypatch, effects, p, certain):
     """Five bands and a score test: the smallest of six p-values is below q as often as p = 1 - (1 - q)^6."""
     q = 1.0 - (1.0 - p) ** (1.0 / 6.0)
-    monkeypatch.setattr(lack, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4)))
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10, ((10.0, 1000.0),)))
-    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
-    monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (0.0, 0.0))
-    found = lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
+    monkeypatch.setattr(
+        lack_of_fit, "pure_error", lambda fit: tuple(Band(0.0, 1.0, 0.01, 0.001, each) for each in (q, *[0.5] * 4))
+    )
+    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 10, ((10.0, 1000.0),)))
+    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: 0.0)
+    monkeypatch.setattr(lack_of_fit, "transient_power_share", lambda fit, channel: (0.0, 0.0))
+    found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=effects), least=0.1)
     assert found.p == pytest.approx(p)
-    assert (found.certain, found.found) == (certain, certain)
-    assert not lack.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).found  # it is 0.22 N
+    assert (found.certain, found.significant) == (certain, certain)
+    assert not lack_of_fit.lack_of_fit(SimpleNamespace(effects=effects), least=0.3).significant  # it is 0.22 N
 
 
 @pytest.mark.parametrize(("share", "size", "lacks"), [(0.4, 0.3, False), (0.6, 0.3, True), (0.6, 0.05, False)])
 def test_a_wrong_speed_is_a_lack_of_fit_though_the_thrust_is_right(monkeypatch, share, size, lacks):
     """More than half of what is left of it, worth more than 0.1 N."""
-    monkeypatch.setattr(lack, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 10, ((10.0, 1000.0),)))
-    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack, "speed_share", lambda fit: share)
-    monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (0.0, 0.0))
-    monkeypatch.setattr(lack, "speed_size", lambda fit, told: (size, 7.0))
-    found = lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=5.0)
-    assert (found.certain, found.lacks_speed, found.found) == (False, lacks, lacks)
+    monkeypatch.setattr(lack_of_fit, "pure_error", lambda fit: ())
+    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 10, ((10.0, 1000.0),)))
+    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: share)
+    monkeypatch.setattr(lack_of_fit, "transient_power_share", lambda fit, channel: (0.0, 0.0))
+    monkeypatch.setattr(lack_of_fit, "thrust_equivalent", lambda fit, told: (size, 7.0))
+    found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=5.0)
+    assert (found.certain, found.speed_lack_of_fit, found.significant) == (False, lacks, lacks)
     assert found.only_speed is lacks
-    assert not lack.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=9.0).found  # it is 7 rpm
+    assert not lack_of_fit.lack_of_fit(SimpleNamespace(effects=()), least=0.1, least_speed=9.0).significant  # it is 7 rpm
     assert found.summary()["speed"]["share"] == share
 
 
@@ -161,7 +164,7 @@ def left_of_holds(monkeypatch, std=1.0, verified=False, count=0.0):
         noise=SimpleNamespace(verified=verified),
     )
     values = {f"tau_{u}_{k}": 0.2 for u in ("omega", "beta") for k in (1, 2)}
-    monkeypatch.setattr(shapes_of, "_outputs", lambda fit, e: np.column_stack([thrust, speed, speed]))
+    monkeypatch.setattr(lack_of_fit, "predicted_rows", lambda fit, e: np.column_stack([thrust, speed, speed]))
     return SimpleNamespace(problem=SimpleNamespace(experiments=[e]), values=values, effects=("one",))
 
 
@@ -178,15 +181,15 @@ def test_a_speed_that_is_wrong_while_commands_move_is_no_noise_where_rest_has_it
     """Where the sensor leaves all that uncertain, a repeat tells the noise, or a model claims nothing, this is not asked."""
     fit = left_of_holds(monkeypatch, std, verified)
     fit.effects = effects
-    monkeypatch.setattr(shapes_of, "_places", lambda fit, channel: [slice(0, len(TIME))])
-    monkeypatch.setattr(shapes_of, "_followed_share", lambda fit, parts: 0.1)
-    assert shapes_of.speed_share(fit) == pytest.approx(POWER / (1.0 + POWER) if asked else 0.1, abs=0.03)
+    monkeypatch.setattr(lack_of_fit, "channel_rows", lambda fit, channel: [slice(0, len(TIME))])
+    monkeypatch.setattr(lack_of_fit, "_followed_share", lambda fit, parts: 0.1)
+    assert lack_of_fit.structured_speed_share(fit) == pytest.approx(POWER / (1.0 + POWER) if asked else 0.1, abs=0.03)
 
 
 @pytest.mark.parametrize(("count", "verified", "beyond"), [(0.0, False, POWER), (8.0, False, 0.0), (0.0, True, 0.0)])
 def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
     """Beyond what rounding to counts leaves at best: 8 N / 12^0.5 is more than all of it."""
-    share, size = shapes_of.moving_share(left_of_holds(monkeypatch, verified=verified, count=count), "thrust")
+    share, size = lack_of_fit.transient_power_share(left_of_holds(monkeypatch, verified=verified, count=count), "thrust")
     assert share == pytest.approx(beyond / (1.0 + beyond), abs=0.05)
     assert size == pytest.approx(np.sqrt(beyond), abs=0.1)
 
@@ -197,20 +200,22 @@ def test_so_is_a_thrust(monkeypatch, count, verified, beyond):
 )
 def test_what_rest_has_not_is_a_lack_of_fit_of_a_model_that_claims_to_know(monkeypatch, claims, share, size, lacks):
     """More than half of it, and more than 0.1 N."""
-    monkeypatch.setattr(lack, "pure_error", lambda fit: ())
-    monkeypatch.setattr(lack, "following", lambda fit: Following(0.0, 0, ()))
-    monkeypatch.setattr(lack, "_score_size", lambda fit, score: 0.0)
-    monkeypatch.setattr(lack, "speed_share", lambda fit: 0.0)
-    monkeypatch.setattr(lack, "moving_share", lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0))
-    found = lack.lack_of_fit(SimpleNamespace(effects=("one",) if claims else ()), least=0.1)
-    assert (found.lacks_moving, found.found) == (lacks, lacks)
+    monkeypatch.setattr(lack_of_fit, "pure_error", lambda fit: ())
+    monkeypatch.setattr(lack_of_fit, "score_test", lambda fit: ScoreTest(0.0, 0, ()))
+    monkeypatch.setattr(lack_of_fit, "_score_size", lambda fit, score: 0.0)
+    monkeypatch.setattr(lack_of_fit, "structured_speed_share", lambda fit: 0.0)
+    monkeypatch.setattr(
+        lack_of_fit, "transient_power_share", lambda fit, channel: (share, size) if channel == "thrust" else (0.0, 0.0)
+    )
+    found = lack_of_fit.lack_of_fit(SimpleNamespace(effects=("one",) if claims else ()), least=0.1)
+    assert (found.transient_lack_of_fit, found.significant) == (lacks, lacks)
 
 
 @pytest.mark.parametrize(("was", "word"), [(0.5, "partly"), (0.4, "unexplained")])
 def test_a_part_must_remove_half_of_what_rest_has_not(was, word):
     """0.3 N are left: of 0.5 N 64 % of the power is gone, of 0.4 N 44 %."""
-    score, fits = Following(0.0, 0, ()), [SimpleNamespace(effects=e, deviance=d) for e, d in (((), 100.0), (("one",), 0.0))]
-    lacks = [lack.Lack((), score, 0.5, 0.0, 0.1, bool(m - was), moving=0.6, moving_size=m) for m in (was, 0.3)]
+    score, fits = ScoreTest(0.0, 0, ()), [SimpleNamespace(effects=e, deviance=d) for e, d in (((), 100.0), (("one",), 0.0))]
+    lacks = [lack_of_fit.LackOfFit((), score, 0.5, 0.0, 0.1, bool(m - was), moving=0.6, transient_size=m) for m in (was, 0.3)]
     assert verdict(*fits, *lacks, {"one": []}) == word
 
 
@@ -233,7 +238,7 @@ def test_what_a_loop_swings_with_is_among_the_shapes():
     values = plant(()).values({"tau_omega_1": 0.2, "tau_omega_2": 0.1})
     record = Record({"time": time, "omega_ref": command, "beta_ref": np.full(len(time), 3.0)}, "")
     outputs = np.column_stack([1e-6 * speed**2, speed, record["beta_ref"]])
-    columns = np.stack(list(shapes_of.speed_shapes(values, record, outputs)), axis=1)
+    columns = np.stack(list(command_shapes.speed_shapes(values, record, outputs)), axis=1)
     size = np.linalg.norm(columns, axis=0)
     columns = columns[:, size > 0.0] / size[size > 0.0]
     shares, *_ = np.linalg.lstsq(columns, true - speed, rcond=1e-6)

@@ -11,9 +11,9 @@ from scipy.stats import chi2, kstest
 from studies.synthetic import TRUTH, commands
 
 from identification.demo import example_folder
-from identification.diagnose.crossval import thirds
+from identification.diagnose.crossval import contiguous_folds
 from identification.diagnose.diagnose import diagnose
-from identification.diagnose.judgement import LEVEL
+from identification.diagnose.judgement import ALPHA
 from identification.diagnose.learned.columns import Course, hats, holds, lagged, plays, relay
 from identification.diagnose.learned.description import FILE, sentence, source
 from identification.diagnose.learned.learn import by_chance
@@ -123,7 +123,7 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
     columns, rng, falls = jacobian[: base.problem.size], np.random.default_rng(0), []
     terms = hats(course.drivers["pitch_rate"], np.array([-10.0, -2.0, 0.0, 2.0, 10.0]))[:, [0, 1, 3, 4]]
     for _ in range(200):
-        about.residual = about.apart(rng.standard_normal(len(columns)))
+        about.residual = about.orthogonal_part(rng.standard_normal(len(columns)))
         scores = Scores(about, columns, [course], base.problem.scale, base.problem.times)
         scored = scores.group(*scores.products([(terms * base.problem.scale["thrust"], None)]))
         falls.append(2.0 * scored.fall)
@@ -132,11 +132,11 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
 
 
 def test_thirds_leave_whole_thirds_out():
-    np.testing.assert_array_equal(thirds(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 30.0]), 30.0), [0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(contiguous_folds(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 30.0]), 30.0), [0, 0, 1, 1, 2, 2])
 
 
 def test_chance_in_a_closed_form():
-    assert by_chance(100) == pytest.approx(np.log(100 / LEVEL))
+    assert by_chance(100) == pytest.approx(np.log(100 / ALPHA))
 
 
 def test_where_nothing_lacks_nothing_is_looked_for(nothing):
@@ -153,7 +153,7 @@ def test_a_law_is_learned_and_ships(found):
     assert (term.lead.port, term.lead.driver) == ("thrust", "pitch_rate")
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     assert (before**2 - after**2) / (before**2 - NOISE**2) > 0.9
-    assert not found.after.found
+    assert not found.after.significant
     if term.lead.shape == "line":
         std = found.std["learned.gain"]
         assert abs(term.values["gain"] - GAIN) < 4.0 * std

@@ -8,7 +8,7 @@ import pytest
 from scipy.fft import dct
 from scipy.signal import lfilter
 
-from identification.fit import noise, past
+from identification.fit import ar_filter, noise
 from identification.fit.noise import Blocks, Colour, colour_of
 
 RNG = np.random.default_rng(20)
@@ -119,10 +119,12 @@ def test_a_filter_gives_back_what_a_fit_has_taken(rho):
 def test_compiled_and_interpreted_filters_give_the_same_bits_and_those_of_the_sums_as_they_are_written(shape, spans):
     """400 numbers are fewer than the part that the compiled loop goes by, 1200 and 2000 several."""
     values, factors = np.random.default_rng(5).standard_normal(shape), [0.7, -0.2, 0.01][: len(spans)]
-    found = past.less_past(values, spans, factors, 0.3)
+    found = ar_filter.ar_residuals(values, spans, factors, 0.3)
     order = max((last for _, last in spans), default=0)
-    np.testing.assert_array_equal(found, past.by_numpy(values, order, spans, factors, 0.3))
-    assert past._compiled() is not None or not shutil.which(os.environ.get("CC", "cc"))  # else numpy was compared with itself
+    np.testing.assert_array_equal(found, ar_filter.by_numpy(values, order, spans, factors, 0.3))
+    assert ar_filter._compiled() is not None or not shutil.which(
+        os.environ.get("CC", "cc")
+    )  # else numpy was compared with itself
     brute = [
         values[t] / 0.3
         - sum(f * values[t - last : t - first + 1].sum(axis=0) for (first, last), f in zip(spans, factors, strict=True))

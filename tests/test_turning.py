@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from identification.diagnose.turning import turning
+from identification.diagnose.lack_of_fit import rotor_order_test
 from vpp_fmu.record import Record
 
 STEP, SECONDS = 0.004, 30.0
@@ -36,30 +36,30 @@ def line(phase, speed=SPEED, amplitude=0.05):
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_a_vibration_of_any_phase_is_found_and_its_size_told(rho):
     rng = np.random.default_rng(1)
-    found = turning(fit_of([line(phase) + noise(rng, rho) for phase in (0.3, 2.4)]))
+    found = rotor_order_test(fit_of([line(phase) + noise(rng, rho) for phase in (0.3, 2.4)]))
     assert found.p < 1e-6
     assert found.size == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)
 
 
 def test_a_speed_that_is_off_by_a_hundredth_still_meets_it():
-    found = turning(fit_of([line(1.0, 1.01 * SPEED) + noise(np.random.default_rng(2))]))
+    found = rotor_order_test(fit_of([line(1.0, 1.01 * SPEED) + noise(np.random.default_rng(2))]))
     assert found.p < 1e-6
 
 
 def test_a_hum_is_none():
     hum = 0.1 * np.sin(2.0 * np.pi * 50.0 * TIME)
-    found = turning(fit_of([hum + noise(np.random.default_rng(3))]))
+    found = rotor_order_test(fit_of([hum + noise(np.random.default_rng(3))]))
     assert found.p > 0.001
 
 
 def test_at_one_speed_nothing_tells_it_from_a_hum():
     steady = np.full(len(TIME), 3000.0)
-    assert turning(fit_of([line(0.0, steady) + noise(np.random.default_rng(4))], steady)).p == 1.0
+    assert rotor_order_test(fit_of([line(0.0, steady) + noise(np.random.default_rng(4))], steady)).p == 1.0
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_of_noise_it_is_found_as_often_as_its_level_says(rho):
     """At 5 % in 5 % of 300 draws, within 3 standard errors."""
     rng = np.random.default_rng(5)
-    p = np.array([turning(fit_of([noise(rng, rho)])).p for _ in range(300)])
+    p = np.array([rotor_order_test(fit_of([noise(rng, rho)])).p for _ in range(300)])
     assert np.mean(p < 0.05) == pytest.approx(0.05, abs=3.0 * np.sqrt(0.05 * 0.95 / len(p)))

@@ -1,8 +1,8 @@
-"""How a fit does on data that it was not fitted to, without data to spare: interleaved blocks, each predicted from the others.
+"""Cross-validation with interleaved blocks, each predicted from the others.
 
-The parameters move from the fit along its sensitivities as each fold is left out: one Gauss-Newton step, exact where the model
-is linear, and a fold in five moves it little. A threshold has no tangent: its values are averaged by how likely the other
-folds make them.
+For each fold the parameters make one Gauss-Newton step from the full fit: exact for a linear model, and a fold in five moves
+them little. Thresholds are not differentiable: predictions are averaged over their values, weighted by the likelihood on the
+other folds.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,14 +12,14 @@ import numpy as np
 from scipy.stats import ttest_1samp
 
 from identification.assessment.prediction import Prediction
-from identification.diagnose.judgement import CARRIED, FOLD_BLOCK, FOLDS
+from identification.diagnose.judgement import ALPHA_HELD_OUT, FOLD_BLOCK, FOLDS
 from identification.diagnose.search.fits import Fit
 from identification.fit.noise import Noise, blocks
 from identification.fit.tachometer import Tachometer
 from vpp_fmu.native import Simulator
 
 FEWEST_BLOCKS = 2
-"""Blocks that each fold of a short record has at least; its blocks are shorter."""
+"""Minimum number of blocks of each fold; the blocks of a short record are shorter."""
 
 THRESHOLDS = 25
 """Values of a threshold that are averaged over."""
@@ -27,9 +27,9 @@ THRESHOLDS = 25
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """What a fit predicts of each fold from the others: `squares` of the whitened residual by channel, of `counts` rows.
+    """Cross-validation residuals: sum of `squares` of the whitened residual by channel, of `counts` rows.
 
-    `thrust` [N], `omega` [rpm]: the error of what was left out by experiment, (rows,) each; NaN where nothing was measured.
+    `thrust` [N], `omega` [rpm]: errors (rows,) by experiment; NaN where nothing was measured.
     """
 
     squares: Mapping[str, float]
@@ -58,9 +58,9 @@ def folds(time: np.ndarray, seconds: float) -> np.ndarray:
     return (time / block).astype(int) % FOLDS
 
 
-def thirds(time: np.ndarray, seconds: float) -> np.ndarray:
-    """(n,) the fold of each time [s] where each third of a record is left out as a whole: what was learned must carry over to
-    commands of another kind, not only to the moments between."""
+def contiguous_folds(time: np.ndarray, seconds: float) -> np.ndarray:
+    """Fold (n,) of each time [s] where whole thirds of a record are left out: tests whether a model carries over to other
+    commands."""
     return np.minimum((3.0 * time / seconds).astype(int), 2)
 
 
@@ -72,9 +72,8 @@ def cross_validated(
 ) -> HeldOut:
     """The fit's residuals in each fold, predicted from the other folds.
 
-    `split(time, seconds)`: the fold of each time; `moving(name)`: whether a parameter comes from the other folds, else it
-    stays; None: all do. `least`: a direction of which the other folds hold no more than this share of all that is known stays,
-    too.
+    `split(time, seconds)`: the fold of each time. `moving(name)`: whether a parameter is refitted; None: all are. `least`:
+    directions of which the other folds hold no more than this share of the information are held.
     """
     problem, (residual, jacobian) = fit.problem, fit.tangent()
     if moving is not None:
@@ -99,12 +98,12 @@ def cross_validated(
     return HeldOut(score.squares, score.counts, thrust, omega)
 
 
-def fall(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> float:
-    """p-value of an error that is no smaller in the mean square than another, both of data that were not fitted.
+def p_no_decrease(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> float:
+    """p-value of the hypothesis that a held-out mean square error does not decrease (Diebold and Mariano, 1995; one-sided t
+    test).
 
-    `parts`: (time [s], errors before, errors after), each (rows,). The difference of their squares in each block, as long as
-    those of the folds so that they hardly share anything, and `further` such differences; their mean against its own scatter
-    (Diebold and Mariano, 1995; Student's t, one-sided).
+    `parts`: (time [s], errors before, errors after), (rows,) each; differences of squares are averaged in blocks as long as
+    those of the folds. `further`: more such differences.
     """
     found = []
     for time, old, new in parts:
@@ -116,19 +115,19 @@ def fall(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Se
     return float(ttest_1samp(found, 0.0, alternative="greater").pvalue) if np.std(found) > 0.0 else 1.0
 
 
-def rises(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
-    """Whether an error is larger than another for certain; `parts` as in `fall`, `further` rises of mean squares."""
-    return fall([(time, new, old) for time, old, new in parts], further) < CARRIED
+def error_increases(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
+    """Whether a held-out error increases significantly; `parts` as in `p_no_decrease`, `further`: increases of mean squares."""
+    return p_no_decrease([(time, new, old) for time, old, new in parts], further) < ALPHA_HELD_OUT
 
 
-def falls(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
-    """Whether it is smaller for certain; `further` falls of mean squares."""
-    return fall(parts, further) < CARRIED
+def error_decreases(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], further: Sequence[float] = ()) -> bool:
+    """Whether it decreases significantly; `further`: decreases of mean squares."""
+    return p_no_decrease(parts, further) < ALPHA_HELD_OUT
 
 
-def gained(noise: Noise, before: Prediction, after: Prediction) -> dict[str, float]:
-    """Log-likelihood of a record that nobody fitted that one prediction has over another, by channel, of whitened errors; noise
-    variances unknown."""
+def held_out_gain(noise: Noise, before: Prediction, after: Prediction) -> dict[str, float]:
+    """Log-likelihood ratio of two predictions of a record that was not fitted, by channel, of whitened errors with unknown
+    variances."""
     found = {}
     was, now = _whitened(noise, before), _whitened(noise, after)
     for channel in was:
@@ -147,8 +146,8 @@ def _whitened(noise: Noise, shown: Prediction) -> dict[str, np.ndarray]:
 
 
 def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.ndarray:
-    """Pseudo-inverse of the information (k, k) that a part of the data holds, in the directions of which it holds more than the
-    share `least` of the `whole`."""
+    """Pseudo-inverse of the information matrix (k, k) of part of the data, in directions of which it holds more than the share
+    `least` of the `whole`."""
     if least <= 0.0:
         return np.linalg.pinv(part, rcond=1e-12, hermitian=True)
     size = np.sqrt(np.diag(whole))
@@ -162,7 +161,7 @@ def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.nd
 
 
 def _alternatives(fit: Fit) -> list[dict[str, float]]:
-    """The fit's values with each threshold elsewhere about its interval."""
+    """Values of the fit with each threshold elsewhere about its interval."""
     bounds = {p.name: (p.minimum, p.maximum) for p in fit.problem.model.parameters}
     found = []
     for name, (low, high) in fit.thresholds.items():
@@ -175,7 +174,7 @@ def _alternatives(fit: Fit) -> list[dict[str, float]]:
 def _errors(
     fit: Fit, moves: list[np.ndarray], split: Callable[[np.ndarray, float], np.ndarray]
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """(thrust [N], speed [rpm]): the errors by experiment where each fold's parameters moved by `moves` (coordinates)."""
+    """Errors (thrust [N], speed [rpm]) by experiment; the parameters of each fold moved by `moves` (coordinates)."""
     problem = fit.problem
     simulator, inner = Simulator(problem.model, problem.coordinates.names), problem.coordinates.jacobian(fit.solution.value)
     thrust, omega = [], []

@@ -57,7 +57,7 @@ def distinguishability(
         off = {effect.full(n): v for n, v in effect.off.items()}
         on = {effect.full(n): v for n, v in effect.probe.items()}
         there, without = about.rows(simulator, [{**candidate.form, **on}, {**candidate.form, **off}]).T
-        return about.apart(there - without)
+        return about.orthogonal_part(there - without)
 
     traces = np.empty((len(options), base.problem.size))
     for row, shown in zip(traces, spread(trace, options), strict=True):

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.assessment.prediction import predict
-from identification.diagnose.judgement import HALF, MOST
-from identification.diagnose.lack import Lack
+from identification.diagnose.acceptance import Judge
+from identification.diagnose.judgement import MAJORITY, MOST
+from identification.diagnose.lack_of_fit import LackOfFit
 from identification.diagnose.search.fits import Fit
 from identification.diagnose.search.refits import evidence_over
-from identification.diagnose.selection import Judge, Selection, Tried
-from identification.diagnose.verdict import gone
+from identification.diagnose.selection import Selection, Tried
+from identification.diagnose.validation import share_explained
 from vpp_fmu.record import Record
 
 
@@ -54,14 +55,14 @@ class Guess:
 
     @property
     def near(self) -> bool:
-        """Whether it would remove more than HALF of the lack of fit; else no candidate comes near."""
-        return self.explains > HALF
+        """Whether it would remove more than MAJORITY of the lack of fit; else no candidate comes near."""
+        return self.explains > MAJORITY
 
 
 def best_guess(
     judge: Judge,
     selection: Selection,
-    lacks: tuple[Lack, Lack],
+    lacks: tuple[LackOfFit, LackOfFit],
     refuted: str,
     partly: bool,
     tried: Callable[[], Tried],
@@ -75,9 +76,10 @@ def best_guess(
     before, after = lacks
     base, final = judge.base, selection.final
     if final.effects and not partly:
-        explains = gone(base, final, before, after)
+        explains = share_explained(base, final, before, after)
         against = (
-            refuted or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, {100.0 * HALF:.0f} % are asked for"
+            refuted
+            or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, {100.0 * MAJORITY:.0f} % are asked for"
         )
         return _guess(base, final, (explains, explains), (against,), ("", base), experiment)
     beside, missing = (final, after) if partly else (base, before)
@@ -87,10 +89,10 @@ def best_guess(
     (name, fit, judged), *others = ranked
 
     def explained(fit: Fit) -> float:
-        return gone(beside, fit, missing, judge.lack(fit))
+        return share_explained(beside, fit, missing, judge.lack(fit))
 
     explains = most = explained(fit)
-    if explains <= HALF:  # else nobody asks for the most
+    if explains <= MAJORITY:  # else nobody asks for the most
         most = max(explains, *(explained(other) for _, other, _ in others), 0.0)
     limit = f"a diagnosis names {MOST} effects at most"
     against = judged().refused or ((limit,) if len(beside.effects) >= MOST else ("beside it another effect is dropped again",))

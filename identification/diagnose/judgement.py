@@ -1,6 +1,6 @@
-"""Every number that decides a diagnosis, each beside its statistic; and the rules that are made of them.
+"""The constants that decide a diagnosis, each with its statistic, and the rules that use them.
 
-README.md has the table: what each constant trades, and what it does to false alarms and to detection.
+README.md has a table of what each constant trades.
 """
 
 from collections.abc import Mapping
@@ -10,64 +10,59 @@ from functools import cache
 import numpy as np
 from scipy.stats import chi2
 
-LEVEL = 0.01
-"""Share of rigs that lack nothing in which the best of all candidates may pass for an effect: the family-wise level of the
-likelihood ratio test, shared evenly among the points that the search looks at (Bonferroni). And of models that explain all,
-those that may be taken to leave something: who claims to know it all must pass each test of lack of fit at this level."""
+ALPHA = 0.01
+"""Family-wise level of the likelihood ratio test over all points of a search (Bonferroni), and level of each test of lack of
+fit on a model with effects."""
 
-STRONG = 5.0
-"""Natural logarithm of the penalised likelihood ratio (half a difference of the BIC) from which evidence is very strong (Kass
-and Raftery, 1995): for an effect against none, and between two effects that are to be told apart."""
+MIN_EVIDENCE = 5.0
+"""Minimum penalised log-likelihood ratio (half a BIC difference) of an effect against none, and between two effects: very
+strong evidence (Kass and Raftery, 1995)."""
 
 FORM = 0.0025
-"""Share of the log-likelihood that the rest of a set explains in a band of a channel's frequencies which one more effect must
-exceed there, beside what chance reaches: no form is a rig's own, and where an effect is described to 5 % of its amplitude the
-error of its form has 0.25 % of its power. A slow effect has no power in fast bands, and the error of its form has none."""
+"""Share of the log-likelihood that accepted effects explain in a frequency band, which one more effect must exceed there: a
+model form is right to some 5 % of amplitude, 0.25 % of power. A slow effect allows nothing in fast bands."""
 
-CERTAIN = 0.001
-"""Level of each test of lack of fit where nothing is claimed: of the pure error in a band, and of the score test on generic
-shapes. Most rigs that are looked at lack nothing, and to look for what a rig lacks takes days."""
+ALPHA_BASE = 0.001
+"""Level of each test of lack of fit on a model without effects. Stricter than ALPHA: most rigs miss nothing, and a search for a
+missing effect costs its user days."""
 
 SMALLEST = 0.002
-"""Least size of interest where the user names none: the power that an effect adds below SLOW, as a share of the noise's there.
-An effect's declared `common` share takes its place for what every rig has a little of."""
+"""Default minimum size of interest: power that an effect adds below SLOW over the noise power there. An effect may declare a
+`common` share instead, if every rig has a little of it."""
 
 ACCURACY = 2e-4
 """Share of the largest measured thrust below which no effect of the thrust is of interest where the user names no size: a load
 cell's own error (class C3 of OIML R 60, 0.02 % of full scale). The noise of a long record may be averaged below it."""
 
 SLOW = 10.0
-"""Hz: what lies below is the rig's; above, bearings and blades hum in phase with themselves."""
+"""Hz: below, a repeatable residual is an error of the model; above, bearings and blades hum."""
 
 MOST = 3
 """Effects that one diagnosis may name."""
 
 FOLDS, FOLD_BLOCK = 5, 5.0
-"""Interleaved folds of the cross-validation, and the seconds of the blocks they are made of: longer than any lag of a rig."""
+"""Interleaved folds of the cross-validation, and seconds of their blocks: longer than any lag of a rig."""
 
-RIVALS = 10.0
-"""Nats within which a term at another port, or with another driver, counts as one that these records do not tell from it, and
-another effect as one that a search may as well begin with: twice STRONG, for the fits of both are as rough as their knots, or
-lack the same other effect."""
+ALTERNATIVE_WINDOW = 10.0
+"""Nats within which another effect, or a learned term at another port, counts as not distinguished: twice MIN_EVIDENCE, because
+both fits are approximate."""
 
-CARRIED = 0.05
-"""Level of the test that thrust is predicted better by a term, or worse by a set than by the identified base, where it was not
-fitted. What comes this far is beyond what chance finds among all comparisons; here it is asked whether it carries over, on a
-dozen blocks or two."""
+ALPHA_HELD_OUT = 0.05
+"""Level of the tests that an error on held-out data decreases or increases. Multiple comparisons are accounted for before;
+these tests have some twenty blocks."""
 
-HALF = 0.5
-"""Share of the lack of fit that a set must remove to be a part of the explanation; share of what passes for noise that must
-turn with the rotor, of the speed's that must follow the commands, or of either's that must be missing at rest, to be none."""
+MAJORITY = 0.5
+"""Share of the lack of fit that a set must explain to be `partly`; share of a residual's power that must be structured, or at
+the rotor frequency, to count as lack of fit."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What an effect of a set rests on, against the set without it.
+    """Statistics of one effect of a set, against the set without it.
 
-    `fall`: of half the deviance on the fitted records; `needed`: what chance alone reaches in a share LEVEL of rigs without
-    any effect, and what the forms of the set's others may leave. `evidence`: the fall less BIC's penalty. `gain`:
-    cross-validated log-likelihood by channel. `size` [N]: what the effect changes of the thrust below SLOW, rms; `least`: the
-    least size of interest. `refused`: reasons in words; none: it stands."""
+    `fall`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and from the
+    forms of the other effects. `evidence`: the gain less the BIC penalty. `gain`: cross-validated log-likelihood ratio by
+    channel. `size` [N]: rms change of the thrust below SLOW; `least`: the minimum size. `refused`: reasons; empty: accepted."""
 
     effect: str
     fall: float
@@ -80,21 +75,21 @@ class Judgement:
 
 
 @cache
-def needed_fall(parameters: int, comparisons: int) -> float:
-    """Fall of half the deviance that the best of `comparisons` candidates of so many free parameters reaches by chance with
-    LEVEL."""
-    return 0.5 * float(chi2.isf(LEVEL / max(comparisons, 1), max(parameters, 1)))
+def chance_threshold(parameters: int, comparisons: int) -> float:
+    """Log-likelihood gain that the best of `comparisons` candidates with so many free parameters reaches by chance, at the
+    level ALPHA."""
+    return 0.5 * float(chi2.isf(ALPHA / max(comparisons, 1), max(parameters, 1)))
 
 
-def left_by_forms(fall: np.ndarray, explained: np.ndarray) -> float:
-    """How much of the log-likelihood that an effect gains, `fall` (bands,) of a channel, may come from errors of the forms of
-    the set's others, which have `explained` (bands,) already."""
+def model_form_allowance(fall: np.ndarray, explained: np.ndarray) -> float:
+    """Part of a log-likelihood gain `fall` (bands,) that errors in the forms of other effects, which `explained` (bands,), may
+    cause."""
     return float(np.sum(np.minimum(np.maximum(fall, 0.0), FORM * np.maximum(explained, 0.0))))
 
 
 @dataclass(frozen=True)
 class Smallest:
-    """Least sizes of interest that a user names: of the thrust [N] and of the speed [rpm], rms; None: not named."""
+    """Minimum sizes of interest of a user: rms of thrust [N] and of speed [rpm]; None: the default."""
 
     thrust: float | None = None
     speed: float | None = None
@@ -109,17 +104,17 @@ def refusals(
     material: bool,
     carries_over: bool = True,
 ) -> list[str]:
-    """Why an effect is rejected, in words; empty where it is accepted. `material`: it reaches the least size of interest;
-    `carries_over`: so does the error that it removes from held-out data.
+    """Reasons to reject an effect; empty: accepted. `material`: its size reaches the minimum; `carries_over`: so does the error
+    that it removes from held-out data.
 
-    Cross-validation is a veto: a gain that is no gain shows an effect that only these records like. Thrust by itself may lose
-    what free parameters cost that tell nothing, half a nat each in expectation; a clean speed signal must not buy more.
+    Cross-validation can only reject. The thrust alone may lose half a nat a parameter, the expected cost of an unidentifiable
+    one; a clean speed signal must not pay for more.
     """
     found = []
     if fall < needed:
         found.append(f"log-likelihood rises by {fall:.1f}; chance, and what forms leave, reach {needed:.1f}")
-    if evidence <= STRONG:
-        found.append(f"evidence too weak: {evidence:.1f} after the penalty for its parameters, {STRONG:g} is asked for")
+    if evidence <= MIN_EVIDENCE:
+        found.append(f"evidence too weak: {evidence:.1f} after the penalty for its parameters, {MIN_EVIDENCE:g} is asked for")
     total = sum(gain.values())
     if total <= 0.0:
         found.append(f"cross-validation gains nothing: log-likelihood {total:.1f}")

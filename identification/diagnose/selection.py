@@ -1,4 +1,4 @@
-"""Which effects are missing: add the best that stands, refit all, repeat; then drop what the others have made superfluous."""
+"""Forward selection of effects, then backward elimination."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -6,21 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from identification.diagnose.crossval import HeldOut, cross_validated
-from identification.diagnose.following import falls_in_bands
+from identification.diagnose.acceptance import Judge
 from identification.diagnose.judgement import (
-    ACCURACY,
+    ALTERNATIVE_WINDOW,
+    MIN_EVIDENCE,
     MOST,
-    RIVALS,
-    SMALLEST,
-    STRONG,
     Judgement,
-    Smallest,
-    left_by_forms,
-    needed_fall,
-    refusals,
 )
-from identification.diagnose.lack import Lack, lack_of_fit
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import (
@@ -34,20 +26,17 @@ from identification.diagnose.search.refits import (
     refitted,
     screened,
 )
-from identification.fit.uncertainty import NORMAL_95
-from vpp_fmu.kernel.types import Effect
-from vpp_fmu.record import Record
 
 MORE_ROUNDS = 2
-"""How often more candidates are refitted where none of the first ones stands and something is lacking."""
+"""Further rounds of refits if no candidate is accepted and lack of fit remains."""
 
 
 @dataclass
 class Selection:
-    """What a search found: the base, the final fit, its judgements by effect, and all that was tried, round by round.
+    """Result of a search: the base, the final fit, its judgements by effect, and all candidates, round by round.
 
-    `refused`: what was looked into and does not stand. `rivals`: for each effect, others that these data do not tell from it,
-    by name the set with that one in its place.
+    `refused`: judgements of rejected candidates. `rivals`: for each effect, by name the sets in which an indistinguishable
+    effect takes its place.
     """
 
     base: Fit
@@ -59,136 +48,8 @@ class Selection:
 
     @property
     def family(self) -> dict[str, list[str]]:
-        """For each effect, the names of those that these data do not tell from it."""
+        """For each effect, the names of those that the data do not distinguish from it."""
         return {effect: sorted(fits) for effect, fits in self.rivals.items()}
-
-
-class Judge:
-    """Judges effects against the set without them, which may be the `base`.
-
-    `smallest`: least sizes of interest; where none is named, SMALLEST of the noise's slow power in the thrust or ACCURACY of
-    the largest thrust, if that is more, and the sensor's uncertainty in the speed. `runs`: of steps, which no fit of a
-    diagnosis takes.
-    """
-
-    def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
-        self.searcher, self.base, self.smallest = searcher, base, smallest
-        self.runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
-        self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
-
-    def held_out(self, fit: Fit) -> HeldOut:
-        """Cross-validation of a fit, once for each."""
-        if id(fit) not in self._held_out:
-            self._held_out[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
-        return self._held_out[id(fit)][1]
-
-    def on_runs(self, fit: Fit) -> np.ndarray:
-        """(runs,) mean square of the thrust's error in each of the step runs, N^2."""
-        simulator = fit.problem.simulator
-        shown = [simulator.simulate(fit.values, *r.run)[:, 0] for r in self.runs]
-        return np.array([np.nanmean((y - r["thrust"]) ** 2) for y, r in zip(shown, self.runs, strict=True)])
-
-    def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
-        """The judgement of one effect of a set."""
-        falls, by_forms = self.likelihood_gain(with_it, without)
-        fall, more = sum(falls.values()), max(1, len(with_it.free) - len(without.free))
-        evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - fall)
-        needed = needed_fall(more, self.searcher.points) + by_forms
-        gain = self.held_out(with_it).gain(self.held_out(without))
-        declared = next(e for e in with_it.problem.model.effects if e.name == effect)
-        size, least, material = self._size(with_it, without, declared.common)
-        carries_over = bool(declared.common) or self._carries_over(with_it, without)
-        refused = refusals(fall, needed, evidence, gain, more, material, carries_over)
-        if not refused and (unsure := _may_be_off(with_it, declared)):
-            refused.append(unsure)
-        return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
-
-    def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
-        """(log-likelihood that a set gains over the one without an effect, by channel; how much of it may come from errors of
-        the forms of the others). In each band it counts by the noise that is there."""
-        falls, explained, by_forms = with_it.score.fall(without.score), without.score.fall(self.base.score), 0.0
-        for channel in [c for c, fall in falls.items() if fall > 0.0]:
-            (known, gained), level = falls_in_bands((self.base, without, with_it), channel)
-            gained = falls[channel] * gained / (gained.sum() or 1.0) / level
-            falls[channel] = float(np.clip(gained.sum(), 0.0, falls[channel]))
-            if explained[channel] > 0.0:
-                by_forms += left_by_forms(gained, explained[channel] * known / (known.sum() or 1.0) / level)
-        return falls, by_forms
-
-    def lack(self, fit: Fit) -> Lack:
-        """The tests of lack of fit."""
-        return lack_of_fit(fit, self.least(), self.least_speed())
-
-    def least(self) -> float:
-        """N: the least size of interest of the thrust below 10 Hz."""
-        if self.smallest.thrust is not None:
-            return self.smallest.thrust
-        experiments = self.searcher.experiments
-        largest = max(float(np.nanmax(np.abs(r.record["thrust"]))) for e in experiments for r in e.records)
-        return max(float(np.sqrt(SMALLEST * max(e.noise.slow for e in experiments))), ACCURACY * largest)
-
-    def least_speed(self) -> float:
-        """rpm: the least size of interest of the speed; infinite where none was measured."""
-        if self.smallest.speed is not None:
-            return self.smallest.speed
-        known = [np.median(t.std) for e in self.searcher.experiments for t in e.tachometers if len(t)]
-        return float(max(known, default=np.inf))
-
-    def _carries_over(self, with_it: Fit, without: Fit) -> bool:
-        """Whether the mean square error that an effect removes from the folds left out reaches the least size, in either
-        channel."""
-        now, was = self.held_out(with_it), self.held_out(without)
-        if was.rmse_thrust**2 - now.rmse_thrust**2 >= self.least() ** 2:
-            return True
-        return was.rmse_omega is not None and was.rmse_omega**2 - now.rmse_omega**2 >= self.least_speed() ** 2
-
-    def matters(self, effect: str, fit: Fit) -> bool:
-        """Whether an effect of a fit reaches the least size of interest where the rest of the fit stays as it is."""
-        declared = next(e for e in fit.problem.model.effects if e.name == effect)
-        off = {declared.full(name): value for name, value in (declared.off or {}).items()}
-        return self._size(fit, replace(fit, values={**fit.values, **off}), declared.common)[-1]
-
-    def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
-        """(what the effect changes of the thrust [N], rms; the least size; whether it, or what it does to speed, reaches
-        that)."""
-        thrust, rows, speed = [], [], []
-        for e in self.searcher.experiments:
-            shown = [_outputs(fit, e) for fit in (with_it, without)]
-            change = shown[0] - shown[1]
-            rows.append(change[:, 0])
-            thrust.append(e.slow_thrust(change[:, 0]))
-            if len(e.omega_time):
-                speed.append(np.concatenate([t.shows(change[:, 1]) for t in e.tachometers]))
-        size, least = _rms(thrust), self.least()
-        if common:
-            floor = max(e.noise.floor for e in self.searcher.experiments)
-            return _rms(rows), float(np.sqrt(common)) * floor, _rms(rows) ** 2 >= common * floor**2
-        return size, least, size >= least or (bool(speed) and _rms(speed) >= self.least_speed())
-
-
-def _may_be_off(fit: Fit, effect: Effect) -> str:
-    """Why an effect of a fit may as well not be there, in words: the 95 % interval of each of its sizes holds the value that
-    switches it off. "" where one does not."""
-    sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
-    sizes = {name: off for name, off in sizes.items() if name in fit.free}
-    std, told = fit.std(), []
-    if not sizes or any(std[name] is None for name in sizes):  # only a combination of sizes is known, and it is not "off"
-        return ""
-    for name, off in sizes.items():
-        half = NORMAL_95 * std[name]
-        low, high = fit.thresholds.get(name, (fit.values[name] - half, fit.values[name] + half))
-        if not low <= off <= high or half == 0.0:
-            return ""
-        told.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
-    return f"its size may be none: {', '.join(told)}"
-
-
-def _outputs(fit: Fit, experiment) -> np.ndarray:
-    return fit.problem.simulator.simulate(fit.values, *experiment.record.run)
-
-
-def _rms(parts: Sequence[np.ndarray]) -> float:
-    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
 
 
 def select(
@@ -199,12 +60,12 @@ def select(
     pool,
     stage: Callable[[str], None] = lambda text: None,
 ) -> tuple[Judge, Selection]:
-    """Search up to MOST effects: (judge in the end, selection).
+    """Search up to MOST effects: (final judge, selection).
 
-    `thorough`: where something is still missing, more is refitted. `clearer(judge, fit)`: a judge on the noise that a fit
-    leaves, where that is clearer than the judge's own: all further ones judge by it. Where one effect does not explain all,
-    the search is begun anew with the one that was the next best by itself, if it was nearly as good, and the better set stays.
-    The result does not depend on the number of workers in `pool`.
+    `thorough`: refit more candidates while lack of fit remains. `clearer(judge, fit)`: a judge with a noise estimate from the
+    residual of a fit, if that is lower; it judges from then on. If one effect does not explain all, the search starts once more
+    from the second best single effect, if that was nearly as good; the better set is kept. The result does not depend on the
+    number of workers in `pool`.
     """
     forward = partial(_forward, options=list(options), clearer=clearer, thorough=thorough, pool=pool, stage=stage)
     judge, found = forward(judge, Selection(judge.base, judge.base))
@@ -216,25 +77,25 @@ def select(
             judge, found = again, other
     stage("judge")
     searcher = judge.searcher
-    _narrow(searcher, found, judge)
+    _prefer_special_cases(searcher, found, judge)
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
     found.rivals = {effect: _rivals(searcher, found, effect, judge, pool) for effect in found.final.effects}
     return judge, found
 
 
 def _forward(judge: Judge, found: Selection, options, clearer, thorough, pool, stage) -> tuple[Judge, Selection]:
-    """(judge in the end, selection) of adding effects to what was `found`, one after the other."""
+    """(final judge, selection) after adding effects one by one to those `found`."""
     visited = set()
     while len(found.final.effects) < MOST and key(found.final) not in visited:
         visited.add(key(found.final))
         stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in found.final.effects))
         tried = first_round(judge.searcher, found.final, options, pool)
-        best = _first_that_stands(judge.searcher, found, tried, judge)
-        for _ in range(MORE_ROUNDS if best is None and thorough and judge.lack(found.final).found else 0):
+        best = _first_accepted(judge.searcher, found, tried, judge)
+        for _ in range(MORE_ROUNDS if best is None and thorough and judge.lack(found.final).significant else 0):
             further = deeper(judge.searcher, found.final, tried, pool)
             if further == tried:
                 break
-            tried, best = further, _first_that_stands(judge.searcher, found, further, judge)
+            tried, best = further, _first_accepted(judge.searcher, found, further, judge)
             if best is not None:
                 break
         found.rounds.append(tried)
@@ -248,12 +109,12 @@ def _forward(judge: Judge, found: Selection, options, clearer, thorough, pool, s
 
 
 def _next_best(judge: Judge, found: Selection) -> tuple[Fit, dict[str, Judgement]] | None:
-    """(fit, judgement) of the effect that stands by itself, had most evidence in the first round of those that are not in the
-    set, nor a special case or a wider form of one there, and was within RIVALS of the best: alone, one effect may look better
-    than either of the two that are there."""
+    """(fit, judgement) of the best other effect of the first round that is accepted alone, within ALTERNATIVE_WINDOW of the
+    best; None without one. Special cases and generalisations of the set's effects do not count. Of two true effects, a third
+    may fit better than either alone."""
     ranked = _ranked([t for t in found.rounds[0] if t.fit is not None])
     theirs = {e.name: e.contains for e in found.final.problem.model.effects if e.name in found.final.effects}
-    for t in (t for t in ranked if t.evidence > ranked[0].evidence - RIVALS):
+    for t in (t for t in ranked if t.evidence > ranked[0].evidence - ALTERNATIVE_WINDOW):
         name = t.candidate.name
         if any(name == n or name in contained or n in t.candidate.effect.contains for n, contained in theirs.items()):
             continue
@@ -265,7 +126,7 @@ def _next_best(judge: Judge, found: Selection) -> tuple[Fit, dict[str, Judgement
 
 
 def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator[tuple[str, str, Selection]]:
-    """(effect, its rival, the selection with the rival in its place), the most evidence first."""
+    """(effect, its rival, the selection with the rival in its place), by falling evidence."""
     pairs = [(effect, name) for effect, fits in found.rivals.items() for name in fits]
     for effect, name in sorted(pairs, key=lambda pair: found.rivals[pair[0]][pair[1]].bic()):
         fit = found.rivals[effect][name]
@@ -279,10 +140,7 @@ Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
 
 
 def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], pool) -> Tried:
-    """The candidates beside the final set, the most evidence first.
-
-    They are those of the last round where that is of this set; where none was refitted, the most promising one is.
-    """
+    """Candidates beside the final set, by falling evidence: those of the last round, or the most promising one, refitted."""
     searcher, final = judge.searcher, found.final
     last = found.rounds[-1] if found.rounds else []
     if not last or key(final)[0] != tuple(sorted(last[0].beside)):
@@ -299,10 +157,10 @@ def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], pool) 
     return fits
 
 
-def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[CandidateFit], judge: Judge) -> Fit | None:
-    """The candidate of most evidence that stands beside what is there already."""
+def _first_accepted(searcher: Searcher, found: Selection, tried: Sequence[CandidateFit], judge: Judge) -> Fit | None:
+    """The accepted candidate of most evidence beside the effects found so far; None without one."""
     for t in _ranked([t for t in tried if t.fit is not None]):
-        if t.evidence <= STRONG:
+        if t.evidence <= MIN_EVIDENCE:
             return None
         fit = _bounded(searcher, found.final, t) if t.fit.at_bound else t.fit
         judged = judge(t.candidate.name, fit, found.final)
@@ -313,12 +171,11 @@ def _first_that_stands(searcher: Searcher, found: Selection, tried: Sequence[Can
 
 
 SAME = 1.0
-"""Evidence by which an effect must be ahead of one that it contains: less is rounding, and the simpler name is the better
-one."""
+"""Nats by which an effect must exceed a special case of it: less is rounding, and the simpler effect is preferred."""
 
 
 def _ranked(refits: Sequence[CandidateFit]) -> list[CandidateFit]:
-    """By evidence; a special case goes before the wider effect that fits as well."""
+    """By falling evidence; a special case precedes its generalisation if that fits no better."""
     ranked = sorted(refits, key=lambda t: -t.evidence)
     for t in list(ranked):
         wider = [k for k, w in enumerate(ranked) if t.candidate.name in w.candidate.effect.contains]
@@ -330,7 +187,7 @@ def _ranked(refits: Sequence[CandidateFit]) -> list[CandidateFit]:
 
 
 def _bounded(searcher: Searcher, beside: Fit, tried: CandidateFit) -> Fit:
-    """The refit without the parameters that ran onto a bound, held there: a bound is no reason to refuse an effect."""
+    """The refit with parameters that reached a bound held there: a bound is no reason to reject an effect."""
     fit = tried.fit
     own = {tried.candidate.effect.full(p.name) for p in tried.candidate.effect.parameters}
     free = [n for n in fit.free if n not in fit.at_bound or n not in own]
@@ -350,19 +207,19 @@ def without(searcher: Searcher, base: Fit, fit: Fit, effect: str) -> Fit:
 
 
 def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit, dict[str, Judgement]]:
-    """The fit less every effect that does not stand in the presence of the others, the weakest first; their judgements."""
+    """Backward elimination: drop rejected effects, the weakest first; (fit, judgements of the others)."""
     while True:
         rests = {effect: without(searcher, base, fit, effect) for effect in fit.effects}
         judged = {effect: judge(effect, fit, rest) for effect, rest in rests.items()}
-        fallen = [effect for effect, j in judged.items() if j.evidence <= STRONG or j.fall < j.needed]
+        fallen = [effect for effect, j in judged.items() if j.evidence <= MIN_EVIDENCE or j.fall < j.needed]
         if not fallen:
             return fit, judged
         fit = rests[min(fallen, key=lambda effect: judged[effect].evidence)]
 
 
-def _narrow(searcher: Searcher, found: Selection, judge: Judge) -> None:
-    """A special case takes the place of an effect that contains it where, beside the rest of the set, it fits as well: what
-    made the wider one the better one may have been what was not there yet."""
+def _prefer_special_cases(searcher: Searcher, found: Selection, judge: Judge) -> None:
+    """Replace an effect by a special case of it that fits as well beside the rest of the set: the generalisation may have been
+    ahead only because other effects were not included yet."""
     for effect in found.final.effects:
         wide = next(e for e in found.final.problem.model.effects if e.name == effect)
         rest = without(searcher, found.base, found.final, effect)
@@ -385,10 +242,10 @@ def _in_place(searcher: Searcher, rest: Fit, tried: CandidateFit) -> Fit:
 
 
 def _rivals(searcher: Searcher, found: Selection, effect: str, judge: Judge, pool) -> dict[str, Fit]:
-    """Other effects that, in the place of one, have evidence within STRONG of its own, refitted beside the rest of the set.
+    """Effects that, in the place of one, have evidence within MIN_EVIDENCE of it, refitted beside the rest of the set.
 
-    An effect that contains it fits as well always. It is a rival where the records leave open how large what it adds is (a
-    speed that was limited at one load: does the limit fall with the load?), else only where that makes it the better one.
+    A generalisation always fits as well. It is a rival only if the records do not identify its additional parameter (a speed
+    limited at one load only: does the limit depend on load?), or if it fits better.
     """
     final, stand = found.final, {}
     rest = without(searcher, found.base, final, effect)
@@ -397,21 +254,21 @@ def _rivals(searcher: Searcher, found: Selection, effect: str, judge: Judge, poo
         if wider and (whole := _all_on(searcher, candidate, refit)).leaves_open(candidate.effect):
             other, behind = whole, 0.5 * (whole.deviance - final.deviance)  # the BIC charges for what no record tells
         else:
-            behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * STRONG else evidence_over(final, refit)
-        if not refit.idle and behind <= STRONG and not judge(candidate.name, other, rest).refused:
+            behind = np.inf if wider and final.deviance - refit.deviance < 2.0 * MIN_EVIDENCE else evidence_over(final, refit)
+        if not refit.idle and behind <= MIN_EVIDENCE and not judge(candidate.name, other, rest).refused:
             stand[candidate.name] = min(stand.get(candidate.name, other), other, key=Fit.bic)
     return stand
 
 
 def _all_on(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
-    """The fit with every size of its last effect on: one that told too little had been left off."""
+    """The fit with every size of its last effect free: an unidentifiable one had been held at off."""
     off = [n for n in candidate.sizes if n not in fit.free]
     start = fit.values | {n: candidate.probe[n] for n in off}
     return searcher.fit(fit.effects, fit.forms, [*fit.free, *off], start, fit.slow_first, thorough=False) if off else fit
 
 
 def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit, pool) -> list[tuple[Candidate, Fit]]:
-    """What came near an effect, refitted in its place; of what comes near there, all forms: another one may fit as well."""
+    """Candidates whose evidence was near that of an effect, in all their forms, refitted in its place."""
     near = _near(found, effect)
     fits = list(zip([t.candidate for t in near], pool.map(lambda t: _in_place(searcher, rest, t), near), strict=True))
     enough = REACH * evidence_over(found.final, rest)
@@ -425,8 +282,7 @@ def _near_in_place(searcher: Searcher, found: Selection, effect: str, rest: Fit,
 
 
 def _near(found: Selection, effect: str) -> list[CandidateFit]:
-    """Refitted candidates of the round in which an effect came in, the last that tried it, whose evidence came near the best
-    there."""
+    """Refitted candidates of the last round that tried an effect, with evidence near the best of that round."""
     for tried in reversed(found.rounds):
         refits = [t for t in tried if t.fit is not None]
         mine = [t.evidence for t in refits if t.candidate.name == effect]
@@ -437,5 +293,5 @@ def _near(found: Selection, effect: str) -> list[CandidateFit]:
 
 
 def _slack(found: Selection, effect: str) -> float:
-    """How far behind a rival may have been when other effects were not there yet."""
-    return 2.0 * STRONG if len(found.final.effects) == 1 else 0.2 * found.judgements[effect].evidence + 2.0 * STRONG
+    """Nats by which a rival may have been behind before the other effects were included."""
+    return 2.0 * MIN_EVIDENCE if len(found.final.effects) == 1 else 0.2 * found.judgements[effect].evidence + 2.0 * MIN_EVIDENCE

@@ -44,7 +44,7 @@ def held(problem: Problem, x: np.ndarray, names: Sequence[str]) -> dict[str, str
     return reasons
 
 
-def hardly_told(found: Uncertainty) -> dict[str, str]:
+def weakly_identified(found: Uncertainty) -> dict[str, str]:
     """Fitted parameters that are known no better than nothing: name -> how well, in words.
 
     A coefficient with a standard deviation of UNKNOWN, a time constant with one as large as itself.

@@ -20,7 +20,7 @@ class Linearised:
         self._columns = jacobian[:size]
         # pinv: at a double pole, or at a bound, columns may coincide or vanish.
         self._inverse = np.linalg.pinv(self._columns.T @ self._columns, rcond=1e-12, hermitian=True)
-        self.residual = self.apart(residual[:size])
+        self.residual = self.orthogonal_part(residual[:size])
 
     @property
     def records(self) -> list[Record]:
@@ -32,7 +32,7 @@ class Linearised:
         """About a fit's solution."""
         return cls(problem, solution.value, solution.residual, solution.jacobian)
 
-    def apart(self, rows: np.ndarray) -> np.ndarray:
+    def orthogonal_part(self, rows: np.ndarray) -> np.ndarray:
         """What of `rows` the fitted parameters can't follow."""
         return rows - self._columns @ (self._inverse @ (self._columns.T @ rows))
 
@@ -43,7 +43,7 @@ class Linearised:
         own = np.einsum("ij,ij->j", rows, rows) - np.einsum("ij,ij->j", followed, self._inverse @ followed)
         return self.residual @ rows, np.maximum(own, 0.0)
 
-    def channel_apart(self, rows: np.ndarray, at: slice) -> np.ndarray:
+    def channel_orthogonal_gram(self, rows: np.ndarray, at: slice) -> np.ndarray:
         """As `apart`, of many rows (k, n) that are nothing outside one channel's place `at` in the residual, in place; returns
         the products (k, k) of all that is left.
 
@@ -100,7 +100,7 @@ class Linearised:
 
     def left(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> np.ndarray:
         """(rows, points) residual with changes, the fitted parameters following as far as they can."""
-        return self.apart(self.rows(simulator, points))
+        return self.orthogonal_part(self.rows(simulator, points))
 
     def costs(self, simulator: Simulator, points: Sequence[Mapping[str, float]]) -> list[float]:
         """Half the sum of its squares, for each point."""

@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import dct, idct
 
+from identification.fit.ar_filter import ar_residuals
 from identification.fit.converter import grid
-from identification.fit.past import less_past
 from vpp_fmu.record import Record
 
 BLOCKS_A_TIME = 30.0
@@ -129,7 +129,7 @@ class Colour:
         shares = [
             share / (last - first + 1) / self.innovation for (first, last), share in zip(self.spans, self.shares, strict=True)
         ]
-        left = less_past(known, self.spans, shares, self.innovation)
+        left = ar_residuals(known, self.spans, shares, self.innovation)
         if whole:
             return left
         gone = np.concatenate([np.zeros_like(missing[:1], int), np.cumsum(missing, axis=0)])

@@ -25,7 +25,7 @@ from identification.fit.problem import Prior, Problem, summed
 
 NORMAL_95 = 1.959963984540054
 
-UNTOLD = 1e-10
+UNIDENTIFIABLE = 1e-10
 """Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
 
 WIDEST = 100.0
@@ -127,7 +127,7 @@ def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     tangent = coordinates.jacobian(found.value)[:, free]
     size = np.linalg.norm(found.jacobian[:, free], axis=0)
     away = tangent / np.where(size > 0.0, size, 1.0)
-    unknown = np.linalg.norm(away @ blind, axis=1) > np.sqrt(UNTOLD) * np.linalg.norm(away, axis=1)
+    unknown = np.linalg.norm(away @ blind, axis=1) > np.sqrt(UNIDENTIFIABLE) * np.linalg.norm(away, axis=1)
     covariance, plain = (tangent @ c @ tangent.T for c in (coloured, plain))
     with np.errstate(invalid="ignore", divide="ignore"):
         inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(plain)), nan=1.0, posinf=1.0)
@@ -227,6 +227,6 @@ def _free(problem, found):
     size = np.sqrt(np.diag(normal))
     size = np.where(size > 0.0, size, 1.0)
     told, axes = np.linalg.eigh(normal / np.outer(size, size))
-    known = told > UNTOLD * told[-1] if len(told) else np.zeros(0, bool)
+    known = told > UNIDENTIFIABLE * told[-1] if len(told) else np.zeros(0, bool)
     inverse = (axes[:, known] / told[known]) @ axes[:, known].T / np.outer(size, size)
     return free, inverse, axes[:, ~known]

@@ -21,7 +21,8 @@ from hil.twin.adaptive import CERTAIN, adaptable
 from hil.twin.band import Band
 from hil.twin.twin import Twin
 from identification.assessment.prediction import predict
-from identification.diagnose.diagnose import CHANGED, diagnose
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.validation import CHANGED
 from identification.tune.profile import common_reach, rig_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.day.flight import GAINS, Flight, Twins, fly, mission

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnose.crossval import HeldOut, cross_validated, fall, thirds
-from identification.diagnose.judgement import CARRIED, LEVEL, RIVALS, STRONG, Judgement, Smallest
+from identification.diagnose.acceptance import Judge
+from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_validated, p_no_decrease
+from identification.diagnose.judgement import ALPHA, ALPHA_HELD_OUT, ALTERNATIVE_WINDOW, MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
 from identification.diagnose.learned.score import TOLD
 from identification.diagnose.learned.screening import Lead, forms_of, screened
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
-from identification.diagnose.selection import Judge
 from vpp_fmu.kernel.learned import PORTS
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
@@ -42,8 +42,8 @@ FAMILY = 2
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What was learned. `term`: what enters the model; `curve`: the same as a table, where a law took its place; `beside`:
-    the fit without it; `rivals`: other terms whose evidence comes within RIVALS of it; `laws`: (name, evidence over the
+    """What was learned. `term`: what enters the model; `curve`: the same as a table, where a law took its place; `beside`: the
+    fit without it; `rivals`: other terms whose evidence comes within ALTERNATIVE_WINDOW of it; `laws`: (name, evidence over the
     table) of the laws that were tried on the curve."""
 
     term: Term
@@ -77,12 +77,12 @@ class Attempt:
 
 
 def by_chance(comparisons: int) -> float:
-    """Cross-validated log-likelihood that the best of so many comparisons gains by chance with LEVEL.
+    """Cross-validated log-likelihood that the best of so many comparisons gains by chance with ALPHA.
 
-    A predictive likelihood ratio has an expectation of at most 1 where nothing is there; so it exceeds comparisons / LEVEL in a
-    share LEVEL of rigs at most (Markov, Bonferroni).
+    A predictive likelihood ratio has an expectation of at most 1 where nothing is there; so it exceeds comparisons / ALPHA in a
+    share ALPHA of rigs at most (Markov, Bonferroni).
     """
-    return float(np.log(max(comparisons, 1) / LEVEL))
+    return float(np.log(max(comparisons, 1) / ALPHA))
 
 
 def learn(
@@ -108,7 +108,7 @@ def learn(
         return Attempt((), comparisons)
     for _ in range(ROUNDS):
         best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
-        if not judge.lack(best.fit).found:
+        if not judge.lack(best.fit).significant:
             break
         base = {n: best.fit.values[n] for n in beside.problem.coordinates.names}
         again = short_list(screened(beside, base, pool.map), [t.lead for t in terms], AGAIN)
@@ -124,14 +124,14 @@ def learn(
     if not standing:
         return Attempt(tried, comparisons)
     top = judge.gain(standing[0][0].fit, beside)
-    near = [(t, j) for t, j in standing if judge.gain(t.fit, beside) > top - STRONG]
+    near = [(t, j) for t, j in standing if judge.gain(t.fit, beside) > top - MIN_EVIDENCE]
     curve, judgement = min(near, key=lambda pair: len(pair[0].free))
     stage("try simple laws")
     term, laws = laws_of(searcher, beside, curve, scales, pool)
     if term is not curve:
         by_law = judged_term(judge, term.fit, beside, comparisons)
         term, judgement = (curve, judgement) if by_law.refused else (term, by_law)
-    rivals = [t for t, j in tried if t is not curve and j.evidence > judgement.evidence - RIVALS]
+    rivals = [t for t, j in tried if t is not curve and j.evidence > judgement.evidence - ALTERNATIVE_WINDOW]
     return Attempt(tried, comparisons, Learned(term, curve, judgement, beside, tuple(rivals), laws))
 
 
@@ -151,40 +151,43 @@ class Carried(Judge):
         self._carried: dict[int, tuple[Fit, HeldOut]] = {}
 
     def carried(self, fit: Fit) -> HeldOut:
-        """Cross-validation of a fit by thirds, once for each: a term's own parameters come from the other two.
-
-        The base stays as all data have it, for two thirds alone might not tell it; so a fit without a term is not held out,
-        which is in its favour.
+        """Cross-validation of a fit by thirds, cached. Only the parameters of the term are refitted on the other two thirds,
+        which may not identify the base: this favours the fit without a term.
         """
         if id(fit) not in self._carried:
-            self._carried[id(fit)] = fit, cross_validated(fit, thirds, _own, TOLD)
+            self._carried[id(fit)] = fit, cross_validated(fit, contiguous_folds, _own, TOLD)
         return self._carried[id(fit)][1]
 
     def gain(self, fit: Fit, beside: Fit) -> float:
-        """nat: the lesser of what a fit gains over another on the folds left out, interleaved and by thirds, in total or of
-        thrust alone."""
+        """Held-out log-likelihood ratio of two fits: the smallest of folds and thirds, of both channels and of the thrust
+        alone."""
         gains = [one(fit).gain(one(beside)) for one in (self.held_out, self.carried)]
         return min(min(sum(g.values()), g["thrust"]) for g in gains)
 
-    def falls(self, fit: Fit, beside: Fit) -> float:
-        """p-value of a thrust error that is no smaller with a fit than with another where it was not fitted: on the left-out
-        thirds, and in each of the step runs, which no fit of a diagnosis takes."""
+    def p_no_decrease(self, fit: Fit, beside: Fit) -> float:
+        """p-value of the hypothesis that the held-out thrust error does not decrease: on left-out thirds, and in each step
+        response, which no fit of a diagnosis uses."""
         triples = zip(fit.problem.experiments, self.carried(beside).thrust, self.carried(fit).thrust, strict=True)
         further = self.on_runs(beside) - self.on_runs(fit)
-        return fall([(e.record.time, old, new) for e, old, new in triples], further.tolist())
+        return p_no_decrease([(e.record.time, old, new) for e, old, new in triples], further.tolist())
 
 
 def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judgement:
-    """As of any effect; and it must carry over: to the folds left out, of thrust too, by more than the best of all comparisons
-    gains by chance, and the thrust's error there must fall."""
+    """Judge a term as an effect; its held-out gain must also exceed that of the best of all comparisons by chance, and its
+    held-out thrust error must decrease significantly."""
     judged = judge(fit.effects[-1], fit, beside)
-    needed, gain, p, refused = by_chance(comparisons), judge.gain(fit, beside), judge.falls(fit, beside), list(judged.refused)
+    needed, gain, p, refused = (
+        by_chance(comparisons),
+        judge.gain(fit, beside),
+        judge.p_no_decrease(fit, beside),
+        list(judged.refused),
+    )
     if gain <= needed:
         refused.append(f"cross-validation gains {gain:.1f} nats; the best of {comparisons} by chance {needed:.1f}")
-    if p >= CARRIED:
-        refused.append(f"the thrust error on what was not fitted does not fall for certain (p = {p:.2g})")
+    if p >= ALPHA_HELD_OUT:
+        refused.append(f"the held-out thrust error does not decrease significantly (p = {p:.2g})")
     if judge.on_runs(fit).sum() > judge.on_runs(beside).sum():
-        refused.append("the step runs are predicted worse")
+        refused.append("the step responses are predicted worse")
     return replace(judged, refused=tuple(refused))
 
 
@@ -222,4 +225,4 @@ def unlagged(term: Term, had: Sequence[Lead]) -> list[Lead]:
 def _refitted(searcher, beside, leads, scales, pool, start=None) -> list[Term]:
     """Those of which there is strong evidence."""
     terms = pool.map(lambda lead: refitted(searcher, beside, lead, NAME, scales, start), leads)
-    return [t for t in terms if t is not None and evidence_over(t.fit, beside) > STRONG]
+    return [t for t in terms if t is not None and evidence_over(t.fit, beside) > MIN_EVIDENCE]

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from identification.diagnose.crossval import informed_inverse, thirds
+from identification.diagnose.crossval import contiguous_folds, informed_inverse
 from identification.diagnose.learned.columns import Course
 from identification.fit.linearised import Linearised
 
@@ -41,7 +41,7 @@ class Scores:
         """`columns` (rows, n): the fitted parameters' sensitivities; `scale` divides each channel's; `times`: as of
         a Problem."""
         self.courses, self._scale = courses, scale
-        fold = np.concatenate([thirds(time, seconds) for time, seconds in times])
+        fold = np.concatenate([contiguous_folds(time, seconds) for time, seconds in times])
         self._folds = range(int(fold.max()) + 1)
         sizes = [c.experiment.sizes["thrust"] for c in courses]
         sizes += [len(c.experiment.omega_time) for c in courses if len(c.experiment.omega_time)]

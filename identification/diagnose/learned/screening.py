@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from identification.diagnose.judgement import needed_fall
+from identification.diagnose.judgement import chance_threshold
 from identification.diagnose.learned.columns import Course, hats, holds, knots_of, lagged, plays, relay
 from identification.diagnose.learned.score import Scored, Scores
 from identification.diagnose.search.fits import Fit
@@ -90,7 +90,7 @@ def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callab
     scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times)
     looks = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
     leads = [lead for some in spread(lambda look: look(), looks) for lead in some]
-    found = [replace(lead, needed=needed_fall(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]
+    found = [replace(lead, needed=chance_threshold(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]
     return sorted(found, key=lambda lead: -lead.scored.held_out)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.judgement import LEVEL, STRONG
+from identification.diagnose.judgement import ALPHA, MIN_EVIDENCE
 from identification.diagnose.report.summary import summary, why_not
 from identification.diagnose.search.refits import CandidateFit
 from vpp_fmu.digits import number as digits
@@ -38,7 +38,7 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
         page.note(
             f"{effect}: log-likelihood rises by {judged.fall:.4g} (chance: {judged.needed:.3g} in one rig of "
-            f"{1.0 / LEVEL:.0f}); in cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; from "
+            f"{1.0 / ALPHA:.0f}); in cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; from "
             f"{judged.least:.2g} N on it is of interest."
         )
 
@@ -53,7 +53,7 @@ def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Candidate
     else:
         title = f"Round {number}, beside {beside}: the evidence for {taken.name} is {taken.fall:,.0f} nats"
     page.figure(
-        evidence_bars(bars, STRONG, title, None if taken is None else taken.fall),
+        evidence_bars(bars, MIN_EVIDENCE, title, None if taken is None else taken.fall),
         "Each candidate refitted with all parameters: half the fall of the BIC on the fitted records. What lies in the shaded "
         "band fits as well as the one that was taken.",
     )
@@ -65,7 +65,7 @@ def _bar(found: Diagnosis, tried: CandidateFit) -> Bar:
     if why is None:
         return Bar(label, tried.evidence, TAKEN, "in the final set")
     name = tried.candidate.name
-    stands = tried.evidence > STRONG and name not in found.selection.refused
+    stands = tried.evidence > MIN_EVIDENCE and name not in found.selection.refused
     return Bar(label, tried.evidence, PASSED if stands else FAILED, _short(why))
 
 
@@ -95,7 +95,7 @@ def add_shift(page: Page, found: Diagnosis) -> None:
 
 def add_apart(page: Page, found: Diagnosis) -> None:
     """Which effects these commands can tell apart, and which they can't show."""
-    apart = found.apart
+    apart = found.distinguishability
     visible = [i for i, v in enumerate(apart.visibility) if v >= VISIBLE]
     names = np.array([label.split(" ")[0] for label in apart.labels])
     close = np.where(names[:, None] != names, apart.overlap, 0.0)[:, visible].max(axis=1, initial=0.0)

@@ -27,7 +27,7 @@ SURE = {
     "none": "nothing above the noise is missing",
 }
 
-UNTOLD = "not told by these records"
+UNIDENTIFIABLE = "not told by these records"
 
 ZOOM, SMOOTHED = 3.0, 0.2
 """s to both sides of a worst moment; it is the worst mean over so many s."""
@@ -54,7 +54,7 @@ def _sized(guess: Guess) -> str:
         sizes = []
         for s in (s for s in guess.sizes if s.effect == name):
             unit = "" if s.unit == "1" else s.unit
-            known = f" ({UNTOLD})" if s.std is None else ""
+            known = f" ({UNIDENTIFIABLE})" if s.std is None else ""
             sizes.append(f"{s.name} {with_uncertainty(s.value, s.std or 0.0, unit)}{known}")
         found.append(" ".join([name, ", ".join(sizes)]))
     return " and ".join(found)
@@ -80,7 +80,7 @@ def _finding(found: Diagnosis) -> str:
         named = f"beside {' and '.join(found.learned.beside.effects)} " if found.learned.beside.effects else ""
         told = f"Something of no list {named}{sentence(found.learned.term)}"
         return f"{told}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
-    if found.verdict == "unexplained" and not found.before.found:
+    if found.verdict == "unexplained" and not found.before.significant:
         told = f"The rotor shakes the reading once a revolution, by {number(found.before.turning.size)} N rms"
         return f"{told}: most of what passes for noise ({number(found.noise.floor)} N). Nothing else is missing."
     if found.verdict == "unexplained" and found.before.only_speed:
@@ -151,7 +151,7 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
     if ends is not None:
         return f"95 %: {interval(*ends, unit)}"
     if parameter["std"] is None:
-        return UNTOLD
+        return UNIDENTIFIABLE
     if parameter["std"] == 0.0:
         return "on its bound"
     half = 1.96 * parameter["std"]
@@ -270,7 +270,7 @@ def _add_lack(page: Page, found: Diagnosis) -> None:
         tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
     if before.speed or after.speed:
         tests.append(("share of the speed's error that is no noise", "-", before.speed, None, after.speed, None))
-    if before.moving_size or after.moving_size:
+    if before.transient_size or after.transient_size:
         tests.append(("share of the thrust's error that rest has not", "-", before.moving, None, after.moving, None))
     one, other = before.turning, after.turning
     tests.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))

@@ -6,7 +6,7 @@ from identification.assessment.prediction import predict
 from identification.assessment.quality import fit_percent, rmse
 from identification.assessment.sections import sections
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.judgement import STRONG, Judgement
+from identification.diagnose.judgement import MIN_EVIDENCE, Judgement
 from identification.diagnose.learned.description import block
 from identification.diagnose.learned.refit import Term
 from identification.diagnose.search.fits import Fit
@@ -60,8 +60,8 @@ def summary(found: Diagnosis) -> dict:
         "base_parameters": _shift(found),
         "lag_order": found.lag_order,
         "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
-        "cannot_be_seen": found.apart.invisible(),
-        "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.apart.alike()],
+        "cannot_be_seen": found.distinguishability.invisible(),
+        "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.distinguishability.alike()],
         "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
     }
 
@@ -213,7 +213,7 @@ def artefact(found: Diagnosis, name: str) -> str:
             late = number(1e3 * rows * found.fitted[0].record.period, 2)
             told += f"; {number(rows, 2)} rows are {late} ms of dead time of both, where rows are even"
         return told
-    if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -STRONG:
+    if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -MIN_EVIDENCE:
         return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
     return ""
 
@@ -256,6 +256,6 @@ def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
         return "these data do not tell it from the one that was taken"
     if name in found.selection.refused:
         return "; ".join(found.selection.refused[name].refused)
-    if tried.evidence <= STRONG:
-        return f"evidence too weak: {tried.evidence:.1f} after the penalty for its parameters, {STRONG:g} is asked for"
+    if tried.evidence <= MIN_EVIDENCE:
+        return f"evidence too weak: {tried.evidence:.1f} after the penalty for its parameters, {MIN_EVIDENCE:g} is asked for"
     return "another candidate explains more"

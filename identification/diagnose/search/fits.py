@@ -193,7 +193,7 @@ class Searcher:
         self.start = {n: start[n] for n in names}
         self.screened: dict[tuple, dict] = {}
         self._fits: dict[tuple, Fit] = {}
-        self.lacking = 0.0  # log-likelihood that generic shapes would gain beside the base
+        self.base_score_gain = 0.0  # log-likelihood that generic shapes would gain beside the base
         self.points = 0  # that the round with the most of them has looked at
         self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
 
@@ -254,7 +254,7 @@ class Searcher:
 
     def biased(self, fit: Fit) -> bool:
         """Whether what is missing is so large that the base, fitted without it, is biased by it."""
-        return not fit.effects and self.lacking > BIASED * fit.score.counts["thrust"]
+        return not fit.effects and self.base_score_gain > BIASED * fit.score.counts["thrust"]
 
     def _unreached(self, model, values, name) -> bool:
         """Whether the fitted records come out the same to the bit with the parameter at off."""

@@ -6,10 +6,10 @@ from itertools import permutations, product
 
 import numpy as np
 
-from identification.diagnose.judgement import STRONG
+from identification.diagnose.judgement import MIN_EVIDENCE
 from identification.diagnose.search.candidates import Candidate
 from identification.diagnose.search.fits import Fit, Searcher
-from identification.diagnose.search.screening import Screening, Seen
+from identification.diagnose.search.screening import Screening, ScreeningResult
 from vpp_fmu.native.memory import give_back
 
 REFITTED = (6, 3)
@@ -64,11 +64,11 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
     count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
     promised: dict[str, float] = {}
     for t in tried:
-        if t.fit is None and t.fall > STRONG:
+        if t.fit is None and t.fall > MIN_EVIDENCE:
             promised.setdefault(t.candidate.name, t.fall)
     most = max(promised.values(), default=0.0)
-    first = {name: fall for k, (name, fall) in enumerate(promised.items()) if k < count or fall > most - STRONG}
-    least = {name: max(STRONG, REACH * fall) for name, fall in first.items()}
+    first = {name: fall for k, (name, fall) in enumerate(promised.items()) if k < count or fall > most - MIN_EVIDENCE}
+    least = {name: max(MIN_EVIDENCE, REACH * fall) for name, fall in first.items()}
     chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
     if not chosen:
         return list(tried)
@@ -120,7 +120,7 @@ def _near(candidate: Candidate, leader: Candidate, there: Fit) -> list[Start]:
     return [(values, there.slow_first), (values | swapped, {**there.slow_first, **flipped})]
 
 
-def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, Seen]]:
+def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, ScreeningResult]]:
     """The candidates that are not in a fit, by what a look promises; one look a candidate and fit."""
     fresh = [c for c in options if c.name not in fit.effects]
     seen_there = searcher.screened.setdefault((key(fit), fit.deviance), {})
@@ -131,7 +131,7 @@ def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -
     return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
 
 
-def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: Seen) -> Fit:
+def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit:
     """The candidate beside what is there already."""
     # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
     thorough = not fit.thresholds

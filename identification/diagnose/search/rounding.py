@@ -71,7 +71,7 @@ class Rounding:
             moved = [c | {command: c[command] + nudge * (r[command] == level)} for c, r in zip(executed, records, strict=True)]
             shown = about.rerun(simulator, held, moved)
             responses.append(about.change([(y - z) / nudge for y, z in zip(shown, quiet, strict=True)]))
-        response = about.apart(np.column_stack(responses))
+        response = about.orthogonal_part(np.column_stack(responses))
         self._cost = 0.5 * float(about.residual @ about.residual)
         self._slope, self._power = response.T @ about.residual, response.T @ response
 

@@ -44,7 +44,7 @@ CLOSER = 3
 
 
 @dataclass(frozen=True)
-class Seen:
+class ScreeningResult:
     """What a candidate promises: fall of the half sum of squares, and where: `values` of all that is free, `slow_first`.
 
     `points`: how many were looked at for it.
@@ -74,9 +74,9 @@ class Screening:
                     (_Screened(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first)
                 )
 
-    def at(self, candidate: Candidate) -> Seen:
+    def at(self, candidate: Candidate) -> ScreeningResult:
         """The best of the looks at a candidate."""
-        found = [Seen(*look.at(candidate), order) for look, order in self._screened]
+        found = [ScreeningResult(*look.at(candidate), order) for look, order in self._screened]
         return replace(max(found, key=lambda seen: seen.fall), points=sum(seen.points for seen in found))
 
 
@@ -185,7 +185,7 @@ class _Trace:
 
     def at(self, points: Sequence) -> np.ndarray:
         """(rows, points)"""
-        return np.hstack([self._about.apart(changed) for changed in self._changed(points)])
+        return np.hstack([self._about.orthogonal_part(changed) for changed in self._changed(points)])
 
     def products(self, points: Sequence) -> list[tuple[float, float]]:
         """Of what is added at each point, with the residual and with itself."""
@@ -252,4 +252,4 @@ class _Trace:
 
     def tangents(self, point) -> np.ndarray:
         """(rows, sizes)"""
-        return self._about.apart(self._about.columns(self._simulator, {**self.candidate.form, **point}))
+        return self._about.orthogonal_part(self._about.columns(self._simulator, {**self.candidate.form, **point}))

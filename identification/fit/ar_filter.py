@@ -1,7 +1,6 @@
-"""Values less what their past tells of them: compiled where there is a compiler, else by numpy; the same bits.
+"""Residuals of an autoregressive prediction: compiled where there is a compiler, else by numpy, with the same bits.
 
-A search filters tens of thousands of columns: numpy goes through memory twice for each span of the past, the compiled loop
-once in all.
+A search filters tens of thousands of columns. Numpy reads memory twice for each span of the filter, the compiled loop once.
 """
 
 import ctypes
@@ -15,7 +14,7 @@ from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.native.compiler import compiled
 
 
-def less_past(values: np.ndarray, spans: Sequence[tuple[int, int]], factors: Sequence[float], scale: float) -> np.ndarray:
+def ar_residuals(values: np.ndarray, spans: Sequence[tuple[int, int]], factors: Sequence[float], scale: float) -> np.ndarray:
     """(rows - order, ...): values (rows,) or (rows, k), finite, over `scale`, less for each of the `spans` (first, last) its
     factor times the sum over so many rows before; `order` is the longest."""
     order = max((last for _, last in spans), default=0)
@@ -41,10 +40,10 @@ def by_numpy(values: np.ndarray, order: int, spans, factors, scale: float) -> np
 def _compiled() -> Callable | None:
     """The same by C; None where there is no compiler."""
     try:
-        path = compiled((files("identification.fit") / "past.c").read_text())
+        path = compiled((files("identification.fit") / "ar_filter.c").read_text())
     except CompilerMissing:
         return None
-    run, count, array = ctypes.CDLL(str(path)).less_past, ctypes.c_long, ctypes.c_void_p
+    run, count, array = ctypes.CDLL(str(path)).ar_residuals, ctypes.c_long, ctypes.c_void_p
     run.argtypes = [array, count, count, count, count, array, array, ctypes.c_double, array, array]
     run.restype = None
 

@@ -1,10 +1,10 @@
 /* Of columns (n, k), row after row: each value in units of `scale`, less for each span a factor times the sum over the rows, from
    the first to the last before it, that the span's `ends` name. `sums` (n + 1, k): room for running sums, where a span holds more
-   than one row. The order of operations is that of past.py with numpy, and so are the bits. */
+   than one row. The order of operations is that of ar_filter.py with numpy, and so are the bits. */
 
 enum { PART = 512 };
 
-void less_past(const double *x, long n, long k, long order, long spans, const long (*ends)[2], const double *factor, double scale,
+void ar_residuals(const double *x, long n, long k, long order, long spans, const long (*ends)[2], const double *factor, double scale,
                double *sums, double *left) {
     if (sums) {
         for (long i = 0; i < k; i++) sums[i] = 0.0;

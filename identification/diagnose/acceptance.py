@@ -1,0 +1,184 @@
+"""Accept or reject an effect: likelihood, cross-validation and size, against the set without it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from identification.diagnose.crossval import HeldOut, cross_validated
+from identification.diagnose.judgement import (
+    ACCURACY,
+    SMALLEST,
+    Judgement,
+    Smallest,
+    chance_threshold,
+    model_form_allowance,
+    refusals,
+)
+from identification.diagnose.lack_of_fit import LackOfFit, lack_of_fit
+from identification.diagnose.score_test import mean_powers, noise_levels
+from identification.diagnose.search.fits import Fit, Searcher
+from identification.diagnose.search.refits import (
+    evidence_over,
+)
+from identification.fit.bands import starts
+from identification.fit.uncertainty import NORMAL_95
+from vpp_fmu.kernel.types import Effect
+from vpp_fmu.record import Record
+
+
+class Judge:
+    """Compares a set of effects with the set without one of them, which may be the `base`.
+
+    `smallest`: minimum sizes of interest. By default, of the thrust SMALLEST of the slow noise power, at least ACCURACY of the
+    largest thrust; of the speed, the uncertainty of the sensor. `runs`: step responses, which no fit of a diagnosis uses.
+    """
+
+    def __init__(self, searcher: Searcher, base: Fit, smallest: Smallest, runs: Sequence[Record]):
+        self.searcher, self.base, self.smallest = searcher, base, smallest
+        self.runs = [r for r in runs if np.isfinite(r["thrust"]).any()]
+        self._held_out: dict[int, tuple[Fit, HeldOut]] = {}
+
+    def held_out(self, fit: Fit) -> HeldOut:
+        """Cross-validation of a fit, once for each."""
+        if id(fit) not in self._held_out:
+            self._held_out[id(fit)] = fit, cross_validated(fit)  # the fit is kept: its id must not be another's
+        return self._held_out[id(fit)][1]
+
+    def on_runs(self, fit: Fit) -> np.ndarray:
+        """Mean square thrust error (runs,) of each step response, N^2."""
+        simulator = fit.problem.simulator
+        shown = [simulator.simulate(fit.values, *r.run)[:, 0] for r in self.runs]
+        return np.array([np.nanmean((y - r["thrust"]) ** 2) for y, r in zip(shown, self.runs, strict=True)])
+
+    def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
+        """Judge one effect of a set."""
+        falls, by_forms = self.likelihood_gain(with_it, without)
+        fall, more = sum(falls.values()), max(1, len(with_it.free) - len(without.free))
+        evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - fall)
+        needed = chance_threshold(more, self.searcher.points) + by_forms
+        gain = self.held_out(with_it).gain(self.held_out(without))
+        declared = next(e for e in with_it.problem.model.effects if e.name == effect)
+        size, least, material = self._size(with_it, without, declared.common)
+        carries_over = bool(declared.common) or self._carries_over(with_it, without)
+        refused = refusals(fall, needed, evidence, gain, more, material, carries_over)
+        if not refused and (unsure := _may_be_off(with_it, declared)):
+            refused.append(unsure)
+        return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
+
+    def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
+        """(log-likelihood gain of an effect by channel; how much of it errors in the forms of the others may cause). A band
+        counts by the noise power that it holds."""
+        falls, explained, by_forms = with_it.score.fall(without.score), without.score.fall(self.base.score), 0.0
+        for channel in [c for c, fall in falls.items() if fall > 0.0]:
+            (known, gained), level = gains_in_bands((self.base, without, with_it), channel)
+            gained = falls[channel] * gained / (gained.sum() or 1.0) / level
+            falls[channel] = float(np.clip(gained.sum(), 0.0, falls[channel]))
+            if explained[channel] > 0.0:
+                by_forms += model_form_allowance(gained, explained[channel] * known / (known.sum() or 1.0) / level)
+        return falls, by_forms
+
+    def lack(self, fit: Fit) -> LackOfFit:
+        """Run the checks of lack of fit."""
+        return lack_of_fit(fit, self.least(), self.least_speed())
+
+    def least(self) -> float:
+        """Minimum size of interest of the thrust below 10 Hz, N."""
+        if self.smallest.thrust is not None:
+            return self.smallest.thrust
+        experiments = self.searcher.experiments
+        largest = max(float(np.nanmax(np.abs(r.record["thrust"]))) for e in experiments for r in e.records)
+        return max(float(np.sqrt(SMALLEST * max(e.noise.slow for e in experiments))), ACCURACY * largest)
+
+    def least_speed(self) -> float:
+        """Minimum size of interest of the speed, rpm; infinite where no speed was measured."""
+        if self.smallest.speed is not None:
+            return self.smallest.speed
+        known = [np.median(t.std) for e in self.searcher.experiments for t in e.tachometers if len(t)]
+        return float(max(known, default=np.inf))
+
+    def _carries_over(self, with_it: Fit, without: Fit) -> bool:
+        """Whether the cross-validated error that an effect removes reaches the minimum size, in either channel."""
+        now, was = self.held_out(with_it), self.held_out(without)
+        if was.rmse_thrust**2 - now.rmse_thrust**2 >= self.least() ** 2:
+            return True
+        return was.rmse_omega is not None and was.rmse_omega**2 - now.rmse_omega**2 >= self.least_speed() ** 2
+
+    def matters(self, effect: str, fit: Fit) -> bool:
+        """Whether an effect reaches the minimum size, all other parameters held."""
+        declared = next(e for e in fit.problem.model.effects if e.name == effect)
+        off = {declared.full(name): value for name, value in (declared.off or {}).items()}
+        return self._size(fit, replace(fit, values={**fit.values, **off}), declared.common)[-1]
+
+    def _size(self, with_it: Fit, without: Fit, common: float) -> tuple[float, float, bool]:
+        """(rms change of the thrust [N]; the minimum size; whether the change of thrust or of speed reaches its minimum)."""
+        thrust, rows, speed = [], [], []
+        for e in self.searcher.experiments:
+            shown = [predicted_rows(fit, e) for fit in (with_it, without)]
+            change = shown[0] - shown[1]
+            rows.append(change[:, 0])
+            thrust.append(e.slow_thrust(change[:, 0]))
+            if len(e.omega_time):
+                speed.append(np.concatenate([t.shows(change[:, 1]) for t in e.tachometers]))
+        size, least = _rms(thrust), self.least()
+        if common:
+            floor = max(e.noise.floor for e in self.searcher.experiments)
+            return _rms(rows), float(np.sqrt(common)) * floor, _rms(rows) ** 2 >= common * floor**2
+        return size, least, size >= least or (bool(speed) and _rms(speed) >= self.least_speed())
+
+
+def _may_be_off(fit: Fit, effect: Effect) -> str:
+    """The reason to reject an effect if the 95 % interval of each of its sizes includes the value that switches it off; else
+    empty."""
+    sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
+    sizes = {name: off for name, off in sizes.items() if name in fit.free}
+    std, told = fit.std(), []
+    if not sizes or any(std[name] is None for name in sizes):  # only a combination of sizes is known, and it is not "off"
+        return ""
+    for name, off in sizes.items():
+        half = NORMAL_95 * std[name]
+        low, high = fit.thresholds.get(name, (fit.values[name] - half, fit.values[name] + half))
+        if not low <= off <= high or half == 0.0:
+            return ""
+        told.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
+    return f"its size may be zero: {', '.join(told)}"
+
+
+def predicted_rows(fit: Fit, experiment) -> np.ndarray:
+    return fit.problem.simulator.simulate(fit.values, *experiment.record.run)
+
+
+def _rms(parts: Sequence[np.ndarray]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
+
+
+def gains_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.ndarray]:
+    """(`gains` (fits - 1, bands), `level` (bands,)): gain of log-likelihood of a channel from each fit to the next, in bands of
+    a third of an octave of each record; and the power of the whitened noise in a band, nominally 1.
+
+    With a repeat record the noise is known, and the level is 1. Else the noise colour is estimated from one record. Noise
+    slower than the filter's memory exceeds it, and would pass for a drift: the level is then the power of the last residual, at
+    least 1.
+    """
+    last = fits[-1].problem
+    residuals = [f.problem.residual_at(f.values) * (f.problem.scale[channel] / last.scale[channel]) for f in fits]
+    known = channel != "thrust" or all(e.noise.verified for e in last.experiments)
+    about = None if known else fits[-1].linearised()
+    parts = [
+        gains_in_bands_of([rows[b.at] for rows in residuals], about and about.directions(b.at))
+        for b in last.blocks
+        if b.channel == channel
+    ]
+    falls, levels = zip(*parts, strict=True)
+    return np.hstack(falls), np.concatenate(levels)
+
+
+def gains_in_bands_of(rows: Sequence[np.ndarray], fitted: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """The same from whitened rows (n,) of one record. `fitted` (m, n): orthonormal directions that the last fit has removed;
+    None: the noise power is known."""
+    powers = [mean_powers(each[None]) for each in rows]
+    first = starts(len(powers[0]))
+    falls = np.array([np.add.reduceat(old - new, first) for old, new in pairwise(powers)])
+    level = np.ones(len(first)) if fitted is None else np.maximum(noise_levels(powers[-1], mean_powers(fitted))[0][first], 1.0)
+    return falls, level

@@ -1,0 +1,192 @@
+"""The verdict on a set of effects, and its validation on data that were not fitted, before it replaces the identified model."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.assessment.prediction import predict
+from identification.diagnose.acceptance import Judge
+from identification.diagnose.crossval import (
+    contiguous_folds,
+    cross_validated,
+    error_decreases,
+    error_increases,
+    folds,
+    held_out_gain,
+)
+from identification.diagnose.judgement import MAJORITY, MIN_EVIDENCE
+from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.selection import Selection, alternatives, without
+from identification.fit.noise import Noise
+from identification.roles import Unseen
+from identification.static.at_rest import Knowledge
+
+
+def verdict(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit, family: Mapping[str, Sequence[str]]) -> str:
+    """The verdict in one word, from the lack of fit of the base and of the final set."""
+    if not final.effects:
+        return unnamed(before)
+    if after.significant:
+        return "partly" if share_explained(base, final, before, after) > MAJORITY else "unexplained"
+    if after.turns:
+        return "partly"
+    return "family" if any(family.values()) else "attributed"
+
+
+def unnamed(lack: LackOfFit) -> str:
+    """The verdict on a model without further effects, from its lack of fit."""
+    return "unexplained" if lack.significant or lack.turns else "none"
+
+
+def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) -> float:
+    """Share of the lack of fit that a set explains: of the pure error's power with a repeat, else of the log-likelihood. Where
+    the remaining lack of fit is of the transient thrust or of the speed, its share, if smaller."""
+    fall = 0.5 * (base.deviance - final.deviance)
+    if before.bands:
+        power = sum(band.power for band in before.bands)
+        share = 1.0 - sum(band.power for band in after.bands) / power if power > 0.0 else 0.0
+    else:
+        share = fall / (fall + max(after.score.gain, 0.0)) if fall > 0.0 else 0.0
+    if after.transient_lack_of_fit:
+        share = min(share, 1.0 - (after.transient_size / before.transient_size) ** 2) if before.transient_size > 0.0 else 0.0
+    if not after.speed_lack_of_fit:
+        return share
+    was, left = (lack.speed * fit.score.squares["omega"] for fit, lack in ((base, before), (final, after)))
+    return min(share, 1.0 - left / was) if was > 0.0 else 0.0
+
+
+CHANGED = ("attributed", "family", "partly", "learned")
+"""Verdicts that add effects to the model."""
+
+
+def next_valid_alternative(
+    found: Selection, refuted: str, judge: Judge, base: Fit, before: LackOfFit, shipped: Callable[[Fit, bool], tuple[Fit, str]]
+) -> tuple[Selection, LackOfFit, Fit] | None:
+    """(selection, lack of fit, final model) of the best rival of a `refuted` effect that held-out data do not refute; None
+    without one. The fitted data did not distinguish the rivals; further valid ones are its family.
+    """
+    standing, refused = [], {}
+    for effect, name, other in alternatives(judge.searcher, found, judge):
+        lack = with_rotor_order(judge.lack(other.final), other.final)
+        word = verdict(base, other.final, before, lack, other.family)
+        if word not in CHANGED:
+            continue
+        final, why = shipped(other.final, word == "partly")
+        if why:
+            refused[name] = replace(other.judgements[name], refused=(why,))
+        else:
+            standing.append((effect, name, other, lack, final))
+    if not standing:
+        return None
+    (effect, name, other, lack, final), *rest = standing
+    family = {n: selection.final for e, n, selection, *_ in rest if e == effect}
+    refused = {**other.refused, effect: replace(found.judgements[effect], refused=(refuted,)), **refused}
+    return replace(other, rivals={**other.rivals, name: family}, refused=refused), lack, final
+
+
+def validated(
+    judge: Judge, knowledge: Knowledge | None, unseen: Unseen | None, present: Fit, base: Fit, found: Fit, partly: bool = False
+) -> tuple[Fit, str]:
+    """(final model, reason why `found` does not replace the `present` model; empty if it does).
+
+    An effect with an initial state of its own (the phase of a vibration) is kept only if the step responses confirm it."""
+    for effect in (e for e in found.problem.model.effects if e.name in found.effects):
+        if any(p.initial for p in effect.parameters):
+            rest = without(judge.searcher, base, found, effect.name)
+            if not (judge.runs and error_decreases([], (judge.on_runs(rest) - judge.on_runs(found)).tolist())):
+                found = rest
+    if found.effects == base.effects:
+        return present, ""
+    final = _estimated(judge, knowledge, present, found)
+    gone = [name for name in final.effects if not judge.matters(name, final)]
+    why = NOTHING_LEFT.format(gone[0]) if gone else _refuted(judge, present, base, found, final, unseen, partly)
+    return (present, why) if why else (final, "")
+
+
+NOTHING_LEFT = "{} is below the minimum size when estimated for the best prediction of held-out data"
+
+
+def _estimated(judge: Judge, knowledge: Knowledge | None, present: Fit, found: Fit) -> Fit:
+    """Estimate the accepted set for the best prediction of held-out folds and step responses.
+
+    The prior from the static map had been widened to agree with records beside the base. It is weighed anew beside the effects,
+    unless the cross-validated thrust error then increases significantly. If folds or step responses are predicted worse than by
+    the `present` model, the estimates of an identification, with more weight on slow errors, are tried; then, for effects
+    without influence at rest, those with the map of the `present` model.
+    """
+    if knowledge is not None:
+        agreed = found.agreed(knowledge)
+        old, new = judge.held_out(found).thrust, judge.held_out(agreed).thrust
+        times = [e.record.time for e in found.problem.experiments]
+        found = found if error_increases(list(zip(times, old, new, strict=True))) else agreed
+    if _worse(judge, found, present):
+        again = found.as_identified(knowledge)
+        better = judge.held_out(again).rmse_thrust < judge.held_out(found).rmse_thrust
+        found = again if better or not _worse(judge, again, present) else found
+        if _worse(judge, found, present) and not found.at_rest:
+            held = found.with_map_of(present)
+            found = held if not _worse(judge, held, present) else found
+    return found
+
+
+def _worse(judge: Judge, fit: Fit, present: Fit) -> bool:
+    """Whether folds or step responses are predicted worse by a fit, significantly or not."""
+    if judge.held_out(fit).rmse_thrust > judge.held_out(present).rmse_thrust:
+        return True
+    return bool(judge.runs) and float(np.mean(judge.on_runs(fit) - judge.on_runs(present))) > 0.0
+
+
+def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:
+    """The reason why held-out data refute a set, empty if they do not. `found`: the set at its maximum likelihood; `final`: as
+    estimated for prediction; `shipped`: the model that it would replace. It is refuted if
+
+    - both predict the folds worse than the `base`, fitted by the same likelihood;
+    - `final` predicts folds or thirds significantly worse than `shipped` (a `partly`: worse at all, or not significantly better
+      on thirds: what explains a part must carry over to other commands);
+    - the step responses lose more than the folds gain: they go where other commands hardly go;
+    - the reported error increases: on the `unseen` record (`_refuted_by`), else on the folds."""
+    before, best = judge.held_out(base), min((judge.held_out(fit) for fit in (found, final)), key=lambda h: h.rmse_thrust)
+    if best.rmse_thrust > before.rmse_thrust and judge.held_out(found).gain(before)["thrust"] < 0.0:
+        return _rises(FOLDED, before.rmse_thrust, best.rmse_thrust)
+    for split in (folds, contiguous_folds):
+        was, now = (judge.held_out(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
+        worse = [(e.record.time, *pair) for e, *pair in zip(found.problem.experiments, was.thrust, now.thrust, strict=True)]
+        if error_increases(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
+            return _rises(FOLDED, was.rmse_thrust, now.rmse_thrust)
+        if (
+            partly
+            and split is contiguous_folds
+            and not error_decreases(worse, (judge.on_runs(shipped) - judge.on_runs(final)).tolist())
+        ):
+            return "a partial explanation, and the held-out thrust error does not decrease significantly"
+    was, now = judge.held_out(shipped).rmse_thrust, judge.held_out(final).rmse_thrust
+    if judge.runs:
+        old, new = judge.on_runs(shipped), judge.on_runs(final)
+        if np.mean(new - old) > was**2 - now**2:
+            return _rises("thrust error of the step responses", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
+    if unseen is None:
+        return _rises(FOLDED, was, now) if now > was else ""
+    return _refuted_by(unseen, judge.searcher.experiments[0].noise, shipped, final)
+
+
+def _refuted_by(unseen: Unseen, noise: Noise, shipped: Fit, final: Fit) -> str:
+    """The reason why the unseen record refutes a model, empty if it does not: its thrust error increases.
+
+    The measured speed may outvote the thrust: not refuted if the evidence of both together is very strong, and that of the
+    thrust alone is not very strong against the model."""
+    was, now = (predict(fit.problem.model, fit.values, unseen.record) for fit in (shipped, final))
+    if now.rmse_thrust <= was.rmse_thrust:
+        return ""
+    gain = held_out_gain(noise, was, now)
+    if sum(gain.values()) > MIN_EVIDENCE and gain["thrust"] > -MIN_EVIDENCE:
+        return ""
+    return _rises(f"thrust error on {unseen.name}.csv", was.rmse_thrust, now.rmse_thrust)
+
+
+FOLDED = "cross-validated thrust error"
+
+
+def _rises(what: str, before: float, after: float) -> str:
+    return f"{what} rises from {before:.4g} to {after:.4g} N"
