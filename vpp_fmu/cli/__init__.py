@@ -52,12 +52,13 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, allow_abbrev=False, **kwargs)
 
     def parse_known_args(self, args=None, namespace=None):
-        found, unknown = super().parse_known_args(args, namespace)
-        for word in unknown:  # else argparse says the same of all, without what was meant
-            known = [name for action in self._actions for name in action.option_strings]
-            if word.startswith("-") and (hint := near(word.partition("=")[0], known)):
-                self.error(f"unrecognized arguments: {word}{hint}")
-        return found, unknown
+        known = {name for action in self._actions for name in action.option_strings}
+        if self._subparsers is None:  # else the options may be those of the parser below
+            for word in args:  # before argparse asks for what is missing because its name is wrong
+                option = word.partition("=")[0]
+                if option.startswith("--") and option not in {*known, "--"} and (hint := near(option, known)):
+                    self.error(f"unrecognized arguments: {word}{hint}")
+        return super().parse_known_args(args, namespace)
 
     def _check_value(self, action, value):
         if action.choices is not None and value not in action.choices and (hint := near(str(value), map(str, action.choices))):

@@ -16,6 +16,7 @@ from hil.campaign import steep, within
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import calibrated_for
 from hil.page.operator_page import OperatorPage
 from hil.physics.rig_model import library
 from hil.runs import sha256_of
@@ -168,6 +169,8 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
         allowed = "who and when, as vpp hil calibrate writes them where it has measured"
         raise BadInput(options.calibration, "source", f"nobody who measured {', '.join(unknown)}", allowed)
     limits, allowed = limits_for(options, allowed_of(options, turning), steps)
+    if not real and not options.calibration:
+        calibration = calibrated_for(calibration, allowed)
     check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
     if real:
         return Setup(calibration, limits, wiring=_wiring(options), allowed=allowed)
