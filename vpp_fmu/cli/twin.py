@@ -47,14 +47,14 @@ def configure(parser):
 def run(options):
     _check_new(options.day)
     setup, parameters = hil_options.setup_of(options), hil_options.plant_of(options)
-    told = beside(options.parameters)
-    band = read_band(told)
-    check_same_model(told, parameters, options.parameters)
-    setup = replace(setup, plant=parameters.values)
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     settings = controllers(parameters, given, hil_options.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
+    told = beside(options.parameters)
+    band = read_band(told)
+    check_same_model(told, parameters, options.parameters)
+    setup = replace(setup, plant=parameters.values)
     hil_options.say_allowed(setup.allowed)
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
     folder = OutputFolder(options.day)
