@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from vpp_fmu.cli import VERBS, main, parser_of
-from vpp_fmu.cli.cosim import told
+from vpp_fmu.cli import VERBS, cosim, main, parser_of
 from vpp_fmu.cli.output import stages
 from vpp_fmu.record import Record, read_record
 from vpp_fmu.response import steps
@@ -198,7 +197,8 @@ def stepped(omega, beta, thrust):
     time = np.arange(101) / 10.0
     wanted = np.where(time < 2.0, 2.0, 12.0)
     columns = {"omega_ref": omega, "beta_ref": beta, "thrust": thrust}
-    return Record({"time": time, "thrust_set": wanted, **{n: np.broadcast_to(f(time), time.shape) for n, f in columns.items()}})
+    own = {name: np.broadcast_to(value(time), time.shape) for name, value in columns.items()}
+    return Record({"time": time, "thrust_set": wanted, **own}, "a step")
 
 
 def rises_to(level, tau):
@@ -217,11 +217,11 @@ def rises_to(level, tau):
 def test_a_set_point_out_of_reach_is_said_with_what_is_reached(omega, thrust, said):
     """Out of reach: both commands on a limit, and the thrust at rest beside the set-point."""
     (step,) = steps(stepped(lambda time: omega, lambda time: 13.6, thrust), limits=LIMITS)
-    assert told(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
+    assert cosim.told(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
 
 
 def test_a_step_before_another_one_is_said_so():
     run = stepped(lambda time: 5000.0, lambda time: 13.6, rises_to(11.2, 0.3))
     wanted = np.where(run.time < 8.0, run["thrust_set"], 3.0)
     first, _ = steps(run.with_columns(thrust_set=wanted), limits=LIMITS)
-    assert "has not settled before the next" in told(first)
+    assert "has not settled before the next" in cosim.told(first)

@@ -184,9 +184,8 @@ def test_without_parameters_the_papers_values_are_said_to_be_a_default(tmp_path,
     assert said in capsys.readouterr().out
 
 
-WIDE = Rig(
-    "wide", (0.0, 5573.0), (0.54, 13.63), (0.0, 15.0), origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign")
-)
+CAMPAIGN = dict.fromkeys(("speed", "pitch", "thrust"), "the campaign")
+WIDE = Rig("wide", (0.0, 5573.0), (-4.0, 12.0), (0.0, 15.0), origin=CAMPAIGN)
 """Of the paper's size, and its blades go further than the emulated rig's calibration has them."""
 
 
