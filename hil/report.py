@@ -142,7 +142,8 @@ def said(step: Step, name: str) -> str:
 
 
 def _row(name: str, step: Step) -> tuple:
-    settled = "not before the next" if step.settling is None else step.settling
+    never = "not by the end" if step.last else "not before the next"
+    settled = never if step.settling is None else step.settling
     return name, step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
 
 

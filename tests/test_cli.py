@@ -6,8 +6,10 @@ import re
 import numpy as np
 import pytest
 
-from vpp_fmu.cli import VERBS, main
-from vpp_fmu.record import read_record
+from vpp_fmu.cli import VERBS, cosim, main, parser_of
+from vpp_fmu.cli.output import stages
+from vpp_fmu.record import Record, read_record
+from vpp_fmu.response import steps
 
 GOOD = "time,omega_ref,beta_ref,thrust\n0,4000,5,5\n0.004,4000,5,5.1\n0.008,4100,5,5.2\n"
 
@@ -136,3 +138,90 @@ def test_demo_does_the_whole_job(tmp_path, capsys):
     found = json.loads((tmp_path / "diagnosis.json").read_text())
     for told, entry in ((before, found["before"]), (after, found["after"])):
         assert told == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["identfy", "mine"], "Did you mean identify?"),
+        (["plan", "--parm", "out"], "Did you mean --parameters?"),
+        (["hil", "run", "--proflie", "step.csv"], "Did you mean --profile?"),
+        (["hil", "campain"], "Did you mean campaign?"),
+        (["diagnose", "mine", "--effects", "pitch_backlsh"], "Did you mean pitch_backlash?"),
+    ],
+)
+def test_a_word_that_is_nearly_right_is_told_what_it_may_mean(words, meant, capsys):
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert meant in said
+
+
+def test_a_column_that_is_nearly_right_is_told_what_it_may_mean(tmp_path, capsys):
+    (tmp_path / "log.csv").write_text("time_s,Thrust (N)\n0,1\n1,2\n")
+    assert main(["import", "csv", str(tmp_path / "log.csv"), "--map", "thrust=Trust", "-o", str(tmp_path)]) == 2
+    assert "no such column, allowed is Thrust (N)?" in capsys.readouterr().err
+
+
+def test_no_option_is_taken_for_one_that_it_begins(tmp_path, capsys):
+    """--para would be --parameters today, and another option once there is one that begins alike."""
+    for words in (["plan", "--para", "out"], ["identify", "mine", "--boot", "5"], ["hil", "run", "--prof", "x"]):
+        assert main(words) == 2
+        assert "unrecognized arguments" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["tune", "export", "plan", "simulate", "diagnose", "twin", "hil run", "hil campaign"])
+def test_a_folder_of_parameters_is_the_file_in_it(verb, tmp_path):
+    (tmp_path / "parameters.json").touch()
+    more = {"simulate": ["r.csv"], "diagnose": ["mine"], "twin": ["day"], "hil run": ["--profile", "p.csv"]}.get(verb, [])
+    verb, *what = verb.split()
+    options = parser_of(verb)[0].parse_args([*what, *more, "--parameters", str(tmp_path)])
+    assert options.parameters == str(tmp_path / "parameters.json")
+
+
+def test_long_work_in_a_pipe_is_told_stage_by_stage(capsys):
+    with stages("vpp diagnose") as stage:
+        stage("identify")
+        stage("noise")
+    assert [line.rpartition(" (")[0] for line in capsys.readouterr().err.splitlines()] == [
+        "vpp diagnose: identify",
+        "vpp diagnose: noise",
+    ]
+
+
+LIMITS = {"omega_ref": (0.0, 5573.0), "beta_ref": (0.5, 13.6)}
+
+
+def stepped(omega, beta, thrust):
+    """A run of 10 s whose set-point goes from 2 to 12 N at 2 s."""
+    time = np.arange(101) / 10.0
+    wanted = np.where(time < 2.0, 2.0, 12.0)
+    columns = {"omega_ref": omega, "beta_ref": beta, "thrust": thrust}
+    own = {name: np.broadcast_to(value(time), time.shape) for name, value in columns.items()}
+    return Record({"time": time, "thrust_set": wanted, **own}, "a step")
+
+
+def rises_to(level, tau):
+    return lambda time: np.where(time < 2.0, 2.0, level - (level - 2.0) * np.exp(-np.maximum(time - 2.0, 0.0) / tau))
+
+
+@pytest.mark.parametrize(
+    ("omega", "thrust", "said"),
+    [
+        (5573.0, rises_to(11.2, 0.3), ": the set-point of 12 N is out of reach: 11.2 N at 5573 rpm, 13.6 deg"),
+        (5000.0, rises_to(11.2, 0.3), " has not settled by the end of the run"),  # the speed has room
+        (5573.0, rises_to(12.0, 5.0), " has not settled by the end of the run"),  # the thrust is on its way
+        (5573.0, rises_to(12.0, 0.3), " has settled after 1.2 s"),
+    ],
+)
+def test_a_set_point_out_of_reach_is_said_with_what_is_reached(omega, thrust, said):
+    """Out of reach: both commands on a limit, and the thrust at rest beside the set-point."""
+    (step,) = steps(stepped(lambda time: omega, lambda time: 13.6, thrust), limits=LIMITS)
+    assert cosim.told(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
+
+
+def test_a_step_before_another_one_is_said_so():
+    run = stepped(lambda time: 5000.0, lambda time: 13.6, rises_to(11.2, 0.3))
+    wanted = np.where(run.time < 8.0, run["thrust_set"], 3.0)
+    first, _ = steps(run.with_columns(thrust_set=wanted), limits=LIMITS)
+    assert "has not settled before the next" in cosim.told(first)

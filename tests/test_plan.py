@@ -385,3 +385,53 @@ def test_knowledge_is_read_as_written(parameters):
     assert prior.names == BASE_PARAMETERS
     np.testing.assert_allclose(np.sqrt(np.diag(prior.covariance)), [0.1 * abs(SORTED[n]) for n in BASE_PARAMETERS])
     assert inflation == 4.0
+
+
+def test_a_range_in_which_the_thrust_hardly_changes_is_asked_about(tmp_path, capsys, monkeypatch):
+    """At 500 rpm the paper's rig makes at most 0.15 N, half of the noise of a reading."""
+    rig = Rig(speed=(0.0, 6000.0), origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
+    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
+    tried = []
+    monkeypatch.setattr("vpp_fmu.cli.plan.plan", lambda *given, **more: tried.append(given) or pytest.fail("planned"))
+    words = ["plan", "--parameters", str(tmp_path), "--omega", "100", "500", "-o", str(tmp_path / "next")]
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "less than the 0.3 N of noise of a reading, allowed is a wider range, or --yes to go on" in said
+    assert not tried
+    for more in (["--yes"], ["--omega", "100", "3000"]):
+        with pytest.raises(pytest.fail.Exception):
+            cli.main([*words, *more])
+
+
+def test_what_is_known_is_found_beside_the_parameters(tmp_path, capsys, monkeypatch):
+    """An identification.json that nobody named counts if it is of the same model, and is passed over if it is not."""
+    seen = []
+
+    def planned(*given, **more):
+        seen.append((given[4], given[5]))
+        raise BadInput("test", "plan", "reached", "nothing")
+
+    monkeypatch.setattr("vpp_fmu.cli.plan.plan", planned)
+    values = plant().values()
+    entries = {n: {"value": values[n], "std": 0.01 * abs(values[n])} for n in ("tau_omega_1", "c20")}
+    known = {
+        "effects": [],
+        "parameters": entries,
+        "noise_floor_thrust": 0.07,
+        "correlation": {"names": list(entries), "matrix": np.eye(2).tolist()},
+    }
+    rig = Rig(origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
+    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
+    (tmp_path / "identification.json").write_text(json.dumps(known))
+    words = ["plan", "--parameters", str(tmp_path / "parameters.json"), "-o", str(tmp_path / "next")]
+    assert cli.main(words) == 2
+    noise, prior = seen.pop()
+    assert noise == 0.07
+    np.testing.assert_allclose(np.sqrt(np.diag(prior.covariance)), [0.01 * values["tau_omega_1"], 0.01 * values["c20"]])
+    entries["c20"]["value"] *= 2.0
+    (tmp_path / "identification.json").write_text(json.dumps(known))
+    capsys.readouterr()
+    assert cli.main(words) == 2
+    assert seen.pop() == (pytest.approx(0.3), None)
+    assert "not used: " in capsys.readouterr().out

@@ -22,6 +22,8 @@ from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
 
+FILE, KNOWLEDGE = "parameters.json", "identification.json"
+
 _SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 
@@ -72,7 +74,7 @@ class ParameterSet:
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write parameters.json and parameters.ssv into a folder; returns that. BadInput."""
         target = OutputFolder(folder)
-        target.write("parameters.json", to_json(self))
+        target.write(FILE, to_json(self))
         target.write("parameters.ssv", to_ssv(self, "parameters"))
         return target.path
 
@@ -99,11 +101,27 @@ class ParameterSet:
         """The rig that the set is for: as `source` tells, else what the model's scales span."""
         return rig_of(_scales(self.source, self.values), self.source)
 
+    @property
+    def sample_period(self) -> float | None:
+        """s from row to row of the record that the set was identified from; None where `source` does not say it."""
+        found = self.source.get("sample_period")
+        return float(found) if isinstance(found, int | float) and _is_number(found) and found > 0.0 else None
+
     def replaced(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> "ParameterSet":
         """This set with other values, in the model's units, and their standard deviations where known. KeyError: unknown."""
         units = {p.name: p.unit for p in self.model.parameters}
         new = {name: Estimate(float(value), (std or {}).get(name), units[name]) for name, value in values.items()}
         return replace(self, estimates={**self.estimates, **new})
+
+
+def parameters_file(path: str | os.PathLike) -> str:
+    """The parameter file that a path means: the path, or the parameters.json of a folder."""
+    return os.path.join(path, FILE) if os.path.isdir(path) else os.fspath(path)
+
+
+def beside(path: str | os.PathLike) -> Path:
+    """The identification.json of a parameter file: noise, model error and covariance of the same campaign."""
+    return Path(path).with_name(KNOWLEDGE)
 
 
 def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], Model]) -> ParameterSet:

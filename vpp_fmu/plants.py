@@ -1,5 +1,6 @@
 """Plants and controllers by role: the same loop runs the kernel's functions, FMUs, an emulated rig or the real one."""
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -17,6 +18,9 @@ from vpp_fmu.record import Record
 COMMANDS = ("omega_ref", "beta_ref")
 MEASURED = ("thrust", "omega", "beta")
 WANTED = ("thrust_set", "thrust")
+
+USUAL_STEP = 0.004
+"""s: communication step where neither a user nor a controller names another one."""
 
 
 class Sample(NamedTuple):
@@ -71,11 +75,22 @@ class KernelPlant:
         pass
 
 
+def limits_of(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """(least, greatest) of each command [rpm], [deg] by a controller's parameter values; nothing where these name no limits. In
+    speed-only mode the pitch has one value."""
+    if not all(f"{u}_{end}" in values for u in ("omega", "beta") for end in ("min", "max")):
+        return {}
+    fixed = values.get("speed_only", 0.0) > 0.5
+    pitch = 2 * (values["beta_fixed"],) if fixed else (values["beta_min"], values["beta_max"])
+    return dict(zip(COMMANDS, ((values["omega_min"], values["omega_max"]), pitch), strict=True))
+
+
 class KernelController:
-    """The controller's functions as they stand."""
+    """The controller's functions as they stand. `limits`: of each command, as `limits_of` has them; `sample_time` s."""
 
     def __init__(self, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self._dt, self._simulation = dt, Simulation(CONTROLLER, parameters)
+        self.limits, self.sample_time = limits_of(self._simulation.parameters), self._simulation.parameters["sample_time"]
 
     def start(self, thrust_set, thrust):
         self._simulation.start({"thrust_set": thrust_set, "thrust": thrust})
@@ -151,15 +166,34 @@ class FmuPlant(_FmuRole):
 
 
 class FmuController(_FmuRole):
-    """A controller FMU."""
+    """A controller FMU. `limits`: of each command, as `limits_of` has them; none where its parameters name none. `sample_time`
+    s: its own, None where it has none; `dt` None: the same."""
 
     inputs, outputs = WANTED, COMMANDS
+
+    def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float | None = USUAL_STEP):
+        super().__init__(path, parameters, 0.0 if dt is None else dt)
+        values = {**_starts(self._fmu), **self._parameters}
+        self.limits, self.sample_time = limits_of(values), values.get("sample_time")
+        if dt is None:
+            self.dt = self.sample_time or USUAL_STEP
 
     def start(self, thrust_set, thrust):
         self._restart((thrust_set, thrust))
 
     def step(self, thrust_set, thrust):
         return self._step((thrust_set, thrust))
+
+
+def _starts(fmu: Fmu) -> dict[str, float]:
+    """Start values of an FMU's parameters, by name: those that are numbers."""
+    found = {}
+    for variable in fmu.variables.values():
+        if variable.causality == "parameter":
+            with contextlib.suppress(TypeError, ValueError):
+                text = str(variable.start)
+                found[variable.name] = float(text == "true") if text in ("true", "false") else float(text)
+    return found
 
 
 class FmuTwin:

@@ -1,5 +1,6 @@
 """Figures of merit of a closed loop's steps."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,13 +11,19 @@ from vpp_fmu.record import Record
 BAND = 0.02
 """A step has settled once the thrust stays within this share of the step."""
 
+TAIL = 0.1
+"""A set-point is out of reach where the commands stand on their limits, and the thrust stands, over this share of the step's
+time at its end."""
+
 
 @dataclass(frozen=True)
 class Step:
     """One change of the wanted thrust, from `before` to `after` [N] at `time` [s], judged until `end` [s].
 
-    `settling` s to stay within the band around it; None where it never does. `overshoot`: how far the thrust goes beyond what
-    is wanted, and `ringing`: its largest swing to either side once it has come back from there, both in % of the step.
+    `last`: whether the run ends with it. `settling` s to stay within the band around it; None where it never does. `stuck`:
+    thrust [N], speed [rpm] and pitch [deg] commands at its end where the set-point is out of reach. `overshoot`: how far the
+    thrust goes beyond what is wanted, and `ringing`: its largest swing to either side once it has come back from there, both
+    in % of the step.
     """
 
     time: float
@@ -26,10 +33,13 @@ class Step:
     settling: float | None
     overshoot: float
     ringing: float
+    last: bool = False
+    stuck: tuple[float, float, float] | None = None
 
 
-def steps(run: Record, band: float = BAND) -> list[Step]:
-    """Every change of `thrust_set` in a run, judged on `thrust` until the next change; `band`: share of the step."""
+def steps(run: Record, band: float = BAND, limits: Mapping[str, tuple[float, float]] | None = None) -> list[Step]:
+    """Every change of `thrust_set` in a run, judged on `thrust` until the next change; `band`: share of the step; `limits`:
+    (least, greatest) of each command by its name, where they are known."""
     wanted, time, thrust = run["thrust_set"], run.time, run["thrust"]
     changes = [*(np.flatnonzero(np.diff(wanted)) + 1), len(wanted)]
     found = []
@@ -43,8 +53,26 @@ def steps(run: Record, band: float = BAND) -> list[Step]:
         settling = float(time[after_last] - time[start]) if settled else None
         overshoot = 100.0 * max(0.0, float(np.max(-missing)))
         ringing, until = 100.0 * swing(missing), float(time[min(end, len(time) - 1)])
-        found.append(Step(float(time[start]), until, float(before), float(after), settling, overshoot, ringing))
+        stuck = None if settled or not limits else _stuck(run, slice(start, end), band * abs(size), limits)
+        ends = float(time[start]), until, float(before), float(after)
+        found.append(Step(*ends, settling, overshoot, ringing, bool(end == len(wanted)), stuck))
     return found
+
+
+def _stuck(
+    run: Record, rows: slice, band: float, limits: Mapping[str, tuple[float, float]]
+) -> tuple[float, float, float] | None:
+    """Thrust and commands at the end of a step whose commands stand on their limits while the thrust moves by less than `band`
+    [N]; None where they do not."""
+    tail = slice(rows.stop - max(2, round(TAIL * (rows.stop - rows.start))), rows.stop)
+    thrust, ends = run["thrust"][tail], []
+    for name, (low, high) in limits.items():
+        command = run[name][tail]
+        room = 1e-6 * max(abs(low), abs(high))
+        if not any(np.all(np.abs(command - end) <= room) for end in (low, high)):
+            return None
+        ends.append(float(command[-1]))
+    return (float(thrust[-1]), *ends) if float(np.ptp(thrust)) < band else None
 
 
 def swing(missing: np.ndarray) -> float:

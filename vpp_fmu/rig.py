@@ -144,15 +144,13 @@ def declared_rig(path: str | os.PathLike, rest: Rig | None = None) -> Rig:
 
 def rig_of(scales: Scales, source: Mapping) -> Rig:
     """The rig that a parameter file speaks of: what its `source` tells of it, else what the model's scales span."""
+    pitch = scales.absolute(0.0, "position"), scales.absolute(1.0, "position")
+    spanned = Rig("", (scales.omega_scale / 3.0, scales.omega_scale), pitch, (0.0, scales.thrust_scale), scales=scales)
     if isinstance(told := source.get("rig"), dict) and told.get("format") == FORMAT:
         content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
         declared = _entries("parameters.json, source, rig", content)
-        return replace(Rig(scales=scales, origin=dict(told.get("origin", {}))), **declared)
-    speed, pitch = (
-        (scales.omega_scale / 3.0, scales.omega_scale),
-        (scales.absolute(0.0, "position"), scales.absolute(1.0, "position")),
-    )
-    return Rig(speed=speed, pitch=pitch, thrust=(0.0, scales.thrust_scale), scales=scales)
+        return replace(spanned, origin=dict(told.get("origin", {})), **declared)
+    return spanned
 
 
 def read_rig(path: str | os.PathLike) -> dict:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,13 +21,28 @@ from hil.emulator.serial_line import MemoryLine, SerialLine
 from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
+from hil.physics.pitch_actuator import ACTUATOR
 from hil.physics.rig_model import powertrain
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.rig import PAPERS_SIZE
+from vpp_fmu.rig import Rig as Ranges
 
 ZERO_SHIFT = 120.0
 """Counts by which the load cell's zero has moved since the calibration: only a tare finds it."""
 
 BUS, SECOND, LINE, PORT, PULSES, SHOWN, HAND = "i2c", "i2c-second", "line", "tty", "pwm", "shown", "hand"
 """Names in the folder."""
+
+LARGEST_SPEED = 6900.0
+"""rpm, of a rig that the emulated one may stand for: it is the paper's, with its rotor of 6000 rpm."""
+
+FORCES = PAPER.thrust_scale / PAPERS_SIZE, PAPER.thrust_scale * PAPERS_SIZE
+"""N: thrust scales of such a rig."""
+
+_RANGES = {p.name: p.default for p in ACTUATOR.parameters}
+TRAVEL = _RANGES["beta_low"], _RANGES["beta_high"]
+"""deg, of the rod."""
 
 BYSTANDER, PULLED = ("relay", "omega", "thrust"), ("force",)
 
@@ -43,6 +58,26 @@ class Rig:
     hidden: tuple[str, ...] = ()
     seed: int = 0
     lingers: float = 0.0
+
+
+def calibrated_for(calibration: Calibration, ranges: Ranges) -> Calibration:
+    """The emulated rig's calibration for what a rig may be asked for: its pitch table is stretched to a wider range of pitch.
+    BadInput where the emulated rig can't be that rig."""
+    (slowest, fastest), (low, high), force = ranges.speed, ranges.pitch, ranges.scales.thrust_scale
+    if not (fastest <= LARGEST_SPEED and FORCES[0] <= force <= FORCES[1] and TRAVEL[0] <= low <= high <= TRAVEL[1]):
+        found = f"emulated, for a rig of {slowest:.6g} to {fastest:.6g} rpm, {low:.4g} to {high:.4g} deg, {force:.3g} N"
+        allowed = (
+            f"a rig that the emulated one, the paper's, can be: to {LARGEST_SPEED:g} rpm, {TRAVEL[0]:g} to {TRAVEL[1]:g} deg, "
+            f"{FORCES[0]:g} to {FORCES[1]:g} N; --rig emulated RIG.json declares narrower ranges, --rig real RIG.json is the "
+            "rig itself, and vpp cosim closes the loop with the model of --parameters"
+        )
+        raise BadInput("command line", "--rig", found, allowed)
+    least, most = min(low, calibration.pitch_min), max(high, calibration.pitch_max)
+    if (least, most) == (calibration.pitch_min, calibration.pitch_max):
+        return calibration
+    size = (most - least) / (calibration.pitch_max - calibration.pitch_min)
+    pitches = tuple(least + size * (pitch - calibration.pitch_min) for pitch in calibration.pitches)
+    return replace(calibration, pitches=pitches, pitch_min=least, pitch_max=most)
 
 
 class Emulation:

@@ -12,6 +12,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.twin import BROUGHT, WITHIN, adapted_by_default, plausible_change, sums, threshold, twin, watched
+from vpp_fmu.kernel.twin.prediction import SAMPLE_TIME
 from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import Estimate, ParameterSet
 
@@ -43,17 +44,22 @@ def adaptable(parameters: ParameterSet, where: str, adapted: Sequence[str] | Non
 
 
 def adaptive(
-    parameters: ParameterSet, band: Band, adapted: Sequence[str] | None = None, false_alarms: float = FALSE_ALARMS
+    parameters: ParameterSet,
+    band: Band,
+    adapted: Sequence[str] | None = None,
+    false_alarms: float = FALSE_ALARMS,
+    sample_time: float | None = None,
 ) -> ParameterSet:
     """The twin's model with its parameters: the plant's by name, their standard deviations as the prior, the band's noises.
 
     `parameters`: of a plant that has them all (`adaptable`). What was not estimated is known to no more than a plausible
     change; and so are lags, whose standard deviation is that of one kind of motion, while a rig's motor and actuator are no
-    lags and answer each kind of motion with another one. KeyError names an adapted parameter that the plant has not.
+    lags and answer each kind of motion with another one. `sample_time` s: from reading to reading (default: the rig's loop).
+    KeyError names an adapted parameter that the plant has not.
     """
     values = parameters.values
     adapted = tuple(adapted or adapted_by_default(values))
-    model = twin(parameters.model, adapted)
+    model = twin(parameters.model, adapted, sample_time or SAMPLE_TIME)
     # Known from few degrees of freedom, the model's error is larger than it was seen to be, for the same share of 95 %.
     steady = band.steady * float(t.isf(0.025, band.freedom)) / WITHIN
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}

@@ -53,6 +53,9 @@ def read_band(path: str | os.PathLike) -> Band:
     try:
         content = json.loads(read_text(path))
         floor, error = float(content["noise_floor_thrust"]), content["model_error"]
+        if error is None:
+            found = "null: no static map and no repeat told it"
+            raise BadInput(path, "model_error", found, "an identification with a static.csv, which a twin's band is made of")
         steady, moving, freedom = (float(error[name]) for name in ("steady", "moving", "freedom"))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadInput(path, "content", f"{type(error).__name__}: {error}", allowed) from error

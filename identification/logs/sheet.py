@@ -1,5 +1,6 @@
 """A log as its file tells it, before anybody says what its columns mean: cells by name, units where the file has them."""
 
+import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -52,7 +53,9 @@ class Sheet:
         names = list(self.columns)
         if wanted.strip().isdigit() and 1 <= int(wanted) <= len(names):
             return names[int(wanted) - 1]
-        allowed = f"one of {', '.join(names)}"
+        near = difflib.get_close_matches(_folded(wanted), {_folded(name): name for name in names})
+        meant = [name for name in names if _folded(name) in near]
+        allowed = f"{' or '.join(meant)}?" if meant else f"one of {', '.join(names)}"
         raise BadInput(
             self.source, f"column {wanted}", "no such column", allowed if len(allowed) < 400 else f"{allowed[:397]}..."
         )

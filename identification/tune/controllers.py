@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import FINE_TUNED
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.rig import ASSUMED, PAPERS_SIZE, Rig, rounded
 
@@ -48,14 +49,19 @@ class Controllers:
 
 
 def controllers(
-    parameters: ParameterSet, given: ParameterSet | None = None, sample_time: float | None = None, source: str = "given gains"
+    parameters: ParameterSet,
+    given: ParameterSet | None = None,
+    sample_time: float | None = None,
+    source: str = "given gains",
+    rig: Rig | None = None,
 ) -> Controllers:
     """The controllers for the rig and the plant of `parameters`.
 
     `given`: a controller's own values instead, within the rig's range; scales are always the plant's. `sample_time` s: None for
-    the given one, else what the plant needs. BadInput names `source` where given limits leave the rig's.
+    the given one, else the campaign's row period, or what the plant needs. `rig`: other ranges than those of the parameters'
+    rig. BadInput names `source` where given limits leave the rig's.
     """
-    rig, plant = parameters.rig, parameters.values
+    rig, plant = rig or parameters.rig, parameters.values
     moved = {u: low < high for u, (low, high) in zip(CHANNELS, (rig.speed, rig.pitch), strict=True)}
     if not any(moved.values()):
         text = f"speed fixed at {rig.speed[0]:g} rpm and pitch at {rig.pitch[0]:g} deg"
@@ -64,7 +70,7 @@ def controllers(
     slower = {u: lag / DESIGNED[u] for u, lag in lags.items()}
     if all(1.0 / PAPERS_SIZE <= r <= PAPERS_SIZE for r in slower.values()):
         slower = {}
-    own = _of_the_rig(rig, slower, min(lags.values()))
+    own = _of_the_rig(rig, slower, min(lags.values()), parameters.sample_period)
     own |= {name: value for name, value in plant.items() if name in own}  # the scales
     told = {name: value for name, value in _given(given, rig, source).items() if name not in plant} if given else {}
     told |= {} if sample_time is None else {"sample_time": sample_time}
@@ -84,14 +90,60 @@ def controllers(
     return Controllers(settings, left_out, "given" if given else "scaled" if scaled else "published", scaled)
 
 
-def _of_the_rig(rig: Rig, slower: Mapping[str, float], lag: float) -> dict[str, float]:
+def rig_controller(
+    parameters: ParameterSet,
+    given: ParameterSet | None = None,
+    source: str = "given gains",
+    rig: Rig | None = None,
+    sample_time: float | None = None,
+) -> ParameterSet:
+    """The controller that flies the rig of `parameters`, with all its values: the given one, else the dual, or the only one
+    that the rig can have. Arguments and BadInput as of `controllers`. Where no rig is known it is the paper's, published gains
+    and all."""
+    papers = ParameterSet(CONTROLLER, source={"made_by": "the published gains"})
+    published = given is None and "rig" not in parameters.source and parameters.rig.scales == PAPER
+    if published and rig is None:
+        return papers
+    kept = papers.replaced({**DUAL, "t_filter": papers.values["t_filter"]}) if published else given
+    own = controllers(parameters, kept, sample_time, source, rig)
+    alone = given is not None and given.values["speed_only"] > 0.5
+    name = "speed_only" if alone else "dual"
+    if name not in own.settings:
+        if given is not None:
+            allowed = f"a controller that the rig can have: {own.left_out[name]}"
+            raise BadInput(source, "parameters, speed_only", "1" if alone else "0", allowed)
+        (name,) = own.settings
+    rig = rig or parameters.rig
+    model = CONTROLLER if parameters.rig.scales == PAPER else CONTROLLER.sized(parameters.rig.scales)
+    made = "the published gains" + (" at the rig's pace" if own.scaled else "")
+    came = given.source if given is not None else {"made_by": made}
+    return ParameterSet(model, source={**came, "rig": rig.summary()}).replaced(own.settings[name])
+
+
+def said_of(controller: ParameterSet, gains: str | None = None) -> str:
+    """What a controller takes from where, in one line. `gains`: the file that its gains come from."""
+    v, rig = controller.values, controller.rig
+    spans = ((v["omega_min"], v["omega_max"], "rpm"), (v["beta_min"], v["beta_max"], "deg"))
+    limits = ", ".join(f"{low:.6g} to {high:.6g} {unit}" if low < high else f"{low:.6g} {unit}" for low, high, unit in spans)
+    default = f"{'the paper' if rig.scales == PAPER else 'the model'}'s by default: no rig is known"
+    where = ", ".join(dict.fromkeys(rig.origin.get(name, default) for name in ("speed", "pitch")))
+    made = f"gains of {gains}" if gains else str(controller.source["made_by"])
+    which = "speed alone" if v["speed_only"] > 0.5 else "speed and pitch"
+    return f"controller: {which} within {limits} ({where}), sampled every {1e3 * v['sample_time']:.4g} ms; {made}"
+
+
+def _of_the_rig(rig: Rig, slower: Mapping[str, float], lag: float, period: float | None) -> dict[str, float]:
     """All values of a controller but for its gains: limits, sampling and filter for a plant whose faster channel has the sum of
-    lags `lag` [s]."""
+    lags `lag` [s], on a rig that was sampled every `period` [s]."""
     own = CONTROLLER.sized(rig.scales).values()
     own |= {f"omega_{end}": value for end, value in zip(("min", "max"), rig.speed, strict=True)}
     own |= {f"beta_{end}": value for end, value in zip(("min", "max"), rig.pitch, strict=True)}
     filter_time = own["t_filter"] * min(slower.values(), default=1.0)
-    return own | {"beta_fixed": rig.pitch[1], "sample_time": sampling(lag, own["sample_time"]), "t_filter": filter_time}
+    return own | {
+        "beta_fixed": rig.pitch[1],
+        "sample_time": sampling(lag, period or own["sample_time"]),
+        "t_filter": filter_time,
+    }
 
 
 def sampling(lag: float, usual: float) -> float:

@@ -93,7 +93,7 @@ def as_parameters(given: Any, effects_from: Iterable[PathLike] = ()) -> Paramete
     if isinstance(given, ParameterSet):
         return given
     if isinstance(given, str | os.PathLike):
-        library = library_with(effects_from)
+        library, given = library_with(effects_from), parameter_files.parameters_file(given)
         return parameter_files.read_parameters(given, lambda names: plant(names, library))
     if isinstance(found := getattr(given, "parameters", None), ParameterSet):
         return found

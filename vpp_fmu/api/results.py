@@ -1,6 +1,7 @@
 """What the verbs give back: a few numbers to print, all of it as a dictionary, files in a folder, and figures."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -331,17 +332,18 @@ class LoopResult(Result):
 
     verb = "cosim"
 
-    def __init__(self, record: Record, told: str):
-        self.record, self._told = record, told
+    def __init__(self, record: Record, told: str, limits: Mapping[str, tuple[float, float]] | None = None):
+        self.record, self._told, self._limits = record, told, limits
 
     @property
     def steps(self) -> list[Step]:
         """Every change of the wanted thrust, with the time that it took to settle and its overshoot."""
-        return steps(self.record)
+        return steps(self.record, limits=self._limits)
 
     def key_figures(self) -> KeyFigures:
         def words(step: Step) -> str:
-            when = "not settled" if step.settling is None else f"{number(step.settling, 3)} s"
+            never = "out of reach" if step.stuck else "not settled"
+            when = never if step.settling is None else f"{number(step.settling, 3)} s"
             return f"{when}, overshoot {step.overshoot:.1f} %"
 
         return [(f"{number(s.before)} → {number(s.after)} N", words(s), f"at {number(s.time)} s") for s in self.steps]
@@ -351,7 +353,7 @@ class LoopResult(Result):
         return {"steps": [vars(step) for step in self.steps], "columns": columns}
 
     def page(self) -> Page:
-        return loop_page(self.record, self._told)
+        return loop_page(self.record, self._told, self._limits)
 
     def _write(self, folder: OutputFolder) -> None:
         write_record(folder, "run.csv", self.record)

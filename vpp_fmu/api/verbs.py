@@ -15,7 +15,7 @@ from identification.fit.problem import Prior
 from identification.gate.finding import check_accepted
 from identification.identify import identify as identified
 from identification.plan.plan import plan as planned
-from identification.tune.controllers import controllers
+from identification.tune.controllers import controllers, rig_controller
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task
 from identification.tune.tune import tune as tuned
@@ -36,14 +36,13 @@ from vpp_fmu.cli.export import exported
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export.description import AUTHOR
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.loop import run
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet
-from vpp_fmu.plants import Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
+from vpp_fmu.plants import USUAL_STEP, Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
 from vpp_fmu.rig import Rig, declared_rig
 
 FLAVOURS = {"python": ("python",), "native": ("native",), "both": ("python", "native")}
@@ -178,8 +177,7 @@ def plan(
         floor = knowledge.found.noise.std if knowledge.found.noise else None
     elif knowledge is not None:
         prior, inflation = read_knowledge(knowledge)
-    told = held.source.get("sample_period")
-    step = step if step is not None else float(told) if isinstance(told, int | float) else None
+    step = step if step is not None else held.sample_period
     found = planned(held.model, held.values, rig, seconds, noise if noise is not None else floor, prior, seed, step=step)
     return PlanResult(found, held, inflation)
 
@@ -263,7 +261,8 @@ def export_fmu(
 ) -> dict[str, Path]:
     """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
 
-    `gains`: the controller's (a file, a set, values by name; None: the paper's). `flavour`: "python", "native" (compiled C that
+    `gains`: the controller's (a file, a set, values by name; None: published ones, at the rig's pace), within the limits of the
+    parameters' rig. `flavour`: "python", "native" (compiled C that
     needs no Python) or "both". `platforms`: "host", or "all" for Linux, Windows and macOS (native, needs the extra `cross`).
     `fmi`: "2.0" or "3.0" (native). Returns the paths by name. BadInput for options that say nothing together;
     CompilerMissing where native FMUs need a compiler that is not there.
@@ -280,7 +279,7 @@ def export_fmu(
     ):
         if found not in allowed:
             raise BadInput("export_fmu", name, found, f"{' or '.join(allowed)} with flavour {flavour}")
-    parts = [held, ParameterSet(CONTROLLER) if gains is None else as_gains(gains)]
+    parts = [held, rig_controller(held, None if gains is None else as_gains(gains), "gains")]
     target = OutputFolder(folder)
     files = exported(parts, FLAVOURS[flavour], platforms, author, fmi)
     return {name: target.write(name, content) for name, content in files.items()}
@@ -290,14 +289,15 @@ def run_loop(
     plant: Any,
     controller: Any,
     profile: Any,
-    dt: float = 0.004,
+    dt: float | None = None,
     start: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[float], None] = lambda share: None,
 ) -> LoopResult:
     """The closed loop over a profile of `time` [s] and wanted thrust `thrust_set` [N], each held to the next row.
 
     `plant`, `controller`: paths of FMUs, parameters (the functions as they stand run), or anything with the methods of
-    `vpp_fmu.plants.Plant` and `Controller`, a rig of one's own among them. `dt` s: the communication step. `start`: commands
+    `vpp_fmu.plants.Plant` and `Controller`, a rig of one's own among them. Gains beside parameters fly within the limits of the
+    parameters' rig. `dt` s: the communication step; None: the controller's sample time, else 0.004. `start`: commands
     [rpm, deg] that the plant rests on at first. BadInput for a file that is no such FMU; SimulationFailed says which step.
 
     >>> profile = {"time": [0.0, 1.0, 4.0], "thrust_set": [1.5, 12.0, 12.0]}
@@ -305,12 +305,15 @@ def run_loop(
     >>> found.record["thrust"].shape, found.steps[0].after
     ((1001,), 12.0)
     """
-    if not 1e-6 <= dt <= 1.0:
+    if dt is not None and not 1e-6 <= dt <= 1.0:
         raise BadInput("run_loop", "dt", f"{dt:g} s", "1e-06 to 1 s")
     references = as_record(profile, ("time", "thrust_set"))
-    with closing(_plant(plant, dt)) as left, closing(_controller(controller, dt)) as right:
-        record = run(left, right, references, start, progress)
-    return LoopResult(record, f"Over {references.source}.")
+    rig = None if _is_fmu(plant) or hasattr(plant, "step") else as_parameters(plant)
+    with closing(_controller(controller, dt, rig)) as right:
+        dt = dt or getattr(right, "sample_time", None) or USUAL_STEP
+        with closing(_plant(plant, dt)) as left:
+            record = run(left, right, references, start, progress)
+    return LoopResult(record, f"Over {references.source}.", getattr(right, "limits", None))
 
 
 def _plant(given: Any, dt: float) -> Plant:
@@ -323,13 +326,16 @@ def _plant(given: Any, dt: float) -> Plant:
     return KernelPlant(held.model, held.values, dt)
 
 
-def _controller(given: Any, dt: float) -> Controller:
+def _controller(given: Any, dt: float | None, plant: ParameterSet | None) -> Controller:
+    """`plant`: the parameters whose rig it flies, where they are known."""
     if _is_fmu(given):
         return FmuController(given, dt=dt)
     if hasattr(given, "step") and hasattr(given, "start"):
         made: Controller = given
         return made
-    return KernelController(as_gains(given).values, dt)
+    own = as_gains(given)
+    values = own.values if plant is None else rig_controller(plant, own if own.estimates else None, "gains").values
+    return KernelController(values, dt or values["sample_time"])
 
 
 def _is_fmu(given: Any) -> bool:

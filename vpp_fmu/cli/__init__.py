@@ -8,6 +8,7 @@ import warnings
 from importlib.metadata import entry_points
 
 from vpp_fmu import __version__
+from vpp_fmu.cli.options import near
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import reason
 from vpp_fmu.record import RecordWarning
@@ -45,7 +46,24 @@ class BadCall(VppError):
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Says what is wrong in one line. An option is written in full: a part of one may be another option tomorrow."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def parse_known_args(self, args=None, namespace=None):
+        known = {name for action in self._actions for name in action.option_strings}
+        if self._subparsers is None:  # else the options may be those of the parser below
+            for word in args:  # before argparse asks for what is missing because its name is wrong
+                option = word.partition("=")[0]
+                if option.startswith("--") and option not in {*known, "--"} and (hint := near(option, known)):
+                    self.error(f"unrecognized arguments: {word}{hint}")
+        return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action, value):
+        if action.choices is not None and value not in action.choices and (hint := near(str(value), map(str, action.choices))):
+            raise argparse.ArgumentError(action, f"invalid choice: {value!r}{hint}")
+        super()._check_value(action, value)
 
     def error(self, message):
         raise BadCall(f"{self.prog}: {message} (see {self.prog} --help)")

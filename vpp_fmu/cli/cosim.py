@@ -12,7 +12,7 @@ from vpp_fmu.digits import number
 from vpp_fmu.loop import STANDSTILL
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
-from vpp_fmu.plants import FmuController, FmuPlant, FmuTwin
+from vpp_fmu.plants import USUAL_STEP, FmuController, FmuPlant, FmuTwin
 from vpp_fmu.record import Record, read_profile, write_record
 from vpp_fmu.report import Page, adapted_parameters, closed_loop, residual_in_band, thinning
 from vpp_fmu.report.twin import ADAPTED
@@ -27,8 +27,8 @@ def configure(parser):
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
     text = "twin FMU that watches the loop (vpp export --twin): its outputs in the CSV and on the page"
     parser.add_argument("--twin", metavar="TWIN", help=text)
-    text = "communication step in s (default: %(default)s)"
-    parser.add_argument("--step", type=real(1e-6, 1.0, "s"), default=0.004, metavar="S", help=text)
+    text = f"communication step in s (default: the controller's sample_time, else {USUAL_STEP:g})"
+    parser.add_argument("--step", type=real(1e-6, 1.0, "s"), metavar="S", help=text)
     add_output(parser)
 
 
@@ -36,20 +36,21 @@ def run(options):
     profile = read_profile(options.profile)
     folder = OutputSet(options.output, "cosim")
     with (
-        closing(FmuPlant(options.plant, dt=options.step)) as plant,
+        closing(FmuPlant(options.plant)) as plant,
         closing(FmuController(options.controller, dt=options.step)) as controller,
         closing(FmuTwin(options.twin)) if options.twin else nullcontext() as twin,
         tqdm(total=100, unit="%", disable=None, leave=False) as bar,
     ):
+        plant.dt = controller.dt
         done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))
         watched = twin.beside(done, STANDSTILL) if twin else {}
-    page = loop_page(done, f"{options.plant} under {options.controller} over {options.profile}.")
+    page = loop_page(done, f"{options.plant} under {options.controller} over {options.profile}.", controller.limits)
     if twin:
         add_twin(page, done.time, watched, twin.units)
         done = Record({**done.columns, **watched}, done.source)
     write_record(folder, "run.csv", done)
     folder.write("report.html", page.html())
-    for step in steps(done):
+    for step in steps(done, limits=controller.limits):
         print(told(step))
     say_written(folder)
 
@@ -61,12 +62,13 @@ def add_twin(page: Page, time: np.ndarray, told: Mapping[str, np.ndarray], units
     page.figure(adapted_parameters(time, told, own), "What the twin made of its parameters.")
 
 
-def loop_page(done: Record, summary: str) -> Page:
-    """The report of a closed loop's run."""
-    found = steps(done)
+def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
+    """The report of a closed loop's run; `limits` as of `vpp_fmu.response.steps`."""
+    found = steps(done, limits=limits)
     page = Page("Closed loop", summary)
     title = told(found[0]) if found else "Thrust under a constant set-point"
-    page.figure(closed_loop({"loop": done.columns}, title), "Thrust with its set-point, speed and pitch with their commands.")
+    drawn = closed_loop({"loop": done.columns}, title, limits)
+    page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
     page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
     return page
 
@@ -76,12 +78,18 @@ STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot 
 
 def row(step: Step) -> tuple:
     """A step as cells of a table."""
-    settled = "not before the next" if step.settling is None else step.settling
+    never = "out of reach" if step.stuck else "not by the end" if step.last else "not before the next"
+    settled = never if step.settling is None else step.settling
     return step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
 
 
 def told(step: Step) -> str:
     """A step in words."""
-    when = "has not settled before the next" if step.settling is None else f"has settled after {number(step.settling, 3)} s"
     change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s"
+    if step.stuck:
+        thrust, omega, beta = step.stuck
+        at = f"{number(thrust)} N at {number(omega)} rpm, {number(beta)} deg"
+        return f"{change}: the set-point of {number(step.after)} N is out of reach: {at}"
+    never = "has not settled " + ("by the end of the run" if step.last else "before the next")
+    when = never if step.settling is None else f"has settled after {number(step.settling, 3)} s"
     return f"{change} {when}, overshoot {step.overshoot:.1f} %"

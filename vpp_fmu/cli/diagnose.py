@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.description import FILE, source
@@ -19,15 +18,15 @@ from identification.diagnose.report.summary import summary
 from identification.workers import spread
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.identify import named_records
-from vpp_fmu.cli.options import SEED, WORKERS, Number
-from vpp_fmu.cli.output import add_accept, add_effects_from, add_output, as_json, dated, say_written
+from vpp_fmu.cli.options import SEED, WORKERS, Number, near
+from vpp_fmu.cli.output import add_accept, add_effects_from, add_output, as_json, dated, say_written, stages
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import read_parameters, to_json, to_ssv
+from vpp_fmu.parameters import parameters_file, read_parameters, to_json, to_ssv
 from vpp_fmu.record import write_record
 
 EXAMPLE = "vpp diagnose campaigns/monday -o out"
@@ -37,7 +36,7 @@ def configure(parser):
     text = "folder of the campaign; of several, each is diagnosed by itself, and one table tells of all"
     parser.add_argument("campaigns", metavar="CAMPAIGN", nargs="+", help=text)
     text = "a model to start from and to judge against, with the effects it has; else the campaign is identified first"
-    parser.add_argument("--parameters", metavar="F", help=text)
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
     parser.add_argument("--effects", metavar="A,B", help="candidates (default: the whole library)")
     add_effects_from(parser)
     parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
@@ -67,9 +66,9 @@ def run(options):
 def _one(options, campaign: str) -> None:
     asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
     folder = OutputSet(options.output, "diagnose")
-    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
-        found = diagnose(**asked, workers=options.workers, stage=bar.set_description)
-        bar.set_description("report")
+    with stages("vpp diagnose") as stage:
+        found = diagnose(**asked, workers=options.workers, stage=stage)
+        stage("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
     for finding in found.quality:
@@ -151,7 +150,7 @@ def _library(names: str | None, kept: tuple[str, ...], whole: tuple[Effect, ...]
     known = [e.name for e in whole if e.off is not None]
     unknown = [n for n in chosen if n not in known]
     if unknown or not chosen:
-        allowed = f"names, parted by commas, of {', '.join(known)}"
+        allowed = f"names, parted by commas, of {', '.join(known)}{near(unknown[0], known) if unknown else ''}"
         raise BadInput("command line", "--effects", ", ".join(unknown) or "none", allowed)
     return tuple(e for e in whole if e.off is None or e.name in chosen or e.name in kept)
 

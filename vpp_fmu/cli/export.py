@@ -13,6 +13,8 @@ from pathlib import Path
 
 from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import read_band
+from identification.tune.controllers import rig_controller, said_of
+from identification.tune.profile import reach
 from vpp_fmu import __version__
 from vpp_fmu.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.errors import BadInput
@@ -28,7 +30,7 @@ from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_ssv
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_ssv
 from vpp_fmu.ssp import NAME, loop_ssp
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
@@ -36,13 +38,16 @@ SUFFIX = {"python": "", "native": ".native"}
 FMI_3 = ".fmi3"
 FLAT = ".flat"
 """Of the loop without connectors of its own, for importers that know none."""
-WANTED_THRUST = 8.0  # N; what the loop's archive starts on, where nobody says more
 
 
 def configure(parser):
-    parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
+    text = "the plant's parameters, a file or its folder (default: the paper's fine-tuned set)"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
     add_effects_from(parser)
-    parser.add_argument("--gains", metavar="G", help="the controller's parameters (default: the paper's, both actuators)")
+    text = (
+        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
+    )
+    parser.add_argument("--gains", metavar="G", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
     text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
@@ -67,7 +72,9 @@ def run(options):
     folder = OutputSet(options.output, "export")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
     files = exported(parts, flavours, options.platforms, options.author, options.fmi)
-    if options.model:
+    if not options.model:
+        print(said_of(parts[1], options.gains))
+    else:
         for flavour in flavours:
             fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
             try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
@@ -130,18 +137,23 @@ def _plant_and_controller(options) -> list[ParameterSet]:
         if options.parameters
         else ParameterSet(plant())
     )
-    gains = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
-    return [model, gains, *([twin_of(options, library)] if options.twin is not None else [])]
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    return [
+        model,
+        rig_controller(model, given, options.gains),
+        *([twin_of(options, library)] if options.twin is not None else []),
+    ]
 
 
 def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
     """The adaptive twin of --parameters, with the band that the identification.json of --twin (default: the one beside) tells.
     BadInput."""
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    told = options.twin or Path(options.parameters).with_name("identification.json")
+    told = options.twin or beside(options.parameters)
     band = read_band(told)
     check_same_model(told, parameters, options.parameters)
-    return adaptive(adaptable(parameters, "vpp export", options.adapt), band, options.adapt)
+    own = adaptable(parameters, "vpp export", options.adapt)
+    return adaptive(own, band, options.adapt, sample_time=parameters.sample_period)
 
 
 def _own(options) -> list[ParameterSet]:
@@ -174,7 +186,9 @@ def _suffix(flavour: str, fmi: str) -> str:
 
 
 def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
-    return Experiment(stop=float(parts[0].source.get("record_seconds", 10.0)))
+    usual, told = Experiment(), parts[0].source.get("record_seconds")
+    stop = float(told) if isinstance(told, int | float) else usual.stop
+    return Experiment(stop=stop, step=parts[0].sample_period or usual.step)
 
 
 def exported(
@@ -195,8 +209,9 @@ def exported(
         found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
         if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
             loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin watches it and is no part of it
+            wanted = {"thrust_set": float(f"{0.5 * sum(reach(parts[0], parts[1].values)):.2g}")}  # halfway
             for flat in (False, True):
-                ssp = loop_ssp(loop, {"thrust_set": WANTED_THRUST}, experiment.stop, connectors=not flat)
+                ssp = loop_ssp(loop, wanted, experiment.stop, connectors=not flat)
                 found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp
     for part in parts:
         name = part.model.name

@@ -24,6 +24,7 @@ from vpp_fmu.cli.output import add_output, as_json, say_written
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.parameters import parameters_file
 from vpp_fmu.parquet import as_parquet, check_parquet
 from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.rig import FILE, Rig
@@ -39,7 +40,8 @@ SAME = ("plan", "rig", "hidden", "physics", "seed", "limits", "allowed", "calibr
 
 def configure(parser):
     hil_options.add_rig(parser)
-    parser.add_argument("--parameters", metavar="F", help="of an earlier campaign on this rig: what it may do")
+    text = "of an earlier campaign on this rig: what it may do"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
     parser.add_argument(
         "--parts", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {', '.join(PARTS)} (default: all)"
     )

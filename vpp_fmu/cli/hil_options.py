@@ -14,12 +14,15 @@ from hil.bench import Wiring, check_limits
 from hil.calibration import never_measured, read_calibration
 from hil.campaign import steep, within
 from hil.commands import PAPERS
+from hil.cycle import PERIOD
 from hil.emulator.rig import Rig as Emulated
+from hil.emulator.rig import calibrated_for
 from hil.page.operator_page import OperatorPage
 from hil.physics.rig_model import library
 from hil.runs import sha256_of
 from hil.safety.limits import Limits, limits_of, read_limits
 from hil.session import Setup, versions
+from identification.tune.controllers import rig_controller
 from vpp_fmu.cli.hil_outcome import RUNNING
 from vpp_fmu.cli.options import SEED, whole
 from vpp_fmu.date import now
@@ -100,7 +103,10 @@ def watched(options, told: Mapping) -> Iterator[OperatorPage | None]:
 
 def add_controller(parser) -> None:
     """The options that choose the controller."""
-    parser.add_argument("--gains", metavar="G", help="the controller's parameters (default: the paper's, both actuators)")
+    text = (
+        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
+    )
+    parser.add_argument("--gains", metavar="G", help=text)
     parser.add_argument("--controller", metavar="FMU", help="a controller FMU instead")
 
 
@@ -163,6 +169,8 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
         allowed = "who and when, as vpp hil calibrate writes them where it has measured"
         raise BadInput(options.calibration, "source", f"nobody who measured {', '.join(unknown)}", allowed)
     limits, allowed = limits_for(options, allowed_of(options, turning), steps)
+    if not real and not options.calibration:
+        calibration = calibrated_for(calibration, allowed)
     check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
     if real:
         return Setup(calibration, limits, wiring=_wiring(options), allowed=allowed)
@@ -217,8 +225,8 @@ def controller_of(options) -> Controller:
     if options.controller and options.gains:
         raise BadInput("command line", "--controller", "given with --gains", "one of the two")
     if options.controller:
-        return FmuController(options.controller)
-    return KernelController(_gains(options).values)
+        return FmuController(options.controller, dt=PERIOD)
+    return KernelController(gains_of(options).values, PERIOD)
 
 
 def begun(options, setup: Setup) -> dict:
@@ -241,9 +249,9 @@ def begun(options, setup: Setup) -> dict:
     told |= {name: _file(path) for name, path in given.items() if path}
     if hasattr(options, "controller"):
         kind, path = ("FMU", options.controller) if options.controller else ("kernel", options.gains)
-        told["controller"] = {"kind": kind, **(_file(path) if path else {"gains": "the paper's"})}
+        told["controller"] = {"kind": kind, **(_file(path) if path else {"gains": gains_of(options).source["made_by"]})}
         if not options.controller:
-            told["controller"]["parameters"] = dict(_gains(options).values)
+            told["controller"]["parameters"] = dict(gains_of(options).values)
     return told
 
 
@@ -258,13 +266,24 @@ def user() -> str:
     return str(os.getuid())
 
 
-def _gains(options) -> ParameterSet:
-    return read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else ParameterSet(CONTROLLER)
+def gains_of(options) -> ParameterSet:
+    """The kernel's controller for the rig that the options name, a sample a tick where its file does not say otherwise.
+    BadInput where given limits leave the rig's."""
+    parameters, file = plant_of(options), which(options, fmu=True).file
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    rig = declared_rig(file, parameters.rig) if file else None
+    return rig_controller(parameters, given, options.gains, rig, tick_of(given))
+
+
+def tick_of(given: ParameterSet | None) -> float | None:
+    """s: the loop's tick, for a controller whose file names no sample time."""
+    return None if given is not None and "sample_time" in given.estimates else PERIOD
 
 
 def plant_of(options) -> ParameterSet:
     """The plant's model with its parameters."""
-    return read_parameters(options.parameters, plant) if options.parameters else ParameterSet(plant())
+    given = getattr(options, "parameters", None)
+    return read_parameters(given, plant) if given else ParameterSet(plant())
 
 
 def confirm(setup: Setup) -> None:

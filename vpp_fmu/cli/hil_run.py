@@ -21,6 +21,7 @@ from hil.session import Setup
 from hil.twin.adaptive import CERTAIN, Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
+from identification.tune.controllers import said_of
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.hil_outcome import ENDED_EARLY, finish, say_steps
 from vpp_fmu.cli.options import Number
@@ -31,7 +32,7 @@ from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF
 from vpp_fmu.loop import run as run_loop
-from vpp_fmu.parameters import check_same_model
+from vpp_fmu.parameters import beside, check_same_model, parameters_file
 from vpp_fmu.parquet import as_parquet, check_parquet
 from vpp_fmu.plants import Controller, FmuPlant, KernelPlant
 from vpp_fmu.record import Record, read_profile
@@ -75,7 +76,7 @@ def configure(parser):
     hil_options.add_controller(parser)
     hil_options.add_rig(parser, fmu=True)
     text = "the plant's parameters, for --twin and for what the rig may do (default: the paper's)"
-    parser.add_argument("--parameters", metavar="F", help=text)
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
     text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
@@ -94,6 +95,8 @@ def run(options):
     if options.records == "parquet":
         check_parquet()
     profile = read_profile(options.profile)
+    if not options.controller:
+        print(said_of(hil_options.gains_of(options), options.gains))
     if hil_options.which(options, fmu=True).kind == "fmu":
         if options.watch is not None:
             raise BadInput("command line", "--watch", "given with --rig fmu", "a rig: a loop of FMUs is over in seconds")
@@ -243,7 +246,7 @@ def _twin(options, allowed: Rig) -> tuple[Twin | None, Band | None, Adaptive | N
             "command line", "--twin", "no --parameters", "the plant's parameters, or an identification.json for its band"
         )
     parameters = hil_options.plant_of(options)
-    told = options.twin or Path(options.parameters).with_name("identification.json")
+    told = options.twin or beside(options.parameters)
     band = read_band(told)
     if options.parameters:
         check_same_model(told, parameters, options.parameters)

@@ -1,7 +1,9 @@
 """Numbers on the command line: each option declares what it may be, and whatever else is typed is one line and exit code 2."""
 
 import argparse
+import difflib
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -53,6 +55,13 @@ def shortened(text: str) -> str:
     """What was typed, as a message shows it: on one line, not too long."""
     short = text if len(text) <= 40 else f"{text[:37]}..."
     return short if short.strip() and short.isprintable() else repr(short)
+
+
+def near(word: str, known: Iterable[str]) -> str:
+    """What a user may have meant by a word that is not known, as the end of a message; "" where nothing is like it."""
+    folded = {name.casefold(): name for name in known}
+    found = difflib.get_close_matches(word.casefold(), folded)
+    return f". Did you mean {' or '.join(folded[name] for name in found)}?" if found else ""
 
 
 SEED = whole(0, 2**32 - 1)

@@ -1,9 +1,15 @@
 """What the verbs share: where they write, how their results say where they come from, and what they say at the end."""
 
+import contextlib
 import json
 import os
+import sys
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+
+from tqdm import tqdm
 
 from vpp_fmu import __version__
 from vpp_fmu.date import now
@@ -39,6 +45,17 @@ def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, Param
     came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
     own = {"version": __version__, "date": now(), "identity": parameters.identity}
     return replace(parameters, source={**parameters.source, **own, **came})
+
+
+@contextlib.contextmanager
+def stages(verb: str) -> Iterator[Callable[[str], None]]:
+    """What is told of each stage of long work: on a terminal the present one, in a pipe a line for each on standard error."""
+    if sys.stderr.isatty():
+        with tqdm(leave=False, bar_format="{desc} {elapsed}") as bar:
+            yield bar.set_description
+        return
+    began = time.monotonic()
+    yield lambda text: print(f"{verb}: {text} ({time.monotonic() - began:.0f} s)", file=sys.stderr, flush=True)
 
 
 def say_written(folder: OutputFolder, parameters: ParameterSet | None = None) -> None:

@@ -3,26 +3,29 @@
 They stay within the range that the parameters' campaign was measured over, or that its rig.json declares."""
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.assessment.information import read_knowledge
 from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.fit.uncertainty import NORMAL_95
 from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import NOISE, Plan, plan
 from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.cli.knowledge import knowledge_of
 from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written
+from vpp_fmu.cli.prompts import Prompts
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters
+from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
 from vpp_fmu.record import write_record
 from vpp_fmu.report import Page, thinning
 from vpp_fmu.report.plan import interval_widths, planned_commands
@@ -56,11 +59,11 @@ def configure(parser):
     def number(name, default, text, metavar="X"):
         parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
 
-    parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
+    text = "the plant's parameters, a file or its folder"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     add_effects_from(parser)
-    parser.add_argument(
-        "--knowledge", metavar="F", help="identification.json of the data there are (default: nothing is known)"
-    )
+    text = "identification.json of the data there are (default: the one beside --parameters; without it nothing is known)"
+    parser.add_argument("--knowledge", metavar="F", help=text)
     text = "take range, sampling and noise from this campaign (default: what --parameters tells of its own)"
     parser.add_argument("--campaign", metavar="DIR", help=text)
     text = "a rig.json: the range and slew that it declares go before what was measured"
@@ -76,6 +79,8 @@ def configure(parser):
     number("--noise", f"that of --knowledge or --campaign, else {NOISE:g} of the thrust scale", text)
     number("--omega-noise", "speed is not measured", "standard deviation of a speed reading in rpm")
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the search (default: %(default)s)")
+    text = "go on where the thrust hardly changes over the ranges of --omega and --pitch, without being asked"
+    parser.add_argument("--yes", action="store_true", help=text)
     add_output(parser)
 
 
@@ -97,10 +102,10 @@ class Basis:
 def run(options):
     library = library_with(options.effects_from)
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    knowledge, inflation = read_knowledge(options.knowledge) if options.knowledge else (None, 1.0)
-    if options.knowledge:
-        check_same_model(options.knowledge, parameters, options.parameters)
-    basis = _basis(options, parameters)
+    told, known = knowledge_of(options, parameters)
+    knowledge, inflation = known or (None, 1.0)
+    basis = _basis(options, parameters, told)
+    check_signal(options, parameters, basis)
     folder = OutputSet(options.output, "plan")
     found = plan(
         parameters.model,
@@ -138,7 +143,27 @@ def write_plan(
     folder.write("report.html", plan_page(found, basis, remarks, source).html())
 
 
-def _basis(options, parameters: ParameterSet) -> Basis:
+def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
+    """Ask where the thrust at rest changes by less than one reading's noise over a range that the user named: such an
+    experiment tells next to nothing. BadInput where nobody is there to answer."""
+    if options.yes or (options.omega is None and options.pitch is None):
+        return
+    model, thrust = parameters.model, []
+    for omega in basis.rig.speed:
+        for beta in basis.rig.pitch:
+            inputs = {**model.measured_inputs, "omega_ref": omega, "beta_ref": beta}
+            thrust.append(Simulation(model, parameters.values).start(inputs)["thrust"])
+    change = max(thrust) - min(thrust)
+    if change >= basis.noise:
+        return
+    found = f"a range over which the thrust changes by {change:.2g} N, less than the {basis.noise:.2g} N of noise of a reading"
+    option = "--omega" if options.omega is not None else "--pitch"
+    if sys.stdin.isatty() and Prompts(None).choice(f"{option}: {found}; go on", ("yes", "no")) == "yes":
+        return
+    raise BadInput("command line", option, found, "a wider range, or --yes to go on")
+
+
+def _basis(options, parameters: ParameterSet, told: str | None) -> Basis:
     campaign = read_campaign(options.campaign) if options.campaign else None
     rig = parameters.rig
     if campaign is not None:
@@ -149,7 +174,7 @@ def _basis(options, parameters: ParameterSet) -> Basis:
     if rig.unknown:
         allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
         raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
-    return Basis(rig, *_noise(options, campaign, parameters), _step(options, campaign, parameters))
+    return Basis(rig, *_noise(options, campaign, parameters, told), _step(options, campaign, parameters))
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
@@ -158,8 +183,7 @@ def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float
         return options.step
     records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()
     periods = [record.period for record in records if record is not None]
-    told = parameters.source.get("sample_period")
-    return periods[0] if periods else told if isinstance(told, int | float) else None
+    return periods[0] if periods else parameters.sample_period
 
 
 def _narrowed(rig: Rig, options) -> Rig:
@@ -190,14 +214,14 @@ def _narrowed(rig: Rig, options) -> Rig:
     return replace(rig, **changes, origin=origin)
 
 
-def _noise(options, campaign: Campaign | None, parameters: ParameterSet) -> tuple[float, str]:
-    """(standard deviation of a thrust reading [N], where it comes from)."""
+def _noise(options, campaign: Campaign | None, parameters: ParameterSet, told: str | None) -> tuple[float, str]:
+    """(standard deviation of a thrust reading [N], where it comes from). `told`: an identification.json, or None."""
     if options.noise is not None:
         return options.noise, ASKED
-    if options.knowledge:
-        told = json.loads(read_text(options.knowledge))  # read_knowledge found it sound
-        if told.get("noise_floor_thrust"):
-            return float(told["noise_floor_thrust"]), told.get("noise_floor_thrust_from", options.knowledge)
+    if told and (options.knowledge or campaign is None):  # a campaign that was named goes before a file that was not
+        content = json.loads(read_text(told))  # read_knowledge found it sound
+        if content.get("noise_floor_thrust"):
+            return float(content["noise_floor_thrust"]), content.get("noise_floor_thrust_from", told)
     if campaign is not None:
         records = [record for record in (campaign.open_loop, campaign.repeat) if record is not None]
         shown = [predict(parameters.model, parameters.values, record) for record in records]

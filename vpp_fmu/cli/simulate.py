@@ -6,7 +6,7 @@ from vpp_fmu.digits import number
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import read_parameters
+from vpp_fmu.parameters import parameters_file, read_parameters
 from vpp_fmu.record import Record, read_record, write_record
 
 EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/parameters.json -o out"
@@ -14,7 +14,8 @@ EXAMPLE = "vpp simulate campaigns/monday/validation.csv --parameters out/paramet
 
 def configure(parser):
     parser.add_argument("record", metavar="RECORD", help="CSV with time, omega_ref, beta_ref")
-    parser.add_argument("--parameters", metavar="F", required=True, help="the plant's parameters")
+    text = "the plant's parameters, a file or its folder"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     add_effects_from(parser)
     add_output(parser)
 

@@ -9,7 +9,6 @@ import json
 import os
 from collections.abc import Mapping
 
-from identification.assessment.information import read_knowledge
 from identification.tune.controllers import controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
@@ -17,6 +16,7 @@ from identification.tune.report import tuning_page
 from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
 from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
+from vpp_fmu.cli.knowledge import knowledge_of
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
@@ -28,7 +28,7 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters, to_json
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.rig import ASSUMED
 
@@ -63,7 +63,8 @@ def configure(parser):
         shown = "" if default is None else " (default: %(default).4g)"
         parser.add_argument(f"--{name}", type=RANGES[name], default=default, metavar=metavar, help=text + shown)
 
-    parser.add_argument("--parameters", metavar="F", help="the plant's parameters (default: the paper's fine-tuned set)")
+    text = "the plant's parameters, a file or its folder (default: the paper's fine-tuned set)"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
     add_effects_from(parser)
     text = "a parameter that the design assumes instead, as the paper does with tau_beta_2=0.05; may be repeated"
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
@@ -71,7 +72,9 @@ def configure(parser):
     parser.add_argument("--gains", metavar="G", help=text)
     text = "CSV with time, thrust_set (default: 0.1 to 0.8 of the thrust scale and back, as far as the rig reaches)"
     parser.add_argument("--profile", metavar="P", help=text)
-    text = "period of the controller in s (default: 0.004, other where the plant's faster channel needs it)"
+    text = (
+        "period of the controller in s (default: the campaign's, else 0.004; other where the plant's faster channel needs it)"
+    )
     number("sample-time", None, text, "S")
     number("alpha", ALPHA, "weight of the squared norm of the gains")
     number("overshoot", 1.0, "largest overshoot in %% of a step")
@@ -83,7 +86,8 @@ def configure(parser):
     parser.add_argument("--robust", choices=("worst", "mean"), help="tune over many plants as well")
     number("draws", 200, "plants to tune over", "N")
     number("spread", 0.1, "standard deviation, as a share, of assumed parameters and of those whose file has none")
-    parser.add_argument("--knowledge", metavar="F", help="identification.json: correlation of the parameters, noise of thrust")
+    text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside --parameters)"
+    parser.add_argument("--knowledge", metavar="F", help=text)
     number("seed", 0, "of plants and noise", "N")
     number("workers", 1, "searches that run side by side", "N")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the searches on instead")
@@ -129,6 +133,7 @@ def _setting(task: Task, starts) -> list[str]:
     limits = (f"{low} {unit}" if low == high else f"{low} to {high} {unit}" for low, high, unit in ends)
     where = ", ".join(dict.fromkeys(rig.origin.get(name, ASSUMED) for name in ("speed", "pitch")))
     lines = [f"limits: {', '.join(limits)} (rig: {where}); sampled every {1e3 * settings['sample_time']:.4g} ms"]
+    lines.append(f"noise of a thrust reading: {task.noise_std:.3g} N")
     low, high = common_reach(task.parameters, starts)
     wanted = task.profile["thrust_set"]
     line = f"{task.profile.source}: {wanted.min():.4g} to {wanted.max():.4g} N; in reach are {low:.4g} to {high:.4g} N"
@@ -140,9 +145,7 @@ def _setting(task: Task, starts) -> list[str]:
 def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     assumed = dict(_assumed(text, parameters) for text in options.assume)
-    knowledge = read_knowledge(options.knowledge) if options.knowledge else None
-    if options.knowledge:
-        check_same_model(options.knowledge, parameters, options.parameters or PAPERS)
+    told, knowledge = knowledge_of(options, parameters)
     parameters = parameters.replaced(assumed)
     own = controllers(parameters, given, options.sample_time, options.gains)
     period = next(iter(own.settings.values()))["sample_time"]
@@ -160,7 +163,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         profile=profile,
         assumed=tuple(assumed),
         chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
-        noise_std=_noise(options),
+        noise_std=_noise(options, told),
         alpha=options.alpha,
         overshoot=options.overshoot / 100.0,
         sensitivity=options.sensitivity,
@@ -176,11 +179,11 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     return task, own.settings
 
 
-def _noise(options) -> float:
-    """N: what is asked for, else what the identification found; 0 without either."""
-    if options.noise is not None or not options.knowledge:
+def _noise(options, told: str | None) -> float:
+    """N: what is asked for, else what the identification in the file `told` found; 0 without either."""
+    if options.noise is not None or not told:
         return options.noise or 0.0
-    floor = json.loads(read_text(options.knowledge)).get("noise_floor_thrust")
+    floor = json.loads(read_text(told)).get("noise_floor_thrust")
     return float(floor) if isinstance(floor, int | float) else 0.0
 
 

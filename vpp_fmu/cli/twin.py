@@ -24,7 +24,7 @@ from vpp_fmu.day.page import day_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
 
 EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
 
@@ -33,8 +33,9 @@ def configure(parser):
     parser.add_argument("day", metavar="DAY", help="folder of the day, which must not be there yet")
     parser.add_argument("--rounds", type=whole(1, 50), default=4, metavar="N", help="(default: %(default)s)")
     text = "the model that the day begins with; its band is in the identification.json beside it"
-    parser.add_argument("--parameters", metavar="F", required=True, help=text)
-    parser.add_argument("--gains", metavar="G", help="the controller's that fly first (default: the paper's)")
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
+    text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
+    parser.add_argument("--gains", metavar="G", help=text)
     text = "where the next gains come from (default: %(default)s; fixed: from nowhere)"
     parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
     text = "of the emulated rig: from which round on what --hide names is there (default: %(default)s)"
@@ -46,14 +47,14 @@ def configure(parser):
 def run(options):
     _check_new(options.day)
     setup, parameters = hil_options.setup_of(options), hil_options.plant_of(options)
-    told = Path(options.parameters).with_name("identification.json")
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    settings = controllers(parameters, given, hil_options.tick_of(given), options.gains or "gains").settings
+    if "dual" not in settings:
+        raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
+    told = beside(options.parameters)
     band = read_band(told)
     check_same_model(told, parameters, options.parameters)
     setup = replace(setup, plant=parameters.values)
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
-    settings = controllers(parameters, given, source=options.gains or "gains").settings
-    if "dual" not in settings:
-        raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
     hil_options.say_allowed(setup.allowed)
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
     folder = OutputFolder(options.day)

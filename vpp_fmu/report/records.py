@@ -62,8 +62,11 @@ def measured_against_predicted(
     return fig
 
 
-def closed_loop(runs: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.Figure:
-    """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted.
+def closed_loop(
+    runs: Mapping[str, Mapping[str, np.ndarray]], title: str, limits: Mapping[str, tuple[float, float]] | None = None
+) -> go.Figure:
+    """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted. `limits`: (least,
+    greatest) of each command by its name, drawn where they are known.
 
     A run holds arrays (n,) by column name: time, thrust_set, thrust, omega_ref, omega, beta_ref, beta. What a rig doesn't
     measure may be missing. The set-point is drawn once if all runs share it.
@@ -80,6 +83,12 @@ def closed_loop(runs: Mapping[str, Mapping[str, np.ndarray]], title: str) -> go.
             add_line(fig, 0, columns["time"], columns["thrust_set"], "set-point", line, group)
             drawn.append(run)
         _add_run(fig, name, columns, colours[name])
+    first = next(iter(runs.values()))["time"]
+    ends = np.array([first[0], first[-1]], float)
+    for panel, column in ((1, "omega_ref"), (2, "beta_ref")):
+        for k, end in enumerate(dict.fromkeys((limits or {}).get(column, ()))):
+            line = {"color": style.FAINT, "width": 1, "dash": "dashdot"}
+            add_line(fig, panel, ends, np.full(2, end), "limits", line, None if panel == 1 and k == 0 else "limits")
     return fig
 
 

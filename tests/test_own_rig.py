@@ -1,0 +1,251 @@
+"""The README's commands on rigs that are not the paper's: nothing that is written holds the paper's limits."""
+
+import functools
+import io
+import json
+import re
+import shlex
+import shutil
+import zipfile
+from contextlib import chdir
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import vpp_fmu as vpp
+from identification.diagnose import diagnose as diagnosing
+from identification.plan import plan as planning
+from identification.tune.controllers import rig_controller
+from vpp_fmu import cli
+from vpp_fmu.cli import hil_options
+from vpp_fmu.kernel.controller import CONTROLLER, DUAL
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.scales import Scales
+from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
+from vpp_fmu.record import RecordWarning, read_record
+from vpp_fmu.rig import Rig, rig_of
+
+DATA = Path(__file__).parent / "data"
+README = (Path(__file__).parents[1] / "README.md").read_text()
+COMMANDS = [shlex.split(line, comments=True) for line in re.findall(r"^\.venv/bin/vpp (.*)$", README, flags=re.M)]
+
+RIGS = {
+    "rig_e": {"speed": (833.33333, 2500.0), "pitch": (0.0, 25.0), "period": 0.008},
+    "rig_f": {"speed": (6666.6667, 20000.0), "pitch": (-12.0, 12.0), "period": 0.002},
+    "rig_h": {"speed": (2269.5, 5519.1), "pitch": (4.0, 4.0), "period": 0.004},
+    "log": {"speed": (2230.31, 5764.29), "pitch": (0.0, 0.0), "period": 0.02},
+}
+"""What the files command, and the period of their rows; the log's speeds are those of its map from throttle to speed."""
+
+SHORTER = {
+    "diagnose": ["--effects", "pitch_backlash", "--workers", "1"],
+    "twin": ["--rounds", "1", "--policy", "fixed"],
+}
+"""Options that only save time."""
+
+BEYOND_THE_EMULATOR = {"rig_e", "rig_f"}
+
+
+@pytest.fixture(scope="module", params=RIGS)
+def written(request, tmp_path_factory):
+    """(rig, folder, by verb: exit code and text): all of the README's commands on it, one after the other, in its order."""
+    rig, folder = request.param, tmp_path_factory.mktemp(request.param)
+    with pytest.MonkeyPatch.context() as quick, chdir(folder):
+        quick.setattr("vpp_fmu.cli.diagnose.diagnose", functools.partial(diagnosing.diagnose, thorough=False))
+        quick.setattr("identification.tune.tune.STARTS", (1.0,))
+        quick.setattr("identification.tune.tune.SHAKES", (0, 0))
+        quick.setattr("identification.tune.rounds.ROUNDS", 1)
+        quick.setattr("identification.plan.plan.DRAWS", 1)
+        quick.setattr("vpp_fmu.cli.plan.plan", functools.partial(planning.plan, evaluations=20))
+        if rig == "log":
+            shutil.copy(DATA / "units_in_names.csv", "LOG.csv")
+        else:
+            shutil.copytree(DATA / rig, "mine")
+        Path("my_effect.py").write_text(re.search(r"```python\n(from vpp_fmu import Effect.*?)```", README, flags=re.S)[1])
+        found = {}
+        for verb, *words in COMMANDS:
+            if verb == "import" and rig != "log":
+                continue
+            if "--effects-from" in words or verb == "effects" or "2026-0*/" in words:
+                continue  # the same on any rig: test_own_effects, test_fleet
+            if verb == "export":
+                _profile(rig)
+            found[verb] = _ran(quick, [verb, *words, *SHORTER.get(verb, []), *(["--yes"] if verb == "import" else [])])
+    return rig, folder, found
+
+
+def _profile(rig):
+    """step.csv: a fifth of the rig's largest thrust, and half of it."""
+    parameters = read_parameters("out/parameters.json", plant)
+    low, high = (share * parameters.rig.thrust[1] for share in (0.25, 0.5))
+    Path("step.csv").write_text(f"time,thrust_set\n0,{low}\n2,{high}\n5,{high}\n")
+
+
+def _ran(quick, words):
+    out, err = io.StringIO(), io.StringIO()
+    quick.setattr("sys.stdout", out)
+    quick.setattr("sys.stderr", err)
+    code = cli.main(words)
+    return code, out.getvalue() + err.getvalue()
+
+
+def test_every_command_ends_well_or_says_a_way_out(written):
+    rig, _, found = written
+    for verb, (code, said) in found.items():
+        refused = {"hil", "twin"} if rig in BEYOND_THE_EMULATOR else {"twin"}
+        if verb in refused:
+            assert code == 2, (verb, said)
+            assert "--rig emulated RIG.json" in said if rig in BEYOND_THE_EMULATOR else "one channel that moves" in said
+        else:
+            assert code == 0, (verb, said)
+    assert {"check", "diagnose", "export", "cosim", "tune", "plan", "hil", "twin", "check-effect"} <= set(found)
+
+
+def limits_in(values):
+    return tuple(values[f"omega_{end}"] for end in ("min", "max")), tuple(values[f"beta_{end}"] for end in ("min", "max"))
+
+
+def approx(rig):
+    return pytest.approx(RIGS[rig]["speed"], rel=1e-3), pytest.approx(RIGS[rig]["pitch"], rel=1e-3)
+
+
+def test_every_controller_that_is_written_has_the_rigs_limits_and_sampling(written):
+    rig, folder, found = written
+    starts = []
+    with zipfile.ZipFile(folder / "fmus" / "VppController.fmu") as packed:
+        variables = ElementTree.fromstring(packed.read("modelDescription.xml")).iter("ScalarVariable")
+        starts.append(
+            {v.get("name"): float(v[0].get("start", "nan").replace("true", "1").replace("false", "0")) for v in variables}
+        )
+    for name in ("gains", "gains_speed_only"):
+        if (file := folder / "gains" / f"{name}.json").exists():
+            starts.append({n: entry["value"] for n, entry in json.loads(file.read_text())["parameters"].items()})
+    assert len(starts) >= 2
+    for own in starts:
+        assert limits_in(own) == approx(rig)
+        assert own["sample_time"] == pytest.approx(RIGS[rig]["period"])
+    if rig not in BEYOND_THE_EMULATOR:
+        told = next((folder / "run").rglob("hil.json"))
+        assert limits_in(json.loads(told.read_text())["controller"]["parameters"]) == approx(rig)
+    low, high = (f"{end:.6g}" for end in RIGS[rig]["speed"])
+    assert f"within {low} to {high} rpm" in found["export"][1]
+
+
+def test_every_command_that_is_written_is_the_rigs(written):
+    rig, folder, _ = written
+    (low, high), (least, most) = RIGS[rig]["speed"], RIGS[rig]["pitch"]
+    for name in ("loop/run.csv", "next/plan.csv", "out/next_experiment.csv"):
+        record = read_record(folder / name)
+        assert low * (1 - 1e-3) <= record["omega_ref"].min() <= record["omega_ref"].max() <= high * (1 + 1e-3), name
+        assert least - 1e-3 <= record["beta_ref"].min() <= record["beta_ref"].max() <= most + 1e-3, name
+
+
+PAPERS = re.compile(r"(?<![\w.,])(6000(\.0)?|2000(\.0)?|20000? to 6000)(?![\w.])")
+"""The paper's speeds; the other numbers of its rig are too common to look for."""
+
+
+def texts(folder):
+    """(name, text) of what was written, archives opened; of a page what is read, of a table of numbers nothing."""
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in (".fmu", ".ssp"):
+            yield from _packed(path.name, path.read_bytes())
+        elif path.suffix in (".json", ".ssv", ".toml"):
+            yield str(path.relative_to(folder)), path.read_text()
+        elif path.suffix == ".html":
+            page = re.sub(r"<(script|style|svg)\b.*?</\1>", " ", path.read_text(), flags=re.S)
+            yield str(path.relative_to(folder)), re.sub(r"<[^>]*>", " ", page)
+
+
+def _packed(name, data):
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        for inner in packed.namelist():
+            if inner.endswith((".fmu", ".ssp")):
+                yield from _packed(f"{name}/{inner}", packed.read(inner))
+            elif inner.endswith((".xml", ".ssd", ".ssv")):
+                yield f"{name}/{inner}", packed.read(inner).decode()
+
+
+def test_no_number_of_the_papers_rig_is_in_what_is_written(written):
+    rig, folder, found = written
+    scaled = rig in BEYOND_THE_EMULATOR  # the others have the paper's size, and its scales
+    told = {name: text for name, text in texts(folder) if not name.startswith("mine")}
+    assert len(told) > 10
+    for name, text in [*told.items(), *((verb, said) for verb, (_, said) in found.items() if verb not in ("hil", "twin"))]:
+        pattern = PAPERS if scaled else re.compile(r"(?<![\w.,])2000(\.0)?(?![\w.])|2000 to 6000|-5 to 10 deg")
+        for hit in pattern.finditer(text):
+            raise AssertionError((name, text[max(0, hit.start() - 80) : hit.end() + 40]))
+
+
+def test_without_parameters_the_papers_values_are_said_to_be_a_default(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("vpp_fmu.cli.export.exported", lambda parts, *_: {})
+    assert cli.main(["export", "-o", str(tmp_path)]) == 0
+    said = "within 2000 to 6000 rpm, -5 to 10 deg (the paper's by default: no rig is known), sampled every 4 ms"
+    assert said in capsys.readouterr().out
+
+
+CAMPAIGN = dict.fromkeys(("speed", "pitch", "thrust"), "the campaign")
+WIDE = Rig("wide", (0.0, 5573.0), (-4.0, 12.0), (0.0, 15.0), origin=CAMPAIGN)
+"""Of the paper's size, and its blades go further than the emulated rig's calibration has them."""
+
+
+@pytest.fixture
+def wide(tmp_path):
+    (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": WIDE.summary()})))
+    return tmp_path
+
+
+def test_the_emulated_rig_goes_as_far_as_the_parameters_rig(wide, monkeypatch):
+    monkeypatch.chdir(wide)
+    Path("step.csv").write_text("time,thrust_set\n0,2\n1,14.9\n4,14.9\n")
+    assert cli.main(["hil", "run", "--virtual", "--parameters", ".", "--profile", "step.csv", "-o", "run"]) == 0
+    with pytest.warns(RecordWarning, match="omega_wanted"):
+        run = read_record(next((wide / "run").rglob("run.csv")))
+    assert run["omega_ref"].max() == WIDE.speed[1]
+    assert run["beta_ref"].max() == WIDE.pitch[1]  # above the 10 deg of the calibration that it has for the paper's rig
+
+
+def test_twin_and_hil_take_the_same_emulated_rig(wide):
+    for verb, words in (("twin", ["day"]), ("hil", ["run", "--profile", "step.csv"])):
+        parser, _ = cli.parser_of(verb)
+        options = parser.parse_args([*words, "--virtual", "--parameters", str(wide)])
+        found = hil_options.setup_of(options)
+        assert (found.allowed.speed, found.allowed.pitch) == (WIDE.speed, WIDE.pitch)
+        for pitch in WIDE.pitch:
+            assert found.calibration.pitch(found.calibration.lac_pulse(pitch)) == pytest.approx(pitch)
+    assert hil_options.gains_of(options).values["beta_max"] == WIDE.pitch[1]
+
+
+def test_gains_that_leave_the_parameters_rig_are_not_exported(wide, capsys):
+    gains = ParameterSet(CONTROLLER).replaced({**DUAL, "omega_max": 6000.0})
+    (wide / "gains.json").write_text(to_json(gains))
+    words = ["export", "--parameters", str(wide), "--gains", str(wide / "gains.json"), "-o", str(wide / "fmus")]
+    assert cli.main(words) == 2
+    assert "omega_max: found 6000 rpm, allowed is 0 to 5573 rpm (the campaign)" in capsys.readouterr().err
+    assert not (wide / "fmus" / "VppController.fmu").exists()
+
+
+@pytest.mark.parametrize(("period", "expected"), [(0.01, 0.01), (0.002, 0.002), (0.5, 0.02)])
+def test_the_controller_samples_as_the_log_did_where_the_plant_allows(period, expected):
+    """Ten samples in the faster channel's lags of 0.2 s, at least."""
+    lags = {"tau_omega_1": 0.15, "tau_omega_2": 0.05, "tau_beta_1": 0.15, "tau_beta_2": 0.1}
+    own = ParameterSet(plant(), source={"rig": WIDE.summary(), "sample_period": period}).replaced(lags)
+    assert rig_controller(own).values["sample_time"] == pytest.approx(expected)
+
+
+def test_a_rig_that_names_a_part_of_its_ranges_takes_the_rest_from_its_own_scales():
+    scales = Scales(2500.0, 20.0, -6.0, 200.0)
+    own = rig_of(scales, {"rig": {"format": "vpp-rig/1", "pitch": {"min": 1.0, "max": 20.0, "unit": "deg"}}})
+    assert own.speed == (2500.0 / 3.0, 2500.0)
+    assert (own.pitch, own.thrust) == ((1.0, 20.0), (0.0, 200.0))
+
+
+def test_a_loop_of_parameters_flies_within_their_rig():
+    own = ParameterSet(plant(), source={"rig": WIDE.summary(), "sample_period": 0.01})
+    profile = {"time": [0.0, 1.0, 6.0], "thrust_set": [2.0, 40.0, 40.0]}
+    found = vpp.run_loop(own, {}, profile)
+    assert found.record.period == 0.01
+    assert (found.record["omega_ref"].max(), found.record["beta_ref"].max()) == (WIDE.speed[1], WIDE.pitch[1])
+    (step,) = found.steps
+    assert step.stuck[1:] == (WIDE.speed[1], WIDE.pitch[1])
+    assert "out of reach" in str(found)
