@@ -12,8 +12,8 @@ from studies.gate import SIZES
 from identification.logs.clock import guessed_unit, mended, read_clock
 from identification.logs.commands import fitted_map
 from identification.logs.mapping import read_toml
+from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
-from identification.logs.sheet import Sheet, plain, split_unit
 from identification.logs.speed_choice import likelihood_gain
 from identification.logs.speed_map import RANGES
 from identification.logs.units import QUANTITIES, factor_of
@@ -161,7 +161,7 @@ def test_cells_as_they_are_written_elsewhere(cell, decimal, number):
 
 def sheet(**columns):
     arrays = {n: np.array(c, dtype=object if isinstance(c[0], str) else float) for n, c in columns.items()}
-    return Sheet("log.csv", arrays, np.arange(2, 2 + len(next(iter(arrays.values())))))
+    return RawTable("log.csv", arrays, np.arange(2, 2 + len(next(iter(arrays.values())))))
 
 
 def test_of_two_rows_at_odds_both_are_put_between_their_neighbours():
