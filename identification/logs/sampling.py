@@ -22,8 +22,8 @@ MOSTLY = 0.7
 """Minimum share of a command's rows in holds: with fewer, intermediate values are not due to averaging."""
 
 PASSES = 0.3
-"""Share of moves with exactly one intermediate value, above which rows are averages. A sampled step has none, a slew-limited one
-has rows in proportion to its size, and an averaged one nearly always has one."""
+"""Share of moves with exactly one intermediate value, above which rows are averages. A sampled step has none, a slew-limited
+one has rows in proportion to its size, and an averaged one nearly always has one."""
 
 FEWEST_MOVES = 4
 """Minimum number of moves for the share."""
