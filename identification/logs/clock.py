@@ -64,7 +64,7 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
     usual = _usual_step(time)
     if usual == 0.0:
         raise table.wrong(
-            name, rows[-1], f"{table.columns[name][rows[-1]]}, no later than any row before", "a time that goes on"
+            name, rows[-1], f"{table.columns[name][rows[-1]]}, no later than any row before", "a time that increases"
         )
     back = np.flatnonzero(np.diff(time) < -usual) + 1
     if len(back) and not runs:
@@ -75,7 +75,7 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
     parts, kept, restarts = [], [], []
     for first, end in zip([0, *back], [*back, len(time)], strict=True):
         if np.ptp(time[first:end]) == 0.0:
-            raise table.wrong(name, rows[first], f"a run of {end - first} rows at one time", "runs of which the time goes on")
+            raise table.wrong(name, rows[first], f"a run of {end - first} rows at one time", "runs with increasing time")
         increasing, unique, corrections = straightened(time[first:end], usual)
         restarts.append(sum(map(len, kept)))
         parts.append(increasing - increasing[0])

@@ -146,7 +146,7 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         number,
         Path(source).name,
     )
-    text = f"fitted to all rows behind a lag of {lag:.2g} s (fewer than {FEWEST} signals are held for {PLATEAU:g} s), "
+    text = f"fitted to all rows with a lag of {lag:.2g} s (fewer than {FEWEST} signals are held for {PLATEAU:g} s), "
     return Fitted(span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}")
 
 

@@ -61,7 +61,7 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
     names, units, remarks = _header(path, head, width)
     cells = [row for _, row in data]
     decimal = given.get("decimal") or _decimal(cells, delimiter)
-    left_out = {"comments": len(notes), "lines before and behind the names": remarks, **dropped}
+    left_out = {"comments": len(notes), "lines before and after the names": remarks, **dropped}
     kinds = {name: key for key, name in DELIMITERS.items()}
     read = {"encoding": encoding, "delimiter": kinds.get(delimiter, delimiter), "decimal": decimal}
     how = f"text in {encoding}, cells separated by {read['delimiter']}, decimal {'comma' if decimal == ',' else 'point'}"
@@ -173,7 +173,7 @@ def _width(path, rows: Sequence[tuple[int, list[str]]]) -> int:
     middle = max(0, len(rows) // 2 - _LOOK)
     counts = Counter(len(cells) for _, cells in rows[middle : middle + 2 * _LOOK] if _is_data(cells))
     if not counts:
-        allowed = "rows of which half the cells or more are numbers"
+        allowed = "rows with numbers in half of the cells or more"
         raise BadInput(path, f"line {rows[-1][0]}", shown(" ".join(rows[-1][1])), allowed)
     return counts.most_common(1)[0][0]
 
