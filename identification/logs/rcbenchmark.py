@@ -267,7 +267,7 @@ def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str,
         raise table.wrong(names["time"], rows[row + 1], found, "time that doesn't go back by a row or more")
     kept = rows[np.append(moved != 0.0, True)]  # of rows at equal time the last, whose cells are the most recent
     if len(kept) < 2:
-        raise BadInput(table.source, names["time"], f"one and the same in {len(rows)} rows", "a time that goes on")
+        raise BadInput(table.source, names["time"], f"one and the same in {len(rows)} rows", "a time that increases")
     early = int((timed & ~begun).sum())
     return kept, {
         "no time": int((~timed).sum()),
