@@ -410,7 +410,7 @@ def read_toml(path: str | os.PathLike) -> dict[str, dict]:
 
 
 def section_of(path: str | os.PathLike, kind: str) -> dict:
-    """The section of a kind; else any section, if all have the same columns. BadInput."""
+    """The section of a kind, or another one if it says the same of the columns as all others. BadInput."""
     sections = read_toml(path)
     if kind in sections:
         return sections[kind]
