@@ -16,7 +16,7 @@ from hil.safety.states import SafetyState, StateMachine
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
 from hil.safety.supply_limits import SupplyLimits
-from hil.senses import Senses
+from hil.sensors import Sensors
 from hil.ticks import Tick, Ticks
 
 PERIOD = 0.004
@@ -66,7 +66,7 @@ class Cycle:
 
     def begin(self) -> None:
         """Forget what must not be carried from one run into the next."""
-        self.plausibility, self.senses = self._judgement(), Senses(self.bench, self.zero)
+        self.plausibility, self.sensors = self._judgement(), Sensors(self.bench, self.zero)
         self._supply_limits = SupplyLimits(self.limits)
         self.throttle, self.commands = 0.0, (0.0, self.bench.calibration.rest_pitch)
         self.residual, self.alarm, self.asked = math.nan, False, ""
@@ -80,7 +80,7 @@ class Cycle:
 
     def wake(self) -> None:
         """Before the first tick after a break."""
-        self.senses.wake(self.bench.clock, self.dt)
+        self.sensors.wake(self.bench.clock, self.dt)
         self.ticks.resume()
         self._sense()
 
@@ -159,19 +159,19 @@ class Cycle:
         return None
 
     def _record(self, wanted: tuple[float, float], cut: Cut) -> None:
-        senses, tick, state = self.senses, self._tick, STATES.index(self.states.state.value)
-        pulses = senses.revolution.pulses if senses.revolution else 0
+        sensors, tick, state = self.sensors, self._tick, STATES.index(self.states.state.value)
+        pulses = sensors.revolution.pulses if sensors.revolution else 0
         busy = self.bench.clock.now() - self._woke
         self._log.put(
-            *(self.ticks.time, state, self.wanted, *wanted, *self.commands, senses.thrust, senses.omega),
-            *(senses.thrust_age, senses.mark_age, senses.counts, pulses, self.throttle, cut),
+            *(self.ticks.time, state, self.wanted, *wanted, *self.commands, sensors.thrust, sensors.omega),
+            *(sensors.thrust_age, sensors.mark_age, sensors.counts, pulses, self.throttle, cut),
             *(self.residual, self.alarm, tick.late, busy, tick.missed),
-            *senses.supply.values(),
+            *sensors.supply.values(),
             *self.adapted,
         )
         self._view.show(
-            *(state, senses.thrust, self.wanted, senses.omega, self.commands[1]),
-            *(self.throttle, self.residual, self.alarm, *self.learned, *senses.supply.values()),
+            *(state, sensors.thrust, self.wanted, sensors.omega, self.commands[1]),
+            *(self.throttle, self.residual, self.alarm, *self.learned, *sensors.supply.values()),
             *(self.ticks.missed, self.done, self._page_gone),
         )
         if self.ticks.ticks % COUNTED == 0:
@@ -185,19 +185,19 @@ class Cycle:
             self.keep(counters=counted)
 
     def _sense(self) -> None:
-        for fault in self.senses.read(self.passed):
+        for fault in self.sensors.read(self.passed):
             self.fault(fault)
 
     def _judge(self) -> None:
         """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
-        senses = self.senses
-        if senses.revolution is not None and self.states.state is SafetyState.RUN and not senses.revolution.closed:
-            why = "100 ms without a request" if senses.revolution.silent else "told to, or the board has started anew"
+        sensors = self.sensors
+        if sensors.revolution is not None and self.states.state is SafetyState.RUN and not sensors.revolution.closed:
+            why = "100 ms without a request" if sensors.revolution.silent else "told to, or the board has started anew"
             self.fault(Fault("relay", FaultKind.RELAY_OPEN, f"the board has opened it: {why}"))
-        if senses.revolution is not None:
+        if sensors.revolution is not None:
             reading = Reading(
-                *(self.ticks.time, senses.counts, senses.saturated, senses.thrust, senses.thrust_age, senses.omega),
-                *(senses.revolution.pulses, senses.mark_age, senses.speed_age, self.throttle, self.commands[1]),
+                *(self.ticks.time, sensors.counts, sensors.saturated, sensors.thrust, sensors.thrust_age, sensors.omega),
+                *(sensors.revolution.pulses, sensors.mark_age, sensors.speed_age, self.throttle, self.commands[1]),
             )
             fault = self.plausibility.check(reading)
             if fault:

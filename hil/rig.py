@@ -185,8 +185,8 @@ class Rig:
     @property
     def last(self) -> RigSample:
         """What was read last."""
-        senses = self._cycle.senses
-        return RigSample(senses.thrust, senses.omega, math.nan, senses.thrust_age, senses.mark_age)
+        sensors = self._cycle.sensors
+        return RigSample(sensors.thrust, sensors.omega, math.nan, sensors.thrust_age, sensors.mark_age)
 
     @property
     def acting(self) -> tuple[float, float]:
@@ -220,14 +220,14 @@ class Rig:
 
     def _tare(self) -> Tare:
         """The load cell's zero, once the rotor stands."""
-        rest, senses = 0.0, self._cycle.senses
+        rest, sensors = 0.0, self._cycle.sensors
         for _ in range(round(RUN_OUT / self.dt)):
             self._idle_tick()
-            rest = rest + self.dt if senses.omega == 0.0 else 0.0
+            rest = rest + self.dt if sensors.omega == 0.0 else 0.0
             if rest >= REST:
                 break
         else:
-            raise RunEnded(f"tare: the rotor still turns at {senses.omega:.0f} rpm after {RUN_OUT:g} s")
+            raise RunEnded(f"tare: the rotor still turns at {sensors.omega:.0f} rpm after {RUN_OUT:g} s")
         for left in reversed(range(TARE_TRIES)):
             try:
                 return self._zeroed()
@@ -238,12 +238,12 @@ class Rig:
         raise AssertionError("unreachable")
 
     def _zeroed(self) -> Tare:
-        counts, senses, calibration = [], self._cycle.senses, self.bench.calibration
+        counts, sensors, calibration = [], self._cycle.sensors, self.bench.calibration
         for _ in range(TARE_SAMPLES):
             self._idle_tick()
-            counts.append(senses.counts)
+            counts.append(sensors.counts)
         found = tare(counts, calibration.newton_per_count, calibration.zero, self._gate)
-        self._cycle.zero = senses.zero = found.zero
+        self._cycle.zero = sensors.zero = found.zero
         self.tares.append(found)
         self._cycle.keep(tare={"zero_counts": found.zero, "noise_N": found.noise * abs(calibration.newton_per_count)})
         return found
@@ -256,7 +256,7 @@ class Rig:
                 with contextlib.suppress(DeviceFault):  # the tick's own request finds the same
                     tachometer.arm()
             self._idle_tick()
-            if cycle.senses.revolution and cycle.senses.revolution.closed:
+            if cycle.sensors.revolution and cycle.sensors.revolution.closed:
                 break
         else:
             cycle.fault(Fault("relay", FaultKind.NOT_READY, f"not closed {RELAY:g} s after the board was told to"))
@@ -304,10 +304,10 @@ class Rig:
 
     def _driven_tick(self, omega_ref, beta_ref, wanted=NOBODY, cut=Cut.NONE) -> None:
         """A tick of the run."""
-        cycle, senses = self._cycle, self._cycle.senses
+        cycle, sensors = self._cycle, self._cycle.sensors
         if self.states.state is SafetyState.RUN:
-            frozen = senses.speed_age > SERVES or not cycle.plausibility.speed_trusted
-            cycle.tick(omega_ref, beta_ref, self._pi.update(omega_ref, senses.omega, cycle.passed, frozen), wanted, cut)
+            frozen = sensors.speed_age > SERVES or not cycle.plausibility.speed_trusted
+            cycle.tick(omega_ref, beta_ref, self._pi.update(omega_ref, sensors.omega, cycle.passed, frozen), wanted, cut)
         if self.states.state is not SafetyState.RUN:
             self._come_down()
             self._end()

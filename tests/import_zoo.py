@@ -419,7 +419,7 @@ def _clocks() -> list[Format]:
             "a 32-bit counter of us, begun anew",
             lambda s: str((wrap - 1_500_000 + round(1e6 * s)) % wrap),
             unit=":us",
-            said=["unwound"],
+            said=["unwrapped"],
         ),
         Format(
             "no time: rows 10 ms apart",

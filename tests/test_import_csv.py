@@ -12,8 +12,8 @@ from studies.gate import SIZES
 from identification.logs.clock import guessed_unit, mended, read_clock
 from identification.logs.commands import fitted_map
 from identification.logs.mapping import read_toml
+from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
-from identification.logs.sheet import Sheet, plain, split_unit
 from identification.logs.speed_choice import likelihood_gain
 from identification.logs.speed_map import RANGES
 from identification.logs.units import QUANTITIES, factor_of
@@ -161,7 +161,7 @@ def test_cells_as_they_are_written_elsewhere(cell, decimal, number):
 
 def sheet(**columns):
     arrays = {n: np.array(c, dtype=object if isinstance(c[0], str) else float) for n, c in columns.items()}
-    return Sheet("log.csv", arrays, np.arange(2, 2 + len(next(iter(arrays.values())))))
+    return RawTable("log.csv", arrays, np.arange(2, 2 + len(next(iter(arrays.values())))))
 
 
 def test_of_two_rows_at_odds_both_are_put_between_their_neighbours():
@@ -565,7 +565,7 @@ def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
 def test_a_signal_that_never_holds_is_mapped_behind_a_lag():
     log = stand(hold=0.3)
     found = fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"], None, RANGES["PWM"])
-    assert "behind a lag of 0.12 s" in found.told
+    assert "with a lag of 0.12 s" in found.told
     x = np.linspace(150.0, 900.0, 50)
     np.testing.assert_allclose(found.map.omega_ref(1000.0 + x), 200.0 + 9.5 * x - 0.0025 * x**2, atol=10.0)
     with pytest.raises(BadInput, match="of the speed"):

@@ -384,7 +384,7 @@ def test_too_few_signals_or_a_falling_speed_make_no_map():
         fit_speed_map(cubic_points([100, 400, 400, 800, 1200]), RANGES["DShot"], NOMINAL, "log.csv")
     points = cubic_points([100, 400, 800, 1200, 1900])
     falling = SteadyPoints(points.signal, points.voltage, points.speed[::-1], 100.0)
-    with pytest.raises(BadInput, match="don't rise"):
+    with pytest.raises(BadInput, match="don't increase"):
         fit_speed_map(falling, RANGES["DShot"], NOMINAL, "log.csv")
 
 

@@ -166,7 +166,7 @@ def test_robust_gains_are_better_over_the_plants_they_were_tuned_on(short_search
     assert tuned.judged["robust"].max() == judged.cost(tuned.gains["robust"])
     assert tuned.cost("tuned") <= tuned.cost("robust")
     assert summary(found)["controllers"]["speed_only"]["judged"]["robust"]["worst"] == tuned.judged["robust"].max()
-    assert "Over what the plant may be" in tuning_page(found).html()
+    assert "Robustness over plants within the uncertainty" in tuning_page(found).html()
 
 
 EFFECTS = ("pitch_command_deadband", "pitch_backlash")

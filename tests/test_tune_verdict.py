@@ -98,7 +98,7 @@ def test_gains_that_cost_less_and_settle_later_are_not_handed_out(example, monke
     assert content["handed_out"] == "published"
     assert content["verdict"]["tuned"]["better"] is False
     page = tuning_page(found).html()
-    assert "Handed out: the published gains." in page
+    assert "Chosen: the published gains." in page
     assert "not settled worse" in page
 
 

@@ -1,1 +1,1 @@
-"""The plant model beside the rig: its residual, the band it belongs in, and the test that says when it leaves."""
+"""Compare the rig with the plant model at run time: residual, its expected band, and change detection."""

@@ -1,5 +1,4 @@
-"""What makes an identified plant an adaptive twin of its rig: the band of its residuals, how well it is known, what is watched;
-and that twin beside a rig, a sample a tick."""
+"""Build an adaptive twin from an identified plant: priors, residual band, tested parameters; and run it with the rig."""
 
 import time
 from collections.abc import Sequence
@@ -17,16 +16,15 @@ from vpp_fmu.native.stepper import Stepper
 from vpp_fmu.parameters import Estimate, ParameterSet
 
 FALSE_ALARMS = 0.01
-"""An hour, at most, while nothing changes."""
+"""Most false alarms per hour."""
 
 CERTAIN = 2.0
-"""Standard deviations by which an adapted parameter has moved from where it started for that to count: where nothing has
-changed one look in 20 finds as much."""
+"""Least change of an adapted parameter that counts, in standard deviations; one test in 20 exceeds it by chance."""
 
 
 def adaptable(parameters: ParameterSet, where: str, adapted: Sequence[str] | None = None) -> ParameterSet:
-    """The parameters for the same plant with the effects that a twin has in any case, off unless they are there. BadInput, told
-    of `where`, for a name to be adapted that it doesn't have."""
+    """The plant with the effects that each twin includes, switched off if they are added. BadInput, with `where`, for an
+    unknown name in `adapted`."""
     model = parameters.model
     brought = tuple(e for e in LIBRARY if e.name in BROUGHT and e.name not in model.optional)
     order = {e.name: k for k, e in enumerate(LIBRARY)}
@@ -50,17 +48,16 @@ def adaptive(
     false_alarms: float = FALSE_ALARMS,
     sample_time: float | None = None,
 ) -> ParameterSet:
-    """The twin's model with its parameters: the plant's by name, their standard deviations as the prior, the band's noises.
+    """The twin's model with its parameters: those of the plant, their standard deviations as priors, and the band's noises.
 
-    `parameters`: of a plant that has them all (`adaptable`). What was not estimated is known to no more than a plausible
-    change; and so are lags, whose standard deviation is that of one kind of motion, while a rig's motor and actuator are no
-    lags and answer each kind of motion with another one. `sample_time` s: from reading to reading (default: the rig's loop).
-    KeyError names an adapted parameter that the plant has not.
+    `parameters`: from `adaptable`. The prior of a parameter that was not estimated is its plausible change. The same holds for
+    lags: an estimate is valid for one kind of motion, and a real motor or actuator has another lag for each kind. `sample_time`
+    s: between readings (default: the loop of the rig). KeyError: the plant does not have an adapted parameter.
     """
     values = parameters.values
     adapted = tuple(adapted or adapted_by_default(values))
     model = twin(parameters.model, adapted, sample_time or SAMPLE_TIME)
-    # Known from few degrees of freedom, the model's error is larger than it was seen to be, for the same share of 95 %.
+    # Few degrees of freedom: scale the model error so that 1.96 standard deviations cover 95 %, as Student's t does.
     steady = band.steady * float(t.isf(0.025, band.freedom)) / WITHIN
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
     sample_time = model.values()["sample_time"]
@@ -79,12 +76,12 @@ def adaptive(
 
 
 TRIED = 200
-"""Steps before a run from which the twin's time in a tick is told: their median."""
+"""Steps before a run whose median gives the twin's computing time per tick."""
 
 
 @dataclass(frozen=True)
 class Adapted:
-    """A parameter that a twin adapts: its value at the start, and a plausible change of it, in its unit."""
+    """An adapted parameter: its initial value and a plausible change, in its unit."""
 
     start: float
     change: float
@@ -93,10 +90,10 @@ class Adapted:
 
 
 class Adaptive:
-    """The twin that `adaptive` made, in this process; `outputs` are the names of what `update` tells.
+    """The twin of `adaptive`, in this process; `outputs`: names of the values that `update` returns.
 
-    `adapted`: what it adapts, by name, in the order of the outputs.
-    `alarms`: (time [s], what it points to) of each; `microseconds`: that a step takes on this machine.
+    `adapted`: adapted parameters by name, in the order of the outputs. `alarms`: (time [s], cause) of each; `microseconds`:
+    computing time of a step.
     """
 
     def __init__(self, twin: ParameterSet, dt: float):
@@ -114,30 +111,30 @@ class Adaptive:
         self._alarm, self._points = self.outputs.index("alarm"), self.outputs.index("direction")
         self._stepper, self._dt, self._time = Stepper(twin.model, twin.values), dt, 0.0
         self.alarms: list[tuple[float, str]] = []
-        self.microseconds = self._tried()
+        self.microseconds = self._measured_time()
 
     def start(self, t: float, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> None:
-        """The rig stands settled at t [s] on the commands [rpm, deg]; its readings [N, rpm]."""
+        """Start at t [s] from a settled rig: its commands [rpm, deg] and readings [N, rpm]."""
         self._stepper.start(self._given(omega_ref, beta_ref, thrust, omega))
         self._time, self._before, self._alarmed = t, None, False
         self.alarms.clear()
 
     def update(self, t: float, omega_ref: float, beta_ref: float, thrust: float, omega: float) -> list[float]:
-        """What it says of the readings [N, rpm] at t [s], just before these commands [rpm, deg] act. Ticks that were missed are
-        gone through with the commands and readings before them."""
+        """Outputs for the readings [N, rpm] at t [s], just before these commands [rpm, deg] act. Missed ticks are computed with
+        the previous commands and readings."""
         for _ in range(round((t - self._time) / self._dt) - 1 if self._before else 0):
             self._stepper.step(self._before, self._dt)
         self._before, self._time = self._given(omega_ref, beta_ref, thrust, omega), t
-        told = self._stepper.step(self._before, self._dt)
-        if told[self._alarm] > 0.5 and not self._alarmed:
-            self.alarms.append((t, self._causes[int(told[self._points])]))
-        self._alarmed = told[self._alarm] > 0.5
-        return told
+        outputs = self._stepper.step(self._before, self._dt)
+        if outputs[self._alarm] > 0.5 and not self._alarmed:
+            self.alarms.append((t, self._causes[int(outputs[self._points])]))
+        self._alarmed = outputs[self._alarm] > 0.5
+        return outputs
 
-    def shown(self, told: Sequence[float]) -> tuple[float, float]:
-        """For the live view (`hil.columns.shown_beside`), of what `update` told: 0, or while it alarms 1 and the place of what
-        that points to; the first of the adapted parameters."""
-        return told[self._alarm] * (1.0 + told[self._points]), told[self._first]
+    def shown(self, outputs: Sequence[float]) -> tuple[float, float]:
+        """For the live view (`hil.columns.shown_beside`), from the outputs of `update`: 0, or during an alarm 1 plus the index
+        of its cause; the first adapted parameter."""
+        return outputs[self._alarm] * (1.0 + outputs[self._points]), outputs[self._first]
 
     def _given(self, *values: float) -> list[float]:
         given = list(self._inputs)
@@ -145,7 +142,7 @@ class Adaptive:
             given[place] = value
         return given
 
-    def _tried(self) -> float:
+    def _measured_time(self) -> float:
         took = []
         self.start(0.0, 4000.0, 4.0, 5.0, 4000.0)
         for k in range(1, TRIED + 1):

@@ -1,4 +1,4 @@
-"""What the thrust residual of an identified model is made of while nothing new happens: noise, and the model's own error."""
+"""The thrust residual of an identified model in normal operation: standard deviations of the noise and of the model error."""
 
 import json
 import os
@@ -12,16 +12,16 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text
 
 SLOW_SHARE, SLOW_TIME = 0.37, 0.15
-"""Slow noise where only its sum with the fast is known: its share of the standard deviation, and its correlation time [s].
-Measured on repeated runs of four rigs: 0.36 to 0.38, and 0.12 to 0.17 s."""
+"""Default share of slow noise in the standard deviation, and its correlation time [s]. Repeated runs of four rigs have 0.36 to
+0.38, and 0.12 to 0.17 s."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """Noise of one reading: `white` [N], and `slow` [N] with the correlation time `slow_time` [s], both standard deviations.
+    """Noise of one reading, standard deviations: `white` [N], and `slow` [N] with the correlation time `slow_time` [s].
 
-    The model's own error over half a second, also as standard deviation: `steady` [N] where the commands stand, known from
-    `freedom` degrees of freedom, and `moving` [1] beside it for each N that the model's thrust moves.
+    Model error over half a second, standard deviations: `steady` [N] while commands are constant, estimated with `freedom`
+    degrees of freedom, and in addition `moving` [1] per N of change of the model's thrust.
     """
 
     white: float
@@ -33,22 +33,22 @@ class Band:
 
     @property
     def noise(self) -> float:
-        """Of one reading [N], standard deviation."""
+        """Standard deviation of one reading, N."""
         return sqrt(self.white**2 + self.slow**2)
 
     @property
     def width(self) -> float:
-        """N about the model's thrust within which 19 of 20 readings lie while nothing new happens and the commands stand."""
+        """Half-width [N] of the 95 % band of readings about the model's thrust, in normal operation at constant commands."""
         return 1.96 * sqrt(self.noise**2 + self.steady**2)
 
     def deviations(self, probability: float) -> float:
-        """How many standard deviations the model's own error exceeds, either way, with this probability: Student's t, since
-        these are known from a campaign, the less exactly the shorter it was."""
+        """Two-sided quantile of the model error, in standard deviations: Student's t, because these are estimated from a
+        campaign."""
         return float(t.isf(0.5 * probability, self.freedom))
 
 
 def read_band(path: str | os.PathLike) -> Band:
-    """The band from what `vpp identify` and `vpp diagnose` write (identification.json). BadInput names what is missing."""
+    """Read the band from identification.json of `vpp identify` or `vpp diagnose`. BadInput names a missing entry."""
     allowed = "noise_floor_thrust and model_error, as vpp identify writes them"
     try:
         content = json.loads(read_text(path))
@@ -66,13 +66,13 @@ def read_band(path: str | os.PathLike) -> Band:
 
 
 class Whitener:
-    """Means of `rows` readings, made independent and of variance 1.
+    """Whiten means of `rows` readings to independent values of variance 1.
 
     Block means of white and first-order noise are an ARMA(1, 1) process; its innovations are
 
         v = e - phi e_before - theta v_before,   theta from the covariances of e - phi e_before at lags 0 and 1
 
-    `scale` [N]: their standard deviation; `spread` [N]: the means'. `gain` [1]: what is left in v of a constant residual.
+    Standard deviations: `scale` [N] of the innovations, `spread` [N] of the means. `gain` [1]: v per constant residual.
     """
 
     def __init__(self, band: Band, rows: int, dt: float):
@@ -90,7 +90,7 @@ class Whitener:
         self.reset()
 
     def reset(self) -> None:
-        """No block before."""
+        """Forget previous blocks."""
         self._before = self._innovation = 0.0
 
     def update(self, mean: float) -> float:
@@ -101,10 +101,10 @@ class Whitener:
 
 
 class Spread:
-    """Variances of `rows` readings about their mean, made normal with variance 1; of mean 0 where the model errs at its most.
+    """Transform variances of `rows` readings about their mean to a standard normal variable.
 
-    The sum of squares of correlated noise is about a chi-squared number, shifted and stretched to the same three moments; the
-    cube root of that is normal (Wilson and Hilferty, PNAS 17, 1931).
+    The sum of squares of correlated noise is approximated by a chi-squared variable, shifted and scaled to the same three
+    moments; its cube root is nearly normal (Wilson and Hilferty, PNAS 17, 1931).
     """
 
     def __init__(self, band: Band, rows: int, dt: float):
@@ -117,7 +117,7 @@ class Spread:
         self._stretch = sqrt(self._freedom / second) * (rows - 1)
 
     def update(self, variance: float, most: float) -> float:
-        """A block's variance [N^2] as a normal number, where the model errs by `most` [N] at its most."""
+        """A block's variance [N^2] as a normal variable, of mean 0 if the model error has its bound `most` [N]."""
         noise = variance * self._mean / (self._mean + most**2)
         squares = self._freedom + self._stretch * (noise - self._mean)
         width = 2.0 / (9.0 * self._freedom)

@@ -1,14 +1,14 @@
-"""What is slowly or slightly off: thrust, pitch or the reading changed by a constant, seen over minutes of changing commands.
+"""Detect slow or small constant changes of thrust, pitch or reading, over minutes of changing commands.
 
-Half a second can't tell it from the model's own error. That error differs from place to place of the thrust map, though, and
-what has one cause does not. So the residual is averaged by place, with a memory of MEMORY s, and its mean m in each is held
-against what a cause would make of it there, g: relative thrust, pitch by a degree, the reading by a newton. With the variance
-V = error^2 (1 + SPAN / time spent there) of m, error^2 that of the mean over half a second while the commands stand,
+Over half a second such a change cannot be distinguished from the model error. But the model error differs between cells of the
+thrust map, and the effect of one cause does not. So the residual is averaged per cell with a memory of MEMORY s, and its mean m
+is regressed on the signature g of a cause in that cell: relative thrust, pitch by a degree, reading by a newton. The variance
+of m is V = error^2 (1 + SPAN / time spent in the cell), with error^2 that of a mean over half a second at constant commands.
 
     z = sum(g m / V) / sqrt(sum(g^2 / V))
 
-is a normal number where there is no such cause, or one of Student's where the error is known from a short campaign. One place
-alone tells no more than its own error does; a set-point that never moves is left to the sums of hil.twin.twin.
+is standard normal without such a cause, or Student's t if the error is estimated from a short campaign. A single cell gives no
+more information than its own error; a constant set point is monitored by the sums of hil.twin.twin.
 """
 
 from collections.abc import Callable
@@ -16,17 +16,17 @@ from math import ceil, exp, sqrt
 from typing import NamedTuple
 
 MEMORY = 120.0
-"""s after which a residual counts 1 / e. A drift is found sooner by a short memory, what is small by a long one."""
+"""Forgetting time constant, s. A short memory detects a drift sooner, a long one detects smaller changes."""
 
 SPAN = 2.0
-"""s of a visit over which the model's error stays about the same: no more of them are known from it than from this."""
+"""s within which the model error in a cell is constant: a longer visit adds no independent sample."""
 
 EVERY = 10.0
-"""s between two looks; each has its share of false alarms."""
+"""s between two tests; each has its share of false alarms."""
 
 PLACE = 0.2
-"""Of the scales of speed and pitch: commands in different places find errors of a thrust map that have little to do with each
-other, as `identification.assessment.model_error` counts them."""
+"""Size of a cell, as a share of the scales of speed and pitch. Errors of the thrust map in different cells are nearly
+independent, as in `identification.assessment.model_error`."""
 
 CAUSES = ("thrust x {:.2f}", "pitch {:+.2f} deg", "reading {:+.2f} N")
 
@@ -40,7 +40,7 @@ class Grid(NamedTuple):
 
     @classmethod
     def of(cls, span: tuple[float, float], scale: float) -> "Grid":
-        """As many as PLACE of a scale asks for."""
+        """A grid of parts of at most PLACE of a scale."""
         return cls(*span, max(1, ceil((span[1] - span[0]) / (PLACE * scale) - 1e-9)))
 
     @property
@@ -48,16 +48,16 @@ class Grid(NamedTuple):
         return [self.low + (k + 0.5) / self.count * (self.high - self.low) for k in range(self.count)]
 
     def part(self, value: float) -> int:
-        """Which one a value lies in, or next to."""
+        """Index of the part that contains, or is nearest to, a value."""
         if self.high == self.low:
             return 0
         return min(max(int(self.count * (value - self.low) / (self.high - self.low)), 0), self.count - 1)
 
 
 class Directions:
-    """`settled(omega_ref, beta_ref)`: the model's settled thrust [N] at commands [rpm, deg], asked for at the places; `speed`,
-    `pitch`: in how many, and between what [rpm, deg], these are. `error` [N]: standard deviation of a block's mean residual at
-    a place. `most`: what z exceeds in an alarm. A block takes `block` s."""
+    """`settled(omega_ref, beta_ref)`: the model's steady thrust [N] at commands [rpm, deg]; `speed`, `pitch`: grids of the
+    cells [rpm, deg]. `error` [N]: standard deviation of a block's mean residual in a cell. `most`: threshold of |z|. `block`:
+    duration of a block, s."""
 
     def __init__(
         self,
@@ -76,13 +76,13 @@ class Directions:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known."""
+        """Forget all residuals."""
         self._weights, self._residuals, self._thrusts = ([0.0] * len(self._slopes) for _ in range(3))
         self._count, self._calm = 0, 0
 
     def update(self, commands: tuple[float, float], residual: float, thrust: float, share: float) -> bool:
-        """A block's mean residual and thrust of the model [N] under `commands` [rpm, deg]; its error's variance is the steady
-        one's over `share`. Whether a cause shows now."""
+        """Add a block's mean residual and model thrust [N] at `commands` [rpm, deg], with the steady error's variance divided
+        by `share`. Whether a cause is detected."""
         for column in (self._weights, self._residuals, self._thrusts):
             column[:] = [self._keep * value for value in column]
         place = self._place(*commands)
@@ -98,19 +98,19 @@ class Directions:
         return largest > self._most
 
     def slope(self, omega: float, beta: float) -> float:
-        """N/deg about speed [rpm] and pitch [deg], by the place that they lie in."""
+        """Thrust per pitch [N/deg] in the cell of speed [rpm] and pitch [deg]."""
         return self._slopes[self._place(omega, beta)]
 
     @property
     def cause(self) -> str:
-        """What the residual is most like, in words."""
+        """The most significant cause, in words."""
         sizes = [self._size(k) for k in range(len(CAUSES))]
         k = max(range(len(CAUSES)), key=lambda k: abs(sizes[k][1]))
         return CAUSES[k].format(sizes[k][0] + (1.0 if k == 0 else 0.0))
 
     @property
     def age(self) -> float:
-        """s since z last was an ordinary number: the likeliest beginning of what was then found."""
+        """s since all |z| were last below 1: the likeliest time of the change."""
         return (self._count - self._calm) * self._block
 
     def _place(self, omega: float, beta: float) -> int:
@@ -118,11 +118,11 @@ class Directions:
 
     def _size(self, cause: int) -> tuple[float, float]:
         """(size of a cause by least squares, its z)."""
-        told = squares = 0.0
+        product = squares = 0.0
         for place, weight in enumerate(self._weights):
             if weight > 1e-3:
                 signature = (self._thrusts[place] / weight, self._slopes[place], 1.0)[cause]
                 precision = weight / (weight + self._span) / self._variance
-                told += precision * signature * self._residuals[place] / weight
+                product += precision * signature * self._residuals[place] / weight
                 squares += precision * signature**2
-        return (told / squares, told / sqrt(squares)) if squares else (0.0, 0.0)
+        return (product / squares, product / sqrt(squares)) if squares else (0.0, 0.0)

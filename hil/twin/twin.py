@@ -1,11 +1,10 @@
-"""The model beside the rig: its thrust under the same commands, and an alarm when the difference leaves its band.
+"""Simulate the model with the rig's commands, and raise an alarm if the thrust residual leaves its band.
 
-Three tests share the false alarms that are allowed. The residual's means over half a second are whitened and summed up, and so
-are the variances about them (`hil.twin.band`, `hil.twin.cusum`): what is large is found in a second, be it an offset or a
-vibration. Each sum bears the model's own error: where the commands stand, what of it is exceeded as rarely as a quarter of the
-false alarms; where the thrust moves, HALF of the move beside it. Each step of a cumulative sum grows with its input, so no
-error within that bound makes it alarm sooner than one that stands at it. What is small but has one cause is found over minutes
-of changing commands (`hil.twin.directions`).
+Three tests share the allowed false alarms. Cumulative sums of the whitened residual means over half a second, and of the
+variances about them (`hil.twin.band`, `hil.twin.cusum`), detect large offsets and vibrations within a second or two. Each sum
+tolerates a bound of the model error: at constant commands the quantile for a quarter of the false alarms, and HALF of a change
+of thrust in addition. A cumulative sum is monotonic in its input, so an error within the bound alarms no sooner than an error
+at the bound. Small changes of one cause are detected over minutes of changing commands (`hil.twin.directions`).
 """
 
 from math import hypot
@@ -19,22 +18,21 @@ from vpp_fmu.plants import Plant, Sample
 from vpp_fmu.rig import Rig
 
 BLOCK = 0.5
-"""s; a block's mean is nearly normal whatever the noise of a reading is, and neighbours are nearly independent."""
+"""Block duration, s. Block means are nearly normal for any noise of readings, and neighbours are nearly independent."""
 
 SHIFT = 3.0
-"""What is to be found beyond the model's error, in standard deviations of a whitened block: a few times the noise, found in a
-second or two."""
+"""Shift beyond the model error for which the sums are designed, in standard deviations of a whitened block."""
 
 HALF = 0.5
-"""Of a move of the thrust, by which a model that is right about its end may be off on the way: a motor that brakes, or an
-actuator at its fastest, is far from any lag, and no campaign has a bound for that. In the next block a move counts half."""
+"""Tolerated error during a change of thrust, as a share of the change: a braking motor or an actuator at its slew limit is
+not a linear lag, and a campaign gives no bound. In the next block a change counts half."""
 
 TESTS = 4
-"""Sums of means, sums of variances, the bound of the model's error in both, and causes: each has its share of false alarms."""
+"""Sums of means, sums of variances, the model error's bound in both, and causes: each has an equal share of false alarms."""
 
 
 class Twinned(NamedTuple):
-    """The model's thrust [N], what the rig has above it [N], and whether the alarm is on."""
+    """The model's thrust [N], the residual (rig minus model) [N], and whether the alarm is on."""
 
     thrust: float
     residual: float
@@ -43,7 +41,7 @@ class Twinned(NamedTuple):
 
 class Block(NamedTuple):
     """Half a second: the commands [rpm, deg] at its end; mean [N] and variance [N^2] of the residual; the model's mean thrust
-    [N], and the least and the largest of what the model showed since the block before ended."""
+    [N]; the smallest and largest outputs of the model since the previous block."""
 
     commands: tuple[float, float]
     mean: float
@@ -54,11 +52,11 @@ class Block(NamedTuple):
 
 
 class Twin:
-    """A plant (an FMU or the kernel's functions) that runs along; `rig`: what it may be commanded.
+    """A plant (an FMU or the kernel's functions) simulated in parallel; `rig`: the ranges of its commands.
 
-    `false_alarms`: at most so many an hour while nothing new happens. What that makes of the test: `smallest` [N], the
-    constant residual that it finds after `delay` s on average where the commands stand, larger ones sooner. An alarm stays;
-    `since` [s] is the likeliest time that it began, `cause` what it is most like.
+    `false_alarms`: most per hour in normal operation. Resulting sensitivity: `smallest` [N], the constant residual detected
+    after `delay` s on average at constant commands; larger ones are detected sooner. An alarm is latched; `since` [s]: the
+    likeliest time of the change; `cause`: the most significant cause.
     """
 
     def __init__(self, plant: Plant, band: Band, false_alarms: float = 0.01, rig: Rig = PAPERS):
@@ -88,11 +86,11 @@ class Twin:
 
     @property
     def largest_error(self) -> float:
-        """N: what the model's own error may be while the commands stand."""
+        """Bound of the model error at constant commands, N."""
         return self._most * self._band.steady
 
     def start(self, t: float, omega_ref: float, beta_ref: float) -> None:
-        """At rest on the commands [rpm, deg] at time t [s]: the rig has settled there. What was before is forgotten."""
+        """Reset to the steady state at the commands [rpm, deg] at time t [s], at which the rig has settled."""
         self._shown = self._plant.start(omega_ref, beta_ref)
         self._time, self._held = t, (omega_ref, beta_ref)
         self._begin()
@@ -102,12 +100,12 @@ class Twin:
             part.reset()
 
     def _begin(self) -> None:
-        """A new block."""
+        """Begin a block."""
         self._sum = self._squares = self._total = 0.0
         self._count, self._lowest, self._highest = 0, self._shown, self._shown
 
     def update(self, t: float, omega_ref: float, beta_ref: float, thrust: float) -> Twinned:
-        """The thrust [N] measured at t [s], just before these commands [rpm, deg] act; the ones before them acted until t."""
+        """Add the thrust [N] measured at t [s], just before these commands [rpm, deg] act; the previous ones acted until t."""
         for _ in range(round((t - self._time) / self._plant.dt)):
             self._shown = self._plant.step(*self._held)
         shown, residual = self._shown, thrust - self._shown.thrust
@@ -126,12 +124,12 @@ class Twin:
         return Twinned(shown.thrust, residual, self.alarmed)
 
     def decide(self, t: float, block: Block) -> None:
-        """Judge a block that ended at t [s]. `update` does so; whoever has the blocks already needs no more than this."""
+        """Test a block that ended at t [s]. `update` calls it; use it directly for given blocks."""
         self._moved = self._move(block.lowest, block.highest) + HALF * self._moved
         most, whitened = self._most * self._band.steady + HALF * self._moved, self._whitener.update(block.mean)
-        borne = most / self._whitener.scale
+        tolerated = most / self._whitener.scale
         spread = self._spread.update(block.variance, most)
-        tests = (self._above, whitened - borne), (self._below, -whitened - borne), (self._about, spread)
+        tests = (self._above, whitened - tolerated), (self._below, -whitened - tolerated), (self._about, spread)
         ages = [cusum.age * self._block for cusum, value in tests if cusum.update(value)]
         share = self._error**2 / (self._error**2 + (self._band.moving * self._moved) ** 2)
         if self._directions.update(block.commands, block.mean, block.thrust, share):
@@ -140,7 +138,7 @@ class Twin:
             self.alarmed, self.since, self.cause = True, t - max(ages), self._directions.cause
 
     def _move(self, lowest: Sample, highest: Sample) -> float:
-        """N that the model's thrust goes through by speed and by pitch, added up: one may hide the other."""
+        """Change of the model's thrust [N] due to speed plus that due to pitch, in absolute values: they may cancel."""
         omega, beta = 0.5 * (lowest.omega + highest.omega), 0.5 * (lowest.beta + highest.beta)
         by_speed = 2.0 * max(abs(lowest.thrust), abs(highest.thrust)) / max(omega, 1.0)
         by_pitch = abs(self._directions.slope(omega, beta))

@@ -1,1 +1,1 @@
-"""Logs of a thrust stand as records: RCbenchmark's columns and units, and the map from ESC signal to speed."""
+"""Import logs of a thrust stand as records: tables of any form, units, clocks, and the map from ESC signal to speed."""

@@ -1,8 +1,8 @@
-"""Steady points from a table of thrust coefficients, as wind tunnels publish them.
+"""Convert a table of thrust coefficients, as wind tunnels publish them, to steady points.
 
     T = CT rho n^2 D^4   (N; n in rev/s, D the diameter in m)
 
-The definition with n and D; a helicopter's coefficient, of tip speed and disc area, is another one.
+This is the propeller's definition, not the helicopter's by tip speed and disc area.
 """
 
 from collections.abc import Mapping
@@ -16,15 +16,15 @@ from vpp_fmu.errors import BadInput
 
 @dataclass(frozen=True)
 class Propeller:
-    """What makes coefficients thrust: `diameter` [m], None where it is not known, and `density` of the air [kg/m^3]."""
+    """`diameter` [m], None if unknown, and air `density` [kg/m^3]."""
 
     diameter: float | None = None
     density: float = DENSITY
 
 
 def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: str) -> tuple[dict[str, np.ndarray], list[str]]:
-    """(columns (n,) with `thrust` [N] in the place of `ct`, without rows at an advance ratio above 0; what was said). BadInput
-    without a diameter, or without a row that is static."""
+    """(columns (n,) with `thrust` [N] for `ct`, without rows of advance ratio above 0; messages). BadInput without a diameter
+    or a static row."""
     if propeller.diameter is None:
         allowed = "--diameter D, the rotor's in m: T = CT rho n^2 D^4"
         raise BadInput(source, "ct", "a thrust coefficient and no diameter", allowed)
@@ -35,7 +35,7 @@ def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: s
     kept = {name: column[static] for name, column in columns.items() if name != "advance_ratio"}
     turns = kept.get("omega", kept.get("omega_ref")) / 60.0
     kept["thrust"] = kept.pop("ct") * propeller.density * turns**2 * propeller.diameter**4
-    said = [f"thrust: CT rho n^2 D^4 with D = {propeller.diameter:g} m and rho = {propeller.density:g} kg/m^3"]
+    notes = [f"thrust: CT rho n^2 D^4 with D = {propeller.diameter:g} m and rho = {propeller.density:g} kg/m^3"]
     if not static.all():
-        said.append(f"advance ratio: {int((~static).sum())} rows above 0 are not static, left out")
-    return kept, said
+        notes.append(f"advance ratio: {int((~static).sum())} rows above 0 are not static, left out")
+    return kept, notes

@@ -1,4 +1,4 @@
-"""The command of speed that a motor's signal means, where a log has the signal and not the command."""
+"""Fit the map from a motor's signal to a speed command, for logs that contain the signal only."""
 
 import os
 from dataclasses import dataclass
@@ -23,26 +23,26 @@ from identification.logs.speed_map import (
 from vpp_fmu.errors import BadInput
 
 LAGS = np.geomspace(0.01, 5.0, 40)
-"""s, tried for the motor behind a signal that never holds."""
+"""s, motor time constants to try if no signal is held."""
 
 EXPLAINED = 0.9
-"""Share of the speed's variance that a lagged map must explain: a curve and a lag leave a few per cent of a motor's."""
+"""Minimum share of the speed's variance explained by a map with a lag. The residual of a real motor has a few per cent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A speed map, and in words how it was come by."""
+    """A speed map, and its origin in words (`told`)."""
 
     map: SpeedMap
     told: str
 
 
 FILE = "speed_map.json"
-"""Where the logs of one stand find the map that they share."""
+"""The map that all logs of a folder share."""
 
 
 def map_beside(folder: str | os.PathLike, span: SignalRange, log: str | os.PathLike) -> SpeedMap | None:
-    """The speed map that another log of the same kind of signal has left in a folder; None without one. BadInput if it is none.
+    """The speed map of a folder if it is another log's and for the same kind of signal, else None. BadInput: invalid file.
 
     A command must mean the same in all records of a rig, so their logs share one map.
     """
@@ -60,11 +60,11 @@ def taken_over(
     speed: np.ndarray | None,
     voltage: np.ndarray | None,
 ) -> Fitted:
-    """The map of another log for this one, (n,): it reaches down to where this log shows the rotor turning. In words: how it
-    fits here. `time`: None of steady points, one a row; `speed`: None where it was not measured."""
-    told = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)"
+    """The map of another log for this one (n,), extended to the smallest signal at which the rotor turns here, and its fit here
+    in words. `time`: None if each row is a steady point; `speed`: None if not measured."""
+    text = f"taken over from {known.source} (there rms {known.rms:.3g} rpm)"
     if speed is None or not (turning := np.nan_to_num(speed) > 0.0).any():
-        return Fitted(known, told)
+        return Fitted(known, text)
     volts = np.full(len(signal), known.nominal_voltage) if voltage is None else voltage
     if time is None:
         points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
@@ -73,10 +73,10 @@ def taken_over(
     found = known.reaching(points.turns_from)
     here = fit_quality(points, found)
     if here["points"]:
-        told += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
+        text += f"; here rms {here['rms']:.3g} rpm, at most {here['largest']:.3g} rpm at signal {here['largest_at']:.6g}"
     if found is not known:
-        told += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
-    return Fitted(found, told)
+        text += f"; here the rotor turns from signal {found.turns_from:.6g} on, there from {known.turns_from:.6g}"
+    return Fitted(found, text)
 
 
 def fitted_map(
@@ -87,9 +87,9 @@ def fitted_map(
     voltage: np.ndarray | None,
     span: SignalRange,
 ) -> Fitted:
-    """The map of a log (n,): of its steady parts, and where it has too few of them, of all its rows behind one lag.
+    """Fit the map to a log's steady parts; if there are too few, to all rows (n,) with one lag.
 
-    Without `voltage` the map is of the signal alone, at a nominal 1 V. BadInput where neither way leads to a rising map.
+    Without `voltage` the map depends on the signal only, at a nominal 1 V. BadInput if neither fit gives an increasing map.
     """
     volts = np.ones(len(time)) if voltage is None else voltage
     turning = np.isfinite(speed) & (speed > 0.0)
@@ -101,16 +101,16 @@ def fitted_map(
     if len(np.unique(points.signal)) >= FEWEST:
         found = fit_speed_map(points, span, nominal, Path(source).name)
         worst = fit_quality(points, found)
-        told = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
-        return Fitted(found, f"fitted to {len(points)} steady parts, {told}{alone}")
+        quality = f"rms {found.rms:.3g} rpm, at most {worst['largest']:.3g} rpm at signal {worst['largest_at']:.6g}"
+        return Fitted(found, f"fitted to {len(points)} steady parts, {quality}{alone}")
     return _lagged(source, time, signal, speed, volts, span, nominal, alone)
 
 
 def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: float, alone: str) -> Fitted:
-    """omega = lag of a polynomial in x = throttle * voltage / nominal: linear in its coefficients, for each lag."""
+    """Fit omega = a first-order lag of a polynomial in x = throttle * voltage / nominal: linear least squares for each lag."""
     x = span.throttle(signal) * volts / nominal
     turns_from = turning_from(time, signal, speed, span.low)
-    if np.isnan(turns_from):  # a signal that holds nowhere
+    if np.isnan(turns_from):  # no signal is held
         turns_from = float(np.min(signal[np.nan_to_num(speed) > AT_REST * np.nanmax(speed)]))
     on, rows = signal >= turns_from, np.isfinite(speed)
     degree = min(3, len(np.unique(signal[on])) - 1)
@@ -127,13 +127,14 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         return float(np.mean((speed[rows] - a[rows] @ found) ** 2)), lag, found
 
     _, rough, _ = min(map(behind, LAGS))
-    left, lag, found = min(map(behind, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
-    share = 1.0 - left / max(float(np.var(speed[rows])), 1e-12)
+    mean_square, lag, found = min(map(behind, rough * np.geomspace(LAGS[0] / LAGS[1], LAGS[1] / LAGS[0], 21)))
+    share = 1.0 - mean_square / max(float(np.var(speed[rows])), 1e-12)
     coefficients = np.append(found, np.zeros(3 - degree))
     along = np.polyval(coefficients[::-1], np.linspace(x[on].min(), x[on].max(), 101))
     if share < EXPLAINED or np.any(np.diff(along) <= 0.0):
-        told = f"a signal that explains {share:.0%} of the speed" if share < EXPLAINED else "a speed that falls with the signal"
-        raise BadInput(source, "signal", told, "speeds that follow the signal, or the map of another log with --speed-map")
+        poor = share < EXPLAINED
+        fault = f"a signal that explains {share:.0%} of the speed" if poor else "a speed that decreases with the signal"
+        raise BadInput(source, "signal", fault, "speeds that follow the signal, or the map of another log with --speed-map")
     number = int(rows.sum())
     span_map = SpeedMap(
         tuple(coefficients.tolist()),
@@ -141,16 +142,16 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
         span,
         turns_from,
         float(signal.max()),
-        float(np.sqrt(left)),
+        float(np.sqrt(mean_square)),
         number,
         Path(source).name,
     )
-    told = f"fitted to all rows behind a lag of {lag:.2g} s (fewer than {FEWEST} signals hold for {PLATEAU:g} s), "
-    return Fitted(span_map, f"{told}which explains {share:.1%} of the speed{alone}")
+    text = f"fitted to all rows with a lag of {lag:.2g} s (fewer than {FEWEST} signals are held for {PLATEAU:g} s), "
+    return Fitted(span_map, f"{text}which explains {share:.1%} of the variance of the speed{alone}")
 
 
 def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray | None, span: SignalRange) -> Fitted:
-    """The map of steady points, one a row (n,)."""
+    """Fit the map to steady points, one per row (n,)."""
     volts = np.ones(len(signal)) if voltage is None else voltage
     turning = speed > 0.0
     if not turning.any():

@@ -1,6 +1,6 @@
-"""Parquet, MAT and HDF5 as sheets, through the libraries that read them.
+"""Read a log from Parquet, MAT and HDF5.
 
-A container may hold anything; a log in it is the largest set of vectors of one length, with the names that lead to them.
+A container may hold anything. The log is its largest set of vectors of equal length, named by their paths.
 """
 
 import importlib
@@ -11,29 +11,29 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from identification.logs.sheet import Sheet
+from identification.logs.raw_table import RawTable
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_bytes
 
 PARQUET, HDF5, MAT = b"PAR1", b"\x89HDF\r\n\x1a\n", b"MATLAB 5.0 MAT-file"
 
 _OTHERS = {
-    b"PK\x03\x04": ("a workbook or another ZIP archive", "a sheet of it saved as CSV"),
-    b"\xd0\xcf\x11\xe0": ("a workbook of old Excel", "a sheet of it saved as CSV"),
+    b"PK\x03\x04": ("a workbook or another ZIP archive", "one table of it saved as CSV"),
+    b"\xd0\xcf\x11\xe0": ("a workbook of old Excel", "one table of it saved as CSV"),
     b"ARROW1": ("a Feather file", "the same table as Parquet or CSV"),
     b"TDSm": ("a TDMS file", "the same table as CSV or HDF5"),
     b"MDF ": ("an MDF file", "the same channels as CSV, MAT or HDF5"),
     b"\xa3\x95": ("an ArduPilot log", "its messages of one kind as CSV"),
     b"ULog": ("a PX4 log", "one topic of it as CSV (ulog2csv)"),
 }
-"""What other files begin with, what they are, and what is taken in their place."""
+"""First bytes of formats that are not read: (what the file is, what to supply instead)."""
 
 _MOST_COLUMNS = 64
-"""A matrix with more columns than this is no table."""
+"""A matrix with more columns than this is not a table."""
 
 
-def read_container(path: str | os.PathLike) -> Sheet | None:
-    """The sheet of a container, told by how its bytes begin; None of a file that may be text. BadInput."""
+def read_container(path: str | os.PathLike) -> RawTable | None:
+    """The table of a container, whose format its first bytes identify; None for a file that may be text. BadInput."""
     data = read_bytes(path)
     for mark, (found, allowed) in _OTHERS.items():
         if data.startswith(mark):
@@ -47,7 +47,7 @@ def read_container(path: str | os.PathLike) -> Sheet | None:
     return None
 
 
-def _parquet(path: str | os.PathLike, data: bytes) -> Sheet:
+def _parquet(path: str | os.PathLike, data: bytes) -> RawTable:
     pa, parquet = _library(path, "pyarrow"), _library(path, "pyarrow.parquet")
     try:
         table = parquet.read_table(pa.BufferReader(data)).flatten()
@@ -59,11 +59,11 @@ def _parquet(path: str | os.PathLike, data: bytes) -> Sheet:
         for key in (b"unit", b"units"):
             if field.metadata and key in field.metadata:
                 units[name] = field.metadata[key].decode("utf-8", "replace")
-    return _sheet(path, columns, units, "Parquet")
+    return _raw_table(path, columns, units, "Parquet")
 
 
-def _mat(path: str | os.PathLike, data: bytes) -> Sheet:
-    from scipy.io import loadmat  # noqa: PLC0415 - of all logs few are MAT files, and scipy.io takes its time
+def _mat(path: str | os.PathLike, data: bytes) -> RawTable:
+    from scipy.io import loadmat  # noqa: PLC0415 - slow to import, and few logs are MAT files
     from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
     try:
@@ -75,15 +75,15 @@ def _mat(path: str | os.PathLike, data: bytes) -> Sheet:
     if not vectors and opaque:
         allowed = "vectors or a struct of them: only MATLAB reads a table or timetable (writetable makes CSV of it)"
         raise BadInput(path, "file", "a MATLAB object", allowed)
-    return _sheet(path, vectors, {}, "MAT (v5 to v7.2)")
+    return _raw_table(path, vectors, {}, "MAT (v5 to v7.2)")
 
 
-def _hdf5(path: str | os.PathLike, data: bytes) -> Sheet:
+def _hdf5(path: str | os.PathLike, data: bytes) -> RawTable:
     h5py = _library(path, "h5py")
     matlab = data.startswith(b"MATLAB 7.3")
     found, units = {}, {}
     try:
-        # Where it can, HDF5 opens the file itself: of a broken one it then says no, where reading through Python may crash.
+        # HDF5 opens the file itself if it can: it then refuses a broken file, and reading through Python may crash.
         with h5py.File(io.BytesIO(data) if str(path).lower().endswith(".gz") else path, "r") as file:
 
             def visit(name, item):
@@ -105,18 +105,18 @@ def _hdf5(path: str | os.PathLike, data: bytes) -> Sheet:
             file.visititems(visit)
     except (OSError, RuntimeError, LookupError, TypeError, ValueError, OverflowError, MemoryError) as error:
         raise _broken(path, "HDF5", error) from error
-    return _sheet(path, found, units, "MAT (v7.3)" if matlab else "HDF5")
+    return _raw_table(path, found, units, "MAT (v7.3)" if matlab else "HDF5")
 
 
 def _texts(names: object) -> list[str]:
-    """Names of columns that stand beside a matrix."""
+    """Column names from an attribute of a matrix."""
     if names is None:
         return []
     return [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in np.atleast_1d(names).tolist()]
 
 
 def _vectors(content: Mapping[str, object], names: list[str] | None = None) -> Iterator[tuple[str, np.ndarray]]:
-    """(name, vector) of all that is one, through structs and the columns of matrices; `names` of these, where they are told."""
+    """(name, vector) of each vector, field of a struct, and column of a matrix; `names`: of the columns, if known."""
     for name, value in content.items():
         array = np.asarray(value)
         if array.dtype.names and array.ndim == 0:
@@ -135,7 +135,7 @@ def _vectors(content: Mapping[str, object], names: list[str] | None = None) -> I
 
 
 def _array(values: np.ndarray) -> np.ndarray:
-    """As a Sheet holds it: float, datetime64[ns] or text."""
+    """Convert to a type of RawTable: float, datetime64[ns] or text."""
     if values.dtype.kind in "fiub":
         return values.astype(float)
     if values.dtype.kind == "m":
@@ -149,8 +149,8 @@ def _array(values: np.ndarray) -> np.ndarray:
         return np.array(texts, dtype=object)
 
 
-def _sheet(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units: Mapping[str, str], kind: str) -> Sheet:
-    """Of the vectors those of the commonest length, of two such lengths the longer."""
+def _raw_table(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units: Mapping[str, str], kind: str) -> RawTable:
+    """The vectors of the commonest length; of two such lengths, the longer."""
     lengths = Counter(len(vector) for vector in vectors.values())
     if not lengths:
         raise BadInput(path, "file", f"{kind} without a vector of two values or more", "vectors of one length, one a channel")
@@ -159,13 +159,14 @@ def _sheet(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units: Ma
     if rows < 2:
         raise BadInput(path, "file", f"{rows} row", "two at least")
     heads = {name.split(".")[0] for name in columns}
-    if len(heads) == 1 and all("." in name for name in columns):  # one struct or group: its name tells nothing
+    if len(heads) == 1 and all("." in name for name in columns):  # one struct or group: its name is redundant
         columns = {name.split(".", 1)[1]: vector for name, vector in columns.items()}
         units = {name.split(".", 1)[1]: unit for name, unit in units.items() if "." in name}
     dropped = {"vectors of another length": len(vectors) - len(columns)} if len(vectors) > len(columns) else {}
-    told = f"{kind}, {len(columns)} vectors of {rows}"
+    text = f"{kind}, {len(columns)} vectors of {rows}"
     lines = np.arange(1, rows + 1)
-    return Sheet(str(path), columns, lines, {n: u for n, u in units.items() if n in columns}, told, {}, dropped, rows_are="row")
+    known = {n: u for n, u in units.items() if n in columns}
+    return RawTable(str(path), columns, lines, known, text, {}, dropped, rows_are="row")
 
 
 def _library(path: str | os.PathLike, name: str):

@@ -1,7 +1,7 @@
-"""Text that somebody's logger wrote, as a sheet: its encoding, delimiter and decimal mark are told by its own lines.
+"""Read the text of any logger as a table; encoding, delimiter and decimal mark are detected from its lines.
 
-A file is comments and a preamble of any length, a row of names, rows of units or of remarks, and rows of which most cells are
-numbers or times. Each of these may be missing but the last.
+A file has comments and a preamble, a row of names, rows of units or remarks, and rows of mostly numbers or times. Only the last
+are required.
 """
 
 import codecs
@@ -13,13 +13,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.logs.sheet import EMPTY, Sheet, plain
+from identification.logs.raw_table import EMPTY, RawTable, plain
 from identification.logs.units import QUANTITIES, factor_of, is_unit
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_bytes, shown
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": " "}
-"""What parts cells, by the name that an option takes; a space stands for any number of them."""
+"""Delimiters by their name as an option; a space matches several."""
 
 COMMENTS = ("#", "%", "//", "!")
 
@@ -32,26 +32,26 @@ _MARKS = (
 )
 
 _LOOK = 400
-"""Lines by which the form is told, from the middle of the file: its head is where the exceptions are."""
+"""Lines from the middle of the file, by which its form is detected: exceptions are at its head."""
 
 _NUMBER = re.compile(r"[+-]?(\d[\d'\u2019\xa0\u202f.,]*|[.,]\d+)([eEdD][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?|\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?(\s*[AaPp][Mm])?")
 _BOTH = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})+([.,])\d*")
 
 
-def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> Sheet:
-    """Read a text table. `given`: `encoding`, `delimiter` and `decimal`, those that are not to be found out. BadInput."""
+def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTable:
+    """Read a text table. `given`: those of `encoding`, `delimiter` and `decimal` that are not to be detected. BadInput."""
     text, encoding = _decoded(path, read_bytes(path), given.get("encoding"))
     numbered = [
         (i, line) for i, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1) if line.strip()
     ]
-    said = numbered and re.fullmatch(r"sep=(.)", numbered[0][1].strip())
-    lines = numbered[1:] if said else numbered
+    declared = numbered and re.fullmatch(r"sep=(.)", numbered[0][1].strip())
+    lines = numbered[1:] if declared else numbered
     notes = [(i, line) for i, line in lines if line.lstrip().startswith(COMMENTS)]
     body = [(i, line) for i, line in lines if not line.lstrip().startswith(COMMENTS)]
     if not body:
         raise BadInput(path, "file", f"{len(notes)} lines of comments and no other", "a table of numbers")
-    delimiter = _delimiter(path, body, given.get("delimiter"), said.group(1) if said else None)
+    delimiter = _delimiter(path, body, given.get("delimiter"), declared.group(1) if declared else None)
     rows = [(i, _cells(line, delimiter)) for i, line in body]
     width = _width(path, rows)
     head, data, dropped = _parts(path, rows, width, delimiter)
@@ -61,11 +61,11 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> Sheet:
     names, units, remarks = _header(path, head, width)
     cells = [row for _, row in data]
     decimal = given.get("decimal") or _decimal(cells, delimiter)
-    left_out = {"comments": len(notes), "lines before and behind the names": remarks, **dropped}
+    left_out = {"comments": len(notes), "lines before and after the names": remarks, **dropped}
     kinds = {name: key for key, name in DELIMITERS.items()}
     read = {"encoding": encoding, "delimiter": kinds.get(delimiter, delimiter), "decimal": decimal}
-    told = f"text in {encoding}, cells parted by {read['delimiter']}, decimal {'comma' if decimal == ',' else 'point'}"
-    told += (
+    how = f"text in {encoding}, cells separated by {read['delimiter']}, decimal {'comma' if decimal == ',' else 'point'}"
+    how += (
         ", names on line " + str(head[-1][0] if len(head) == 1 else head[0][0]) if head else ", no names: columns are numbered"
     )
     columns, found = {}, {}
@@ -73,12 +73,12 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> Sheet:
         columns[name], unit = _column([row[k] for row in cells], decimal)
         if units[k] or unit:
             found[name] = units[k] or unit
-    return Sheet(
+    return RawTable(
         source=str(path),
         columns=columns,
         lines=np.array([i for i, _ in data]),
         units=found,
-        told=told,
+        told=how,
         read=read,
         left_out={reason: number for reason, number in left_out.items() if number},
         decimal=decimal,
@@ -86,7 +86,7 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> Sheet:
 
 
 def _decoded(path: str | os.PathLike, data: bytes, wanted: str | None) -> tuple[str, str]:
-    """(the text, its encoding). Without a mark UTF-8 that is none is Windows' Latin, which has a letter for nearly any byte."""
+    """(text, encoding). Without a byte order mark, text that is not valid UTF-8 is taken as Windows-1252."""
     if wanted:
         try:
             return data.decode(wanted).removeprefix("\ufeff"), wanted
@@ -113,15 +113,15 @@ def _decoded(path: str | os.PathLike, data: bytes, wanted: str | None) -> tuple[
     raise BadInput(path, "file", "bytes that are no text", "text, Parquet, MAT or HDF5")
 
 
-def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, said: str | None) -> str:
-    """What parts the cells: as told, else what makes most lines rows of one width with the most numbers in them."""
+def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, declared: str | None) -> str:
+    """The delimiter: as given, else that by which most lines are rows of one width with the most numbers."""
     if wanted:
         found = DELIMITERS.get(wanted, {"\\t": "\t"}.get(wanted, wanted))
         if len(found) != 1 or found.isalnum() or found in "\"'.+-\n":
             raise BadInput("command line", "--delimiter", shown(wanted), f"one character, or one of {', '.join(DELIMITERS)}")
         return found
-    if said:
-        return said
+    if declared:
+        return declared
     middle = max(0, len(body) // 2 - _LOOK // 2)
     sample = [line for _, line in body[middle : middle + _LOOK]]
     scores = {}
@@ -135,7 +135,8 @@ def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, said: 
         scores[delimiter] = (round(values * many / len(rows), 2), width if delimiter != " " else 0)
     if not scores or max(scores.values())[0] < 0.1:
         line, text = body[len(body) // 2]
-        raise BadInput(path, f"line {line}", shown(text), "cells parted by comma, semicolon, tab, bar or space; or --delimiter")
+        allowed = "cells separated by comma, semicolon, tab, bar or space; or --delimiter"
+        raise BadInput(path, f"line {line}", shown(text), allowed)
     return max(scores, key=scores.get)
 
 
@@ -149,7 +150,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _is_value(cell: str) -> bool:
-    """Whether a cell is a number, perhaps with its unit behind it, or a time."""
+    """Whether a cell is a number, with or without a unit, or a time."""
     text = cell.strip()
     return (
         bool(_NUMBER.match(text) and _quantity(text))
@@ -159,7 +160,7 @@ def _is_value(cell: str) -> bool:
 
 
 def _quantity(text: str) -> tuple[str, str] | None:
-    """(number, unit) of a cell such as "12.3 N", the unit "" where there is none."""
+    """(number, unit) of a cell such as "12.3 N", the unit "" if there is none."""
     found = _NUMBER.match(text)
     if found is None:
         return None
@@ -168,11 +169,11 @@ def _quantity(text: str) -> tuple[str, str] | None:
 
 
 def _width(path, rows: Sequence[tuple[int, list[str]]]) -> int:
-    """Cells of a row: of most rows with numbers, without the empty one that a delimiter at a line's end makes."""
+    """The commonest number of cells in rows with numbers."""
     middle = max(0, len(rows) // 2 - _LOOK)
     counts = Counter(len(cells) for _, cells in rows[middle : middle + 2 * _LOOK] if _is_data(cells))
     if not counts:
-        allowed = "rows of which half the cells or more are numbers"
+        allowed = "rows with numbers in half of the cells or more"
         raise BadInput(path, f"line {rows[-1][0]}", shown(" ".join(rows[-1][1])), allowed)
     return counts.most_common(1)[0][0]
 
@@ -183,7 +184,7 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 
 def _parts(path, rows, width: int, delimiter: str):
-    """(lines of the head, rows of data, what was dropped by reason): data begins with the first row of the right width."""
+    """(lines of the head, rows of data, numbers of dropped rows by reason). Data begin with the first row of that width."""
     first = next(k for k, (_, cells) in enumerate(rows) if len(cells) == width and _is_data(cells))
     head = [(i, _joined(cells) if delimiter == " " else cells) for i, cells in rows[:first]]
     named = [len(cells) for _, cells in head if not _is_data(cells)]
@@ -213,7 +214,7 @@ def _parts(path, rows, width: int, delimiter: str):
 
 
 def _joined(cells: Sequence[str]) -> list[str]:
-    """The cells with units that a space has torn from their names put back."""
+    """Join units to their names, which a space as delimiter has separated."""
     found: list[str] = []
     for cell in cells:
         if found and re.fullmatch(r"[(\[{].*[)\]}]", cell):
@@ -224,14 +225,14 @@ def _joined(cells: Sequence[str]) -> list[str]:
 
 
 def _of_width(cells: Sequence[str], width: int) -> bool:
-    """Whether a line in front of the numbers is a row of names, units or remarks for them. A last column without a name is one
-    that nobody needs (a comma at the line's end), and more names than cells are none of these cells."""
-    more = len(cells) == width + 1 and (not cells[-1] or cells[-1].casefold() == "comment")  # LabVIEW's, which nobody fills
+    """Whether a line before the numbers is a row of names, units or remarks for them. The last column may have no name (a comma
+    at the line's end)."""
+    more = len(cells) == width + 1 and (not cells[-1] or cells[-1].casefold() == "comment")  # LabVIEW's empty column
     return (len(cells) in (width, width - 1) or more) and sum(map(bool, cells)) * 2 >= width
 
 
 def _commented_head(notes, first: int, delimiter: str, width: int):
-    """The last comment before the numbers, where it names as many columns as they have."""
+    """The last comment before the numbers, if it has as many names as there are columns; with a row of units, the last two."""
     before = [(i, line.lstrip().lstrip("#%!/").strip()) for i, line in notes if i < first]
     rows = [(i, _cells(line, delimiter)) for i, line in before[-2:]]
     if len(rows) == 2 and all(len(cells) == width and not _is_data(cells) for _, cells in rows) and _units(rows[1][1]):
@@ -241,8 +242,8 @@ def _commented_head(notes, first: int, delimiter: str, width: int):
 
 
 def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
-    """(names, units, lines that are neither) of the rows in front of the numbers. Names are the row before the units'; else
-    the last row of which no two cells are the same."""
+    """(names, units, number of other rows) of the rows before the numbers. Names are in the row before the units, else in the
+    last row of distinct cells."""
     if not head:
         return [str(k) for k in range(1, width + 1)], [""] * width, 0
     rows = [[*cells, *[""] * width][:width] for _, cells in head]
@@ -262,7 +263,7 @@ def _header(path, head, width: int) -> tuple[list[str], list[str], int]:
 
 
 def _units(row: Sequence[str]) -> bool:
-    """Whether a row in front of the numbers tells units: most of its cells are some quantity's."""
+    """Whether a row before the numbers is a row of units: at least half of its cells are units of a quantity."""
     filled = [cell.strip("()[]{}<> ") for cell in row if cell.strip("()[]{}<> -")]
     known = sum(
         any(factor_of(q, cell) is not None for q in QUANTITIES.values() if q.unit or cell in ("us", "µs", "%"))
@@ -272,14 +273,14 @@ def _units(row: Sequence[str]) -> bool:
 
 
 def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
-    """The decimal mark, by the cells that have one."""
+    """The decimal mark of most cells."""
     commas = points = 0
     for row in rows[: 10 * _LOOK]:
         for cell in row:
             if "," not in cell:
                 points += "." in cell and bool(_NUMBER.match(cell))
             elif found := _BOTH.fullmatch(cell):
-                if found.group(1) != found.group(2):  # one mark parts thousands, the other is the decimal's
+                if found.group(1) != found.group(2):  # the other mark separates thousands
                     return found.group(2)
                 commas += 1
             elif _NUMBER.fullmatch(cell):
@@ -288,7 +289,7 @@ def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
 
 
 def _column(cells: list[str], decimal: str) -> tuple[np.ndarray, str]:
-    """(the cells, as numbers where all are; the unit that stands behind the numbers of all of them)."""
+    """(cells, as numbers if all are; the unit that follows all numbers, or "")."""
     if decimal == ".":
         try:
             return np.array([cell if "_" not in cell else "x" for cell in cells]).astype(float), ""

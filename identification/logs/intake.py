@@ -1,4 +1,4 @@
-"""A sheet and what its columns are, as a record: its clock, commands and readings, and what had to be done to them."""
+"""Convert a table and the plan of its columns to the columns of a record, and report each correction."""
 
 import re
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from identification.logs.clock import Clock, read_clock
 from identification.logs.coefficients import Propeller, thrust_of
 from identification.logs.commands import averaged_map, fitted_map, taken_over
 from identification.logs.mapping import ROWS, Column, Plan, pitch_in_other_unit
-from identification.logs.sheet import Sheet
+from identification.logs.raw_table import RawTable
 from identification.logs.speed_map import RANGES, SignalRange, SpeedMap
 from identification.logs.units import QUANTITIES, SIGNALS, factor_of, scale_of, signal_unit
 from vpp_fmu.digits import number
@@ -24,14 +24,14 @@ _E_RPM = re.compile(r"(?i)(?<![a-z])e[-_ ]?rpm")
 COMMANDS = ("omega_ref", "beta_ref", "signal", "run")
 
 FASTER = 1.0
-"""s, the median from row to row from which rows are steady points and no record in time."""
+"""Median step, s, above which rows are steady points and not a record in time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A log in a record's units: every quantity of the plan, each (n,); `time` and `clock` where the log has them.
+    """A log in a record's units: each quantity of the plan (n,), with `time` and `clock` if the log has a time.
 
-    `said`: what was done, a line each. `speed_map`: by which the command was found, None where the log has it.
+    `said`: corrections in words. `speed_map`: source of the speed command, None if the log has the command.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -42,29 +42,29 @@ class Taken:
 
     @property
     def points(self) -> bool:
-        """Whether rows are steady points: without a time, or too far apart for anything that moves."""
+        """Whether rows are steady points: no time, or a median step above FASTER."""
         return self.clock is None or self.clock.step > FASTER
 
     def record(self) -> Record:
-        """Without what only steps and means have."""
+        """The columns that a record has."""
         return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
 
 
-def signal_range(sheet: Sheet, plan: Plan) -> SignalRange | None:
-    """Of the plan's signal, by its unit; None where it has none."""
+def signal_range(sheet: RawTable, plan: Plan) -> SignalRange | None:
+    """Range of the plan's signal, from its unit; None without a signal."""
     return RANGES[SIGNALS[signal_unit(plan.columns["signal"].unit)]] if "signal" in plan.columns else None
 
 
 def take_in(
-    sheet: Sheet,
+    sheet: RawTable,
     plan: Plan,
     kind: str,
     speed_map: SpeedMap | None = None,
     propeller: Propeller | None = None,
     force: bool = False,
 ) -> Taken:
-    """Take a sheet in as a campaign's `kind`. `speed_map`: what the signal means; None: fitted to the log. `propeller`: of a
-    table of coefficients; `force`: take a speed that looks electrical. BadInput."""
+    """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
+    `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical. BadInput."""
     _check(sheet, plan, kind)
     clock, rows, said = None, np.arange(len(sheet)), []
     if "time" in plan.columns:
@@ -98,15 +98,15 @@ def take_in(
     return taken
 
 
-def values_of(sheet: Sheet, quantity: str, column: Column) -> np.ndarray:
-    """(n,) a column in the record's unit. BadInput for a cell that is no number."""
+def values_of(sheet: RawTable, quantity: str, column: Column) -> np.ndarray:
+    """A column (n,) in the record's unit. BadInput for a cell that is not a number."""
     factor, offset = scale_of(QUANTITIES[quantity], column.unit)
     return sheet.numbers(column.name) * factor + offset
 
 
 def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str] | None:
-    """(what was found, what is allowed) where the measured speed is a whole multiple of the commanded one, or where it is
-    electrical by its name and no command tells the pole pairs; else None."""
+    """(what was found, what is allowed) if the measured speed is a whole multiple of the commanded one, or if its name says
+    electrical and there is no command to compare; else None."""
     if "omega" not in columns:
         return None
     if "omega_ref" not in columns or not np.isfinite(columns["omega_ref"]).any():
@@ -124,8 +124,8 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
     return found, f"--map 'omega={column.name}:{unit}'{also}, or --force to take it as it is"
 
 
-def _no_angle(sheet: Sheet, plan: Plan) -> tuple[str, str] | None:
-    """(what was found, what is allowed) where the plan has no pitch and the log one that is no angle; else None."""
+def _no_angle(sheet: RawTable, plan: Plan) -> tuple[str, str] | None:
+    """(what was found, what is allowed) if the plan has no pitch, and the log has one that is not an angle; else None."""
     if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
         return None
     if (other := pitch_in_other_unit(sheet, {c.name for c in plan.columns.values()})) is None:
@@ -136,20 +136,20 @@ def _no_angle(sheet: Sheet, plan: Plan) -> tuple[str, str] | None:
     return found, f"--map {points}, A and B the pitch there in deg; or --fixed beta_ref=8:deg if the pitch is fixed"
 
 
-def contradictions(sheet: Sheet, plan: Plan) -> list[str]:
-    """Why a plan will not be taken in, a line each: a speed that looks electrical, a pitch that is no angle."""
+def contradictions(sheet: RawTable, plan: Plan) -> list[str]:
+    """Reasons to refuse a plan, one per line: a speed that looks electrical, a pitch that is not an angle."""
     speeds = {q: values_of(sheet, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
     found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(sheet, plan)}
     return [f"{name}: {pair[0]}; allowed is {pair[1]}" for name, pair in found.items() if pair]
 
 
 def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The fixed speed as a column, where the table has none."""
+    """The fixed speed as a column, if the table has no speed."""
     speed = plan.fixed.get("omega_ref")
     return {} if speed is None or "omega" in columns else {"omega": np.full(len(columns["ct"]), speed)}
 
 
-def _check(sheet: Sheet, plan: Plan, kind: str) -> None:
+def _check(sheet: RawTable, plan: Plan, kind: str) -> None:
     if "ct" in plan.columns and kind != "static":
         raise BadInput(sheet.source, f"ct, column {plan.columns['ct'].name}", "coefficients, steady points", "--as static")
     if not {"thrust", "ct"} & {*plan.columns}:
@@ -166,12 +166,12 @@ def _check(sheet: Sheet, plan: Plan, kind: str) -> None:
         raise BadInput(sheet.source, "omega_ref", f"no column for the command of speed among {_names(sheet)}", allowed)
 
 
-def _names(sheet: Sheet) -> str:
+def _names(sheet: RawTable) -> str:
     text = ", ".join(sheet.columns)
     return text if len(text) < 200 else f"{text[:197]}..."
 
 
-def _clock(sheet: Sheet, plan: Plan, kind: str) -> Clock:
+def _clock(sheet: RawTable, plan: Plan, kind: str) -> Clock:
     column = plan.columns["time"]
     if column.name == ROWS and ROWS not in sheet.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
@@ -180,7 +180,7 @@ def _clock(sheet: Sheet, plan: Plan, kind: str) -> Clock:
 
 
 def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Commands through empty cells, which hold what was last commanded; rows before the first command are left out."""
+    """Fill empty cells of commands with the last value; rows before the first command are left out."""
     there = [name for name in COMMANDS if name in columns]
     said, begun = [], np.ones(len(next(iter(columns.values()))), bool)
     for name in there:
@@ -199,8 +199,8 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
     return columns, said
 
 
-def _commanded(sheet: Sheet, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
-    """(columns with both commands, what was said, the speed map)."""
+def _commanded(sheet: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
+    """(columns with both commands, messages, the speed map)."""
     rows, said = len(columns["thrust"]), []
     if "signal" in columns and "omega_ref" not in columns:
         span = signal_range(sheet, plan)
@@ -246,12 +246,12 @@ def _commanded(sheet: Sheet, plan: Plan, columns: dict, clock: Clock | None, kin
 
 
 def _filled(column: np.ndarray) -> np.ndarray:
-    """(n,) with empty cells on a line between their neighbours."""
+    """The column (n,) with empty cells interpolated."""
     rows, there = np.arange(len(column)), np.isfinite(column)
     return np.interp(rows, rows[there], column[there])
 
 
-def _check_signal(sheet: Sheet, plan: Plan, signal: np.ndarray, span: SignalRange) -> None:
+def _check_signal(sheet: RawTable, plan: Plan, signal: np.ndarray, span: SignalRange) -> None:
     low, high = (600.0, 2400.0) if span.kind == "PWM" else (span.low, span.high)
     if signal.min() < low or signal.max() > high:
         found = f"{signal.min():.6g} to {signal.max():.6g}"
@@ -259,8 +259,8 @@ def _check_signal(sheet: Sheet, plan: Plan, signal: np.ndarray, span: SignalRang
         raise BadInput(sheet.source, f"signal, column {plan.columns['signal'].name}", found, allowed)
 
 
-def _check_ranges(sheet: Sheet, plan: Plan, taken: Taken) -> None:
-    """BadInput for a column beyond what a record may hold, which is nearly always another unit's."""
+def _check_ranges(sheet: RawTable, plan: Plan, taken: Taken) -> None:
+    """BadInput for a column beyond a record's limits, usually because of a wrong unit."""
     for name, values in taken.columns.items():
         quantity = RANGE.get(name)
         outside = (values < quantity.minimum) | (values > quantity.maximum) if quantity else np.zeros(1, bool)

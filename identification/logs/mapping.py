@@ -1,4 +1,4 @@
-"""What the columns of a log are: told by a user, read from an earlier import, or proposed from the log's header."""
+"""The mapping of a log's columns to quantities: given by a user, read from an earlier import, or proposed from the header."""
 
 import json
 import os
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from identification.logs.clock import CALENDAR, guessed_unit, is_calendar
-from identification.logs.sheet import Sheet, plain, split_unit
+from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, contradicts, factor_of, is_rate, scale_of
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import read_text, shown
@@ -26,17 +26,17 @@ FILE = "import.toml"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 ROWS = "row"
-"""Stands for a column that counts rows, where a log has no time: time=row:4ms."""
+"""In place of a column: the row number is the time of a log without one, time=row:4ms."""
 
 SURE, LIKELY, NAMED, GUESS = "sure", "likely", "by its name", "guess"
-"""How a proposal was come by: name and unit are in the log; the unit isn't, but only one will do; the name ends with what may
-be a unit (thrust_g; but thrust_t need not be in tons); else."""
+"""Confidence of a proposal: the log has name and unit; only one unit is possible; the name ends with a possible unit (thrust_g,
+but thrust_t need not be in tons); none of these."""
 
 LEAVE_OUT = "-"
-"""In the place of a column: the log has one that is not to be taken, NAME=-."""
+"""In place of a column: the quantity is not imported, NAME=-."""
 
 STEEP = 90.0
-"""deg: no blade is set beyond; larger numbers are a servo's pulses or counts."""
+"""deg, above the pitch of any blade; larger numbers are a servo's pulses or counts."""
 
 _WORDS = {
     "time": "time t timestamp zeit uhrzeit datetime clock elapsed seconds epoch utc sec millis micros temps tiempo stamp x",
@@ -52,11 +52,11 @@ _WORDS = {
     "ct": "ct",
     "advance_ratio": "j advance",
 }
-"""Words of a header by what they mean, what is sought first in front."""
+"""Words of a header by quantity, the most specific first."""
 
 
 _PITCH = ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel")
-"""Of these words those that mean nothing but pitch; an angle may be the stand's."""
+"""The words that mean pitch only; an angle may be the stand's."""
 
 
 def _words(text: str) -> frozenset[str]:
@@ -70,7 +70,7 @@ _NOT = _words("torque mz mx my power watt efficiency acc accx accy accz vibratio
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the log and the unit that it is in; `sure`: how the pair was come by, "" where a user told it."""
+    """A column of the log and its unit; `sure`: confidence of a proposal, "" if given by a user."""
 
     name: str
     unit: str
@@ -82,8 +82,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a log's columns are, by quantity, and quantities that stand `fixed` at a value in the record's unit. `read`: how the
-    file is read."""
+    """A log's columns by quantity, and `fixed` values in the record's unit. `read`: options that read the file."""
 
     columns: Mapping[str, Column]
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -101,10 +100,10 @@ class Plan:
         return " ".join(["--map", *(f"'{p}'" if re.search(r"[^\w=:./%-]", p) else p for p in pairs), *fixed])
 
 
-def parse_pairs(pairs: Iterable[str], sheet: Sheet, force: bool = False) -> dict[str, Column | None]:
-    """The columns of NAME=COLUMN:UNIT, each as the sheet names it; without :UNIT the unit is the header's; None of NAME=-.
+def parse_pairs(pairs: Iterable[str], sheet: RawTable, force: bool = False) -> dict[str, Column | None]:
+    """The columns of NAME=COLUMN:UNIT, named as in the table; without :UNIT the unit is the header's; None for NAME=-.
 
-    `force`: take a unit that contradicts the header. BadInput.
+    `force`: accept a unit that contradicts the header. BadInput.
     """
     found: dict[str, Column | None] = {}
     for pair in pairs:
@@ -120,7 +119,7 @@ def parse_pairs(pairs: Iterable[str], sheet: Sheet, force: bool = False) -> dict
 
 
 def parse_fixed(pairs: Iterable[str]) -> dict[str, float]:
-    """Values of NAME=VALUE:UNIT, in a record's units. BadInput."""
+    """Values of NAME=VALUE:UNIT in a record's units. BadInput."""
     found = {}
     for pair in pairs:
         name, _, rest = pair.partition("=")
@@ -137,7 +136,7 @@ def parse_fixed(pairs: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def _pair(quantity: str, text: str, sheet: Sheet, force: bool) -> Column:
+def _pair(quantity: str, text: str, sheet: RawTable, force: bool) -> Column:
     """COLUMN or COLUMN:UNIT; a column's own name may hold a colon."""
     name, colon, unit = text.rpartition(":")
     if not colon or text in sheet.columns:
@@ -178,9 +177,9 @@ def _allowed(quantity: str) -> str:
     return f"a unit that pint can turn into {unit}, with a factor if need be: {quantity}=COLUMN:{unit}" if unit else "no unit"
 
 
-def propose(sheet: Sheet, without: Collection[str] = ()) -> dict[str, Column]:
-    """What the header makes likely, by quantity: at most one column each, and of those that fit equally the first. `without`:
-    columns that are another rotor's, or are spoken for."""
+def propose(sheet: RawTable, without: Collection[str] = ()) -> dict[str, Column]:
+    """Propose a column for each quantity from the header; of equal candidates, the first. `without`: columns of another rotor,
+    or already in use."""
     best: dict[str, tuple[tuple, Column]] = {}
     for place, name in enumerate(sheet.columns):
         if name not in without and (found := proposed(sheet, name)):
@@ -196,20 +195,20 @@ def propose(sheet: Sheet, without: Collection[str] = ()) -> dict[str, Column]:
 
 
 _INSTEAD = {"signal": ("omega_ref",), "ct": ("thrust",), "advance_ratio": ("thrust",)}
-"""What a quantity is not taken beside: it says the same."""
+"""Quantities that make another one redundant in a proposal."""
 
 _REPLACED = _INSTEAD | {"omega_ref": ("signal",), "thrust": ("ct",)}
-"""The same for a proposal beside what a user maps."""
+"""The same for a proposal that completes a user's mapping."""
 
 _DECIDE = ("time", "omega_ref", "beta_ref", "thrust", "signal", "ct", "advance_ratio")
-"""Quantities without which a log means something else; the others are left out where nothing says their unit."""
+"""Quantities whose unit must be certain; others are left out if their unit is a guess."""
 
 
 def completed(
-    sheet: Sheet, own: Mapping[str, Column | None], fixed: Mapping[str, float], without: Collection[str], accept: bool
+    sheet: RawTable, own: Mapping[str, Column | None], fixed: Mapping[str, float], without: Collection[str], accept: bool
 ) -> tuple[dict[str, Column], list[str]]:
-    """(a user's columns, and for all other quantities those of the proposal; what was said). `accept`: also units that only
-    the end of a name gives, or nothing. BadInput where such a unit decides and is not accepted."""
+    """(a user's columns, completed by the proposal; messages). `accept`: also guessed units. BadInput if a quantity of _DECIDE
+    has a guessed unit that is not accepted."""
     taken = {column.name for column in own.values() if column}
     given = {*own, *fixed}
     columns = {q: c for q, c in propose(sheet, {*without, *taken}).items() if q not in given}
@@ -226,9 +225,9 @@ def completed(
     return {q: columns[q] for q in QUANTITIES if q in columns}, said
 
 
-def pitch_in_other_unit(sheet: Sheet, taken: Collection[str]) -> tuple[str, str, float, float] | None:
-    """(column, unit, its lowest and highest number) of a column that is pitch by its name, but no angle: a servo's pulse, a
-    stroke, counts. None where there is none, or where it is empty or 0 throughout."""
+def pitch_in_other_unit(sheet: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+    """(column, unit, smallest and largest number) of a column that is pitch by its name but not an angle: a servo's pulse, a
+    stroke, counts. None if there is none, or if it is empty or always 0."""
     for name in sheet.columns:
         quantity, _, tokens, _ = _meant(sheet, name)
         unit = sheet.unit(name) or _ending(name) or None
@@ -243,8 +242,8 @@ def pitch_in_other_unit(sheet: Sheet, taken: Collection[str]) -> tuple[str, str,
     return None
 
 
-def _seen(sheet: Sheet, name: str) -> np.ndarray:
-    """(n,) the numbers of a column; none where a cell is no number, which matters once the column is read."""
+def _seen(sheet: RawTable, name: str) -> np.ndarray:
+    """The finite numbers of a column; empty if a cell is not a number, which is an error only when the column is read."""
     try:
         values = sheet.numbers(name)
     except BadInput:
@@ -253,14 +252,13 @@ def _seen(sheet: Sheet, name: str) -> np.ndarray:
 
 
 def _ending(name: str) -> str:
-    """A unit that ends a name and is no abbreviation of a word: %, or us (of a pulse); "" where there is none."""
+    """A unit at the end of a name that abbreviates no word: %, or us (of a pulse); "" if there is none."""
     found = re.search(r"(?i)(%|(?<=[\W_])(?:us|pwm))$", name.strip())
     return "" if found is None else "%" if found[0] == "%" else "us"
 
 
-def _meant(sheet: Sheet, name: str) -> tuple[str, float, list[str], str]:
-    """(quantity, score, words, the last word as it is written) of a header's name; quantity "" where it says nothing of a
-    record's."""
+def _meant(sheet: RawTable, name: str) -> tuple[str, float, list[str], str]:
+    """(quantity, score, words, last word as written) of a header's name; quantity "" if the name suggests none."""
     base, _ = split_unit(name)
     text = re.sub(r"(?i)\bload[ _]cell\b", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
     tokens = [t for t in re.split(r"[\W_]+|(?<=[a-zA-Z])(?=\d)", text.casefold()) if t and not t.isdigit()]
@@ -285,8 +283,8 @@ def _meant(sheet: Sheet, name: str) -> tuple[str, float, list[str], str]:
     return f"{quantity}_ref" if command and quantity in ("omega", "beta") else quantity, score, tokens, tail
 
 
-def proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
-    """(quantity, score, column) of a header's name; None where it says nothing of a record's."""
+def proposed(sheet: RawTable, name: str) -> tuple[str, float, Column] | None:
+    """(quantity, score, column) of a header's name; None if the name suggests no quantity."""
     quantity, score, tokens, tail = _meant(sheet, name)
     if not quantity:
         return None
@@ -317,7 +315,7 @@ def proposed(sheet: Sheet, name: str) -> tuple[str, float, Column] | None:
 
 
 def _score(tokens: list[str], words: list[str]) -> float:
-    """How well a name's words are a quantity's: all of them, or some; the words in front of the list say more."""
+    """Score of a name's words for a quantity: 2 if all match, 1 if some do, less for words late in the list."""
     places = [next((k for k, word in enumerate(words) if _is(t, word)), None) for t in tokens]
     known = [place for place in places if place is not None]
     if not known:
@@ -327,7 +325,7 @@ def _score(tokens: list[str], words: list[str]) -> float:
 
 
 def _is(token: str, word: str) -> bool:
-    """Whether a word of a header is one of a list, by itself or, if it is long enough to be meant, in a compound."""
+    """Whether a word of a header is a listed word; a listed word of four letters or more may be part of a compound."""
     return token == word or (len(word) >= 4 and (token.startswith(word) or token.endswith(word)))
 
 
@@ -335,8 +333,8 @@ def _commands(token: str) -> bool:
     return token in _COMMAND or any(len(word) >= 4 and token.startswith(word) for word in _COMMAND) or token.endswith("cmd")
 
 
-def _assumed(sheet: Sheet, name: str, quantity: str) -> tuple[str | None, str]:
-    """(unit, how sure) where the log tells none."""
+def _assumed(sheet: RawTable, name: str, quantity: str) -> tuple[str | None, str]:
+    """(unit, confidence) of a column without a unit."""
     if quantity == "time":
         unit = guessed_unit(sheet.numbers(name))
         return unit or "s", LIKELY if unit else GUESS
@@ -355,8 +353,8 @@ def _assumed(sheet: Sheet, name: str, quantity: str) -> tuple[str | None, str]:
     return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
 
-def _numeric(sheet: Sheet, name: str) -> bool:
-    """Whether most cells are numbers: what the others are is said when the column is read."""
+def _numeric(sheet: RawTable, name: str) -> bool:
+    """Whether most cells are numbers; the others are reported when the column is read."""
     if sheet.columns[name].dtype.kind != "O":
         return sheet.columns[name].dtype.kind == "f"
     texts = [plain(cell, sheet.decimal) for cell in sheet.columns[name].tolist()[:1000]]
@@ -364,8 +362,8 @@ def _numeric(sheet: Sheet, name: str) -> bool:
     return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
 
 
-def _alive(sheet: Sheet, name: str, quantity: str) -> tuple[bool, bool]:
-    """(whether a column has values, whether they move): of two speeds the one that is connected."""
+def _alive(sheet: RawTable, name: str, quantity: str) -> tuple[bool, bool]:
+    """(whether a column has values, whether they vary): of two speed sensors, selects the connected one."""
     if quantity == "time" or sheet.columns[name].dtype.kind == "O":
         return True, True
     values = sheet.numbers(name)

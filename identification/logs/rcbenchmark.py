@@ -1,15 +1,15 @@
-"""Logs of RCbenchmark (Tyto Robotics) stands, fixed pitch: read with their units, freed of what is no measurement.
+"""Read logs of RCbenchmark (Tyto Robotics) stands with fixed pitch, and remove cells that are not measurements.
 
-What the logger does to its data, as two logs of 80 to 120 rows a second show (notes/identification.md):
+Properties of the logger, from two logs of 80 to 120 rows a second (notes/identification.md):
 
-- A third of the filled thrust cells repeat the last value to the last digit, where neighbours differ by 900 steps of the
-  converter: one conversion read twice. The repeat is left empty, or whatever counts readings counts it twice.
-- The logger stalls: a gap of 80 to 97 ms in most steps up, and the row stamped behind it was taken before it (the current in it
-  still is the motor's inrush). Its readings are left empty, but for the voltage.
-- Its clock goes back by some ms in four of 15 875 rows: those are mended as any log's (clock.py), and counted.
-- Rows further apart than SAMPLED are averages that its program has made: steady points, and no samples.
-- Speed and thrust are smoothed from row to row: behind a gap they approach by half of what is left a row, not a time constant,
-  long after the current has settled. They are left empty until less than 1 % of it is left, REMEMBERED rows in all.
+- A third of the filled thrust cells repeat the last value to the last digit; other neighbours differ by 900 steps of the
+  converter. Such a cell is one conversion read twice: it is emptied, so that it counts once.
+- The logger stalls: most steps up have a gap of 80 to 97 ms. The row after a gap was measured before it (its current is still
+  the motor's inrush). Its readings are emptied, except the voltage.
+- Its clock decreases by some ms in four of 15 875 rows: these are corrected as in any log (clock.py), and counted.
+- Rows further apart than SAMPLED are averages by its program: steady points, not samples.
+- Speed and thrust are smoothed over rows: after a gap half of the remaining step is made per row, whatever the time between
+  rows. They are emptied until less than 1 % of the step remains, for REMEMBERED rows.
 
 Nothing is resampled: rows keep their uneven times.
 """
@@ -29,26 +29,26 @@ from vpp_fmu.files import Table, read_text
 from vpp_fmu.record import Record
 
 STALL = 4.0
-"""A gap of this many median intervals is a stall: the logs' stalls are 4.6 to 12 of them, all else is below 3.2."""
+"""A gap longer than this many median intervals is a stall: stalls of the logs have 4.6 to 12, other gaps less than 3.2."""
 
 REMEMBERED = 7
-"""Rows behind a stall whose speed and thrust still remember it: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step is left."""
+"""Rows after a stall in which speed and thrust still approach: 0.3, 0.12, 0.06, 0.03, 0.015, 0.007 of a step remains."""
 
 COARSE = 10.0
-"""Median change from value to value over the smallest; below it neighbours of a noisy reading are equal by chance, in 3 % of
-the cases and more. The logs have 900."""
+"""Minimum ratio of the median change between values to the smallest, for equal neighbours to be repeats. Below it 3 % or more
+are equal by chance. The logs have 900."""
 
 SAMPLED = 0.04
-"""Longest median interval [s] of rows that are samples: stands take one every 8 to 12 ms; rows 125 ms apart are averages."""
+"""Longest median interval [s] of samples: stands sample every 8 to 12 ms; rows 125 ms apart are averages."""
 
 POINTS = 1.0
-"""Median interval [s] from which each row is a steady point by itself."""
+"""Median interval [s] above which each row is a steady point."""
 
 AT_REST = 0.5
-"""Time [s] without a turning motor after which the thrust is that of rest."""
+"""Time [s] after the motor's stop from which thrust readings are at rest."""
 
 FEWEST_AT_REST = 10
-"""Readings at rest that a tare needs."""
+"""Minimum readings at rest for a tare."""
 
 _GRAVITY = 9.80665
 _TURN = 30.0 / np.pi
@@ -64,17 +64,17 @@ _UNITS = {
 """Factors to the units of a record, by quantity and unit in lower case."""
 
 _SPEEDS = ("motor optical speed", "motor electrical speed")
-"""Best first: the electrical one needs the right number of poles, and some stands only write zeros there."""
+"""By preference: the electrical speed needs the right number of poles, and some stands write zeros there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A log as it stands, each array (n,): time [s] from 0, ESC signal (held through empty cells), speed [rpm] or None, thrust
-    [N] as logged, voltage [V] (held too), current [A] or None; NaN where a cell is empty.
+    """A log as written, each array (n,): time [s] from 0, ESC signal (empty cells hold the last value), speed [rpm] or None,
+    thrust [N] with its offset, voltage [V] (held too), current [A] or None; NaN for an empty cell.
 
-    Masks (n,): `repeated` thrust cells; `late` rows behind a stall; `stalled` rows that still remember one. `start`: what the
-    log calls time 0 [s]. `names`: the columns that were used, by quantity. `dropped`: rows left out, by reason. `mended`: how
-    often the clock went back, and by how many s at most.
+    Masks (n,): `repeated` thrust cells; `late` rows right after a stall; `stalled` rows affected by one. `start`: the log's
+    time [s] at 0. `names`: columns used, by quantity. `dropped`: numbers of skipped rows by reason. `mended`: number of
+    decreases of the clock, and the largest [s].
     """
 
     source: str
@@ -95,12 +95,12 @@ class Log:
 
     @property
     def interval(self) -> float:
-        """s, the median from row to row."""
+        """Median step, s."""
         return float(np.median(np.diff(self.time)))
 
     @property
     def averaged(self) -> bool:
-        """Whether rows are averages and no samples."""
+        """Whether rows are averages, not samples."""
         return self.interval > SAMPLED
 
     @property
@@ -110,7 +110,7 @@ class Log:
 
     @property
     def resting(self) -> np.ndarray:
-        """(n,) rows with a reading of the thrust at rest: no speed, and none for AT_REST before."""
+        """Mask (n,) of thrust readings at rest: the speed is 0, and has been for AT_REST."""
         if self.speed is None:
             return np.zeros(len(self.time), bool)
         turning = np.where(self.speed > 0.0, self.time, -np.inf)
@@ -119,12 +119,12 @@ class Log:
 
     @property
     def loaded_voltage(self) -> float:
-        """V, the median with the motor turning; NaN if it never does."""
+        """Median voltage with the motor turning, V; NaN if it never turns."""
         turning = np.zeros(len(self.time), bool) if self.speed is None else self.speed > 0.0
         return float(np.median(self.voltage[turning])) if turning.any() else float("nan")
 
     def steady_points(self) -> SteadyPoints:
-        """Where the motor ran steadily; where rows are points, every one with the motor turning."""
+        """Steady points with the motor turning; if rows are points, all of them."""
         if self.speed is None:
             return SteadyPoints(*np.empty((3, 0)), np.nan)
         if self.points and (turning := self.speed > 0.0).any():
@@ -133,8 +133,7 @@ class Log:
         return steady_points(self.time, self.signal, self.speed, self.voltage, ~self.stalled, self.span.low)
 
     def filled_speed(self) -> np.ndarray:
-        """(n,) rpm: the measured speed as a command, which has no gaps: on a line over empty cells and rows behind a stall.
-        BadInput without one."""
+        """The measured speed (n,) as a command, rpm, interpolated over empty cells and stalled rows. BadInput without one."""
         there = np.isfinite(self.speed) & ~self.stalled if self.speed is not None else np.zeros(0, bool)
         if not there.any():
             raise BadInput(
@@ -143,15 +142,15 @@ class Log:
         return np.interp(self.time, self.time[there], self.speed[there])
 
     def tare(self) -> tuple[float, float, int] | None:
-        """Thrust at rest: (mean [N], spread of a reading [N], readings); None where the log has too little rest."""
+        """Thrust at rest: (mean [N], standard deviation [N], number of readings); None if readings are too few."""
         rest = self.thrust[self.resting]
         return (float(rest.mean()), float(rest.std()), len(rest)) if len(rest) >= FEWEST_AT_REST else None
 
     def record(self, omega_ref: np.ndarray, offset: float = 0.0, keep_stalls: bool = False) -> Record:
-        """The record, thrust less `offset` [N]; pitch is fixed: `beta_ref` is 0.
+        """The record, with `offset` [N] subtracted from the thrust, and `beta_ref` 0 (fixed pitch).
 
-        Repeated thrust is empty, and what the rows behind a stall measured, unless `keep_stalls`. Voltage has a value in each
-        row, a late one the value from before the stall: it is an effect's input, and an input has no gaps.
+        Repeated thrust is empty, and so are readings of stalled rows unless `keep_stalls`. The voltage has no gaps, because it
+        is an effect's input: late rows hold the value from before the stall.
         """
         late, stalled = (np.zeros_like(rows) if keep_stalls else rows for rows in (self.late, self.stalled))
         columns = {"time": self.time, "omega_ref": omega_ref, "beta_ref": np.zeros(len(self.time))}
@@ -165,7 +164,7 @@ class Log:
 
 
 def read_log(path: str | os.PathLike) -> Log:
-    """Read a log. BadInput: no such column, a unit that is not known, a cell that is no number, time that goes back."""
+    """Read a log. BadInput: a column is missing, a unit is unknown, a cell is not a number, or time decreases."""
     table, notes = _table(path)
     headers = {_split(name)[0]: name for name in table.columns}
     needed = {"time": "Time", "signal": "ESC signal", "thrust": "Thrust", "voltage": "Voltage"}
@@ -202,7 +201,7 @@ def read_log(path: str | os.PathLike) -> Log:
 
 
 def _table(path: str | os.PathLike) -> tuple[Table, int]:
-    """The cells as text, by header, and the number of lines that are notes: some users write theirs below the data."""
+    """(cells as text by header, number of lines with a user's notes)."""
     lines = [(i, line) for i, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
     kept = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
     if len(kept) < 3:
@@ -215,7 +214,7 @@ def _table(path: str | os.PathLike) -> tuple[Table, int]:
     for name, *column in zip(*cells, strict=True):
         if name in columns:
             raise BadInput(path, f"column {name}", "more than one of that name", "each column once")
-        if name:  # a comma ends each line, and so makes a column without a name
+        if name:  # a comma at the end of each line gives a column without a name
             columns[name] = np.array(column, dtype=object)
     return Table(str(path), columns, np.array([i for i, _ in kept[1:]])), len(lines) - len(kept)
 
@@ -234,7 +233,7 @@ def _find(table: Table, headers: Mapping[str, str], name: str) -> str:
 
 
 def _speed(table: Table, headers: Mapping[str, str]) -> str | None:
-    """The header of the best speed that is ever other than 0; if none is, of the best that is there."""
+    """The header of the preferred speed that is not always 0; else of the preferred speed with any reading."""
     readings = {headers[name]: table.numbers(headers[name], gaps=("", "nan")) for name in _SPEEDS if name in headers}
     there = [name for name, column in readings.items() if np.isfinite(column).any()]
     moving = [name for name in there if np.nanmax(np.abs(readings[name])) > 0.0]
@@ -242,7 +241,7 @@ def _speed(table: Table, headers: Mapping[str, str]) -> str | None:
 
 
 def _converted(table: Table, header: str, quantity: str) -> np.ndarray:
-    """(n,) a column in the record's unit, NaN where a cell is empty."""
+    """A column (n,) in the record's unit, NaN for an empty cell."""
     units = _UNITS[quantity]
     unit = _split(header)[1]
     if unit not in units:
@@ -251,14 +250,14 @@ def _converted(table: Table, header: str, quantity: str) -> np.ndarray:
 
 
 def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str, int]]:
-    """Rows to keep, in their order, and how many are not, by reason. BadInput where time goes back by a row or more."""
+    """(rows to keep, numbers of skipped rows by reason). BadInput if time decreases by a row or more."""
     time, signal = table.numbers(names["time"], gaps=("", "nan")), table.numbers(names["signal"], gaps=("", "nan"))
     timed = np.isfinite(time)
     if not np.isfinite(signal).any():
         way = "vpp import csv takes the measured speed in its place (omega_ref=COLUMN:UNIT)"
         raise BadInput(table.source, f"column {names['signal']}", "empty cells only", f"the signal that drove the motor; {way}")
-    told = np.maximum.accumulate(np.isfinite(signal))
-    rows = np.flatnonzero(timed & told)
+    begun = np.maximum.accumulate(np.isfinite(signal))
+    rows = np.flatnonzero(timed & begun)
     if len(rows) < 2:
         raise BadInput(table.source, "rows", f"{len(rows)} with time and ESC signal", "at least two")
     moved = np.round(np.diff(time[rows]), 9)
@@ -266,10 +265,10 @@ def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str,
         row = int(np.argmax(far))
         found = f"{time[rows[row + 1]]:.9g} after {time[rows[row]]:.9g}"
         raise table.wrong(names["time"], rows[row + 1], found, "time that doesn't go back by a row or more")
-    kept = rows[np.append(moved != 0.0, True)]  # of rows at one time the last, which knows most
+    kept = rows[np.append(moved != 0.0, True)]  # of rows at equal time the last, whose cells are the most recent
     if len(kept) < 2:
-        raise BadInput(table.source, names["time"], f"one and the same in {len(rows)} rows", "a time that goes on")
-    early = int((timed & ~told).sum())
+        raise BadInput(table.source, names["time"], f"one and the same in {len(rows)} rows", "a time that increases")
+    early = int((timed & ~begun).sum())
     return kept, {
         "no time": int((~timed).sum()),
         "before the first ESC signal": early,
@@ -278,14 +277,14 @@ def _rows(table: Table, names: Mapping[str, str]) -> tuple[np.ndarray, dict[str,
 
 
 def _held(column: np.ndarray) -> np.ndarray:
-    """The column with empty cells holding the last value, at its start the first."""
+    """The column with empty cells filled by the last value, at its start by the first."""
     filled = np.isfinite(column)
     last = np.maximum.accumulate(np.where(filled, np.arange(len(column)), -1))
     return column[np.where(last < 0, np.argmax(filled), last)]
 
 
 def _stalls(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (n,): the rows right behind a stall; those and the ones that still remember it."""
+    """Masks (n,): rows right after a stall; all rows affected by a stall."""
     step = np.diff(time)
     late = np.append(False, step > STALL * np.median(step))
     late &= np.median(step) < SAMPLED
@@ -294,7 +293,7 @@ def _stalls(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _repeated(thrust: np.ndarray) -> np.ndarray:
-    """(n,) cells that repeat the filled one before to the last digit; none where that comes by chance (COARSE)."""
+    """Mask (n,) of cells equal to the filled cell before; none if equal values occur by chance (COARSE)."""
     filled = np.flatnonzero(np.isfinite(thrust))
     change = np.abs(np.diff(thrust[filled]))
     repeated, moved = np.zeros(len(thrust), bool), change[change > 0.0]
@@ -304,7 +303,7 @@ def _repeated(thrust: np.ndarray) -> np.ndarray:
 
 
 def _span(table: Table, header: str, signal: np.ndarray) -> SignalRange:
-    """DShot or PWM, by the header's unit, else by the values: no PWM idles below 900 us."""
+    """DShot or PWM, from the header's unit, else from the values: PWM is at least 900 us."""
     unit = _split(header)[1]
     if unit not in ("", *_US):
         raise BadInput(table.source, f"column {header}, unit", repr(unit), "µs, or none for DShot")

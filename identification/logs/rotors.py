@@ -1,37 +1,37 @@
-"""Several rotors in one log: columns whose names differ by a number or a side only, such as rpm_1 and rpm_2."""
+"""Find several rotors in one log: columns whose names differ only by a number or a side, such as rpm_1 and rpm_2."""
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from identification.logs.mapping import proposed
-from identification.logs.sheet import Sheet, split_unit
+from identification.logs.raw_table import RawTable, split_unit
 from vpp_fmu.errors import BadInput
 
 TELL = ("omega", "omega_ref", "signal", "thrust")
-"""Quantities of which each rotor has its own; several voltages are cells of a battery."""
+"""Quantities that each rotor has separately; several voltages are cells of a battery."""
 
 _LABEL = re.compile(r"(?i)\d+|(?<![a-z])(?:left|right|front|rear|upper|lower)(?![a-z])")
 
 
 @dataclass(frozen=True)
 class Rotors:
-    """`label`: of each column that is one rotor's alone, by name; `found`: all labels, in the file's order."""
+    """`label`: rotor of each column that belongs to one rotor, by name; `found`: all labels in the file's order."""
 
     label: Mapping[str, str]
     found: tuple[str, ...]
 
     def others(self, rotor: str) -> set[str]:
-        """Columns that are another rotor's."""
+        """Columns of the other rotors."""
         return {name for name, label in self.label.items() if label != rotor}
 
 
-def rotors(sheet: Sheet) -> Rotors:
-    """The rotors of a log, by proposals for the same quantity under names with the same stem. Empty where it has one."""
+def rotors(table: RawTable) -> Rotors:
+    """The rotors of a log, from columns of the same quantity whose names have the same stem. Empty if it has one rotor."""
     families: dict[tuple[str, str], dict[str, str]] = {}
-    for name in sheet.columns:
+    for name in table.columns:
         label = list(_LABEL.finditer(split_unit(name)[0]))
-        if label and (found := proposed(sheet, name)):
+        if label and (found := proposed(table, name)):
             stem = f"{name[: label[-1].start()]}#{name[label[-1].end() :]}".casefold()
             families.setdefault((found[0], stem), {})[label[-1][0].casefold()] = name
     several = {key: names for key, names in families.items() if len(names) > 1}
@@ -39,16 +39,16 @@ def rotors(sheet: Sheet) -> Rotors:
     return Rotors({name: label for names in several.values() for label, name in names.items() if label in labels}, labels)
 
 
-def chosen(sheet: Sheet, wanted: str | None, mapped: Iterable[str]) -> tuple[set[str], list[str]]:
-    """(columns of the rotors that are not taken, what was said). The rotor is the `wanted` one, else that of the columns that
-    the user has `mapped`, else the first. BadInput for a rotor that the log does not have."""
-    there = rotors(sheet)
+def chosen(table: RawTable, wanted: str | None, mapped: Iterable[str]) -> tuple[set[str], list[str]]:
+    """(columns of the rotors that are not imported, messages). The rotor is the `wanted` one, else that of the columns that the
+    user has `mapped`, else the first. BadInput for an unknown rotor."""
+    there = rotors(table)
     if not there.found:
         if wanted is not None:
-            raise BadInput(sheet.source, "--rotor", wanted, "a log with columns of several rotors, such as rpm_1 and rpm_2")
+            raise BadInput(table.source, "--rotor", wanted, "a log with columns of several rotors, such as rpm_1 and rpm_2")
         return set(), []
     if wanted is not None and wanted.casefold() not in there.found:
-        raise BadInput(sheet.source, "--rotor", wanted, f"one of {', '.join(there.found)}")
+        raise BadInput(table.source, "--rotor", wanted, f"one of {', '.join(there.found)}")
     own = [there.label[name] for name in mapped if name in there.label]
     rotor = wanted.casefold() if wanted is not None else own[0] if own else there.found[0]
     taken = ", ".join(name for name, label in there.label.items() if label == rotor)

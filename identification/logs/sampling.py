@@ -1,4 +1,4 @@
-"""What a log's rows are worth as samples: said when it comes in, each in one line with the number that shows it."""
+"""Checks of a log's rows as samples at import: gaps, averages, early commands, slow sampling; one line for each."""
 
 from pathlib import Path
 
@@ -16,68 +16,68 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
 
 HELD = 3
-"""Rows that a command keeps before and after a move that is judged."""
+"""Minimum rows of a command's hold before and after a move that is counted."""
 
 MOSTLY = 0.7
-"""Share of its rows that a command must hold in to be judged: with fewer it moves too often to have a value in between."""
+"""Minimum share of a command's rows in holds: with fewer, intermediate values are not due to averaging."""
 
 PASSES = 0.3
-"""Share of such moves with one value in between from which rows are averages: a command that is sampled goes over at once, and
-one that is limited in its slew takes as many rows as the move is long. Of means over a row nearly all have one."""
+"""Share of moves with exactly one intermediate value, above which rows are averages. A sampled step has none, a slew-limited
+one has rows in proportion to its size, and an averaged one nearly always has one."""
 
 FEWEST_MOVES = 4
-"""Moves from which the share tells."""
+"""Minimum number of moves for the share."""
 
 ROWS_BACK = 20
-"""Rows before whose moves of a command may still move the speed."""
+"""Earlier rows whose changes of a command may still change the speed."""
 
 CHANCE = 5.0
-"""Standard deviations that noise reaches in one log of three million."""
+"""Standard errors that noise alone exceeds in one of three million logs."""
 
 
 def said_of_gaps(record: Record) -> list[str]:
-    """Rows that are missing."""
+    """Report gaps between rows."""
     wide = gaps(record.time)
     if not len(wide):
         return []
     longest = wide[np.argmax(record.steps[wide])]
-    told = f"{len(wide)} steps of more than {GAP:g} rows of {1e3 * record.period:.3g} ms"
-    return [f"gaps: {told}, the longest of {number(record.steps[longest])} s at {record.time[longest]:.2f} s"]
+    count = f"{len(wide)} steps of more than {GAP:g} rows of {1e3 * record.period:.3g} ms"
+    return [f"gaps: {count}, the longest of {number(record.steps[longest])} s at {record.time[longest]:.2f} s"]
 
 
 def said_of_rows(record: Record) -> list[str]:
-    """Averages passed off as samples, and rows slower than what they sample."""
+    """Report rows that are averages, commands stamped late, and rows too slow for the lags."""
     lines = []
-    through, moves = between(record)
-    if moves >= FEWEST_MOVES and through > PASSES * moves:
-        told = f"in {through} of {moves} moves between held commands one row lies in between"
+    averaged, moves = between(record)
+    if moves >= FEWEST_MOVES and averaged > PASSES * moves:
+        count = f"in {averaged} of {moves} moves between held commands one row lies in between"
         row = f"{1e3 * record.period:.3g} ms"
-        lines.append(f"averages: {told}: rows are means over {row} and no samples, and lags come out wrong by as much")
+        lines.append(f"averages: {count}: rows are means over {row}, not samples; estimated lags are wrong by as much")
     return lines + _leads(record) + _slow(record)
 
 
 def between(record: Record) -> tuple[int, int]:
-    """(moves of a command with exactly one value in between, moves) between values that are held for HELD rows or more."""
-    through = moves = 0
+    """(moves with exactly one intermediate value, all moves) of commands between holds of HELD rows or more."""
+    averaged = moves = 0
     for name in ("omega_ref", "beta_ref"):
         command = record[name]
         first = np.flatnonzero(np.append(True, command[1:] != command[:-1]))
         length = np.diff(np.append(first, len(command)))
         held = length >= HELD
         if length[held].sum() < MOSTLY * len(command):
-            continue  # a ramp, or a measured speed in the command's place
+            continue  # a ramp, or a measured speed as the command
         moves += int(np.sum(held[:-1] & held[1:]))
         single = held[:-2] & (length[1:-1] == 1) & held[2:]
         before, at, after = (command[first[k : len(first) - 2 + k]] for k in range(3))
         inside = single & ((before - at) * (at - after) > 0.0)
-        through, moves = through + int(inside.sum()), moves + int(inside.sum())
-    return through, moves
+        averaged, moves = averaged + int(inside.sum()), moves + int(inside.sum())
+    return averaged, moves
 
 
 def _leads(record: Record) -> list[str]:
-    """Whether speed has moved in the row that commands it. A command acts from its row on: then it was sent before.
+    """Report whether the speed changes in the row of its command. A command acts from its row on, so it was sent earlier.
 
-    Changes of speed from row to row are fitted by those of the command in this row and the ROWS_BACK before it (least squares).
+    Least squares of the changes of speed on the changes of the command in the same row and ROWS_BACK rows before.
     """
     if "omega" not in record or len(record) < 5 * ROWS_BACK or not np.ptp(record["omega_ref"]):
         return []
@@ -90,16 +90,16 @@ def _leads(record: Record) -> list[str]:
         return []
     inverse = np.linalg.inv(information)
     share = inverse @ (moves.T @ speed)
-    left = speed - moves @ share
-    std = np.sqrt(inverse[0, 0] * np.sum(left**2) / (len(left) - len(share)))
+    residual = speed - moves @ share
+    std = np.sqrt(inverse[0, 0] * np.sum(residual**2) / (len(residual) - len(share)))
     if share[0] < CHANCE * std:
         return []
-    told = f"speed has gone {100.0 * share[0]:.2g} ± {100.0 * std:.1g} % of a move in the row that commands it"
-    return [f"clock: {told}, and a command acts from its row on: it was sent before; --mend shifts the commands by whole rows"]
+    early = f"speed has gone {100.0 * share[0]:.2g} ± {100.0 * std:.1g} % of a move in the row that commands it"
+    return [f"clock: {early}, but a command acts from its row on: it was sent before; --mend shifts the commands by whole rows"]
 
 
 def _slow(record: Record) -> list[str]:
-    """Whether thrust follows its commands within less rows than show a lag."""
+    """Report whether rows are too few per lag to estimate the lag."""
     if np.isfinite(record["thrust"]).sum() < 20 or not (np.ptp(record["omega_ref"]) or np.ptp(record["beta_ref"])):
         return []
     response = Look([record]).response()
@@ -109,14 +109,14 @@ def _slow(record: Record) -> list[str]:
     row = f"{1e3 * response.row:.3g} ms"
     if max(moved) == 0.0:
         return [
-            f"slow sampling: thrust follows its command within a row of {row}, where {FIFTH:g} rows show a lag: log more often"
+            f"slow sampling: thrust follows its command within a row of {row}, and a lag needs {FIFTH:g} rows: log more often"
         ]
     enough = 1e3 * response.row * max(moved) / FIFTH
-    told = f"thrust follows its command within {max(moved):.2g} rows of {row}"
-    return [f"slow sampling: {told}, where {FIFTH:g} rows show a lag: log every {enough:.2g} ms or more often"]
+    fast = f"thrust follows its command within {max(moved):.2g} rows of {row}"
+    return [f"slow sampling: {fast}, and a lag needs {FIFTH:g} rows: log every {enough:.2g} ms or more often"]
 
 
 def findings(record: Record) -> tuple[Finding, ...]:
-    """What the quality gate will say of a record: channels that are clipped, frozen, in another unit."""
+    """Findings of the quality gate about a record: channels that are clipped, frozen, or in a wrong unit."""
     campaign = Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {}))
     return look(campaign).findings

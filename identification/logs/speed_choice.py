@@ -1,7 +1,7 @@
-"""Whether a record's thrust follows the speed that its signal means, or the measured one: which should be its omega_ref.
+"""Choose the speed command of a record: the commanded or the measured speed, whichever explains the steady thrust.
 
-A motor that holds its speed poorly hides the rotor: its errors look like errors of the thrust map. With the measured speed as
-the command they are out of the model, and so is the motor.
+Poor speed control of a motor looks like errors of the thrust map. With the measured speed as the command, the model excludes
+the motor and its errors.
 """
 
 import numpy as np
@@ -15,17 +15,16 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
 
 POOR = 3.0
-"""Misfit of the commanded speed over the scatter of readings within steady parts from which the motor does not hold its
-command: neither noise nor the end of a move reaches that."""
+"""Ratio of the rms speed error to the scatter within steady parts, from which the motor does not hold its command. Noise and
+the end of a transient stay below it."""
 
 PREFERS = 3.0
-"""Nats of log-likelihood by which the measured speed must explain the steady thrust better: odds of 20 to 1, where both speeds
-were as likely before."""
+"""Minimum log-likelihood gain, nats, of the measured speed: odds of 20 to 1 for equal priors."""
 
 
 def said_of_speed(record: Record) -> list[str]:
-    """A proposal to take the measured speed for the command, with the numbers that show it; empty where it explains the steady
-    thrust no better, or where the motor holds its command."""
+    """Propose the measured speed as the command, with the evidence; empty if the motor holds its command or the thrust is not
+    explained better."""
     if "omega" not in record:
         return []
     found = [
@@ -50,12 +49,12 @@ def said_of_speed(record: Record) -> list[str]:
 
 
 def likelihood_gain(command: np.ndarray, omega: np.ndarray, beta: np.ndarray, thrust: np.ndarray) -> float:
-    """Log-likelihood [nats] that steady thrust (n,) N gains if measured speed `omega` takes the place of the commanded one,
-    both rpm, in the thrust map at pitch `beta` [deg]:
+    """Log-likelihood gain [nats] of steady thrust (n,) N if measured speed `omega` replaces the `command`, both rpm, in the
+    thrust map at pitch `beta` [deg]:
 
         n / 2 log(S_command / S_omega),   S: sum of squared residuals of the fitted map
 
-    Both maps have the same terms, so no penalty differs. 0 where there are too few points for a residual.
+    Both maps have the same number of parameters, so penalties cancel. 0 if points are too few for a residual.
     """
     sums = []
     for speed in (command, omega):

@@ -1,9 +1,9 @@
-"""The static map from an ESC's signal to rotor speed, so that a log of signals becomes a record of speed commands.
+"""Fit the static map from an ESC's signal to rotor speed, to convert a log of signals to speed commands.
 
     omega = a_0 + a_1 x + a_2 x^2 + a_3 x^3,   x = throttle * voltage / nominal voltage   (omega in rpm)
 
-The throttle is the signal as a share of its range. The fit uses the voltage that was measured; `omega_ref` is the map at the
-nominal voltage and so depends on the signal alone, as a command must: what the battery does to the speed is an effect.
+The throttle is the signal as a share of its range. The fit uses the measured voltage. `omega_ref` is the map at the nominal
+voltage, so that the command depends on the signal only; the influence of the battery on the speed is modelled as an effect.
 """
 
 import json
@@ -19,28 +19,28 @@ from vpp_fmu.files import read_text
 FORMAT = "vpp-speed-map/1"
 
 PLATEAU = 1.0
-"""A signal held longer than this [s] gives a steady point, from the second half of the time it is held."""
+"""s: a signal held longer gives a steady point, the mean over the second half of the hold."""
 
 UNSTEADY = 0.02
-"""Spread of the speed over its mean from which a part is not steady: a motor that stops, or that stutters at low throttle."""
+"""Ratio of the speed's standard deviation to its mean, from which a part is not steady: the motor stops or stutters."""
 
 SETTLED = 0.002
-"""Share by which the speed may still move between the last two quarters of a part held for PLATEAU or less: behind a lag of
-half such a part, the mean of its second half is then within twice as much of the settled speed."""
+"""Largest relative change of speed between the last two quarters of a part held for PLATEAU or less. With a time constant of
+half such a part, the mean of its second half then differs from the settled speed by at most twice as much."""
 
 AT_REST = 0.01
-"""Share of a log's largest speed below which the rotor is at rest: no motor turns a hundred times slower than it can."""
+"""Share of a log's largest speed below which the rotor is at rest."""
 
 ROWS = 3
-"""Readings from which a held signal shows whether the rotor turns, and whether it still slows down."""
+"""Minimum readings of a hold that show whether the rotor turns and whether it decelerates."""
 
 FEWEST = 5
-"""Different signals that a fit needs: a cubic, and one to contradict it."""
+"""Minimum number of different signals for the fit of a cubic: one more than its coefficients."""
 
 
 @dataclass(frozen=True)
 class SignalRange:
-    """What an ESC's signal runs between; `kind` as in the file."""
+    """Range of an ESC's signal; `kind` as in the file."""
 
     kind: str
     low: float
@@ -61,9 +61,9 @@ RANGES = {
 
 @dataclass(frozen=True, eq=False)
 class SteadyPoints:
-    """Where the motor ran steadily: signal, voltage [V] and speed [rpm], each (points,).
+    """Steady operation of the motor: signal, voltage [V] and speed [rpm], each (points,).
 
-    `turns_from`: the smallest signal at which the log shows the rotor turning, steadily or not; NaN where none does.
+    `turns_from`: the smallest signal at which the rotor turns, steadily or not; NaN if there is none.
     """
 
     signal: np.ndarray
@@ -77,9 +77,9 @@ class SteadyPoints:
 
 @dataclass(frozen=True)
 class SpeedMap:
-    """A fitted map: `coefficients` a_0 ... a_3 [rpm], good for signals from `turns_from` to `fitted_to`.
+    """A fitted map: `coefficients` a_0 ... a_3 [rpm], valid for signals from `turns_from` to `fitted_to`.
 
-    `rms` [rpm]: what the `points` steady points of the log `source` leave.
+    `rms` [rpm]: residual of the `points` steady points of the log `source`.
     """
 
     coefficients: tuple[float, ...]
@@ -92,20 +92,20 @@ class SpeedMap:
     source: str
 
     def speed(self, signal: np.ndarray, voltage: np.ndarray | float) -> np.ndarray:
-        """(n,) rpm at signals (n,) and voltage [V], (n,) or one; 0 below the smallest signal that turns the motor."""
+        """Speed (n,) rpm at signals (n,) and voltage [V], (n,) or scalar; 0 below `turns_from`."""
         x = self.signal.throttle(signal) * voltage / self.nominal_voltage
         return np.where(signal < self.turns_from, 0.0, np.maximum(np.polyval(self.coefficients[::-1], x), 0.0))
 
     def omega_ref(self, signal: np.ndarray) -> np.ndarray:
-        """(n,) rpm: the command that a signal means, whatever the battery's voltage is."""
+        """Command (n,) rpm of a signal, independent of the battery's voltage."""
         return self.speed(signal, self.nominal_voltage)
 
     def reaching(self, turns_from: float) -> "SpeedMap":
-        """The map for a log that shows the rotor turning from a lower signal on; NaN: none does."""
+        """The map, extended to a smaller signal at which a log shows the rotor turning; NaN: unchanged."""
         return replace(self, turns_from=turns_from) if turns_from < self.turns_from else self
 
     def error(self, points: SteadyPoints) -> np.ndarray:
-        """(points,) rpm, map less measured at the measured voltage."""
+        """Map minus measured speed at the measured voltage, (points,) rpm."""
         return self.speed(points.signal, points.voltage) - points.speed
 
     def to_json(self) -> str:
@@ -127,10 +127,10 @@ class SpeedMap:
 def steady_points(
     time: np.ndarray, signal: np.ndarray, speed: np.ndarray, voltage: np.ndarray, usable: np.ndarray, lowest: float = 0.0
 ) -> SteadyPoints:
-    """Means over the steady parts with the motor turning; all (n,), in s, rpm, V; rows that are not `usable` are left out.
+    """Means over steady parts with the motor turning; all (n,), in s, rpm, V; rows that are not `usable` are left out.
 
-    Parts held for PLATEAU or less only complete a map: they are points where no longer part has so low or so high a signal.
-    `lowest`: the signal of no throttle.
+    Parts held for PLATEAU or less are used only at signals outside the range of the longer parts. `lowest`: signal at zero
+    throttle.
     """
     long, short = [], []
     for rows, held in _held_parts(signal, time):
@@ -150,10 +150,10 @@ def steady_points(
 
 
 def turning_from(time: np.ndarray, signal: np.ndarray, speed: np.ndarray, lowest: float) -> float:
-    """The smallest held signal at whose end the rotor turns; all (n,), speed in rpm with NaN where there is none. NaN: none.
+    """The smallest held signal at which the rotor turns at the end of the hold, NaN if there is none; all (n,), speed in rpm.
 
-    A rotor that still slows down there may be coasting: it counts only above every signal at which one came to rest, and above
-    the `lowest` one, of no throttle.
+    A decelerating rotor may coast: it counts only above each signal at which the rotor came to rest, and above `lowest`, the
+    signal at zero throttle.
     """
     rest, turning, slowing = [lowest], [], []
     floor = AT_REST * np.nanmax(speed, initial=0.0, where=np.isfinite(speed))
@@ -165,20 +165,20 @@ def turning_from(time: np.ndarray, signal: np.ndarray, speed: np.ndarray, lowest
         level = float(signal[rows][0])
         if end > floor:
             (slowing if end < (1.0 - UNSTEADY) * before else turning).append(level)
-        elif before > floor or held > PLATEAU:  # else it may be about to start
+        elif before > floor or held > PLATEAU:  # else the motor may be about to start
             rest.append(level)
     stops = max((level for level in rest if level < min(turning, default=np.inf)), default=-np.inf)
     return min([*turning, *(level for level in slowing if level > stops)], default=np.nan)
 
 
 def _quarters(half: np.ndarray) -> tuple[float, float]:
-    """Medians of the third and the last quarter of a part, from its second half."""
+    """Medians of the third and the fourth quarter of a part, given its second half."""
     before, end = (float(np.median(part)) for part in np.array_split(half, 2))
     return before, end
 
 
 def _held_parts(signal: np.ndarray, time: np.ndarray) -> Iterator[tuple[slice, float]]:
-    """(rows of the second half, s held) of each part in which the signal holds."""
+    """(rows of the second half, duration [s]) of each hold of the signal."""
     starts = np.flatnonzero(np.append(True, signal[1:] != signal[:-1]))
     for first, end in zip(starts, [*starts[1:], len(signal)], strict=True):
         held = float(time[end - 1] - time[first])
@@ -186,7 +186,7 @@ def _held_parts(signal: np.ndarray, time: np.ndarray) -> Iterator[tuple[slice, f
 
 
 def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: float, source: str) -> SpeedMap:
-    """Fit the cubic by least squares. BadInput: too few different signals, or a map that does not rise over them."""
+    """Fit the cubic by least squares. BadInput: too few different signals, or a map that does not increase over them."""
     different = len(np.unique(points.signal))
     if different < FEWEST:
         allowed = f"{FEWEST} or more with the motor turning, or the map of another log with --speed-map"
@@ -195,7 +195,7 @@ def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: floa
     a, *_ = np.linalg.lstsq(np.vander(x, 4, increasing=True), points.speed, rcond=None)
     along = np.linspace(x.min(), x.max(), 101)
     if np.any(np.diff(np.polyval(a[::-1], along)) <= 0.0):
-        raise BadInput(source, "steady parts", "speeds that don't rise with the ESC signal", "one rising curve")
+        raise BadInput(source, "steady parts", "speeds that don't increase with the ESC signal", "an increasing curve")
     rms = float(np.sqrt(np.mean((np.polyval(a[::-1], x) - points.speed) ** 2)))
     reach = points.turns_from, float(points.signal.max())
     return SpeedMap(tuple(a.tolist()), nominal_voltage, span, *reach, rms, len(points), source)
@@ -240,8 +240,8 @@ def _number(path: str | os.PathLike, field: str, found: object, above: float = -
 
 
 def fit_quality(points: SteadyPoints, speed_map: SpeedMap) -> dict[str, float | int]:
-    """How a map fits a log's steady points: how many it is good for and how many lie beyond, rms and largest error [rpm], and
-    the signal of the largest."""
+    """Fit of a map to a log's steady points: numbers of points within its range and beyond, rms and largest error [rpm], and
+    the signal at the largest."""
     known = (points.signal >= speed_map.turns_from) & (points.signal <= speed_map.fitted_to)
     figures = {"points": int(known.sum()), "points_beyond": int((~known).sum())}
     if not known.any():

@@ -1,10 +1,10 @@
-"""What a log's columns may mean, and the factor from a log's unit to a record's; pint knows the units.
+"""Quantities of a log's columns, and the factor from a log's unit, as parsed by pint, to a record's.
 
     value in a record = factor * value in the log
 
-A unit may bear a number of its own: "4 ms" of a count of rows, "-1 N" of a cell that counts downwards, "0.0123 N" of a digit.
-"erpm/7" is the electrical speed [rpm] of a motor with 7 pole pairs. "us@1000=-5,2000=10" is a linear calibration by two points:
-raw readings in us, and the values there in the record's unit:
+A unit may include a number: "4 ms" per row, "-1 N" for a load cell of opposite sign, "0.0123 N" per digit. "erpm/7" is the
+electrical speed [rpm] of a motor with 7 pole pairs. "us@1000=-5,2000=10" is a linear calibration by two points: raw readings in
+us, and the values there in the record's unit:
 
     value in a record = factor * value in the log + offset
 """
@@ -20,8 +20,8 @@ import pint
 
 @dataclass(frozen=True)
 class Quantity:
-    """A column that a log may hold: its `unit` in a record and what it means. `turning`: a count of turns, so that Hz and 1/min
-    are turns too; `force`: grams and pounds are those of weight."""
+    """A quantity of a column: its `unit` in a record and its meaning. `turning`: Hz and 1/min are turns per time; `force`:
+    grams and pounds are units of weight."""
 
     name: str
     unit: str
@@ -49,11 +49,11 @@ QUANTITIES = {
         Quantity("advance_ratio", "", "advance ratio J of a steady point; 0 is static"),
     )
 }
-"""All that a mapping may name."""
+"""All quantities of a mapping, by name."""
 
 _NO = (pint.errors.PintError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, SyntaxError, AssertionError)
 _NO += (RecursionError, tokenize.TokenError)
-"""How pint's parser, which is a calculator's, says that a text is no unit."""
+"""Errors by which pint's parser of expressions rejects a text that is not a unit."""
 
 _ELECTRICAL = re.compile(r"(?i)e[-_ ]?rpm\s*/\s*([1-9]\d*)")
 
@@ -61,13 +61,13 @@ _POINT = r"\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*"
 _CALIBRATION = re.compile(rf"(?i)([^@]*)@{_POINT}={_POINT},{_POINT}={_POINT}")
 
 SIGNALS = {"us": "PWM", "%": "throttle", "1": "throttle", "": "DShot"}
-"""The kind of a motor's signal, by the unit it is in."""
+"""Kind of a motor's signal by its unit."""
 
 
 def factor_of(quantity: Quantity, unit: str) -> float | None:
-    """The factor from a unit to the quantity's own; None where pint does not know it or it is one of something else.
+    """The factor from a unit to the quantity's own; None if pint does not know the unit or its dimension differs.
 
-    Case is tried as it stands and then lowered: RPM is rpm, but MN is no mN.
+    The text is tried as written, then in lower case: RPM is rpm, but MN is not mN.
     """
     if quantity.name == "signal":
         return _signal_factor(unit)
@@ -83,7 +83,7 @@ def factor_of(quantity: Quantity, unit: str) -> float | None:
 
 
 def scale_of(quantity: Quantity, unit: str) -> tuple[float, float] | None:
-    """(factor, offset) from a unit or a calibration to the quantity's own unit; None where it is neither."""
+    """(factor, offset) from a unit or a calibration to the quantity's own unit; None if it is neither."""
     found = _CALIBRATION.fullmatch(unit.strip())
     if found is None:
         factor = factor_of(quantity, unit)
@@ -99,9 +99,9 @@ def scale_of(quantity: Quantity, unit: str) -> tuple[float, float] | None:
 
 
 def contradicts(quantity: Quantity, given: str, header: str) -> bool:
-    """Whether a unit that a user gives for a column contradicts the one in the log's header.
+    """Whether the unit given by a user for a column contradicts the unit in the log's header.
 
-    A number in the given unit is a scale of the user's: "-1 gf" agrees with gf, "0.0123 N" with V, and "1000 N" not with gf.
+    A number in the given unit is the user's scale: "-1 gf" agrees with gf, "0.0123 N" with V, but "1000 N" not with gf.
     """
     if found := _CALIBRATION.fullmatch(given.strip()):
         pair = _known(quantity, found[1].strip()), _known(quantity, header)
@@ -119,18 +119,18 @@ def contradicts(quantity: Quantity, given: str, header: str) -> bool:
 
 
 def is_rate(text: str) -> bool:
-    """Whether a unit is one of something by time, such as deg/s."""
+    """Whether a unit is per time, such as deg/s."""
     found = _parsed(text.strip())
     return found is not None and found.units.dimensionality.get("[time]", 0) < 0
 
 
 def is_unit(text: str) -> bool:
-    """Whether pint knows a unit, of whatever it may be."""
+    """Whether pint knows a unit, of any dimension."""
     return text == "%" or _parsed(text.strip()) is not None or _parsed(text.strip().lower()) is not None
 
 
 def signal_unit(unit: str) -> str | None:
-    """The unit of a motor's signal as SIGNALS names it: us, %, 1, or "" of DShot's numbers; None for any other."""
+    """The unit of a motor's signal as in SIGNALS: us, %, 1, or "" for DShot; None for any other."""
     text = unit.strip()
     if text in ("%", "1", ""):
         return text
@@ -154,7 +154,7 @@ def _factor(quantity: Quantity, found: pint.Quantity) -> float | None:
     if quantity.turning and found.check("1/[time]") and "radian" not in found.to_base_units().units._units:
         found = found * units.turn
     if found.dimensionless and "radian" not in found.to_base_units().units._units:
-        return None  # pint takes a bare number for radians; nobody who leaves a unit out means them
+        return None  # pint reads a bare number as radians
     try:
         factor = float(found.to(quantity.unit).magnitude)
     except pint.errors.PintError:
@@ -163,16 +163,16 @@ def _factor(quantity: Quantity, found: pint.Quantity) -> float | None:
 
 
 def _known(quantity: Quantity, text: str) -> pint.Quantity | None:
-    """A unit as pint knows it, by preference one of the quantity."""
+    """A unit as pint parses it, preferably one of the quantity's dimension."""
     found = [f for t in dict.fromkeys((text.strip(), text.strip().lower())) if (f := _parsed(t)) is not None]
     return next((f for f in found if _factor(quantity, f) is not None), found[0] if found else None)
 
 
 @lru_cache(maxsize=512)
 def _parsed(text: str) -> pint.Quantity | None:
-    """What pint makes of a unit; None where it makes nothing of it."""
+    """A unit parsed by pint; None if it fails."""
     if len(text) > 40 or not re.search(r"[^\W\d_]|[°%]", text) or re.search(r"[\d)]\s*(\*\*|\^)", text):
-        return None  # a power of a number is no unit, and 9**9**9 would keep pint busy for good
+        return None  # a power of a number is not a unit, and pint would never finish 9**9**9
     try:
         return _registry().Quantity(_registry().parse_expression(re.sub(r"(?<=[A-Za-z])(-\d)", r"^\1", text)))
     except _NO:
@@ -181,7 +181,7 @@ def _parsed(text: str) -> pint.Quantity | None:
 
 @lru_cache(maxsize=1)
 def _registry() -> pint.UnitRegistry:
-    """Made when first needed: it takes half a second. U is the turn of a German nameplate."""
+    """Created on first use, because it takes half a second. U is the turn on a German nameplate."""
     units = pint.UnitRegistry(on_redefinition="ignore")
     units.define("@alias turn = rev = r = U")
     return units

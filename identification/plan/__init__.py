@@ -1,1 +1,1 @@
-"""The next experiment: commands that tell most about a model, within a rig's ranges."""
+"""Plan the next experiment: the most informative commands within a rig's ranges."""

@@ -1,7 +1,7 @@
-"""Sequences of targets within a rig's ranges: what an experiment is made of.
+"""Excitation signals within a rig's ranges, the segments of an experiment.
 
-Targets are arrays (rows, 2) of speed [rpm] and pitch [deg], each row held for one step; `vpp_fmu.commands.commanded` makes them
-into commands. Times are in the rig's time scales, half a second for the paper's.
+Targets are arrays (rows, 2) of speed [rpm] and pitch [deg], each row held for one step; `vpp_fmu.commands.commanded` converts
+them to commands. Times are in the rig's time scales, half a second for the paper's.
 """
 
 import numpy as np
@@ -10,27 +10,27 @@ from vpp_fmu.commands import ends
 from vpp_fmu.rig import Rig
 
 STEP = 0.008
-"""Time between commands where nobody knows how the rig is sampled, in time scales: the paper's 4 ms."""
+"""Default time between commands, in time scales: the paper's 4 ms."""
 
 FASTEST = 0.1
-"""s; an experiment for a faster rig is as long as for one of this time scale, with more moves in it: noise is not faster."""
+"""s: time scale below which an experiment is not shortened further, because the noise is not faster."""
 
 MOVES = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
-"""Which of speed and pitch a segment moves: both, speed, pitch."""
+"""Channels that a segment moves: both, speed, pitch."""
 
 SINES = 6
-"""Lines of a multisine, spread evenly over its decades."""
+"""Lines of a multisine, logarithmically spaced."""
 
 HOLD, CLOCK, LOWEST = (0.2, 3.0), (0.2, 2.0), (0.05, 0.25)
-"""How long a level is held, and the clock of a binary sequence, in time scales; a multisine's lowest line, periods a time
-scale: from well within the plant's memory to when it has settled."""
+"""Hold of a level, clock of a binary sequence, in time scales, and lowest line of a multisine, periods per time scale: from
+well below the settling time to above it."""
 
 PAPERS_HOLD = (2.0, 5.0)
-"""Time scales for which the paper's fine-tuning record holds a level: 1 to 2.5 s on its rig."""
+"""Hold of a level in the paper's fine-tuning record, in time scales: 1 to 2.5 s on its rig."""
 
 
 def candidate(rng: np.random.Generator, rows: int, step: float, rig: Rig) -> np.ndarray:
-    """A random segment of a random family: levels held for a while, a random binary sequence, or a multisine."""
+    """A random segment of a random kind: held levels, a random binary sequence, or a multisine."""
     moves, movable, unit = np.array(MOVES[rng.choice(3, p=(0.5, 0.25, 0.25))]), _movable(rig), rig.scales.time_scale
     if not (moves * movable).any():
         moves = movable
@@ -45,7 +45,7 @@ def candidate(rng: np.random.Generator, rows: int, step: float, rig: Rig) -> np.
 
 
 def held_levels(rng, rows, step, rig: Rig, hold: tuple[float, float], moves, extremes: bool = False) -> np.ndarray:
-    """Random levels, each held for `hold` (least, most) seconds; `extremes`: the ends of the ranges are the only levels."""
+    """Random levels, each held for `hold` (least, most) seconds; `extremes`: only the ends of the ranges."""
     commands, row = np.empty((rows, 2)), 0
     level = _level(rng, rig)
     while row < rows:
@@ -66,7 +66,7 @@ def random_binary(rng, rows, step, rig: Rig, clock: float, moves) -> np.ndarray:
 
 
 def multisine(rng, rows, step, rig: Rig, band: tuple[float, float], moves) -> np.ndarray:
-    """Sines over a `band` [Hz] with random phases, as large as the ranges allow around a random level."""
+    """Sines over a `band` [Hz] with random phases, around a random level and as large as the ranges allow."""
     low, high = ends(rig)
     time = np.arange(rows)[:, None] * step
     phases = rng.uniform(0.0, 2.0 * np.pi, (SINES, 2))
@@ -77,7 +77,7 @@ def multisine(rng, rows, step, rig: Rig, band: tuple[float, float], moves) -> np
 
 
 def variant(rng: np.random.Generator, segment: np.ndarray, step: float, rig: Rig) -> np.ndarray:
-    """A segment (rows, 2) changed a little: for a while, one channel or both stand at another level, often a range's end."""
+    """A segment (rows, 2) with an interval in which one or both channels are held at another level, often a range's end."""
     changed = segment.copy()
     start = rng.integers(len(segment))
     end = start + max(1, round(rig.scales.time_scale * _between(rng, *HOLD) / step))
@@ -88,7 +88,7 @@ def variant(rng: np.random.Generator, segment: np.ndarray, step: float, rig: Rig
 
 
 def paper_plan(rng: np.random.Generator, rows: int, step: float, rig: Rig) -> np.ndarray:
-    """The paper's fine-tuning record: a third speed only, a third pitch only, a third both, levels held for PAPERS_HOLD."""
+    """The paper's fine-tuning record: a third moves speed, a third pitch, a third both; levels are held for PAPERS_HOLD."""
     third, middle = rows // 3, 0.5 * sum(ends(rig))
     hold = tuple(rig.scales.time_scale * time for time in PAPERS_HOLD)
     speed, pitch = (held_levels(rng, third, step, rig, hold, moves) for moves in MOVES[1:])
@@ -97,7 +97,7 @@ def paper_plan(rng: np.random.Generator, rows: int, step: float, rig: Rig) -> np
 
 
 def _movable(rig: Rig) -> np.ndarray:
-    """(2,): 1 where a channel has a range, 0 where it stands."""
+    """(2,): 1 for a channel with a range, 0 for a fixed one."""
     low, high = ends(rig)
     return (high > low).astype(float)
 

@@ -1,6 +1,6 @@
-"""The next experiment: commands that would tell most about a model, within a rig's ranges. See `search` for how.
+"""Plan the next experiment: commands within a rig's ranges that are most informative about a model (A-optimal, see `search`).
 
-The optimum belongs to the given values, and is as good as these are.
+The design is locally optimal, at the given values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,26 +19,25 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig, rounded
 
 EVALUATIONS, DRAWS = 1000, 9
-"""Whole plans that are tried; plans of the paper's kind to compare with."""
+"""Number of plans that are tried; number of plans of the paper's kind for comparison."""
 
 DURATION, LENGTH = (10.0, 7200.0), 120.0
-"""How long an experiment may be, and how long it is by default, in time scales: 5 s to an hour, and a minute, for the paper's
-rig."""
+"""Allowed and default duration of an experiment, in time scales: 5 s to an hour, and a minute, for the paper's rig."""
 
 STEPS = (1e-4, 0.1)
-"""Time between commands: s at least, time scales at most."""
+"""Time between commands: least in s, most in time scales."""
 
 NOISE = 0.02
-"""Standard deviation of a thrust reading where nobody knows it, as a share of the thrust scale: the paper's 0.3 N."""
+"""Default standard deviation of a thrust reading, as a share of the thrust scale: the paper's 0.3 N."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """An experiment. `commands`: a record of time, omega_ref, beta_ref, every `step` s; `thrust` (rows,) N as the model
-    predicts it; `rig`: whose ranges and slews they keep.
+    """An experiment. `commands`: a record of time, omega_ref, beta_ref, every `step` s; `thrust` (rows,) N predicted by the
+    model; `rig`: its ranges and slew rates limit the commands.
 
-    `before`: what was known (None: nothing); `after`: with this plan; `paper`: with the paper's plan of the same length
-    instead, the median of DRAWS. `untold`: parameters that it does not tell, and why; they count as known.
+    Forecasts of standard errors: `before` the experiment (None: no prior), `after` it, and after a plan of the `paper` of the
+    same length (median of DRAWS). `untold`: parameters that are not identifiable, with the reason; they are held fixed.
     """
 
     commands: Record
@@ -54,7 +53,7 @@ class Plan:
 
     @property
     def gain(self) -> float:
-        """How many times smaller the weakest direction's standard deviation is than with the paper's plan."""
+        """Standard deviation of the weakest direction with the paper's plan, over that with this plan."""
         return self.paper.weakest()[1] / self.after.weakest()[1]
 
     def summary(self) -> dict:
@@ -73,7 +72,7 @@ class Plan:
 
 
 def free_parameters(model: Model) -> tuple[str, ...]:
-    """What an experiment is planned for: the plain plant's nine, and the effects' parameters but those that pick a form."""
+    """Default parameters of a plan: nine of the base model, and those of effects except choices of a form."""
     effects = [e for e in model.effects if e.off is not None]
     return (*BASE_PARAMETERS, *(e.full(p.name) for e in effects for p in e.parameters if not p.choices))
 
@@ -93,10 +92,10 @@ def plan(
 ) -> Plan:
     """Plan `seconds` of commands for `model` at `values` (changes to its defaults); the same seed gives the same plan.
 
-    They keep the ranges and slews of `rig`; how fast they change goes with its time scale. `step` s: time between commands and
-    between readings. `noise_std` N: white noise of one thrust reading; `omega_std` rpm: of a tachometer's, None: speed is not
-    measured. `knowledge`: covariance from earlier data. `names`: what to learn, default `free_parameters`. BadInput for what
-    makes no sense, NotIdentifiable where the commands move nothing.
+    Commands keep the ranges and slew rates of `rig`, and change on its time scale. `step` s: time between commands and between
+    readings. `noise_std` N: white noise of a thrust reading; `omega_std` rpm: of a speed reading, None: speed is not measured.
+    `knowledge`: prior from earlier data. `names`: parameters to estimate, default `free_parameters`. BadInput for invalid
+    arguments, NotIdentifiable if no parameter is identifiable.
     """
     unit = rig.scales.time_scale
     seconds = rounded(LENGTH * max(unit, FASTEST)) if seconds is None else seconds
@@ -115,7 +114,7 @@ def plan(
     information = Information(model, values, names, noise_std, step, omega_std)
     search = Search(information, rig, step, seconds, knowledge, np.random.default_rng(seed))
     search.assemble()
-    untold = search.give_up()
+    unidentifiable = search.give_up()
     search.improve(evaluations)
     information, commands = search.information, search.commands()
     time = np.round(np.arange(len(commands)) * step, 9)
@@ -129,12 +128,12 @@ def plan(
         before=None if knowledge is None else information.forecast(search.known),
         after=information.forecast(search.known + information.of(commands, step)),
         paper=_paper(search, np.random.default_rng([seed, 1])),
-        untold=untold,
+        untold=unidentifiable,
     )
 
 
 def _paper(search: Search, rng: np.random.Generator) -> Forecast:
-    """The median of some plans of the paper's kind."""
+    """Forecast of the median of DRAWS plans of the paper's kind."""
     plans = [paper_plan(rng, len(search.targets), search.step, search.rig) for _ in range(DRAWS)]
     found = [search.information.forecast(search.of(each)) for each in plans]
     return sorted(found, key=lambda forecast: forecast.typical)[DRAWS // 2]

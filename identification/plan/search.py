@@ -1,11 +1,10 @@
-"""The search for a plan: segments put together by what each tells alone, then exchanged by what the whole tells.
+"""Search an A-optimal plan: select segments by their separate information matrices, then exchange them by that of the plan.
 
     minimise  trace (F_known + F_plan + 1)^-1,   in relative units: the sum of the parameters' relative variances
 
-A-optimal rather than E-optimal: the weakest direction holds the largest part of the trace, so it is what shrinks first; but
-the trace stays smooth where two directions become equally weak, and goes on with all others once the weakest is as good as
-it gets. The 1 says that no parameter is worse known than by its own size: without it the search would spend itself on what no
-experiment of this length tells.
+The weakest direction has the largest part of the trace, so it decreases first, as in an E-optimal design. But the trace stays
+smooth if two directions become equally weak, and it includes all other directions. The 1 is a prior: each parameter is known to
+within its own size. Without it the search would favour parameters that no experiment of this length can identify.
 """
 
 from itertools import pairwise
@@ -21,27 +20,26 @@ from vpp_fmu.errors import NotIdentifiable
 from vpp_fmu.rig import Rig
 
 SEGMENT = 10.0
-"""Length of the pieces that a plan is put together from, in time scales: several times the plant's memory. 4 and 20 do as
-well."""
+"""Length of a segment, in time scales: several times the settling time. 4 and 20 give equally good plans."""
 
 GRID = 0.04
-"""Targets change on this grid, in time scales, and the search looks at it only. 0.016 and 0.08 give plans as good."""
+"""Grid of targets and of the search, in time scales. 0.016 and 0.08 give equally good plans."""
 
 POOL, ROUNDS = 400, 3
-"""Segments to choose from; times that each segment of the plan is tried anew."""
+"""Number of candidate segments; number of rounds over the segments of the plan."""
 
 FLAT = 1e3
-"""A relative standard deviation above this means that the response has no slope in the parameter."""
+"""A relative standard deviation above this means that the response's sensitivity to the parameter is zero."""
 
 
 def criterion(information: np.ndarray) -> np.ndarray:
-    """The sum of relative variances for matrices of relative information (..., n, n)."""
+    """Sum of relative variances for relative information matrices (..., n, n)."""
     return np.trace(np.linalg.inv(information + np.eye(information.shape[-1])), axis1=-2, axis2=-1)
 
 
 class Search:
-    """A plan of `seconds` in the making: `targets` (rows, 2) on a grid of `step` seconds, for what `information` covers.
-    Commands will come every `fine` seconds."""
+    """Search of a plan of `seconds`: `targets` (rows, 2) on a grid of `step` seconds, for the parameters of `information`.
+    Commands have a period of `fine` seconds."""
 
     def __init__(
         self,
@@ -63,15 +61,15 @@ class Search:
 
     @property
     def known(self) -> np.ndarray:
-        """Information (n, n) there is beforehand."""
+        """Prior information matrix (n, n)."""
         return self.information.known(self.knowledge)
 
     def of(self, targets: np.ndarray) -> np.ndarray:
-        """Information (n, n) with these targets (any rows, 2) carried out."""
+        """Information matrix (n, n) of the prior and these targets (any rows, 2)."""
         return self.known + self.information.of(commanded(self.rig, targets, self.step), self.step)
 
     def assemble(self) -> None:
-        """Take segments from a pool greedily, then exchange until no exchange helps: as if they did not touch in time."""
+        """Select segments from a pool greedily, then exchange until no exchange improves; as if segments were independent."""
         length, count = int(np.diff(self._edges).max()), len(self._edges) - 1
         pool = [candidate(self.rng, length, self.step, self.rig) for _ in range(POOL)]
         alone = np.array([self.of(segment) for segment in tqdm(pool, desc="segments", disable=None, leave=False)]) - self.known
@@ -92,7 +90,7 @@ class Search:
             self.targets[start:end] = pool[chosen[k]][: end - start]
 
     def give_up(self) -> dict[str, str]:
-        """Leave out, the worst first, what the plan would not tell to within its own size: name -> why."""
+        """Remove parameters, the worst first, whose standard deviation exceeds their own size: name -> reason."""
         reasons = {}
         while True:
             names, relative = self.information.names, self.information.forecast(self.of(self.targets)).relative
@@ -100,18 +98,18 @@ class Search:
             if relative[worst] <= 1.0:
                 return reasons
             reasons[names[worst]] = (
-                "to first order the response does not change with it"
+                "to first order the response does not depend on it"
                 if relative[worst] > FLAT
-                else f"such an experiment would leave it uncertain by {relative[worst]:.1f} times its size"
+                else f"after such an experiment its standard deviation is {relative[worst]:.1f} times its size"
             )
             if len(names) == 1:
                 raise NotIdentifiable(
-                    f"{self.information.model.name}: no commands within these ranges and this time tell anything"
+                    f"{self.information.model.name}: with commands in these ranges and this time no parameter is identifiable"
                 )
             self.information = self.information.only([n for n in names if n != names[worst]])
 
     def improve(self, evaluations: int) -> None:
-        """Segment after segment: try others, and small changes, and keep what makes the whole plan better."""
+        """Try new segments and variants for each segment in turn; keep those that improve the whole plan."""
         best = criterion(self.of(self.targets))
         tries = max(1, evaluations // (ROUNDS * (len(self._edges) - 1)))
         places = [at for _ in range(ROUNDS) for at in pairwise(self._edges) for _ in range(tries)]
@@ -126,5 +124,5 @@ class Search:
                 best, self.targets = value, new
 
     def commands(self) -> np.ndarray:
-        """The plan as commands (rows, 2), one row every sample."""
+        """The plan as commands (rows, 2), one row per sample."""
         return commanded(self.rig, self.targets.repeat(self._fold, axis=0)[: self._fine_rows], self._fine)

@@ -1,4 +1,4 @@
-"""A controller that sees thrust through the measurement chain, for the one control loop with plants of any kind."""
+"""A controller with the measurement chain in its feedback, for simulation with plants of any kind."""
 
 from collections.abc import Mapping
 
@@ -10,22 +10,22 @@ from vpp_fmu.plants import Controller
 
 
 class Measured:
-    """`controller` behind the measurement chain. `chain`: its values; `noise` (points,) N, one for each communication point."""
+    """`controller` after the measurement chain. `chain`: its values; `noise` (points,) N, one for each communication point."""
 
     def __init__(self, controller: Controller, chain: Mapping[str, float], noise: np.ndarray):
         self._controller, self._chain = controller, Simulation(MEASUREMENT, chain)
         self._noise, self._dt = noise, self._chain.parameters["sample_time"]
 
     def start(self, thrust_set: float, thrust: float) -> None:
-        """Settled on the thrust; forget the past."""
-        self._left = iter(self._noise.tolist())
+        """Reset to the steady state at this thrust [N]."""
+        self._noise_ahead = iter(self._noise.tolist())
         self._controller.start(thrust_set, self._chain.start({"thrust": thrust, "noise": 0.0})["reading"])
 
     def step(self, thrust_set: float, thrust: float) -> tuple[float, float]:
-        """The commands from now on."""
-        reading = self._chain.advance({"thrust": thrust, "noise": next(self._left)}, self._dt)["reading"]
+        """The next commands [rpm, deg]."""
+        reading = self._chain.advance({"thrust": thrust, "noise": next(self._noise_ahead)}, self._dt)["reading"]
         return self._controller.step(thrust_set, reading)
 
     def close(self) -> None:
-        """Let go of the controller."""
+        """Release the controller."""
         self._controller.close()

@@ -1,4 +1,4 @@
-"""Tuned gains once more, through exported FMUs: what was tuned in compiled C must be what others will run."""
+"""Verify tuned gains with exported FMUs: these must reproduce the compiled loop of the search."""
 
 import platform
 import tempfile
@@ -16,7 +16,7 @@ from vpp_fmu.plants import FmuController, FmuPlant
 from vpp_fmu.record import Record
 
 WRAPPED = ("x86_64", "AMD64")
-"""Machines that pythonfmu ships its wrapper for; elsewhere the native FMUs run."""
+"""Machines for which pythonfmu has a wrapper; others use native FMUs."""
 
 
 def through_fmus(
@@ -28,7 +28,7 @@ def through_fmus(
     courses: Mapping[str, Course],
     profile: Record,
 ) -> dict[str, Record]:
-    """Runs of the plant's and the controller's FMU over `profile`, by name: one for each of the controller's `settings`."""
+    """Records of plant and controller FMUs over `profile`, one for each of the controller's `settings`, by name."""
     runs = {}
     with tempfile.TemporaryDirectory() as folder:
         paths = {each.name: Path(folder, f"{each.name}.fmu") for each in (model, controller)}
@@ -46,5 +46,5 @@ def through_fmus(
 
 
 def largest_difference(first: Record, second: Record) -> float:
-    """Of thrust, N."""
+    """Largest difference of thrust, N."""
     return float(np.max(np.abs(first["thrust"] - second["thrust"])))

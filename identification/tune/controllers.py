@@ -1,11 +1,12 @@
-"""The controllers of a rig: its limits, a sampling that it needs, and the gains that a search starts from.
+"""The controllers of a rig: limits, sampling period, and initial gains of a search.
 
-Gains are normalised, so published ones stand for a rig of any thrust, speed and pitch; only time remains. A loop that is r
-times as slow in all its parts behaves the same, r times as slow, with
+Gains are normalised by thrust, speed and pitch, so published ones apply to any rig after time scaling. A loop that is r times
+as slow in all its parts has the same response, r times as slow, with
 
     kp,   ki / r,   kd r,   t_filter r
 
-and r is taken for each channel from the sum of its lags. Rigs about as fast as the paper's keep the published gains.
+r of a channel is the ratio of its sum of lags to that of the paper's rig. Rigs about as fast as the paper's keep the published
+gains.
 """
 
 from collections.abc import Mapping
@@ -19,27 +20,27 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.rig import ASSUMED, PAPERS_SIZE, Rig, rounded
 
 CHANNELS = {"omega": "speed", "beta": "pitch"}
-"""What each channel moves, as the rig calls it."""
+"""The rig's quantity that each channel commands."""
 
 POWERS = {"kp_": 0.0, "ki_": -1.0, "kd_": 1.0}
-"""Of r, by which a gain goes."""
+"""Power of r in each gain."""
 
 DESIGNED = {
     "omega": FINE_TUNED["tau_omega_1"] + FINE_TUNED["tau_omega_2"],
     "beta": FINE_TUNED["tau_beta_1"] + 0.05,
 }
-"""s: the sums of lags that the published gains were designed for; of pitch with the faster actuator that the paper assumes."""
+"""Sums of lags, s, for which the published gains were designed; for pitch, with the faster actuator of the paper."""
 
 FEWEST, MOST = 10.0, 200.0
-"""Samples in the faster channel's lags. Textbooks want 4 to 10 in a rise time (Astrom and Wittenmark, Computer-Controlled
-Systems), and a well tuned loop rises about as fast as its plant; more than the second number only cost time."""
+"""Samples per sum of lags of the faster channel, least and most. A rise time should have 4 to 10 (Astrom and Wittenmark,
+Computer-Controlled Systems), and a well-tuned loop is about as fast as its plant. More than the most only cost time."""
 
 
 @dataclass(frozen=True)
 class Controllers:
-    """`settings`: all values of each controller that the rig can have, "dual" and "speed_only"; `left_out`: why not the others.
+    """`settings`: all values of each possible controller, "dual" and "speed_only"; `left_out`: reasons against the others.
 
-    `reference`: what the gains that they start from are called; `scaled`: whether these are the published ones at another pace.
+    `reference`: name of the initial gains; `scaled`: whether these are the published ones, scaled in time.
     """
 
     settings: Mapping[str, Mapping[str, float]]
@@ -72,17 +73,17 @@ def controllers(
         slower = {}
     own = _of_the_rig(rig, slower, min(lags.values()), parameters.sample_period)
     own |= {name: value for name, value in plant.items() if name in own}  # the scales
-    told = {name: value for name, value in _given(given, rig, source).items() if name not in plant} if given else {}
-    told |= {} if sample_time is None else {"sample_time": sample_time}
+    imposed = {name: value for name, value in _given(given, rig, source).items() if name not in plant} if given else {}
+    imposed |= {} if sample_time is None else {"sample_time": sample_time}
     settings, left_out = {}, {}
     if moved["beta"]:
-        settings["dual"] = {**own, **_scaled(_gains(DUAL), slower), **told, "speed_only": 0.0}
+        settings["dual"] = {**own, **_scaled(_gains(DUAL), slower), **imposed, "speed_only": 0.0}
     else:
         left_out["dual"] = f"the rig's pitch is fixed at {rig.pitch[0]:g} deg"
     if moved["omega"]:
         gains = _gains(SPEED_ONLY)
-        # Gains of two actuators are none for speed alone, which keeps to the published ones.
-        kept = told if told.get("speed_only") else {name: value for name, value in told.items() if name not in gains}
+        # Gains for two actuators do not apply to speed alone, which keeps the published ones.
+        kept = imposed if imposed.get("speed_only") else {name: value for name, value in imposed.items() if name not in gains}
         settings["speed_only"] = {**own, **_scaled(gains, slower), **kept, "speed_only": 1.0}
     else:
         left_out["speed_only"] = f"the rig's speed is fixed at {rig.speed[0]:g} rpm"
@@ -147,24 +148,24 @@ def _of_the_rig(rig: Rig, slower: Mapping[str, float], lag: float, period: float
 
 
 def sampling(lag: float, usual: float) -> float:
-    """Sampling period [s] for a plant whose faster channel has the sum of lags `lag` [s]: the `usual` one, or the round number
-    that is nearest to it with neither too few nor too many samples in the lag."""
+    """Sampling period [s] for a plant whose faster channel has the sum of lags `lag` [s]: the `usual` one, or the nearest round
+    number with FEWEST to MOST samples per lag."""
     shortest, longest = lag / MOST, lag / FEWEST
     return usual if shortest <= usual <= longest else rounded(shortest if usual < shortest else longest)
 
 
 def _gains(named: Mapping[str, float]) -> dict[str, float]:
-    """The gains among a named set's values."""
+    """The gains among the values of a controller."""
     return {name: value for name, value in named.items() if name[:3] in POWERS}
 
 
 def _scaled(gains: Mapping[str, float], slower: Mapping[str, float]) -> dict[str, float]:
-    """Gains for channels that are as many times `slower`; a channel that isn't there stays."""
+    """Scale gains by the factors `slower` of their channels; a channel without a factor is unchanged."""
     return {name: gain * slower.get(name[3:], 1.0) ** POWERS[name[:3]] for name, gain in gains.items()}
 
 
 def _given(given: ParameterSet, rig: Rig, source: str) -> dict[str, float]:
-    """What a controller's file names; BadInput where its limits leave the rig's range."""
+    """The values of a controller's file; BadInput if its limits exceed the rig's range."""
     found = {name: estimate.value for name, estimate in given.estimates.items()}
     units = {p.name: p.unit for p in given.model.parameters}
     for channel, range_of in CHANNELS.items():

@@ -1,4 +1,4 @@
-"""Plants that an identified one may be: draws from its parameters' uncertainty."""
+"""Draw plants from the uncertainty of the identified parameters."""
 
 from collections.abc import Collection
 
@@ -10,9 +10,9 @@ from vpp_fmu.parameters import ParameterSet
 
 
 def standard_deviations(parameters: ParameterSet, assumed: Collection[str], spread: float) -> dict[str, float]:
-    """Standard deviation of every parameter that is free: as the file has it, or `spread` as a share of the value.
+    """Standard deviation of each free parameter: from the file, else `spread` as a share of the value.
 
-    The share stands for what no fit tells: values `assumed`, files without standard deviations, thresholds.
+    The share applies to `assumed` values, files without standard deviations, and thresholds.
     """
     values, found = parameters.values, {}
     for name in free_parameters(parameters.model):
@@ -25,9 +25,9 @@ def standard_deviations(parameters: ParameterSet, assumed: Collection[str], spre
 def draws(
     parameters: ParameterSet, std: dict[str, float], knowledge: Prior | None, count: int, seed: int | tuple[int, ...]
 ) -> np.ndarray:
-    """(count, parameters) values of the whole model, normally distributed, held within the parameters' bounds.
+    """(count, parameters) values of the whole model, normally distributed and clipped to the parameters' bounds.
 
-    `knowledge`: what else a fit told; only its correlation is used, since a diagnosis may have changed the widths.
+    `knowledge`: covariance of a fit; only its correlation is used, because a diagnosis may have changed standard deviations.
     """
     names, model = list(std), parameters.model
     correlation = np.eye(len(names))

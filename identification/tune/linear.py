@@ -1,9 +1,8 @@
-"""A loop around an operating point, as frequency responses at its sampling instants.
+"""Linearise a sampled loop at an operating point, as frequency responses.
 
-Thrust and commands are normalised by the rig's scales, so that gains multiply as they stand in the controller. The
-plant's response is measured on the model itself: a step of one command up and down from rest, half their difference. That
-is exact for the linear parts between samples and for quadratic ones, and leaves moves through an effect of any kind their
-say; what drifts without a command drops out.
+Thrust and commands are normalised by the rig's scales, so that the controller's gains apply unchanged. The plant's response is
+half the difference of simulated steps of one command up and down from steady state. It is exact for linear and quadratic
+models, includes every effect at the size of the step, and excludes drift.
 """
 
 from collections.abc import Mapping
@@ -17,14 +16,14 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 
 MOVE = 0.2
-"""Size of the plant's step, normalised: 1200 rpm and 3 deg on the paper's rig. Wide enough to pass through dead bands. What the
-map's cubic term adds to the gain is below 1 % of it."""
+"""Size of the plant's step, normalised: 1200 rpm and 3 deg on the paper's rig. It exceeds dead bands, and the map's cubic term
+changes the gain by less than 1 %."""
 
 SETTLED = 12.0
-"""Time scales after which a step counts as settled: the slowest channel's lags sum to one, so less than e^-10 is left."""
+"""Time scales after which a step has settled: the slowest channel's lags sum to one, so less than e^-10 remains."""
 
 DECAYED = 30.0
-"""Time constants of the measurement chain after which nothing is left of a step."""
+"""Time constants of the measurement chain after which a step has settled."""
 
 CHANNELS = {"omega": "omega_ref", "beta": "beta_ref"}
 
@@ -38,8 +37,8 @@ def pulse_response(
     time_scale: float,
     move: float = MOVE,
 ) -> np.ndarray:
-    """(n,) thrust at the samples after a unit pulse, one sample long, of channel "omega" or "beta", at rest on the commands
-    `rest` [rpm, deg]. `values`: all of the model's; `time_scale` s: the rig's."""
+    """Thrust (n,) at the samples after a unit pulse of one sample of channel "omega" or "beta", from the steady state at the
+    commands `rest` [rpm, deg]. `values`: all of the model's; `time_scale` s: the rig's."""
     size = move * values[f"{channel}_scale"]
     rows = round(SETTLED * time_scale / dt) + 2
     shown = []
@@ -52,7 +51,7 @@ def pulse_response(
 
 
 def chain_response(chain: Mapping[str, float], omega: np.ndarray, dt: float) -> np.ndarray:
-    """The measurement chain's response (n,) at `omega` [rad/s], without the converter's steps."""
+    """Frequency response (n,) of the measurement chain at `omega` [rad/s], without quantisation."""
     rows = round(DECAYED * chain["time_constant"] / dt) + LONGEST + 3
     inputs = {"thrust": np.r_[0.0, np.ones(rows - 1)], "noise": np.zeros(rows)}
     values = {**chain, "resolution": 0.0, "sample_time": dt}
@@ -61,12 +60,12 @@ def chain_response(chain: Mapping[str, float], omega: np.ndarray, dt: float) -> 
 
 
 def plant_response(pulse: np.ndarray, omega: np.ndarray, dt: float) -> np.ndarray:
-    """The response (n,) at `omega` [rad/s] that a pulse response stands for."""
+    """Frequency response (n,) at `omega` [rad/s] of a pulse response."""
     return freqz(pulse, worN=omega * dt)[1]
 
 
 def controller_response(settings: Mapping[str, float], channel: str, omega: np.ndarray) -> np.ndarray:
-    """One channel of the controller within its limits, (n,) at `omega` [rad/s].
+    """Frequency response (n,) of one channel of the controller within its limits, at `omega` [rad/s].
 
         C(z) = kp + ki (dt / 2) (z + 1) / (z - 1) + kd (delta / dt) (z - 1) / (z - 1 + delta),   delta = dt / t_filter
 

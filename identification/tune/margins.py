@@ -1,4 +1,4 @@
-"""How far a sampled loop is from instability: gain, phase and delay margins, and its largest sensitivity."""
+"""Stability margins of a sampled loop: gain, phase and delay margin, and largest sensitivity."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -6,19 +6,19 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 POINTS = 1000
-"""Frequencies of a response."""
+"""Number of frequencies of a response."""
 
 LOWEST = 0.025
-"""rad in a rig's time scale at the lowest of them: there only the integrator is left of a loop."""
+"""Lowest frequency, rad per time scale of the rig: there the integrator dominates the loop."""
 
 
 @dataclass(frozen=True)
 class Margins:
     """Margins of a loop.
 
-    `gain`: factor by which the loop's gain may grow; `reduction`: share to which it may fall (0: to any). `phase` deg, and
-    `crossover` rad/s where it is found. `delay` s: dead time that the loop still bears. `sensitivity`: the largest
-    |1 / (1 + L)|, by which the loop amplifies a disturbance at worst. None where the loop never gets there.
+    `gain`: factor by which the loop's gain may increase; `reduction`: factor to which it may decrease (0: without limit).
+    `phase` deg, at the `crossover` rad/s. `delay` s: additional dead time at the stability limit. `sensitivity`: largest
+    |1 / (1 + L)|, the worst amplification of a disturbance. None: the loop has no such crossing.
     """
 
     stable: bool
@@ -30,25 +30,25 @@ class Margins:
     sensitivity: float
 
     def summary(self) -> dict:
-        """As JSON has it."""
+        """The margins for JSON."""
         return asdict(self)
 
 
 def frequencies(dt: float, time_scale: float) -> np.ndarray:
-    """(POINTS,) rad/s from far below what a rig of `time_scale` [s] does up to what the sampling can show."""
+    """(POINTS,) rad/s, from far below the bandwidth of a rig of `time_scale` [s] to the Nyquist frequency."""
     return np.geomspace(LOWEST / time_scale, np.pi / dt * (1.0 - 1e-9), POINTS)
 
 
 def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
-    """Margins of the open loop's response `loop` (n,) at `omega` (n,) rad/s, close enough to follow it.
+    """Margins of the open loop's response `loop` (n,) at `omega` (n,) rad/s, a grid fine enough to resolve its phase.
 
-    The open loop must be stable but for one integrator. The closed loop is stable where 1 + L turns from -90 deg, where the
-    integrator has it at low frequencies, to 0 at the highest (Nyquist).
+    The open loop must be stable except for one integrator. The closed loop is stable if the angle of 1 + L goes from -90 deg,
+    due to the integrator at low frequencies, to 0 at the highest (Nyquist).
     """
     turned = np.unwrap(np.angle(1.0 + loop))
     stable = bool(abs(turned[-1] - turned[0] - np.pi / 2.0) < np.pi / 2.0 and abs(turned[-1]) < np.pi / 2.0)
     at, size = _crossings(loop.imag, np.log(omega), np.where(loop.real < 0.0, np.log(np.abs(loop)), np.nan))
-    grow, fall = size[size < 0.0], size[size >= 0.0]
+    up, down = size[size < 0.0], size[size >= 0.0]
     at, angle = _crossings(np.log(np.abs(loop)), np.log(omega), np.unwrap(np.angle(loop)))
     at, phase = np.exp(at), np.mod(np.degrees(angle) + 180.0, 360.0)
     delay = np.radians(phase) / at
@@ -56,8 +56,8 @@ def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
     first = int(np.argmin(near)) if len(near) else None
     return Margins(
         stable=stable,
-        gain=float(np.exp(-grow.max())) if len(grow) else None,
-        reduction=float(np.exp(-fall.min())) if len(fall) else 0.0,
+        gain=float(np.exp(-up.max())) if len(up) else None,
+        reduction=float(np.exp(-down.min())) if len(down) else 0.0,
         phase=None if first is None else float(near[first]),
         crossover=None if first is None else float(at[first]),
         delay=float(delay.min()) if len(delay) else None,
@@ -66,7 +66,7 @@ def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
 
 
 def _crossings(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """x and y, straight between points, where `values` passes through 0; each (n,). Places where y is unknown are left out."""
+    """x and y, linearly interpolated, at the zeros of `values`; each (n,). Zeros at which y is NaN are left out."""
     k = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
     share = values[k] / (values[k] - values[k + 1])
     found_x, found_y = (each[k] + share * (each[k + 1] - each[k]) for each in (x, y))
@@ -75,7 +75,7 @@ def _crossings(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.nda
 
 
 def least(found: Sequence[Margins]) -> Margins | None:
-    """The worst of each margin among several loops; None without any."""
+    """The worst of each margin over several loops; None for no loop."""
     if not found:
         return None
 

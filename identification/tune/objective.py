@@ -1,11 +1,11 @@
-"""What a tuning makes small: the paper's cost (eq. 21), over the plant as it is or over many that it may be.
+"""The objective of a tuning: the paper's cost (eq. 21) on the nominal plant or on many drawn plants, with limits as penalties.
 
     J = integral of ((thrust_set - thrust) / thrust_scale)^2 dt + alpha |gains|^2
 
-in normalised gains. The cost alone has its minimum where the loop barely holds: on the paper's plant, gains that follow a step
-to 0.8 best are unstable a little above it. And gains that follow most of a step a little sooner and then creep cost less than
-gains that settle. So a tuning also holds limits, by a penalty: the nominal loop's overshoot, its largest sensitivity around the
-operating points (`linear`, `margins`), and on every step the settling and the ringing that the first gains have.
+in normalised gains. The cost alone has its minimum close to instability: on the paper's plant, the best gains for a step to 0.8
+are unstable a little above it. Gains that follow most of a step quickly and then creep also cost less than gains that settle.
+So penalties limit the nominal loop's overshoot, its largest sensitivity at the operating points (`linear`, `margins`), and the
+settling and ringing of each step, to those of the initial gains.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,32 +24,32 @@ from vpp_fmu.record import Record
 from vpp_fmu.response import BAND, Step, steps, swing
 
 ALPHA = 1e-8
-"""The paper gives no value. The cost's slope along the logarithms of the published gains is least at alpha = 3e-8 for speed
-alone and at 2e-9 to 6e-9 for both actuators; this is between. Published gains are nowhere its minimum."""
+"""Chosen; the paper gives no value. The cost's gradient along the logarithms of the published gains is smallest at 3e-8 for
+speed alone and at 2e-9 to 6e-9 for both actuators. Published gains are a minimum for no alpha."""
 
 PENALTY = 10.0
-"""Share of the cost that a limit costs which is exceeded by its own size."""
+"""Penalty, as a factor on the cost, of a limit that is exceeded by 100 %."""
 
 SLACK = 1.01
-"""A limit counts as kept within this factor; what has a sharp edge, such as the band of settling, a search holds as much inside
-it."""
+"""A limit counts as kept within this factor. Limits with a sharp edge, such as the band of settling, are tightened by it in a
+search."""
 
 EVERY = 5
-"""Of the frequencies of a response, those that a search looks at."""
+"""A search uses each EVERYth frequency of a response."""
 
 UNSTABLE = 100.0
-"""What an unstable loop counts as at least, where sensitivities count."""
+"""Least value that replaces the sensitivity of an unstable loop."""
 
 
 @cache
 def closed_loop(effects: tuple[str, ...], effects_from: tuple[str, ...] = ()) -> ClosedLoop:
-    """The loop around the plant with these effects, some perhaps of these files; made once a process."""
+    """The closed loop of a plant with these effects, which may be in these files; compiled once per process."""
     return ClosedLoop(plant(effects, library_with(effects_from)))
 
 
 @dataclass(frozen=True)
 class Point:
-    """An operating point: thrust [N], the commands [rpm, deg] that hold it, and the channels that are free to move there."""
+    """An operating point: thrust [N], its commands [rpm, deg], and the channels that are not at a limit."""
 
     thrust: float
     commands: tuple[float, float]
@@ -58,13 +58,12 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The cost of a controller's gains; plain data, so that another process can be sent it.
+    """The cost of a controller's gains; plain data that can be sent to another process.
 
-    `effects`: of the plant, some perhaps of the files `effects_from`; `plants` (count, parameters): its values, the nominal
-    ones first. `settings`: all of the controller's values; `chain`: all of the measurement chain's; `time_scale` s: the rig's.
-    `over`: "worst" or "mean" of the plants. `overshoot`: largest share of a step, and `sensitivity`, at `points`: the limits on
-    the nominal loop. `reference`: the course's steps under the first gains, none of which may settle later or ring more; () for
-    no such limit.
+    `effects`: of the plant, also from the files `effects_from`; `plants` (count, parameters): its values, the nominal plant
+    first. `settings`: all of the controller's values; `chain`: all of the measurement chain's; `time_scale` s: the rig's.
+    `over`: "worst" or "mean" of the plants. Limits on the nominal loop: `overshoot` (share of a step), and `sensitivity` at
+    `points`. `reference`: steps under the initial gains, whose settling and ringing are limits; (): no such limit.
     """
 
     effects: tuple[str, ...]
@@ -83,40 +82,40 @@ class Objective:
 
     @property
     def loop(self) -> ClosedLoop:
-        """The loop around the plant."""
+        """The compiled closed loop."""
         return closed_loop(self.effects, self.effects_from)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that act: those with room between their limits, speed alone where pitch is fixed."""
+        """The active channels: those with a range between their limits; speed alone if the controller has no pitch."""
         room = {u: self.settings[f"{u}_min"] < self.settings[f"{u}_max"] for u in CHANNELS}
         return tuple(u for u in CHANNELS if room[u] and (u == "omega" or self.settings["speed_only"] < 0.5))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The gains of the channels that act: all proportional ones, then integral, then derivative."""
+        """Names of the gains of the active channels: proportional, then integral, then derivative."""
         return tuple(f"{kind}_{channel}" for kind in ("kp", "ki", "kd") for channel in self.channels)
 
     @property
     def gains(self) -> np.ndarray:
-        """(n,) as `settings` has them."""
+        """The gains (n,) of `settings`."""
         return np.array([self.settings[name] for name in self.names])
 
     @property
     def nominal(self) -> "Objective":
-        """The same for the nominal plant alone."""
+        """The objective for the nominal plant alone."""
         return replace(self, plants=self.plants[:1])
 
     def with_gains(self, gains: np.ndarray) -> dict[str, float]:
-        """All of the controller's values with these gains (n,)."""
+        """The controller's values with these gains (n,)."""
         return {**self.settings, **dict(zip(self.names, gains.tolist(), strict=True))}
 
     def merits(self, gains: np.ndarray) -> np.ndarray:
-        """(count, 2) integral of the squared error [s] and overshoot, for each plant."""
+        """Integral of the squared error [s] and overshoot, for each plant (count, 2)."""
         return self.loop.merits((self.plants, self._chain, self._controller(gains)), self.course)
 
     def costs(self, gains: np.ndarray) -> np.ndarray:
-        """(count,) the paper's cost for each plant."""
+        """The paper's cost for each plant (count,)."""
         return self.merits(gains)[:, 0] + self.alpha * float(gains @ gains)
 
     def cost(self, gains: np.ndarray) -> float:
@@ -125,31 +124,31 @@ class Objective:
 
     @cached_property
     def quiet(self) -> Course:
-        """The course without noise of the reading: what the limits on a step are held on."""
+        """The course without measurement noise, on which limits of steps are evaluated."""
         return replace(self.course, noise=np.zeros_like(self.course.noise)) if self.course.noise.any() else self.course
 
     def penalised(self, gains: np.ndarray) -> float:
-        """What a search makes small: the cost, more where the nominal loop exceeds a limit."""
+        """The cost with a penalty for each limit that the nominal loop exceeds."""
         loop, controller = self.loop, self._controller(gains)
         (error, overshoot), rows = loop.rows((self.plants[:1], self._chain, controller), self.quiet)
-        # The quiet run is the nominal plant's error too, unless there is noise.
-        told = 1 if self.quiet is self.course else 0
-        errors = np.full(told, error)
-        if len(self.plants) > told:
-            errors = np.r_[errors, loop.merits((self.plants[told:], self._chain, controller), self.course)[:, 0]]
+        # Without noise, the quiet run is also the nominal plant's run.
+        done = 1 if self.quiet is self.course else 0
+        errors = np.full(done, error)
+        if len(self.plants) > done:
+            errors = np.r_[errors, loop.merits((self.plants[done:], self._chain, controller), self.course)[:, 0]]
         cost = self._over(errors + self.alpha * float(gains @ gains))
         if not np.isfinite(cost):
             return np.inf
         excess = max(0.0, overshoot / self.overshoot - 1.0)
         excess += max(0.0, self.largest_sensitivity(gains) / self.sensitivity - 1.0)
-        # By its logarithm: where a step has hardly begun, the error is fifty times the band that it must be in.
+        # The logarithm, because the error at the beginning of a step is fifty times the band of settling.
         shares = self._shares_of_limits(rows[:, ROW.index("thrust")])
         excess += sum(max(0.0, float(np.log(SLACK * share))) for share in shares if share > 0.0)
         return cost * (1.0 + PENALTY * excess)
 
     def _shares_of_limits(self, thrust: np.ndarray) -> Iterator[float]:
-        """Of each step of the reference, for a nominal response (points,) N: the largest error after the reference has settled,
-        with a sample to spare, as share of the band; and the largest swing as share of what is allowed."""
+        """For each step of the reference and a nominal response (points,) N: the largest error, from one sample after the
+        reference has settled, over the band; and the largest swing over its limit."""
         for step, (first, settled, last) in zip(self.reference, self._rows, strict=True):
             missing = (step.after - thrust[first:last]) / (step.after - step.before)
             if settled + 1 < last:
@@ -158,7 +157,7 @@ class Objective:
 
     @cached_property
     def _rows(self) -> list[tuple[int, int, int]]:
-        """Of each step of the reference: its first row, where the reference has settled (the end: nowhere), its end."""
+        """(first row, row at which the reference has settled, or the end if it has not, end) of each step of the reference."""
         dt, wanted, found = self.course.dt, self.course.wanted, []
         changes = np.r_[np.flatnonzero(np.diff(wanted)) + 1, len(wanted)]
         for step in self.reference:
@@ -168,16 +167,16 @@ class Objective:
         return found
 
     def run(self, gains: np.ndarray, row: int = 0) -> Record:
-        """The loop's record for one of the plants."""
+        """The loop's record for one plant."""
         return self.loop.run((self.plants[row], self._chain, self._controller(gains)), self.course)
 
     def steps(self, gains: np.ndarray) -> tuple[Step, ...]:
-        """Steps of the nominal loop without noise; changes of the wanted thrust that are too small to judge are left out."""
+        """Steps of the nominal loop without noise; changes of the wanted thrust below `course.jump` are left out."""
         run = replace(self, course=self.quiet).run(gains)
         return tuple(s for s in steps(run) if abs(s.after - s.before) >= self.course.jump)
 
     def largest_sensitivity(self, gains: np.ndarray) -> float:
-        """Of the nominal loop at `points`; 0 without points. More than any sensitivity where one of the loops is unstable."""
+        """Largest sensitivity of the nominal loop at `points`; 0 without points; at least UNSTABLE if a loop is unstable."""
         if not self.points:
             return 0.0
         loop = np.einsum("i,ijk->jk", gains, self._shares)  # not BLAS: its threads cost more than this
@@ -185,7 +184,7 @@ class Objective:
 
     @cached_property
     def _shares(self) -> np.ndarray:
-        """What a gain of 1 alone adds to the open loop (n, points, m), by the order of the gains."""
+        """Contribution of each unit gain to the open loop (n, points, m), in the order of the gains."""
         model, dt = self.loop.models[0], self.course.dt
         omega = frequencies(dt, self.time_scale)[::EVERY]
         values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
@@ -213,7 +212,7 @@ class Objective:
 
 
 def _holds(loop: np.ndarray) -> bool:
-    """Whether all of the loops (points, m) are stable once they are closed; see `margins`."""
+    """Whether all closed loops of the open loops (points, m) are stable; see `margins`."""
     from_critical = 1.0 + loop
     turned = np.angle(from_critical[:, 1:] * from_critical[:, :-1].conj()).sum(axis=-1)
     return bool((np.abs(turned - np.pi / 2.0) < np.pi / 2.0).all())

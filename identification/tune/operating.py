@@ -1,4 +1,4 @@
-"""Where a loop works: the operating points that it settles at, and its margins there."""
+"""Operating points at which a loop settles, and its margins there."""
 
 from dataclasses import replace
 
@@ -9,20 +9,19 @@ from identification.tune.margins import Margins, frequencies, margins
 from identification.tune.objective import Objective, Point
 
 LEVELS, HOLD = 5, 6.0
-"""Levels of thrust between the lowest and the highest that is asked for; the rig's time scales for which each is held."""
+"""Number of levels of thrust from the lowest to the highest wanted; duration of each in time scales."""
 
 RESTS = 0.03
-"""Share of the scale of thrust within which a loop counts as resting at what is wanted."""
+"""Largest error, as a share of the thrust scale, at which a loop has reached a level."""
 
 FREE = 1e-6
-"""Share of its scale by which a command must be off its limits to count as free."""
+"""Least distance of a free command from its limits, as a share of its scale."""
 
 
 def operating_points(objective: Objective, gains: np.ndarray) -> tuple[Point, ...]:
-    """Where the loop rests on the levels up and down again, by simulation; without those that it does not reach
-    or where no channel is free.
+    """Simulate the loop on levels up and down; levels that are not reached, or at which no channel is free, are left out.
 
-    With two actuators the commands at a thrust are not unique: they follow from the gains and from what came before.
+    With two actuators the commands at a thrust are not unique: they depend on the gains and on earlier levels.
     """
     course = objective.course
     levels = np.linspace(course.wanted.min(), course.wanted.max(), LEVELS)
@@ -49,7 +48,7 @@ def _free(objective: Objective, commands: tuple[float, float]) -> tuple[str, ...
 
 
 def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-    """(frequencies [rad/s], response of chain, controller and nominal plant in a row), each (n,), at an operating point."""
+    """(frequencies [rad/s], open-loop response of chain, controller and nominal plant), each (n,), at an operating point."""
     dt, model = objective.course.dt, objective.loop.models[0]
     omega, settings = frequencies(dt, objective.time_scale), objective.with_gains(gains)
     values = dict(zip((p.name for p in model.parameters), objective.plants[0].tolist(), strict=True))
@@ -62,5 +61,5 @@ def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np
 
 
 def margins_at(objective: Objective, gains: np.ndarray, points: tuple[Point, ...]) -> tuple[Margins, ...]:
-    """Margins at each of the points."""
+    """Margins at each point."""
     return tuple(margins(*open_loop(objective, gains, point)) for point in points)

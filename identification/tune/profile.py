@@ -1,4 +1,4 @@
-"""What a rig's controllers can reach, and the signal that they are tuned on: it asks for no thrust that they can't give."""
+"""The range of thrust that a rig's controllers can reach, and the test signal of a tuning within it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,9 +15,9 @@ Span = tuple[float, float]
 
 
 def reach(parameters: ParameterSet, settings: Mapping[str, float]) -> Span:
-    """Thrust [N] of the plant at rest on a controller's lowest commands and on its highest.
+    """Steady thrust [N] of the plant at a controller's lowest and highest commands.
 
-    All channels follow one error, so a controller passes from the ones to the others, and all thrust between is reached.
+    All channels respond to one error, so the controller reaches all thrust between the two.
     """
     model, ends = parameters.model, []
     for end in ("min", "max"):
@@ -28,7 +28,7 @@ def reach(parameters: ParameterSet, settings: Mapping[str, float]) -> Span:
 
 
 def common_reach(parameters: ParameterSet, controllers: Mapping[str, Mapping[str, float]]) -> Span:
-    """Thrust [N] that every controller reaches and the rig allows. BadInput without any."""
+    """Range of thrust [N] that each controller reaches and the rig allows. BadInput if it is empty."""
     low, high = _common(parameters.rig.thrust, *(reach(parameters, settings) for settings in controllers.values()))
     if low >= high:
         found = f"{low:.4g} N on the lowest commands and {high:.4g} N on the highest"
@@ -37,7 +37,7 @@ def common_reach(parameters: ParameterSet, controllers: Mapping[str, Mapping[str
 
 
 def rig_profile(parameters: ParameterSet, controllers: Mapping[str, Mapping[str, float]]) -> Record:
-    """The step profile, `time` [s], `thrust_set` [N], for the first of the controllers, as far as the others reach."""
+    """The step profile, `time` [s], `thrust_set` [N], for the first controller, clipped to the range of the others."""
     rig, common = parameters.rig, common_reach(parameters, controllers)
     first = reach(parameters, next(iter(controllers.values())))
     profile = step_profile(replace(rig, thrust=_common(rig.thrust, first)))

@@ -1,4 +1,4 @@
-"""The report of a tuning: what it gained, what the second actuator brings, how far the loop is from instability."""
+"""The report of a tuning: improvement by the search, benefit of the second actuator, stability margins, robustness."""
 
 from collections.abc import Mapping
 
@@ -16,13 +16,13 @@ from vpp_fmu.report.tuning import Cloud, bode, cost_ranks, margins_over_thrust, 
 from vpp_fmu.response import BAND
 
 DRAWN = 40
-"""Plants whose responses are drawn."""
+"""Number of plants whose responses are drawn."""
 
 EVERY = 2
-"""Samples from one point to the next in a cloud."""
+"""Samples between the points of a cloud."""
 
 STEPS, SEEN = 2, (0.2, 2.2)
-"""Steps that are drawn, and the rig's time scales before and after them."""
+"""Number of steps that are drawn, and time scales before and after them."""
 
 
 def tuning_page(found: Tuning) -> Page:
@@ -31,10 +31,10 @@ def tuning_page(found: Tuning) -> Page:
     assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
     page = Page(
         "Gains for the model",
-        f"Squared thrust error over the test signal plus {task.alpha:g} times the squared norm of the gains, made small by "
-        f"Nelder and Mead's search on the compiled loop; overshoot held to {100 * task.overshoot:g} %, the sensitivity around "
-        f"the operating points to {task.sensitivity:g}; no step may settle later or ring more than under the gains that the "
-        "search starts from." + (f" Assumed for the design: {assumed}." if assumed else ""),
+        f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
+        f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at the "
+        f"operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
+        + (f" Assumed for the design: {assumed}." if assumed else ""),
         task.parameters.label,
     )
     page.tiles(key_figures(found))
@@ -48,20 +48,20 @@ def tuning_page(found: Tuning) -> Page:
 
 
 def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
-    """What the gains are called in figures and tables."""
+    """Labels of the gains in figures and tables."""
     return {which: f"{name} (before)" if which == "start" else name for which, name in labels(found, tuned).items()}
 
 
 def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     names, objective = _names(found, tuned), tuned.objective
     start, cost = tuned.cost("start"), tuned.cost("tuned")
-    page.section(f"Gains of {NAMES[name]}", f"Handed out: the {labels(found, tuned)[tuned.chosen]} gains.")
+    page.section(f"Gains of {NAMES[name]}", f"Chosen: the {labels(found, tuned)[tuned.chosen]} gains.")
     for which, verdict in tuned.verdicts.items():
         page.note(f"{which.capitalize()} gains: {verdict.words()}.")
         page.table(("step", "settling", "overshoot", "ringing"), change_rows(verdict), _judged_by(found, tuned, which))
         if rows := margin_rows(verdict):
             page.table(
-                ("margin", "before → after"), rows, f"The least of all operating points, {found.task.reference} → {which}."
+                ("margin", "before → after"), rows, f"The smallest over all operating points, {found.task.reference} → {which}."
             )
     runs = {names[which]: objective.run(gains).columns for which, gains in tuned.gains.items()}
     title = f"{NAMES[name].capitalize()}: cost {start:.4g} before the search, {cost:.4g} after"
@@ -75,7 +75,7 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
         for s in objective.steps(gains)
     ]
     columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]", "ringing [%]")
-    page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing once the thrust has come back.")
+    page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing after the overshoot.")
     curve = tuned.searches["tuned"].curve
     ends = ", ".join(f"{stage} until {end}" for stage, end in tuned.searches["tuned"].stages)
     shown = np.where(np.isfinite(curve), curve, np.nan)
@@ -88,7 +88,7 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
 def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
     """The caption of a table of changes."""
     return (
-        f"Every step without noise, {found.task.reference} → {which}. Worse: settled later by more than a sample, "
+        f"Each step without noise, {found.task.reference} → {which}. Worse: settles later by more than a sample, "
         f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
         "counts as none."
     )
@@ -112,17 +112,17 @@ def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
     limits = {"sensitivity [-]": found.task.sensitivity}
     page.figure(
         margins_over_thrust(thrust, quantities, limits, title),
-        "Operating points up the levels of thrust and down again, where the loop itself comes to rest. Dashed: the limit.",
+        "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.",
     )
     points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
     loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
     omega = next(iter(loops.values()))[0]
     shown = {label: loop for label, (_, loop) in loops.items()}
-    title = f"{NAMES[name].capitalize()}: how near the open loops come to -1"
-    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on the way up.")
+    title = f"{NAMES[name].capitalize()}: distance of the open loops from -1"
+    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on increasing levels.")
     crossed = [m.crossover for m in tuned.margins[last] if m.crossover is not None]
-    where = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
-    title = f"{NAMES[name].capitalize()}: the open loops {where}"
+    crossover = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
+    title = f"{NAMES[name].capitalize()}: the open loops {crossover}"
     page.figure(bode(omega, shown, title), f"The same loops, {own[last]} gains, up to half the sampling frequency.")
     for which in dict.fromkeys(("start", *tuned.gains)):
         _add_margin_table(page, tuned, which, own[which])
@@ -140,7 +140,7 @@ def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
     page.table(
         (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
         rows,
-        f"Margins of the {label} gains; a dash: the loop never gets there. Linearised by moves of "
+        f"Margins of the {label} gains; a dash: no crossing. Linearised by steps of "
         f"{number(MOVE * scales['omega_scale'])} rpm and {number(MOVE * scales['beta_scale'])} deg.",
     )
 
@@ -154,36 +154,36 @@ def _add_comparison(page: Page, found: Tuning) -> None:
     if down:
         times = [settling(down[0][name]["settling"]) for name in found.tuned]
         title = f"Step down: both actuators settle in {times[0]}, speed alone in {times[1]}"
-    page.figure(loop_figure(runs, title), "The gains that are handed out.")
+    page.figure(loop_figure(runs, title), "The chosen gains.")
     cells = []
     for row in rows:
         for name in found.tuned:
             own = row[name]
-            told = settling(own["settling"]), own["overshoot"], own["squared_error"]
-            cells.append((row["time"], row["before"], row["after"], NAMES[name], *told))
+            figures = settling(own["settling"]), own["overshoot"], own["squared_error"]
+            cells.append((row["time"], row["before"], row["after"], NAMES[name], *figures))
     columns = ("at [s]", "from [N]", "to [N]", "controller", "settled after", "overshoot [%]", "squared error [s]")
     page.table(columns, cells, "Squared error: of normalised thrust, until the next step.")
 
 
 def _add_robust(page: Page, found: Tuning) -> None:
-    page.section("Over what the plant may be")
+    page.section("Robustness over plants within the uncertainty")
     gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
     for name, tuned in found.tuned.items():
         worst = " and ".join(f"{tuned.judged[which].max():.4g}" for which in gains.values())
         title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
         shown = {label: tuned.judged[which] for label, which in gains.items()}
-        page.figure(cost_ranks(shown, title), "Costs, each in its own order. None of these plants was there in the search.")
+        page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
         _add_clouds(page, found, name, gains)
         rows = []
         for which, label in _names(found, tuned).items():
             costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
             rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
         columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
-        page.table(columns, rows, f"What robustness costs on the nominal plant, and brings on {JUDGED} others.")
+        page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others.")
 
 
 def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
-    """The first steps, under each of the gains."""
+    """Responses to the first steps under each gain set."""
     tuned = found.tuned[name]
     course, found_steps = tuned.objective.course, tuned.objective.steps(tuned.gains["tuned"])[:STEPS]
     seen = [share * tuned.objective.time_scale for share in SEEN]
@@ -206,7 +206,7 @@ def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) 
 
 
 def _cloud(found: Tuning, tuned: Tuned, which: str) -> np.ndarray:
-    """Thrust (DRAWN, points) N of the first judged plants."""
+    """Thrust (DRAWN, points) N of the first DRAWN judged plants."""
     objective = tuned.objective
     loop = closed_loop(objective.effects)
     _, chain, controller = loop.vectors({}, objective.chain, objective.with_gains(tuned.gains[which]))

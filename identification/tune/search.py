@@ -1,7 +1,7 @@
-"""The search for gains: Nelder and Mead's simplex (1965), proportional and integral gains first, then derivative, then all.
+"""Search gains by the simplex of Nelder and Mead (1965): proportional and integral gains, then derivative gains, then all.
 
-The order is the paper's (section 4.3), for the loop is sensitive to the derivative; the last round is ours, since the best
-proportional gains with a derivative are not those without. Gains that can't be 0 are searched by their logarithm.
+The paper (section 4.3) uses the first two stages, because the loop is sensitive to the derivative. The third is added because
+the best proportional gains depend on the derivative. Positive gains are searched by their logarithm.
 """
 
 from collections.abc import Sequence
@@ -13,28 +13,28 @@ from scipy.optimize import minimize
 from identification.tune.objective import Objective
 
 WIDTH = 0.3
-"""Size of a first simplex: gains by their logarithm, derivative gains in their own size."""
+"""Size of an initial simplex: in the logarithm of gains, and relative to DERIVATIVE for derivative gains."""
 
 RANGE = (1e-3, 1e4)
-"""Of proportional and integral gains; the controller's parameters go as far."""
+"""Bounds of proportional and integral gains, as in the controller's parameters."""
 
 DERIVATIVE = 0.06
-"""Of the rig's time scale: a derivative gain's size as a share of the proportional gain beside it."""
+"""Typical derivative gain over proportional gain, in the rig's time scale."""
 
 CLOSE = 1e-4
-"""Share of the cost over a simplex at which it has ended, if it is small."""
+"""Relative range of the cost over a small simplex at which it has converged."""
 
 SMALL = 0.01
-"""Size of a simplex that is small, in the units of WIDTH: a per cent of a gain. At a minimum that costs less than CLOSE; in a
-narrow valley it may cost more, and the simplex goes on."""
+"""Size of a small simplex, in the units of WIDTH: 1 % of a gain. At a minimum the cost then varies by less than CLOSE; in a
+narrow valley it may vary more, and the simplex continues."""
 
 RESOLVED = 10.0 * CLOSE
-"""Share of the cost that another simplex must bring for the search to go on: less is no gain."""
+"""Relative decrease of the cost by one simplex above which another one follows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What a search found: `gains` (n,), their `cost` with penalties, and the cost of everything tried, in order.
+    """Result of a search: `gains` (n,), their `cost` with penalties, and the `curve` of costs of all evaluations.
 
     `stages`: (name, evaluations up to its end).
     """
@@ -45,13 +45,13 @@ class Search:
     stages: tuple[tuple[str, int], ...]
 
     def after(self, before: "Search") -> "Search":
-        """This search as what went on where `before` had ended."""
+        """This search as the continuation of `before`."""
         stages = [(name, len(before.curve) + end) for name, end in self.stages]
         return replace(self, curve=np.r_[before.curve, self.curve], stages=(*before.stages, *stages))
 
 
 def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI", "D", "all")) -> Search:
-    """Search from the gains `start` (n,) through the stages; the first begins without derivative where "PI" is among them."""
+    """Search from the gains `start` (n,) through the stages; with a stage "PI", derivative gains start at 0."""
     curve: list[float] = []
     ends = []
     derivative = np.array([name.startswith("kd") for name in objective.names])
@@ -64,7 +64,7 @@ def search(objective: Objective, start: np.ndarray, stages: Sequence[str] = ("PI
 
 
 def _stage(objective: Objective, start: np.ndarray, free: np.ndarray, derivative: np.ndarray, curve: list[float]):
-    """Simplexes, each from where the last one ended, until one brings nothing: a single one may collapse on a ridge."""
+    """Repeat the simplex from its result until the cost no longer decreases: a single simplex may collapse on a ridge."""
     size = np.where(derivative, DERIVATIVE * objective.time_scale * np.tile(start[: derivative.sum()], 3), 1.0)
     low, high = np.where(derivative, 0.0, np.log(RANGE[0]))[free], np.where(derivative, np.inf, np.log(RANGE[1]))[free]
 

@@ -1,4 +1,4 @@
-"""The content of tuning.json, and what of it a reader must know first."""
+"""The content of tuning.json, and its key figures."""
 
 import numpy as np
 
@@ -13,18 +13,18 @@ NAMES = {"dual": "both actuators", "speed_only": "speed alone"}
 
 
 def labels(found: Tuning, tuned: Tuned) -> dict[str, str]:
-    """What each of the gains is called."""
+    """Label of each gain set."""
     return {which: found.task.reference if which == "start" else which for which in tuned.gains}
 
 
-def step_error(run: Record, step: Step, following: float, scale: float) -> float:
-    """Integral of the squared normalised error [s] from a step to the time of the next."""
-    rows = (run.time >= step.time - 1e-9) & (run.time < following - 1e-9)
+def step_error(run: Record, step: Step, end: float, scale: float) -> float:
+    """Integral of the squared normalised error [s] from a step to the time `end` of the next."""
+    rows = (run.time >= step.time - 1e-9) & (run.time < end - 1e-9)
     return float(np.sum(((run["thrust_set"] - run["thrust"])[rows] / scale) ** 2) * (run.time[1] - run.time[0]))
 
 
 def summary(found: Tuning) -> dict:
-    """As CONTRACT.md names the file."""
+    """The content of tuning.json, as in CONTRACT.md."""
     task, first = found.task, next(iter(found.tuned.values())).objective
     measurement = {name: value for name, value in first.chain.items() if name != "sample_time"}
     return {
@@ -89,7 +89,7 @@ def _gains(tuned: Tuned, which: str) -> dict:
 
 
 def against(found: Tuning) -> list[dict]:
-    """Each step, up and down, with both actuators and with speed alone: the gains that are handed out."""
+    """Compare both actuators with speed alone on each step, under the chosen gains."""
     columns = {}
     for name, tuned in found.tuned.items():
         run, scale = tuned.objective.run(tuned.final), tuned.objective.course.scale
@@ -104,14 +104,14 @@ def against(found: Tuning) -> list[dict]:
 
 
 def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
-    """(label, value, note) of what a reader must know first."""
+    """(label, value, note) of each key figure."""
     figures = []
     for name, tuned in found.tuned.items():
         for which, each in tuned.verdicts.items():
             word = "better" if each.better else "no better"
             figures.append((f"{which} gains, {NAMES[name]}", word, each.words().partition(": ")[2]))
-        figures.append((f"cost, {NAMES[name]}", *_told_cost(found, tuned)))
-        figures.append((f"margins, {NAMES[name]}", *told_margins(found, tuned)))
+        figures.append((f"cost, {NAMES[name]}", *_cost_words(found, tuned)))
+        figures.append((f"margins, {NAMES[name]}", *_margins_note(found, tuned)))
     for row in against(found) if len(found.tuned) > 1 else ():
         errors = [row[name]["squared_error"] for name in found.tuned]
         times = " against ".join(settling(row[name]["settling"]) for name in found.tuned)
@@ -129,12 +129,12 @@ def key_figures(found: Tuning) -> list[tuple[str, str, str]]:
     return figures
 
 
-def _told_cost(found: Tuning, tuned: Tuned) -> tuple[str, str]:
-    """(cost of the first gains and of those handed out, what they are called)."""
+def _cost_words(found: Tuning, tuned: Tuned) -> tuple[str, str]:
+    """(cost of the initial and of the chosen gains, their labels)."""
     start, others = tuned.cost("start"), {which: tuned.cost(which) for which in tuned.verdicts}
     if tuned.chosen == "start":
-        told = (f"{which} {cost:.4g}, {_percent(cost / start - 1.0)}" for which, cost in others.items())
-        return f"{start:.4g}, kept", f"{found.task.reference}; {'; '.join(told)}"
+        changes = (f"{which} {cost:.4g}, {_percent(cost / start - 1.0)}" for which, cost in others.items())
+        return f"{start:.4g}, kept", f"{found.task.reference}; {'; '.join(changes)}"
     cost = others[tuned.chosen]
     return f"{start:.4g} → {cost:.4g}", f"{_percent(cost / start - 1.0)}, {found.task.reference} → {tuned.chosen}"
 
@@ -143,15 +143,15 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:+.2g} %"
 
 
-def told_margins(found: Tuning, tuned: Tuned) -> tuple[str, str]:
-    """(least margins of the gains that are handed out, where they belong)."""
+def _margins_note(found: Tuning, tuned: Tuned) -> tuple[str, str]:
+    """(smallest margins of the chosen gains, note)."""
     own, first = (least(tuned.margins[which]) for which in (tuned.chosen, "start"))
     if own is None:
-        return "none", "no operating point at which a command is free"
+        return "none", "no operating point with a command within its limits"
     if not own.stable:
         return "unstable", "at one operating point at least"
     points = len(tuned.margins[tuned.chosen])
-    note = f"gain, phase, delay: the least of {points} operating points; sensitivity up to {own.sensitivity:.3g}"
+    note = f"gain, phase, delay: the smallest over {points} operating points; sensitivity up to {own.sensitivity:.3g}"
     before = f", {found.task.reference} {first.sensitivity:.3g}" if first else ""
     over = f", more than the limit {found.task.sensitivity:g}" if own.sensitivity > SLACK * found.task.sensitivity else ""
     return margin_words(own), note + before + over
@@ -164,12 +164,12 @@ def margin_words(margins: Margins) -> str:
 
 
 def change_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
-    """(step, settling, overshoot, ringing), before and after, of every step; then the least margins."""
+    """(step, settling, overshoot, ringing), before and after, of each step."""
     return [(s.name, *(c.told() + (" worse" if c.worse else "") for c in s.changes)) for s in verdict.steps]
 
 
 def margin_rows(verdict: Verdict) -> list[tuple[str, str]]:
-    """(margin, before and after) at the worst of the operating points."""
+    """(margin, before and after) at the worst operating point."""
     first, other = verdict.margins
     if first is None or other is None:
         return []

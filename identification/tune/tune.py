@@ -1,4 +1,4 @@
-"""Gains for a plant: of both actuators and of speed alone at a fixed pitch, nominal and robust, judged and checked."""
+"""Tune gains for a plant, of both actuators and of speed alone at fixed pitch, nominal and robust; accept or reject them."""
 
 import time
 from collections.abc import Mapping
@@ -24,31 +24,30 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 
 STARTS = (1.0, 0.3)
-"""Factors on the gains that a search starts from."""
+"""Factors on the initial gains, one search each."""
 
 SHAKES = (4, 2)
-"""Searches from around the best gains in the end: over the nominal plant, over many."""
+"""Final searches from perturbed best gains: on the nominal plant, on many."""
 
 LOWER, LOWEST = 0.8, 20
-"""First gains that are lowered go down by this factor, so many times at most: to a hundredth."""
+"""Factor and most repetitions by which initial gains are lowered: to a hundredth."""
 
 HARDEST = 12
-"""Plants that a search for the worst case begins with: those that cost most under the nominal gains."""
+"""Plants in the first round of a worst-case search: those of largest cost under the nominal gains."""
 
 JUDGED = 200
-"""Plants that robust gains are judged on; none of them was there in the search."""
+"""Hold-out plants on which robust gains are evaluated; the search uses none of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What gains are wanted for. `parameters`: the plant's; `assumed`: the names of those that were set by hand for the design.
+    """A tuning task. `parameters`: the plant's; `assumed`: names of those set by hand for the design.
 
     `chain`: changes to the measurement chain; `noise_std` N: of a reading. `overshoot` (share of a step) and `sensitivity` are
-    limits on the nominal loop. `reference`: what the gains are called that tuned ones are held against. `robust`: None,
-    "worst" or "mean" over `draws` plants; `spread`: standard deviation, as a share of the value, of parameters that have none.
-    `left_out`: controllers that the rig can't have, with the reason. `lowered`: whether the first gains may be, all by one
-    factor, until they keep the limit on sensitivity; for gains that nobody has published or given. `effects_from`: files of
-    effects that the library does not have.
+    limits on the nominal loop. `reference`: label of the initial gains. `robust`: None, "worst" or "mean" over `draws` plants;
+    `spread`: standard deviation, as a share of the value, of parameters without one. `left_out`: controllers that are not
+    possible on the rig, with the reason. `lowered`: whether initial gains are lowered by a common factor until they keep the
+    limit on sensitivity, which published or given gains are not. `effects_from`: files of user-defined effects.
     """
 
     parameters: ParameterSet
@@ -75,7 +74,7 @@ class Task:
         return CONTROLLER.sized(self.parameters.rig.scales)
 
     def objective(self, settings: Mapping[str, float]) -> Objective:
-        """The cost of the gains in a controller with these settings, on the nominal plant."""
+        """The objective for a controller with these settings, on the nominal plant."""
         settings, values = self.controller.values(settings), self.parameters.values
         dt, speed_only = settings["sample_time"], settings["speed_only"] > 0.5
         rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)
@@ -96,18 +95,18 @@ class Task:
         )
 
     def plants(self, count: int, stream: int) -> np.ndarray:
-        """(count, parameters) plants from the parameters' uncertainty; another `stream` gives others."""
+        """Plants (count, parameters) drawn from the parameters' uncertainty; `stream` selects independent draws."""
         std = standard_deviations(self.parameters, self.assumed, self.spread)
         return draws(self.parameters, std, self.knowledge, count, (self.seed, stream))
 
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """One controller. `gains`: "start" (published or given), "tuned", and "robust" where asked for, each (n,).
+    """Result for one controller. `gains`: "start" (initial), "tuned", and "robust" if requested, each (n,).
 
-    `searches` as they led to tuned and robust gains, and `verdicts` on these; `points` and `margins` around each of the gains'
-    own operating points. `judged`, `overshoots`: the cost and the overshoot (share of a step) of each of the gains on JUDGED
-    other plants (JUDGED,). `fmu_difference` N: the largest, of the thrust of the gains handed out through FMUs.
+    `searches` and `verdicts` of tuned and robust gains; `points` and `margins`: operating points of each gain set. `judged`,
+    `overshoots`: cost and overshoot (share of a step) of each gain set on hold-out plants (JUDGED,). `fmu_difference` N:
+    largest difference of thrust between FMUs and compiled loop under the chosen gains.
     """
 
     objective: Objective
@@ -122,12 +121,12 @@ class Tuned:
 
     @property
     def chosen(self) -> str:
-        """Which gains are handed out: the last that are better than those the search started from, else these."""
+        """Name of the chosen gains: the last that are better than the initial ones, else the initial ones."""
         return next((name for name in reversed(self.verdicts) if self.verdicts[name].better), "start")
 
     @property
     def final(self) -> np.ndarray:
-        """The gains that are handed out."""
+        """The chosen gains."""
         return self.gains[self.chosen]
 
     def cost(self, which: str) -> float:
@@ -137,7 +136,7 @@ class Tuned:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The gains of the controllers, "dual" and "speed_only"; `plants` (JUDGED, parameters): what they were judged on."""
+    """Results for the controllers "dual" and "speed_only"; `plants` (JUDGED, parameters): the hold-out plants."""
 
     task: Task
     tuned: Mapping[str, Tuned]
@@ -146,11 +145,11 @@ class Tuning:
 
 
 Found = Mapping[str, tuple[Objective, Search]]
-"""By controller: the best search, and the objective that it has made small."""
+"""By controller: the best search, and the objective that it minimises."""
 
 
 def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1, scheduler: str | None = None) -> Tuning:
-    """Tune a controller for each of `starts`: settings by the controller's name, gains among them.
+    """Tune each controller of `starts`: settings, with initial gains, by the controller's name.
 
     `workers`, `scheduler` as in `identification.workers`; the gains do not depend on them.
     """
@@ -174,9 +173,9 @@ def tune(task: Task, starts: Mapping[str, Mapping[str, float]], workers: int = 1
 
 
 def _lowered(objective: Objective) -> Objective:
-    """The objective with its first gains lowered until the loop holds within its limit on sensitivity; else as they are.
+    """Lower the initial gains until the loop keeps its limit on sensitivity; unchanged if none does.
 
-    What they make of a step is what tuned gains are held to, and a loop at the edge of stability is no measure.
+    The response under the initial gains limits that of the tuned ones, and a loop close to instability is no useful limit.
     """
     for k in range(LOWEST + 1):
         gains = LOWER**k * objective.gains
@@ -187,15 +186,15 @@ def _lowered(objective: Objective) -> Objective:
 
 
 def _nominal(objectives: Mapping[str, Objective], workers, scheduler) -> Found:
-    """The search over the nominal plant."""
+    """Search on the nominal plant."""
     limited = {n: replace(o, points=operating_points(o, o.gains), reference=o.steps(o.gains)) for n, o in objectives.items()}
     starts = {name: [(factor * o.gains, ("PI", "D", "all")) for factor in STARTS] for name, o in objectives.items()}
     return rounds(limited, starts, None, SHAKES[0], workers, scheduler, "tuning")
 
 
 def _robust(task: Task, found: Found, workers, scheduler) -> Found:
-    """The same over many plants, from the nominal gains and from the first ones. Few plants make the worst case: for that the
-    rest is kept in reserve."""
+    """Search on many plants, from the nominal and from the initial gains. For the worst case only the plants of largest cost
+    are used; the others stay in reserve."""
     drawn = task.plants(task.draws, stream=0)
     many, starts = {}, {}
     for name, (o, each) in found.items():
@@ -209,7 +208,7 @@ def _robust(task: Task, found: Found, workers, scheduler) -> Found:
 
 
 def _tuned(objective: Objective, found: Found, plants: np.ndarray | None) -> Tuned:
-    """What came of the searches, "tuned" and perhaps "robust"."""
+    """Evaluate the results of the searches, "tuned" and possibly "robust"."""
     gains = {"start": objective.gains} | {name: search.gains for name, (_, search) in found.items()}
     points = {name: operating_points(objective, own) for name, own in gains.items()}
     margins = {name: margins_at(objective, own, points[name]) for name, own in gains.items()}

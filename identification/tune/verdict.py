@@ -1,10 +1,9 @@
-"""Whether gains that a search found are better than those that it started from, whatever the cost says.
+"""Decide whether the gains of a search are better than the initial gains, by more criteria than the cost.
 
-Every step of the course is judged under both: how long the thrust takes to settle, how far it overshoots, how much it rings
-(`vpp_fmu.response.Step`). That is the response without noise of the reading, on one plant: only the gains differ, and only the
-clock's resolution is left, so a step settles later if it does by more than one sample. Overshoot and ringing up to the limit
-that was set for overshoot count as none; beyond it they are worse if they grow by more than that limit's slack. A loop must
-also stay stable, and within the limit on its sensitivity if it was.
+Settling time, overshoot and ringing of each step (`vpp_fmu.response.Step`) are compared, on one plant without measurement
+noise. Settling is worse if it is longer by more than one sample. Overshoot and ringing up to the limit of overshoot count as
+none; beyond it they are worse if they increase by more than the slack of that limit. A stable loop must stay stable, and a loop
+within the limit on sensitivity must stay within it.
 """
 
 from collections.abc import Sequence
@@ -18,14 +17,14 @@ from identification.tune.search import RESOLVED
 from vpp_fmu.response import Step
 
 UNITS = {"settling": "s", "overshoot": "%", "ringing": "%"}
-"""The figures of a step."""
+"""The figures of a step and their units."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A figure of a step under the first gains and under others; a settling that is None: not before the next step.
+    """A figure of a step under the initial and under other gains; settling None: not before the next step.
 
-    `grown`: by how much of what counts; `tolerance`: what that must exceed, either way.
+    `grown`: increase of the part that counts; `tolerance`: least change in either direction that counts.
     """
 
     name: str
@@ -36,12 +35,12 @@ class Change:
 
     @property
     def worse(self) -> bool:
-        """Whether it has grown."""
+        """Whether the figure has increased."""
         return self.grown > self.tolerance
 
     @property
     def better(self) -> bool:
-        """Whether it has shrunk."""
+        """Whether the figure has decreased."""
         return -self.grown > self.tolerance
 
     def told(self) -> str:
@@ -53,7 +52,7 @@ class Change:
 
 @dataclass(frozen=True)
 class StepChanges:
-    """A step of the wanted thrust from `before` to `after` [N] at `time` [s], and how its figures changed."""
+    """A step of the wanted thrust from `before` to `after` [N] at `time` [s], and the changes of its figures."""
 
     time: float
     before: float
@@ -62,15 +61,15 @@ class StepChanges:
 
     @property
     def name(self) -> str:
-        """As the reader knows it."""
+        """Label of the step for reports."""
         return f"{self.before:.3g} → {self.after:.3g} N at {self.time:.3g} s"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of every step, of the least margins and of the cost with its limits, (first, other).
+    """Changes of each step, of the smallest margins and of the cost with penalties, (initial, other).
 
-    `worse`: what forbids the other gains, in words; `overshoot` (share of a step), `sensitivity`: the limits.
+    `worse`: reasons against the other gains, in words; `overshoot` (share of a step), `sensitivity`: the limits.
     """
 
     steps: tuple[StepChanges, ...]
@@ -82,14 +81,14 @@ class Verdict:
 
     @property
     def better(self) -> bool:
-        """Whether the gains are handed out: nothing is worse, and the cost is lower by what a search resolves, or lower at all
-        and a figure of a step better."""
+        """Whether the gains are accepted: nothing is worse, and the cost is lower by RESOLVED, or lower with a figure of a step
+        that is better."""
         first, other = self.penalised
         gain = other < first * (1.0 - RESOLVED) or (other < first and bool(self.gains()))
         return gain and not self.worse
 
     def gains(self) -> list[str]:
-        """The figures that are better, in words."""
+        """Figures that are better, in words."""
         found = [f"{c.name} {c.told()} on the step {s.name}" for s in self.steps for c in s.changes if c.better]
         first, other = (m and m.sensitivity for m in self.margins)
         if first and other and other <= SLACK * self.sensitivity < first:
@@ -97,14 +96,14 @@ class Verdict:
         return found
 
     def words(self) -> str:
-        """The verdict with its reason."""
+        """The verdict with its reason, in words."""
         if not self.better:
             return f"no better: kept the gains it started from{self._broken()}; {'; '.join(self.worse) or self._no_gain()}"
         none = f"overshoot and ringing within the limit of {100.0 * self.overshoot:g} % count as none"
         return f"better: {'; '.join(self.gains()) or 'less cost'}; no step is worse ({none})"
 
     def _broken(self) -> str:
-        """That the first gains break a limit, where they do."""
+        """A note if the initial gains exceed the limit on sensitivity, else empty."""
         first = self.margins[0]
         if first is None or first.sensitivity <= SLACK * self.sensitivity:
             return ""
@@ -115,10 +114,10 @@ class Verdict:
         change = f"the cost with its limits changes by {100.0 * (other / first - 1.0):+.2g} %"
         if other >= first:
             return change
-        return f"no figure of any step is better, and {change}, where a search resolves {100.0 * RESOLVED:g} %"
+        return f"no figure of any step is better, and {change}; a search resolves {100.0 * RESOLVED:g} %"
 
     def summary(self) -> dict:
-        """As tuning.json has it."""
+        """The verdict for tuning.json."""
         return {
             "better": self.better,
             "words": self.words(),
@@ -131,9 +130,9 @@ class Verdict:
 def verdict(
     objective: Objective, other: np.ndarray, margins: Sequence[Sequence[Margins]], penalised: tuple[float, float]
 ) -> Verdict:
-    """Judge the gains `other` (n,) against the objective's own.
+    """Compare the gains `other` (n,) with the initial gains of the objective.
 
-    `margins`: at the operating points of both; `penalised`: the costs of both with their limits.
+    `margins`: at the operating points of both; `penalised`: the costs of both with penalties.
     """
     pairs = zip(objective.steps(objective.gains), objective.steps(other), strict=True)
     changed = tuple(
@@ -147,7 +146,7 @@ def verdict(
 
 
 def _changes(first: Step, other: Step, limit: float, dt: float) -> tuple[Change, ...]:
-    """`limit`: share of a step; `dt` s. A sample's tolerance has half a one more, for times are sums."""
+    """Changes of a step's figures; `limit`: share of a step; `dt` s. The tolerance is 1.5 samples, because of rounding."""
     spent = [s.end - s.time if s.settling is None else s.settling for s in (first, other)]
     found = [Change("settling", first.settling, other.settling, spent[1] - spent[0], 1.5 * dt)]
     for name in ("overshoot", "ringing"):
@@ -161,7 +160,7 @@ def _worse_margins(first: Margins | None, other: Margins | None, limit: float) -
     if first is None or other is None:
         return []
     if first.stable and not other.stable:
-        return ["a loop that was stable at every operating point is not at one of them"]
+        return ["a loop that was stable at each operating point is unstable at one of them"]
     if other.sensitivity > SLACK * max(limit, first.sensitivity):
         return [f"sensitivity {first.sensitivity:.3g} → {other.sensitivity:.3g}, limit {limit:g}"]
     return []

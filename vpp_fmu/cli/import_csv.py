@@ -35,9 +35,9 @@ from identification.logs.mapping import (
     section_of,
     to_toml,
 )
+from identification.logs.raw_table import RawTable
 from identification.logs.rotors import chosen
 from identification.logs.sampling import said_of_gaps
-from identification.logs.sheet import Sheet
 from identification.logs.speed_map import read_speed_map
 from identification.logs.units import QUANTITIES
 from identification.static.static_map import DENSITY
@@ -121,7 +121,7 @@ def _section(options) -> dict:
     return section_of(files[0], options.kind) if files else {}
 
 
-def _sheet(options, read: dict) -> Sheet:
+def _sheet(options, read: dict) -> RawTable:
     if options.encoding is not None:
         try:
             codecs.lookup(options.encoding)
@@ -136,7 +136,7 @@ def _sheet(options, read: dict) -> Sheet:
     return read_delimited(options.log, given) if sheet is None else sheet
 
 
-def _plan(options, section: dict, sheet: Sheet) -> Plan:
+def _plan(options, section: dict, sheet: RawTable) -> Plan:
     """Pairs of the command line before the TOML's, which is complete; else the proposal completes them. BadInput."""
     own = parse_pairs([word for word in options.map if "=" in word], sheet, options.force)
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
@@ -161,7 +161,7 @@ def _plan(options, section: dict, sheet: Sheet) -> Plan:
     return Plan(columns, fixed, sheet.read)
 
 
-def _propose(sheet: Sheet, options) -> None:
+def _propose(sheet: RawTable, options) -> None:
     fixed = parse_fixed(options.fixed)
     others, said = chosen(sheet, options.rotor, ())
     columns = propose(sheet, others)
@@ -186,7 +186,7 @@ def _propose(sheet: Sheet, options) -> None:
         print(f"saved in {options.propose}")
 
 
-def _say_columns(sheet: Sheet, plan: Plan, taken: Taken) -> None:
+def _say_columns(sheet: RawTable, plan: Plan, taken: Taken) -> None:
     for quantity, column in plan.columns.items():
         values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
         span = ""

@@ -1,4 +1,4 @@
-"""A log as its file tells it, before anybody says what its columns mean: cells by name, units where the file has them."""
+"""A log as a table of cells by name, before its columns are mapped to quantities, with units if the file has them."""
 
 import difflib
 import re
@@ -11,18 +11,18 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import shown
 
 EMPTY = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", "---", "inf", "-inf", "+inf"))
-"""Cells that loggers write where they have no value, in lower case."""
+"""Cells that loggers write for a missing value, in lower case."""
 
 _UNIT_IN_NAME = re.compile(r"^(.*?)[\s_]*(?:\(([^()]*)\)|\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\s/\s*(\S+)|,\s+(\S+))\s*$")
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
-    """A table. `columns`: by name in the file's order, (n,) float, datetime64[ns], or str as found; `units` by name where
-    the file tells them; `lines` (n,): where each row stands, in `rows_are` ("line" of a text, "row" of a container).
+class RawTable:
+    """`columns` by name in the file's order, (n,) float, datetime64[ns] or str; `units` by name, if the file has them; `lines`
+    (n,): number of each row, counted in `rows_are` ("line" of a text, "row" of a container).
 
-    `told`: how it was read, in words; `read`: the same as options that read it again; `left_out`: lines that are no rows, by
-    reason. `decimal`: the mark in cells that are text.
+    `told`: how the file was read, in words; `read`: the same as options; `left_out`: numbers of skipped lines by reason;
+    `decimal`: the decimal mark of cells that are text.
     """
 
     source: str
@@ -39,11 +39,11 @@ class Sheet:
         return len(self.lines)
 
     def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
-        """The error that names a cell."""
+        """The error for one cell."""
         return BadInput(self.source, f"{name}, {self.rows_are} {self.lines[row]}", found, allowed)
 
     def find(self, wanted: str) -> str:
-        """The name of the column that a user means: by its name, its name without the unit, or its number from 1. BadInput."""
+        """Name of the column that matches a name, a name without its unit, or a number from 1. BadInput."""
         if wanted in self.columns:
             return wanted
         for form in (_folded, lambda name: _folded(split_unit(name)[0])):
@@ -61,12 +61,11 @@ class Sheet:
         )
 
     def unit(self, name: str) -> str | None:
-        """The unit that the file tells of a column: its unit row's, else that in its name; None where it tells none."""
+        """Unit of a column: from the row of units, else from its name, else None."""
         return self.units.get(name) or split_unit(name)[1] or None
 
     def numbers(self, name: str) -> np.ndarray:
-        """(n,) the column as float, NaN where a cell is empty or no finite number of a logger's. BadInput names the first cell
-        that is neither."""
+        """The column (n,) as float, NaN for cells that are empty or not finite. BadInput names the first cell of other text."""
         cells = self.columns[name]
         if cells.dtype.kind == "f":
             return np.where(np.isfinite(cells), cells, np.nan)
@@ -84,7 +83,7 @@ class Sheet:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """(name, unit) of a header such as "Thrust (gf)", "Thrust [gf]" or "Thrust / gf"; the unit is "" where there is none."""
+    """(name, unit) of a header such as "Thrust (gf)", "Thrust [gf]" or "Thrust / gf"; the unit is "" if there is none."""
     found = _UNIT_IN_NAME.match(name)
     if found is None or not found.group(1).strip():
         return name.strip(), ""
@@ -92,7 +91,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def plain(cell: str, decimal: str) -> str:
-    """A cell as Python reads numbers: with a point, without marks of thousands; "" of what loggers write for no value."""
+    """A cell as Python reads numbers: decimal point, no thousands separators; "" for a missing value."""
     text = cell.strip().replace("\u2212", "-")
     if text.lower() in EMPTY:
         return ""
@@ -106,7 +105,7 @@ def plain(cell: str, decimal: str) -> str:
 
 
 def _number(text: str) -> float:
-    """NaN for whatever is none; Python alone takes 1_000 for one."""
+    """NaN for text that is not a number; 1_000 is a number for Python only."""
     try:
         value = float(text) if "_" not in text else np.nan
     except ValueError:

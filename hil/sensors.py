@@ -1,4 +1,4 @@
-"""What the rig's sensors say at a tick. What a device can't mend by itself is a fault; its last reading stands then."""
+"""Read the rig's sensors at each tick. An error that a device cannot recover is a fault; its last reading is held."""
 
 import contextlib
 import math
@@ -10,13 +10,13 @@ from hil.devices.tachometer import Revolution
 from hil.safety.faults import DeviceFault, Fault
 
 PATIENCE = 25
-"""Times that the tachometer is asked after a break before its silence counts: 0.1 s."""
+"""Requests to the tachometer after a break before a missing answer is a fault: 0.1 s."""
 
 
-class Senses:
-    """The last readings: `counts` of the ADC and whether `saturated`; `thrust` [N] over the tare's `zero` [counts] and its age
+class Sensors:
+    """The last readings: `counts` of the ADC and whether `saturated`; `thrust` [N] above the tare's `zero` [counts] and its age
     [s]; speed `omega` [rpm] of the last whole revolution, 0 at standstill, and the age [s] of the mark's last pass; the
-    tachometer's last answer and its age `speed_age` [s]; what the `supply` shows, by name, NaN where that is not read."""
+    tachometer's last answer and its age `speed_age` [s]; readings of the `supply` by name, NaN if not read."""
 
     def __init__(self, bench: Bench, zero: float):
         self._bench, self.zero = bench, zero
@@ -26,10 +26,9 @@ class Senses:
         self.supply = bench.supply.values if bench.supply else dict.fromkeys(NAMES, math.nan)
 
     def wake(self, clock: Clock, pause: float) -> None:
-        """Ask the tachometer again after a break, with `pause` s for each answer: from here on silence is a fault.
+        """Request the tachometer after a break, with `pause` s for each answer; afterwards a missing answer is a fault.
 
-        A machine that stands still for a moment right then has the same patience as in a run: its last answer is as old as
-        the break is long.
+        The last answer is as old as the break, so several requests are needed if the computer stalls at that moment.
         """
         answer = None
         for k in range(PATIENCE):
@@ -41,7 +40,7 @@ class Senses:
                 return
 
     def read(self, passed: float) -> list[Fault]:
-        """Read all, `passed` s after the last time."""
+        """Read all sensors, `passed` s after the last time."""
         bench, faults = self._bench, []
         self.thrust_age += passed
         try:
