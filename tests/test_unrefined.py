@@ -112,8 +112,8 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     grid = {"speeds": np.linspace(0.35, 1.0, 8), "pitches": [4.0]}
     found = identify(campaign("micro", recorded("wwx", (4.0, 4.0), **grid)), starts=1)
     assert {"tau_beta_1", "tau_beta_2", "c21", "c12"} <= set(found.not_identifiable)
-    assert found.not_identifiable["c21"] == "the data tell only its combination with c20"
-    assert found.not_identifiable["c12"] == "the data tell only its combination with c11"
+    assert found.not_identifiable["c21"] == "the data identify only its combination with c20"
+    assert found.not_identifiable["c12"] == "the data identify only its combination with c11"
     assert any(line.startswith("not told by these data: c21 (stays at ") for line in untold(found))
     # The same record beside a whole grid: the map is then told, the pitch's lags are still not.
     whole_grid = gridded(np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5))
