@@ -250,7 +250,7 @@ def test_a_run_unlike_the_model_is_left_out(pitch_runs):
 def test_a_command_that_was_not_reached_is_told_by_the_thrust(pitch_runs):
     half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
     odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
-    assert "thrust moves by 5" in reason(pitch_runs, odd)
+    assert "thrust changes by 5" in reason(pitch_runs, odd)
 
 
 def test_a_command_that_was_not_reached_is_told_by_its_own_sensor():

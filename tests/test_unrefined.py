@@ -89,7 +89,7 @@ def test_what_tells_nothing_is_refused_in_a_line():
     assert "\n" not in str(error.value)
     flat = campaign("paper", only("steps"))
     still = tuple(r.with_columns(omega_ref=np.full(len(r), 4000.0), beta_ref=np.zeros(len(r))) for r in flat.steps)
-    with pytest.raises(BadInput, match="it stands at 4000 rpm while omega runs"):
+    with pytest.raises(BadInput, match="it is constant at 4000 rpm while omega runs"):
         identify(replace(flat, steps=still))
     still = tuple(r.with_columns(omega=np.full(len(r), 4000.0)) for r in still)
     with pytest.raises(BadInput, match="0 changes of the commands instead of one"):
