@@ -233,9 +233,8 @@ def _with_later(columns: np.ndarray, reach: int) -> np.ndarray:
     found, lags = np.zeros((reach + 1, reach + 1)), np.arange(min(reach, rows - 1) + 1)
     first = columns[:reach] @ columns[:reach].T
     found[0, lags] = np.fft.irfft(spectrum.sum(axis=1))[lags] - [np.trace(first, -lag) for lag in lags]
-    last = (
-        columns[rows - reach :] @ columns[rows - reach :].T
-    )  # each further lag adds rows at the start and drops rows at the end
+    # Each further lag adds a row at the start and removes one at the end.
+    last = columns[rows - reach :] @ columns[rows - reach :].T
     for i in range(reach if rows > 2 * reach else 0):
         entering, leaving = first[reach - 1 - i, : reach - i][::-1], last[reach - 1 - i, : reach - i][::-1]
         found[i + 1, i + 1 :] = found[i, i:reach] + entering - leaving
