@@ -23,9 +23,9 @@ from identification.gate.files import (
 )
 from identification.gate.finding import ERROR, KINDS, acceptable
 from identification.gate.gate import look, passed
-from identification.gate.made import one_mark, write_campaign
 from identification.gate.response import FOLLOWS, Look, Response, Span
 from identification.gate.sensors import screen
+from identification.gate.synthetic import one_mark, write_campaign
 from identification.gate.template import COLUMNS, FILES
 from identification.identify import identify
 from identification.static.static_map import TERMS

@@ -28,9 +28,9 @@ IDENTIFIED = (
     ),
 )
 REFUSED = {
-    "no move of a rotor at rest": "nothing that tells a parameter",
+    "no move of a rotor at rest": "no identifiable parameter",
     "raw samples that never rest": "steady stretches",
-    "steps without a step": "it stands at 2400 rpm while omega runs from",
+    "steps without a step": "it is constant at 2400 rpm while omega runs from",
     "dead load cell": "Look at the load cell",
 }
 FEW = {"diagnose": ("--effects", "pitch_delay,sensor_drift"), "identify": ("--starts", "1")}

@@ -100,7 +100,7 @@ def test_an_identification_is_as_good_as_without_the_transient(campaigns, name):
     found = identify(campaigns[name], starts=1)
     said = [f for f in found.quality if f.code == "run_in"]
     assert [f.file for f in said] == IN_MOTION[name]
-    assert all(f.told.startswith("begins in motion: its first 2.9 s are left out") for f in said)
+    assert all(f.told.startswith("begins in motion: its first 2.9 s are excluded") for f in said)
     std = found.uncertainty.std
     off = [(v - TRUTH[n]) / s for n, v, s in zip(found.uncertainty.names, found.uncertainty.values, std, strict=True)]
     assert np.max(np.abs(off)) < 4.0
@@ -148,4 +148,4 @@ def test_check_says_it_in_one_line(campaigns, capsys):
     said = [line for line in capsys.readouterr().out.splitlines() if "run_in" in line]
     assert len(said) == 1
     assert "validation.csv" in said[0]
-    assert "begins in motion: its first 2.9 s are left out of every figure" in said[0]
+    assert "begins in motion: its first 2.9 s are excluded" in said[0]

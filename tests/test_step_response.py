@@ -244,13 +244,13 @@ def test_a_run_unlike_the_model_is_left_out(pitch_runs):
     odd = run("beta", -5, 10, 6000, noise=NOISE, seed=99, **FAST)
     time = odd.time - AT
     swing = np.where(time > 0, 2.0 * np.exp(-time / 0.3) * np.sin(25.0 * time), 0.0)
-    assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the fit leaves ")
+    assert reason(pitch_runs, odd.with_columns(thrust=odd["thrust"] + swing)).startswith("the residual is ")
 
 
 def test_a_command_that_was_not_reached_is_told_by_the_thrust(pitch_runs):
     half = run("beta", -5, 2, 6000, noise=NOISE, seed=99, **FAST)
     odd = half.with_columns(beta_ref=np.where(half.time < AT - 1e-9, -5.0, 10.0))
-    assert "thrust moves by 5" in reason(pitch_runs, odd)
+    assert "thrust changes by 5" in reason(pitch_runs, odd)
 
 
 def test_a_command_that_was_not_reached_is_told_by_its_own_sensor():

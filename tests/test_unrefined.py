@@ -89,7 +89,7 @@ def test_what_tells_nothing_is_refused_in_a_line():
     assert "\n" not in str(error.value)
     flat = campaign("paper", only("steps"))
     still = tuple(r.with_columns(omega_ref=np.full(len(r), 4000.0), beta_ref=np.zeros(len(r))) for r in flat.steps)
-    with pytest.raises(BadInput, match="it stands at 4000 rpm while omega runs"):
+    with pytest.raises(BadInput, match="it is constant at 4000 rpm while omega runs"):
         identify(replace(flat, steps=still))
     still = tuple(r.with_columns(omega=np.full(len(r), 4000.0)) for r in still)
     with pytest.raises(BadInput, match="0 changes of the commands instead of one"):
@@ -112,8 +112,8 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     grid = {"speeds": np.linspace(0.35, 1.0, 8), "pitches": [4.0]}
     found = identify(campaign("micro", recorded("wwx", (4.0, 4.0), **grid)), starts=1)
     assert {"tau_beta_1", "tau_beta_2", "c21", "c12"} <= set(found.not_identifiable)
-    assert found.not_identifiable["c21"] == "the data tell only its combination with c20"
-    assert found.not_identifiable["c12"] == "the data tell only its combination with c11"
+    assert found.not_identifiable["c21"] == "the data identify only its combination with c20"
+    assert found.not_identifiable["c12"] == "the data identify only its combination with c11"
     assert any(line.startswith("not told by these data: c21 (stays at ") for line in untold(found))
     # The same record beside a whole grid: the map is then told, the pitch's lags are still not.
     whole_grid = gridded(np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5))

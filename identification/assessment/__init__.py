@@ -1,1 +1,1 @@
-"""What the numbers are worth: intervals beyond the linear ones, tests of the residual, predictions and their bands."""
+"""Accuracy of a fit: nonlinear intervals, tests of the residual, predictions and their bands."""

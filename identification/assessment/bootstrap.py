@@ -1,12 +1,11 @@
-"""Block bootstrap of a fit: how the estimates scatter when the residual is drawn anew, with its colour but in another order.
+"""Block bootstrap of a fit: scatter of the estimates over resampled residuals.
 
-The residual of each channel of each record is resampled in blocks of BLOCK seconds that may run over the record's end into
-its start (circular block bootstrap: Politis and Romano, 1992), added to the model's prediction, and the parameters are fitted
-again from the optimum. Records of the same commands are drawn alike: what the model lacks in them stays shared. What the fit
-took out of the residual is first put back, by frequency. Unlike the covariance this needs no parabola: near a bound or a
-double pole the intervals come out lopsided, as they are. It supposes that the residual has one colour and size all along the
-record, which the covariance does not. Weights of the channels stay as they are; prior knowledge scatters as its covariance
-says.
+The residual of each channel of each record is resampled in blocks of BLOCK seconds that may wrap around the record's end
+(circular block bootstrap: Politis and Romano, 1992). It is added to the model's prediction, and the parameters are refitted
+from the optimum. Records of the same commands get the same blocks, so they still share the model error. The noise that the fit
+absorbed is first restored, by frequency. Unlike the covariance this needs no linearisation: near a bound or a double pole the
+intervals are asymmetric. It assumes a residual of constant colour and size along the record; the covariance does not. The
+channels' weights are fixed; a prior is resampled from its covariance.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,15 +24,15 @@ from identification.workers import spread
 from vpp_fmu.kernel.plant import plant
 
 BLOCK = 2.0
-"""Length of a block, s: several times what the rig's residuals remember. Correlation at a lag l survives to 1 - l / BLOCK."""
+"""Length of a block, s: several correlation times of the rig's residuals. A correlation at lag l decreases to 1 - l / BLOCK."""
 
 CHUNK = 25
-"""Samples of one piece of work: the model is traced once for them. Numbers do not depend on it."""
+"""Samples of one task, for which the model is traced once. Results do not depend on it."""
 
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """What `count` refits gave: `samples` (count, n) of the parameters `names`, in their own units.
+    """Estimates of `count` refits: `samples` (count, n) of the parameters `names`, in their units.
 
     `ratio` (n,): standard deviation of the samples over that of the fit's covariance.
     """
@@ -60,10 +59,10 @@ class Bootstrap:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted problem as plain data that another process can be sent: the model by its effects' names.
+    """A fitted problem as plain data to send to another process, with the model given by its effects' names.
 
-    `value` (n,): the optimum's coordinates; `scale`: the channels' weights; `residual` (rows,): what is drawn from. The rest as
-    `Problem` takes it.
+    `value` (n,): coordinates of the optimum; `scale`: the channels' weights; `residual` (rows,): the residual to resample. The
+    other fields are arguments of `Problem`.
     """
 
     effects: tuple[str, ...]
@@ -77,7 +76,7 @@ class Fit:
     residual: np.ndarray
 
     def problem(self) -> Problem:
-        """The problem, under the weights that it was fitted with."""
+        """The problem with the weights of the fit."""
         problem = Problem(plant(self.effects), self.experiments, self.values, self.names, self.prior, self.slow_first)
         problem.scale.update(self.scale)
         return problem
@@ -86,7 +85,7 @@ class Fit:
 def bootstrap(
     refinement: Refinement, count: int = 200, seed: int = 0, workers: int = 1, scheduler: str | None = None
 ) -> Bootstrap:
-    """Refit `count` resamples of a refinement's residual. The same `seed` gives the same samples, whoever computes them.
+    """Refit `count` resamples of a refinement's residual. The same `seed` gives the same samples for any `workers`.
 
     `workers`, `scheduler` as in `identification.workers`. The model's effects must be the library's.
     """
@@ -95,7 +94,7 @@ def bootstrap(
     chunks = [seeds[k : k + CHUNK] for k in range(0, count, CHUNK)]
     samples = np.concatenate(spread(partial(_refits, fit), chunks, workers, scheduler, "bootstrap"))
     std = refinement.uncertainty.std
-    with np.errstate(invalid="ignore", divide="ignore"):  # no variance at a bound: nothing to compare with
+    with np.errstate(invalid="ignore", divide="ignore"):  # a parameter at a bound has no variance
         ratio = samples.std(axis=0, ddof=1) / std
     return Bootstrap(refinement.names, samples, ratio)
 
@@ -115,7 +114,7 @@ def _fit(refinement: Refinement) -> Fit:
     )
 
 
-@threadpool_limits.wrap(limits=1)  # as many threads everywhere: sums then round the same, and workers don't crowd each other
+@threadpool_limits.wrap(limits=1)  # one thread everywhere: sums round the same, and workers do not compete
 def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
     """Parameters (len(seeds), n) of one refit for each seed."""
     problem = fit.problem()
@@ -127,7 +126,7 @@ def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
         drawn = _drawn(np.random.default_rng(seed), fit.residual, groups)
 
         def evaluate(x, shift=drawn - optimum):
-            # Measured is predicted at the optimum less the drawn residual, so the rest cancels.
+            # The drawn measurement is the prediction at the optimum minus the drawn residual.
             residual, jacobian = problem.evaluate(x)
             return residual + shift, jacobian
 
@@ -137,16 +136,16 @@ def _refits(fit: Fit, seeds: Sequence[np.random.SeedSequence]) -> np.ndarray:
 
 
 def _drawn(rng: np.random.Generator, residual: np.ndarray, groups: Sequence[Sequence[tuple[slice, int]]]) -> np.ndarray:
-    """A residual (rows,) made of blocks of the given one.
+    """A residual (rows,) composed of blocks of the given one.
 
-    `groups`: for each group of a problem, (where a channel of a record stands, rows in a block) of its records.
+    `groups`: for each group of a problem, (rows of a channel of a record, length of a block) of its records.
     """
-    drawn = rng.standard_normal(len(residual))  # stays so where a prior stands: its rows have unit variance
+    drawn = rng.standard_normal(len(residual))  # kept for the rows of a prior, which have unit variance
     for group in groups:
         most = max(-(-(at.stop - at.start) // length) for at, length in group)
         starts = rng.random(most)
         for at, length in group:
-            own = residual[at] - residual[at].mean()  # what has no mean in the model must not become one in the samples
+            own = residual[at] - residual[at].mean()  # the mean of the residual must not enter the samples
             m = len(own)
             rows = (starts * m).astype(int)[:, None] + np.arange(length)
             drawn[at] = own[rows % m].ravel()[:m]
@@ -154,7 +153,7 @@ def _drawn(rng: np.random.Generator, residual: np.ndarray, groups: Sequence[Sequ
 
 
 def _rows(block: Block) -> int:
-    """Rows of a channel that span BLOCK; a quarter of them all where the record is short."""
+    """Rows of a channel that span BLOCK, at most a quarter of the record."""
     time = block.time
     if len(time) < 2:
         return 1

@@ -1,9 +1,9 @@
-"""What a record of commands would tell about a model's parameters, before anyone has run it: Fisher information.
+"""Fisher information of commands about a model's parameters, before an experiment.
 
     F = sum over samples of s s^T / noise^2,   s = d output / d parameter at the given values;   covariance = F^-1
 
-Exact for small errors under white noise (Cramer and Rao). It says nothing of what the model lacks, and a threshold, flat
-wherever it is not crossed, tells it nothing. Everything here is in relative units: each parameter in its own size.
+Exact for small errors under white noise (Cramer and Rao). It ignores model error, and a threshold that is not crossed has zero
+information. All matrices are in relative units: each parameter divided by its size.
 """
 
 import json
@@ -22,15 +22,16 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 
 SMALLEST = 0.05
-"""A parameter smaller than this share of its nominal value is measured in that instead: 0 has no relative error."""
+"""Minimum size of a parameter, as a share of its nominal value: 0 has no relative error."""
 
 NOTHING = 1e-8
-"""Information on every parameter that a covariance starts from: a standard deviation of 10 000 times its size."""
+"""Information added to every parameter before inversion: a standard deviation of 10 000 times its size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """What is known of the parameters `names` after an experiment: `values` and `size` (n,), `covariance` (n, n), own units."""
+    """Forecast for the parameters `names` after an experiment: `values` and `size` (n,), `covariance` (n, n), in their
+    units."""
 
     names: tuple[str, ...]
     values: np.ndarray
@@ -50,16 +51,16 @@ class Forecast:
 
     @property
     def relative(self) -> np.ndarray:
-        """(n,) standard deviations over the parameters' sizes."""
+        """(n,): standard deviations divided by the parameters' sizes."""
         return self.std / self.size
 
     @property
     def typical(self) -> float:
-        """Root mean square of these: what a plan is to make small."""
+        """Root mean square of the relative standard deviations, which a plan minimises."""
         return float(np.sqrt(np.mean(self.relative**2)))
 
     def weakest(self) -> tuple[np.ndarray, float]:
-        """(direction (n,) of unit length in relative units that is known least, its standard deviation)."""
+        """(weakest direction (n,) of unit length in relative units, its standard deviation)."""
         spread, vectors = np.linalg.eigh(self.covariance / np.outer(self.size, self.size))
         direction = vectors[:, -1]
         return direction * np.sign(direction[np.argmax(np.abs(direction))]), float(np.sqrt(spread[-1]))
@@ -69,8 +70,8 @@ class Information:
     """Fisher information of commands for a model at `values` (all of its parameters), in the parameters `names`.
 
     `noise_std` N: white noise of a thrust reading, one every `sampling` seconds. `omega_std` rpm: of a tachometer's reading,
-    one a revolution at most (its averaging over the revolution is left out); None: no speed is measured.
-    Inputs that a model has beside the commands stand at their nominal value.
+    at most one a revolution, whose averaging is neglected; None: speed is not measured. Inputs of the model other than the
+    commands have their nominal value.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Information:
         self._thrust, self._omega = (self._simulator.outputs.index(n) for n in ("thrust", "omega"))
 
     def only(self, names: Sequence[str]) -> "Information":
-        """The same in fewer parameters; the others count as known."""
+        """The same for the parameters `names` alone; the others are known."""
         chosen = [self.names.index(name) for name in names]
         fewer = copy(self)
         fewer.names, fewer._columns = tuple(names), self._columns[chosen]
@@ -100,13 +101,13 @@ class Information:
         return fewer
 
     def thrust(self, commands: np.ndarray, step: float) -> np.ndarray:
-        """Thrust (rows,) N as the model predicts it."""
+        """Predicted thrust (rows,) N."""
         return self._response(commands, step)[0][:, self._thrust]
 
     def of(self, commands: np.ndarray, step: float) -> np.ndarray:
         """F (n, n) in relative units of `commands` (rows, 2) [rpm, deg], one row every `step` seconds.
 
-        A step longer than the sampling stands for several readings, alike.
+        A step longer than the sampling period counts as several equal readings.
         """
         outputs, tangents = self._response(commands, step)
         readings = step / self._sampling
@@ -115,10 +116,10 @@ class Information:
             pulses = np.minimum(outputs[:, self._omega] / 60.0 * step, readings)
             speed = tangents[:, self._omega] * self.size * (np.sqrt(pulses) / self._omega_noise)[:, None]
             rows = np.vstack([rows, speed])
-        return np.einsum("ri,rj->ij", rows, rows)  # not BLAS: its threads cost more than they save at this size
+        return np.einsum("ri,rj->ij", rows, rows)  # not BLAS: its threads are slower at this size
 
     def known(self, knowledge: Prior | None) -> np.ndarray:
-        """F (n, n) in relative units of what is known beforehand; parameters that are not among `names` are left out."""
+        """F (n, n) of a prior in relative units, without parameters that are not in `names`."""
         information = np.zeros((len(self.names), len(self.names)))
         if knowledge is not None:
             rows = [k for k, n in enumerate(knowledge.names) if n in self.names]
@@ -128,7 +129,7 @@ class Information:
         return information
 
     def forecast(self, information: np.ndarray) -> Forecast:
-        """What an experiment of this information (n, n) would leave."""
+        """Forecast after an experiment of this information (n, n)."""
         covariance = np.linalg.inv(information + NOTHING * np.eye(len(self.names)))
         return Forecast(self.names, self.values, self.size, covariance * np.outer(self.size, self.size))
 
@@ -141,8 +142,8 @@ class Information:
 
 
 def read_knowledge(path: str | os.PathLike) -> tuple[Prior, float]:
-    """What an `identification.json` says of the parameters it fitted: (their covariance, how much wider than under white
-    residuals the typical interval was). BadInput where it isn't one."""
+    """(prior, median inflation of the standard deviations by coloured residuals) from an `identification.json`. BadInput for
+    another file."""
     allowed = "an identification.json, as vpp identify writes it"
     try:
         content = json.loads(read_text(path))
@@ -155,8 +156,12 @@ def read_knowledge(path: str | os.PathLike) -> tuple[Prior, float]:
         raise BadInput(path, f"line {error.lineno}", f"no JSON ({error.msg})", allowed) from error
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise BadInput(path, "parameters, correlation", f"{type(error).__name__} {error}", allowed) from error
-    told = np.flatnonzero(std > 0)
-    covariance = correlation[np.ix_(told, told)] * np.outer(std[told], std[told])
-    if not len(told) or not np.isfinite(covariance).all() or np.linalg.eigvalsh(correlation[np.ix_(told, told)])[0] <= 0.0:
+    determined = np.flatnonzero(std > 0)
+    covariance = correlation[np.ix_(determined, determined)] * np.outer(std[determined], std[determined])
+    if (
+        not len(determined)
+        or not np.isfinite(covariance).all()
+        or np.linalg.eigvalsh(correlation[np.ix_(determined, determined)])[0] <= 0.0
+    ):
         raise BadInput(path, "correlation", "no covariance that can be inverted", allowed)
-    return Prior(tuple(names[k] for k in told), mean[told], covariance), float(np.median(inflation))
+    return Prior(tuple(names[k] for k in determined), mean[determined], covariance), float(np.median(inflation))

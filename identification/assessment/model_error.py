@@ -1,4 +1,4 @@
-"""How far a model is off by itself, over half a second: steady, and where its thrust moves. For what runs it beside the rig."""
+"""Standard deviation of a model's error over half a second, steady and in transients, for a model that runs beside the rig."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -10,24 +10,23 @@ from identification.assessment.prediction import Prediction
 from identification.static.static_map import TERMS, design
 
 BLOCK = 0.5
-"""s over which a residual is averaged."""
+"""s: residuals are averaged over it."""
 
 FADES = 0.5
-"""Of a move, what counts as one still in the next block."""
+"""Share of a move that counts in the next block."""
 
 STANDING = 0.25
-"""Share of the blocks, those with the least moves, that count as standing."""
+"""Share of the blocks, those with the smallest moves, that count as steady."""
 
 PLACE = 0.2
-"""Of normalised speed and pitch: commands that lie this far apart find errors of a thrust map that have little to do with each
-other. On nine emulated rigs, means over places of 0.33 by 0.25 were 1.2 times as far off as this makes them after short
-campaigns, half as far after the paper's."""
+"""Of normalised speed and pitch: correlation length of the errors of a thrust map. On nine emulated rigs, means over places of
+0.33 by 0.25 had 1.2 times this error after short campaigns, and half of it after the paper's."""
 
 
 @dataclass(frozen=True)
 class ModelError:
-    """Standard deviation of a block's error: `steady` [N] where the commands stand, and beside it `moving` [1] for each N of a
-    move. `freedom`: degrees of freedom that the first is known from."""
+    """Standard deviation of a block's error: `steady` [N] at constant commands, plus `moving` [1] times the move [N].
+    `freedom`: degrees of freedom of `steady`."""
 
     steady: float
     moving: float
@@ -47,40 +46,40 @@ def model_error(
     points: np.ndarray | None = None,
     terms: int = 0,
 ) -> ModelError | None:
-    """Of a model with `count` fitted parameters and these `values`, by its residuals on the records, fitted and not.
+    """Error of a model with `count` fitted parameters and these `values`, from its residuals on fitted and unseen records.
 
-    A block's error is the larger of its mean and of the spread about that beyond the reading's `noise` [N]; its move [N] what
-    the model's thrust goes through by speed and by pitch, added up, with what fades of the moves before. Records that were
-    fitted to show too little error: their squares are scaled as a residual variance is, by n / (n - count), where n counts the
-    places of the map that they visit and not the readings, since what is wrong at one place stays wrong there. `points`: the
-    residuals [N] of steady points, means, fitted by `terms` coefficients. None where too little was seen for any.
+    A block's error is the larger of its mean and its standard deviation beyond the `noise` [N] of a reading. Its move [N] is
+    the sum of the ranges of the predicted thrust due to speed and to pitch, plus FADES of the move before. Residuals of fitted
+    records are too small: their squares are scaled by n / (n - count), as a residual variance. Here n counts the places of the
+    map that they visit, because errors at one place are the same. `points`: residuals [N] of steady points, fitted by `terms`
+    coefficients. None if the data are too few.
     """
-    standing, moving, freedom = [], [], 0
+    steady_squares, moving, freedom = [], [], 0
     for predictions, own in ((fitted, count), (unseen, 0)):
         blocks = [_blocks(one, values, noise) for one in predictions]
         if not blocks:
             continue
         squares, moves, places = (np.concatenate(column) for column in zip(*blocks, strict=True))
-        still = moves <= np.quantile(moves, STANDING) if len(moves) else np.zeros(0, bool)
-        visited = len(np.unique(places[still], axis=0))
+        at_rest = moves <= np.quantile(moves, STANDING) if len(moves) else np.zeros(0, bool)
+        visited = len(np.unique(places[at_rest], axis=0))
         if visited > own:
             scaled = squares * visited / (visited - own)
-            standing.append(scaled[still])
-            moving.append((scaled[~still], moves[~still]))
+            steady_squares.append(scaled[at_rest])
+            moving.append((scaled[~at_rest], moves[~at_rest]))
             freedom += visited - own
     if points is not None and len(points) > terms:
-        standing.append(points**2 * len(points) / (len(points) - terms))
+        steady_squares.append(points**2 * len(points) / (len(points) - terms))
         freedom += len(points) - terms
-    if not standing:
+    if not steady_squares:
         return None
-    steady = float(np.concatenate(standing).mean())
+    steady = float(np.concatenate(steady_squares).mean())
     squares, moves = (np.concatenate([*column, []]) for column in zip(*moving, ([], []), strict=True))
     more = float(np.sum(squares - steady) / np.sum(moves**2)) if np.any(moves) else 0.0
     return ModelError(float(np.sqrt(steady)), float(np.sqrt(max(more, 0.0))), freedom)
 
 
 def _blocks(one: Prediction, values: Mapping[str, float], noise: float):
-    """(squared error [N^2], move [N], place (2,)) of each block that has all its readings, (blocks, ...)."""
+    """(squared error [N^2], move [N], place (2,)) of each complete block, (blocks, ...)."""
     record = one.record
     rows = max(1, round(BLOCK / record.period))
     count = (len(record) - 1) // rows
@@ -105,7 +104,7 @@ def _blocks(one: Prediction, values: Mapping[str, float], noise: float):
 
 
 def _slope(omega: np.ndarray, beta: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-    """N/deg of the thrust map."""
+    """N/deg: slope of the thrust map with pitch."""
     coefficients = np.array([values[name] for name in TERMS])
     more, less = (design(omega, beta + half, values) @ coefficients for half in (0.5, -0.5))
     return values["thrust_scale"] * (more - less)

@@ -1,4 +1,4 @@
-"""The two time constants of a channel, which no response tells apart by name: an agreed order, and forms without names."""
+"""The two interchangeable time constants of a channel: a conventional order, and functions that do not depend on the order."""
 
 from collections.abc import Mapping
 
@@ -11,11 +11,11 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 SAME = 1e-7
-"""Share of a response's range by which two orders may differ by rounding."""
+"""Share of a response's range that counts as rounding error between two orders."""
 
 
 def slow_first(values: Mapping[str, float]) -> dict[str, float]:
-    """`values` with each channel's time constants sorted, the slower first."""
+    """`values` with each channel's time constants sorted, slower first."""
     values = dict(values)
     for channel in CHANNELS:
         pair = f"tau_{channel}_1", f"tau_{channel}_2"
@@ -24,9 +24,10 @@ def slow_first(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def exchangeable(model: Model, values: Mapping[str, float], record: Record, channel: str) -> bool:
-    """Whether the two lags of a channel may change places without a trace in the response to a record: nothing stands between.
+    """Whether the response to a record is the same if the two lags of a channel are exchanged.
 
-    Two lags in a row are one response in either order, to rounding; an effect between them tells which comes first.
+    Two successive lags have the same response in either order, to rounding. An effect between them makes the order
+    identifiable.
     """
     pair = f"tau_{channel}_1", f"tau_{channel}_2"
     swapped = {**values, pair[0]: values[pair[1]], pair[1]: values[pair[0]]}
@@ -36,7 +37,7 @@ def exchangeable(model: Model, values: Mapping[str, float], record: Record, chan
 
 
 def agreed_order(model: Model, values: Mapping[str, float], record: Record) -> dict[str, str]:
-    """Names to write a model's lags under, by the names they have: the slower first where nothing tells their order."""
+    """New names of a model's lags by the old ones: the slower first if their order is not identifiable."""
     renamed = {}
     for channel in CHANNELS:
         pair = f"tau_{channel}_1", f"tau_{channel}_2"
@@ -46,7 +47,7 @@ def agreed_order(model: Model, values: Mapping[str, float], record: Record) -> d
 
 
 def forms(uncertainty: Uncertainty) -> dict:
-    """Each channel's time constants in the forms that the data tell best: sorted, their sum [s] and product [s^2]."""
+    """Well identified functions of each channel's time constants: sorted values, sum [s] and product [s^2]."""
     found = {}
     for channel in CHANNELS:
         pair = [f"tau_{channel}_1", f"tau_{channel}_2"]

@@ -1,4 +1,4 @@
-"""A record beside what the model predicts for its commands, and how far the prediction is to be trusted."""
+"""A record with the model's prediction for its commands, and the uncertainty of the prediction."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True)
 class Prediction:
-    """A record beside the model's open-loop response to its commands; `thrust` N, `omega` rpm, `beta` deg, each (rows,)."""
+    """A record and the model's open-loop response to its commands; `thrust` N, `omega` rpm, `beta` deg, each (rows,)."""
 
     record: Record
     thrust: np.ndarray
@@ -24,12 +24,12 @@ class Prediction:
 
     @property
     def rmse_thrust(self) -> float | None:
-        """N; None where no thrust was read."""
+        """N; None without a thrust reading."""
         return rmse(self.thrust - self.record["thrust"])
 
     @property
     def rmse_omega(self) -> float | None:
-        """rpm; None where no speed was measured."""
+        """rpm; None without measured speed."""
         return rmse(self.omega - self.record["omega"]) if "omega" in self.record else None
 
     @property
@@ -38,13 +38,13 @@ class Prediction:
         return fit_percent(self.record["thrust"], self.thrust)
 
     def within(self, std: np.ndarray) -> float | None:
-        """Share of the readings that lie within 1.96 `std` (rows,) N of what was predicted; None without a reading."""
+        """Share of the readings within 1.96 `std` (rows,) N of the prediction; None without a reading."""
         error = self.thrust - self.record["thrust"]
         seen = np.isfinite(error)
         return float(np.mean(np.abs(error[seen]) <= NORMAL_95 * std[seen])) if seen.any() else None
 
     def summary(self) -> dict:
-        """The figures of CONTRACT.md's `identification.json` for this record, whole and by section with a reading."""
+        """Entry of `identification.json` (CONTRACT.md) for this record: whole, and by section with a reading."""
         measured = self.record["thrust"]
         by_section = {
             name: {
@@ -68,10 +68,12 @@ def predict(model: Model, values: Mapping[str, float], record: Record) -> Predic
     return Prediction(record, *outputs.T)
 
 
-def band(model: Model, values: Mapping[str, float], uncertainty: Uncertainty, record: Record, left: float) -> np.ndarray:
-    """Standard deviation (rows,) N of a predicted reading: what the parameters leave open, and what the fit has `left` [N]."""
+def band(
+    model: Model, values: Mapping[str, float], uncertainty: Uncertainty, record: Record, residual_std: float
+) -> np.ndarray:
+    """Standard deviation (rows,) N of a predicted reading, from the parameters' covariance and the `residual_std` [N]."""
     variance = np.empty(len(record))
     for at, _, tangents in Simulator(model, uncertainty.names).pieces(values, *record.run):
         slope = tangents[:, 0]
         variance[at] = np.einsum("ij,jk,ik->i", slope, uncertainty.covariance, slope)
-    return np.sqrt(variance + left**2)
+    return np.sqrt(variance + residual_std**2)

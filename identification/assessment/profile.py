@@ -1,12 +1,12 @@
-"""Profile-likelihood intervals, for where a parabola is wrong: near a double pole, at a bound, in a strongly curved model.
+"""Profile likelihood intervals, if the cost is not quadratic: near a double pole, at a bound, in a strongly nonlinear model.
 
     { t : cost(t) <= cost + (1.96 k)^2 / 2 },   cost(t): the least half sum of squares with the parameter held at t
 
-(Venzon and Moolgavkar, 1988), where k^2 is the parameter's variance over that under white residuals of unit variance: twice the
-rise of the cost is k^2 times a chi-square variable (Kent, 1982), so the interval holds whatever their colour and size.
+(Venzon and Moolgavkar, 1988), where k^2 is the parameter's variance over that under white residuals of unit variance. Twice the
+increase of the cost is k^2 times a chi-square variable (Kent, 1982), so the interval is valid for any colour and size.
 
-Each end of a linear interval is tried: where the root of the cost's rise is within DEPARTURE of what a parabola says, the end
-stays; else it is searched. Trying takes one evaluation, as a Gauss-Newton step tells what refitting the others would bring.
+Each end of a linear interval is checked. If the root of the cost's increase is within DEPARTURE of the quadratic approximation,
+the end is kept; else it is searched. A check takes one evaluation: a Gauss-Newton step replaces the refit of the others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,29 +21,29 @@ from identification.fit.problem import Problem
 from identification.fit.uncertainty import NORMAL_95, Uncertainty
 
 DEPARTURE = 0.05
-"""Share by which the root of the cost's rise at the end of a linear interval may differ from a parabola's."""
+"""Maximum relative difference of the root of the cost's increase at the end of a linear interval from the quadratic one."""
 
 CLOSE = 0.01
-"""A searched end is found when that root is this close."""
+"""Relative tolerance of that root at a searched end."""
 
 TRIALS = 20
-"""Points of a profile on one side before the search takes the last."""
+"""Maximum number of points of a profile on one side; the search then takes the last."""
 
 FARTHEST = 4.0
-"""How many times as far as the last a trial may go."""
+"""Maximum ratio of the distance of a trial to that of the last."""
 
 NOTHING = 1e-20
-"""Mean square of a residual that is rounding."""
+"""Mean square of a residual that is rounding error."""
 
 _BLAS = ThreadpoolController()
 
 
 def profiled(problem: Problem, found: Solution, uncertainty: Uncertainty, others: Sequence[Solution] = ()) -> Uncertainty:
-    """`uncertainty` of a solution, with the ends of its 95 % intervals from the profile wherever the linear ones are wrong.
+    """`uncertainty` of a solution, with ends of its 95 % intervals from the profile if the linear ones are wrong.
 
-    An interval ends at a parameter's bound where the cost has not risen enough before. It reaches `others`, the ends of other
-    searches, as far as their cost is within it: a profile is followed from one optimum, and few data have several. Data
-    without noise leave it as it is.
+    An interval ends at a parameter's bound if the cost does not reach the target before. It includes `others`, solutions of
+    other searches, whose cost is below the target: a profile starts from one optimum, and few data may have several. For data
+    without noise the result is `uncertainty`.
     """
     if found.cost <= NOTHING * len(found.residual):
         return uncertainty
@@ -65,8 +65,8 @@ def profiled(problem: Problem, found: Solution, uncertainty: Uncertainty, others
 
 @dataclass(frozen=True)
 class _Optimum:
-    """A solution in the parameters themselves, all (n,) or by name: its cost, its normal matrix (n, n), and the rise of the
-    root of twice the cost at the end of each interval, `target`."""
+    """A solution in the parameters themselves, all (n,) or by name: its cost, its normal matrix (n, n), and the
+    root of twice the cost's increase at the end of each interval, `target`."""
 
     problem: Problem
     names: tuple[str, ...]
@@ -81,15 +81,15 @@ def _optimum(problem: Problem, found: Solution, uncertainty: Uncertainty) -> _Op
     _, jacobian = problem.rows(values)
     normal = jacobian.T @ jacobian
     variance, unit = np.diag(uncertainty.covariance), np.zeros(len(uncertainty.values))
-    # What stands on a bound has no part in the covariance, and must have none in what that is compared with.
+    # A parameter at a bound is not in the covariance, so it is excluded from the comparison.
     free = np.flatnonzero(variance > 0)
     unit[free] = np.diag(_inverse(normal[np.ix_(free, free)]))
-    told = (variance > 0) & (unit > 0)
-    scale = np.sqrt(np.divide(variance, unit, out=np.ones(len(unit)), where=told))
-    # At a bound nothing was said of the colour: the worst of the others, and not below the residual's own size.
-    left = np.sqrt(2.0 * found.cost / max(1, len(found.residual) - len(found.value)))
-    worst = scale[told].max(initial=left)
-    return _Optimum(problem, uncertainty.names, values, found.cost, normal, NORMAL_95 * np.where(told, scale, worst))
+    determined = (variance > 0) & (unit > 0)
+    scale = np.sqrt(np.divide(variance, unit, out=np.ones(len(unit)), where=determined))
+    # At a bound the inflation is unknown: take the largest of the others, and at least the residual's size.
+    residual_std = np.sqrt(2.0 * found.cost / max(1, len(found.residual) - len(found.value)))
+    worst = scale[determined].max(initial=residual_std)
+    return _Optimum(problem, uncertainty.names, values, found.cost, normal, NORMAL_95 * np.where(determined, scale, worst))
 
 
 class Profile:
@@ -106,12 +106,12 @@ class Profile:
         self.coordinates = Coordinates(problem.model, names, problem.coordinates.slow_first)
         self.start = self.coordinates.vector(optimum.values)
         inner, normal = self.coordinates.jacobian(self.start), optimum.normal
-        # How the others follow where the parameter moves, to first order.
+        # Linear response of the others to a change of the parameter.
         others = normal[np.ix_(self.rest, self.rest)]
         self.slope = -_inverse(inner.T @ others @ inner) @ (inner.T @ normal[self.rest, k])
 
     def end(self, side: float, linear: float) -> float:
-        """How far the interval goes to one `side` (-1, 1): as far as the `linear` one if that is right."""
+        """Distance of the interval's end on one `side` (-1, 1): the `linear` one if that is right."""
         room = self.maximum - self.at if side > 0 else self.at - self.minimum
         if room <= 0.0:
             return 0.0
@@ -137,7 +137,8 @@ class Profile:
         return away
 
     def _next(self, inside: tuple[float, float], outside: tuple[float, float] | None) -> float:
-        """Where a straight line through both (distance, root) meets the target; farther out while nothing is outside."""
+        """Distance at which a straight line through both (distance, root) meets the target; extrapolated if `outside` is
+        None."""
         (low, below), target = inside, self.target
         if outside is None:
             return low * float(np.clip(target / max(below, 1e-300), 1.0 + CLOSE, FARTHEST))
@@ -146,24 +147,24 @@ class Profile:
         return low + (high - low) * float(np.clip(share, 0.05, 0.95))
 
     def root(self, cost: float) -> float:
-        """Of twice the cost's rise above the optimum."""
+        """Root of twice the cost's increase over the optimum."""
         return float(np.sqrt(max(0.0, 2.0 * (cost - self.optimum.cost))))
 
     def _expected(self, away: float) -> float:
-        """The root of the cost's rise at `away` from the optimum, from one evaluation."""
+        """Root of the cost's increase at the distance `away` from the optimum, from one evaluation."""
         lower, upper = self._bounds(away)
         x = np.clip(self.start + away * self.slope, lower, upper)
         residual, jacobian = self._evaluate(x, away)
         gradient = jacobian.T @ residual
         free = ~((x <= lower) & (gradient > 0)) & ~((x >= upper) & (gradient < 0))
         normal = (jacobian.T @ jacobian)[np.ix_(free, free)]
-        fall = gradient[free] @ _inverse(normal) @ gradient[free]
-        return self.root(0.5 * float(residual @ residual - fall))
+        decrease = gradient[free] @ _inverse(normal) @ gradient[free]
+        return self.root(0.5 * float(residual @ residual - decrease))
 
     def _refitted(self, away: float, slope: np.ndarray) -> Solution:
         lower, upper = self._bounds(away)
         start = np.clip(self.start + away * slope, lower, upper)
-        # The rise has to be known, not the place of the minimum: to half of CLOSE in its root.
+        # Tolerance of the cost: half of CLOSE in the root of its increase.
         enough = 0.5 * CLOSE * self.target**2 / self.optimum.cost
         problem, held = self.optimum.problem, {self.name: self.at + away}
 
@@ -179,20 +180,20 @@ class Profile:
         return self.optimum.problem.rows(values, inner)
 
     def _bounds(self, away: float) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the others: of a pair whose one constant is held, the slower stays the slower."""
+        """Bounds of the others. If one constant of a pair is held, the slower one stays slower."""
         lower, upper, names = self.coordinates.lower.copy(), self.coordinates.upper.copy(), self.optimum.names
-        apart, held = 1.0 + float(np.sqrt(CLOSEST)), self.at + away
+        ratio, held = 1.0 + float(np.sqrt(CLOSEST)), self.at + away
         for i, j in self.optimum.problem.coordinates.pairs:
             if self.k == i:
                 fast = self.coordinates.names.index(names[j])
-                upper[fast] = np.clip(held / apart, lower[fast], upper[fast])
+                upper[fast] = np.clip(held / ratio, lower[fast], upper[fast])
             elif self.k == j:
                 slow = self.coordinates.names.index(names[i])
-                lower[slow] = np.clip(held * apart, lower[slow], upper[slow])
+                lower[slow] = np.clip(held * ratio, lower[slow], upper[slow])
         return lower, upper
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:
-    """Of a normal matrix; columns may vanish or coincide at a bound."""
+    """Inverse of a normal matrix; its columns may vanish or coincide at a bound."""
     size = np.maximum(np.sqrt(np.diag(normal)), 1e-150)
     return np.linalg.pinv(normal / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size)

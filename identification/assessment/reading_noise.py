@@ -1,12 +1,12 @@
-"""Standard deviation of one thrust reading's noise, its range, and the data that it is estimated from.
+"""Standard deviation of one thrust reading's noise, its range, and the source of the estimate.
 
-Records of the same commands differ by their noise alone. Without them, three sources need no model to be right: the scatter
-within steady holds of a record, the scatter of the steady points of static.csv, and the differences of neighbouring readings.
-Each knows the noise only up to the time that it spans, so slow noise makes them disagree: a difference of neighbours measures
-the least of it. Noise that depends on the operating point makes them disagree too, for they visit different ones.
+Records of the same commands differ only by noise. Without them, three sources need no correct model: the scatter within steady
+holds of a record, the scatter of the steady points of static.csv, and the differences of neighbouring readings. Each contains
+noise only up to the time that it spans, so slow noise makes them disagree: differences of neighbours contain the least. Noise
+that depends on the operating point also makes them disagree, because they are at different ones.
 
-Within a hold, pairs of readings from its first and last third have half their mean squared difference (the variogram, Cressie,
-Statistics for Spatial Data, 1993, section 2.4) equal to the variance, if noise is forgotten within a third.
+Within a hold, half the mean squared difference of readings from its first and last third (the variogram, Cressie, Statistics
+for Spatial Data, 1993, section 2.4) equals the variance, if the noise is uncorrelated over a third.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,23 +25,23 @@ from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 
 SETTLED = 2.0
-"""Holds of a command that end at rest, in the time that the slower channel takes."""
+"""Minimum duration of a hold that ends at rest, over the sum of lags of the slower channel."""
 
 REPEATS, HOLDS = "differences of repeated records", "scatter within steady holds"
 POINTS, NEIGHBOURS = "scatter of the readings in static.csv", "differences of neighbouring readings"
 
 PARTS = 20
-"""Parts of a record, whose scatter gives the standard error of an estimate from the whole."""
+"""Parts of a record, from whose scatter the standard error of an estimate is computed."""
 
 FEWEST = 3
-"""Parts, holds or points of a source, at least: fewer give no standard error."""
+"""Minimum number of parts, holds or points of a source, for a standard error."""
 
 
 @dataclass(frozen=True)
 class ReadingNoise:
     """Standard deviation `std` [N] of one reading's noise, its range `low` to `high` [N], and its `source` in words.
 
-    The range spans the 95 % intervals of all sources. Without a repeat it extends to the noise over a whole record:
+    The range covers the 95 % intervals of all sources. Without a repeat it extends to the noise over a whole record,
     extrapolated from holds, at most the residual.
     """
 
@@ -67,10 +67,10 @@ class ReadingNoise:
 def reading_noise(
     predictions: Iterable[Prediction], static: StaticMap | None, values: Mapping[str, float]
 ) -> ReadingNoise | None:
-    """From records beside what a model predicts for them, and from steady points; None without a source.
+    """Estimate from records with their predictions, and from steady points; None without a source.
 
     The model only removes the response to the commands: its error is constant at rest and equal in repeated records. `values`:
-    its parameters, whose lags say which holds end at rest. Of the sources, the one that spans the longest time gives the value:
+    its parameters, whose lags determine which holds end at rest. The source that spans the longest time gives the value:
     repeats, else points, else holds, else neighbours.
     """
     shown = {str(k): p for k, p in enumerate(predictions)}
@@ -97,13 +97,13 @@ def reading_noise(
         high = max(high, most)
     rounding = grid(np.concatenate([p.record["thrust"] for p in shown.values()]))[0] / np.sqrt(12.0) if shown else 0.0
     std, low = (max(float(np.sqrt(v)), rounding) for v in (variance, low))
-    # The rounding of a constant thrust is constant too: holds do not scatter by it unless noise moves the reading.
+    # The rounding error of a constant thrust is constant: holds do not show it unless noise changes the reading.
     return ReadingNoise(std, low, float(np.hypot(np.sqrt(high), rounding)), source)
 
 
 @dataclass(frozen=True)
 class _Hold:
-    """`variance` [N^2] of readings `lag` [s] from each other, its `growth` [N^2] over the last octave, `count` of readings."""
+    """`variance` [N^2] of readings at distance `lag` [s], its `growth` [N^2] over the last octave, `count` of readings."""
 
     variance: float
     growth: float
@@ -111,21 +111,21 @@ class _Hold:
     count: int
 
     def over(self, longest: float) -> float:
-        """N^2 over `longest` [s], if the variance grows with each octave of time as it does here: that of 1/f noise does so,
-        that of noise with a correlation time grows less."""
+        """N^2 over `longest` [s], if the variance has the same growth in each octave of time. This is true of 1/f noise; noise
+        with a correlation time has less growth."""
         return self.variance + self.growth * float(np.log2(max(longest / self.lag, 1.0)))
 
 
 def last_thirds(record: Record, shortest: float) -> list[tuple[float, float]]:
-    """(start, end) s of the last third of each time for which no command moves, of those of `shortest` [s] or more."""
+    """(start, end) s of the last third of each hold of both commands of at least `shortest` [s]."""
     moves = np.any([np.diff(record[n]) != 0.0 for n in ("omega_ref", "beta_ref")], axis=0)
     ends = record.time[np.concatenate([[0], np.flatnonzero(moves) + 1, [len(record) - 1]])]
     return [((a + 2.0 * b) / 3.0, b) for a, b in pairwise(ends.tolist()) if b - a >= shortest]
 
 
 def _holds(record: Record, error: np.ndarray, shortest: float) -> Iterator[_Hold]:
-    """Of the last third of each hold, cut in three: pairs of its first and last part are twice as long from each other as
-    pairs of neighbouring parts are."""
+    """Variances of the last third of each hold, split into three parts: the first and last part have twice the distance in time
+    of neighbouring parts."""
     for start, end in last_thirds(record, shortest):
         inside = (record.time >= start) & (record.time < end) & np.isfinite(error)
         third = int(inside.sum()) // 3
@@ -139,7 +139,7 @@ def _holds(record: Record, error: np.ndarray, shortest: float) -> Iterator[_Hold
 
 
 def _between(errors: Sequence[np.ndarray]) -> list[tuple[float, int]]:
-    """(N^2, readings) in parts, by the differences between records of the same commands, less each record's own level."""
+    """(N^2, readings) in parts, from differences between records of the same commands, minus each record's mean."""
     errors = np.stack(errors)
     errors = errors[:, np.isfinite(errors).all(axis=0)]
     if not errors.size:
@@ -148,7 +148,7 @@ def _between(errors: Sequence[np.ndarray]) -> list[tuple[float, int]]:
 
 
 def _neighbours(error: np.ndarray) -> list[tuple[float, int]]:
-    """(N^2, readings) in parts, by the differences of neighbouring readings."""
+    """(N^2, readings) in parts, from differences of neighbouring readings."""
     return _in_parts(0.5 * np.diff(error[np.isfinite(error)]) ** 2)
 
 
@@ -157,13 +157,13 @@ def _in_parts(squares: np.ndarray) -> list[tuple[float, int]]:
 
 
 def _about_mean(error: np.ndarray) -> list[tuple[float, int]]:
-    """(N^2, readings) in parts, of a record's error about its mean: noise, and the error of the model."""
+    """(N^2, readings) in parts, from a record's error about its mean: noise plus model error."""
     seen = error[np.isfinite(error)]
     return _in_parts((seen - seen.mean()) ** 2) if len(seen) else []
 
 
 def _pooled(parts: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
-    """(variance [N^2], its 95 % interval) from variances and their numbers of readings, by the scatter of the variances."""
+    """(variance [N^2], its 95 % interval) from variances and their numbers of readings; the interval from their scatter."""
     squares, weights = np.array(parts).T
     share = weights / weights.sum()
     variance = float(share @ squares)

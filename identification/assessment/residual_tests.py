@@ -1,4 +1,4 @@
-"""What a residual still knows: of its own past, and of the commands."""
+"""Autocorrelation of a residual, and its cross-correlation with the commands."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,19 +8,19 @@ import numpy as np
 from vpp_fmu.record import Record
 
 STEP = 0.02
-"""Residuals are averaged over about this many seconds first: faster than any actuator, slower than the noise of one reading."""
+"""s: residuals are first averaged over about this time. It is shorter than any actuator's lag."""
 
 LONGEST = 2.0
-"""Longest lag that is looked at, s."""
+"""Longest lag, s."""
 
 NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """Correlations at `lags` (m,) s: of the residual with itself (m,), and with the changes of each command (m,).
+    """Correlations at `lags` (m,) s: autocorrelation `own` (m,), and `crossed` (m,) with the changes of each command.
 
-    `band`: what white residuals stay within in 95 of 100 lags. `outside`: share of the lags beyond it, by what it is with.
+    `band`: 95 % band of white residuals. `outside`: share of the lags outside it, by correlation.
     """
 
     lags: np.ndarray
@@ -30,13 +30,13 @@ class ResidualTests:
 
     @property
     def outside(self) -> dict[str, float]:
-        """0.05 is what chance gives."""
+        """Expected by chance: 0.05."""
         shares = {"itself": self.own} | dict(self.crossed)
         return {name: float(np.mean(np.abs(values) > self.band)) for name, values in shares.items()}
 
 
 def residual_tests(record: Record, residual: np.ndarray) -> ResidualTests:
-    """Tests of a thrust residual (rows,) N, NaN where nothing was measured. Steps of the record must be about even."""
+    """Tests of a thrust residual (rows,) N, NaN without a reading. Rows must be about evenly spaced."""
     rows = max(1, round(max(STEP, _renewed(record)) / float(np.median(record.steps))))
     n = len(record) // rows
     e = _means(residual, rows, n)
@@ -52,7 +52,7 @@ def residual_tests(record: Record, residual: np.ndarray) -> ResidualTests:
 
 
 def _renewed(record: Record) -> float:
-    """s that a mean must span to hold a reading each time, where thrust renews more slowly than the rows; else 0."""
+    """s: minimum span of a mean that includes a reading, if thrust is renewed more slowly than the rows; else 0."""
     renewed = record.time[np.isfinite(record["thrust"])]
     return 1.5 * float(np.median(np.diff(renewed))) if 1 < len(renewed) < len(record) else 0.0
 
@@ -65,7 +65,7 @@ def _means(values: np.ndarray, rows: int, n: int) -> np.ndarray:
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """0 where nothing varies, or no two values stand side by side: there is no evidence of any."""
+    """Correlation of two signals; 0 if one is constant or no row has both."""
     both = np.isfinite(a) & np.isfinite(b)
     if not both.any():
         return 0.0

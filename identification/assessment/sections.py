@@ -1,20 +1,20 @@
-"""Which rows of a record move what: sections in which only speed, only pitch, or both are commanded."""
+"""Sections of a record in which only the speed command, only the pitch command, or both change."""
 
 import numpy as np
 
 from vpp_fmu.record import Record
 
 STILL = 5.0
-"""A command that stays this long [s] counts as still: the channel has settled and its constants no longer show."""
+"""A command constant for this long [s] counts as still: the channel has settled and its lags have no influence."""
 
 WORTH = 1.0
-"""Sections shorter than this, s, are slivers between others and are left out."""
+"""Minimum duration of a section, s."""
 
 NAMES = ("speed only", "pitch only", "both", "steady")
 
 
 def sections(record: Record) -> dict[str, np.ndarray]:
-    """Mask (rows,) of each section that the record has, by the names above."""
+    """Mask (rows,) of each section of the record, by its name in NAMES."""
     speed, pitch = (_still(record.time, record[name]) for name in ("omega_ref", "beta_ref"))
     masks = (pitch & ~speed, speed & ~pitch, ~speed & ~pitch, speed & pitch)
     row = (record.time[-1] - record.time[0]) / max(1, len(record) - 1)
@@ -22,7 +22,7 @@ def sections(record: Record) -> dict[str, np.ndarray]:
 
 
 def _still(time: np.ndarray, command: np.ndarray) -> np.ndarray:
-    """Rows inside stretches of at least STILL seconds (or the whole record) without a change of the command."""
+    """Rows in holds of the command of at least STILL seconds, or of the whole record."""
     starts = np.flatnonzero(np.append(True, command[1:] != command[:-1]))
     ends = np.append(starts[1:], len(command) - 1)
     still = np.zeros(len(command), bool)

@@ -1,1 +1,1 @@
-"""Fine-tuning of all parameters on records: the problem, three ways to solve it, how uncertain the solution is."""
+"""Fine-tuning of all parameters on records: the problem, three solvers, and the uncertainty of the solution."""

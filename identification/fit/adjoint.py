@@ -1,9 +1,9 @@
-"""Quasi-Newton search on the adjoint gradient: the cost's slope in all parameters for the price of a few simulations.
+"""Quasi-Newton search on the adjoint gradient: the gradient in all parameters costs a few simulations.
 
     J(x) = |r(x)|^2 / 2,   grad J = (dr/dx)^T r
 
-The slope is Levenberg-Marquardt's, to rounding; what is missing is the Jacobian itself, so curvature must be gathered from
-steps (L-BFGS-B: Byrd, Lu, Nocedal and Zhu, 1995). Worth it with very many parameters; with ten, Levenberg-Marquardt is ahead.
+The gradient equals that of Levenberg-Marquardt to rounding. Without the Jacobian the curvature is estimated from the steps
+(L-BFGS-B: Byrd, Lu, Nocedal and Zhu, 1995). This pays with very many parameters; with ten, Levenberg-Marquardt is faster.
 """
 
 from collections.abc import Mapping
@@ -17,17 +17,17 @@ from identification.fit.problem import Problem
 from vpp_fmu.native.adjoint import Adjoint
 
 MEMORY = 30
-"""Steps whose curvature is kept; more than there are parameters, as the valley is long and narrow."""
+"""Steps whose curvature is kept: more than there are parameters, because the cost has a long and narrow valley."""
 
 FLAT = 1e-13
-"""Converged when a step brought less than this share of the cost at the start."""
+"""Converged if a step decreases the cost by less than this share of the cost at the start."""
 
 LIMIT = 1000
-"""Evaluations before the search gives up."""
+"""Maximum number of evaluations."""
 
 
 class AdjointProblem(Problem):
-    """The same problem, solved on the adjoint gradient, for white noise. CompilerMissing where there is no C compiler."""
+    """The same problem for white noise, solved with the adjoint gradient. CompilerMissing without a C compiler."""
 
     @cached_property
     def _adjoint(self) -> Adjoint:
@@ -50,7 +50,7 @@ class AdjointProblem(Problem):
         return cost, gradient @ inner
 
     def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
-        """Fit from `start` under the present weights; it always goes as far as numbers do."""
+        """Fit from `start` under the present weights, always to full numerical precision."""
         lower, upper = self.coordinates.lower, self.coordinates.upper
         costs, evaluations = [], 0
 

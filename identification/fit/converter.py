@@ -1,11 +1,11 @@
-"""What a converter of few counts shows on average: rounding is no noise, it repeats where the commands do.
+"""Mean reading of a coarse converter. Rounding is not noise: it repeats if the commands repeat.
 
-With noise of `blur` (in counts) ahead of it, the mean reading of a true value x, in counts, is (Widrow and Kollar, Quantization
-Noise, 2008, chapter 3)
+With noise of standard deviation `blur` before the converter, the mean reading of a true value x is, both in counts (Widrow and
+Kollar, Quantization Noise, 2008, chapter 3)
 
     E[round(x + n)] = x + sum over k of (-1)^k / (pi k) sin(2 pi k x) exp(-2 pi^2 k^2 blur^2)
 
-A converter that cuts instead of rounding reads half a count less everywhere, which the fitted level takes up.
+A converter that truncates reads half a count less everywhere; the fitted offset absorbs this.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 LEAST = 0.25
-"""Least blur, counts: of less the mean is a staircase, which no fit descends; a prediction is not that exact either."""
+"""Minimum blur, counts. With less the mean is a staircase without a gradient; a prediction is not that exact either."""
 
 NEGLIGIBLE = 1e-4
-"""Counts, below which a term of the sum is left out."""
+"""Counts: smaller terms of the sum are omitted."""
 
 WHOLE = 0.01
-"""Counts by which differences of readings may miss whole ones."""
+"""Counts: maximum distance of differences of readings from whole counts."""
 
 
 @dataclass(frozen=True)
 class Converter:
-    """Readings on a grid of `count` [N] with `zero` [N] on it, 0 where there is none; `blur`: counts, the noise ahead of it."""
+    """Readings on a grid of step `count` [N] through `zero` [N] (0 without a grid); `blur` [counts]: noise before it."""
 
     count: float
     zero: float
@@ -39,7 +39,7 @@ class Converter:
 
     @property
     def _shares(self) -> list[tuple[int, float]]:
-        """(k, counts) of the terms that matter."""
+        """(k, amplitude [counts]) of the terms above NEGLIGIBLE."""
         found, k = [], 1
         while self.count and (size := np.exp(-2.0 * (np.pi * k * self.blur) ** 2) / (np.pi * k)) > NEGLIGIBLE:
             found.append((k, float(-size if k % 2 else size)))
@@ -53,7 +53,7 @@ class Converter:
         return thrust + self.count * sum(size * np.sin(k * self._turns(thrust)) for k, size in shares)
 
     def slope(self, thrust: np.ndarray) -> np.ndarray | float:
-        """Derivative (rows,) of the mean reading in the true thrust."""
+        """Derivative (rows,) of the mean reading with respect to the true thrust."""
         shares = self._shares
         return 1.0 + sum(2.0 * np.pi * k * size * np.cos(k * self._turns(thrust)) for k, size in shares) if shares else 1.0
 
@@ -62,14 +62,13 @@ class Converter:
 
 
 def grid(values: np.ndarray) -> tuple[float, float]:
-    """(distance, one value) of the grid that readings stand on; (0, 0) where they stand on none."""
+    """(step, one value) of the grid of readings; (0, 0) without a grid."""
     seen = np.unique(values[np.isfinite(values)])
-    apart = np.diff(seen)
-    apart = (
-        apart[apart > 1e-9 * np.ptp(seen)] if len(seen) else apart
-    )  # a unit that was converted leaves rounding in the digits
-    if len(apart) < 2:
+    gaps = np.diff(seen)
+    # A converted unit adds rounding errors in the last digits.
+    gaps = gaps[gaps > 1e-9 * np.ptp(seen)] if len(seen) else gaps
+    if len(gaps) < 2:
         return 0.0, 0.0
-    count = float(np.min(apart))
-    counts = apart / count
+    count = float(np.min(gaps))
+    counts = gaps / count
     return (count, float(seen[0])) if np.all(np.abs(counts - np.round(counts)) < WHOLE * counts) else (0.0, 0.0)

@@ -2,8 +2,8 @@
 
     J(p) = mean((T_hat - T)^2) / 2,   grad J = mean((T_hat - T) z),   z = dT_hat / dp,   p <- p - eta grad J
 
-in normalised thrust, stopped when two costs in a row differ by less than a threshold. The paper's J carries a further factor
-dt, which its figures show was not meant. The sensitivities here are exact, where the paper integrates them by Euler steps.
+in normalised thrust. It stops if two successive costs differ by less than a threshold. The paper's J has a further factor dt,
+which contradicts its figures. The sensitivities here are exact; the paper integrates them by Euler steps.
 """
 
 import numpy as np
@@ -15,15 +15,15 @@ RATE = 0.5
 """The update step eta; the paper gives none. Much above 1 diverges on the paper's own map."""
 
 THRESHOLD = 1e-9
-"""Smallest fall of J between iterations that goes on; the paper gives none, its curve is flat to this at its end."""
+"""Minimum decrease of J to continue; the paper gives none, and its curve is flat to this at the end."""
 
 
 def descend(
     problem: Problem, start: np.ndarray, rate: float = RATE, threshold: float = THRESHOLD, limit: int = 5000
 ) -> Solution:
-    """Run the paper's descent from coordinates `start`, in the parameters themselves. Costs are half sums of squares.
+    """Run the paper's descent in the parameters, from coordinates `start`. Costs are half sums of squares.
 
-    The problem's residual must be normalised thrust. A step that leaves the parameters' bounds ends on them.
+    The problem's residual must be normalised thrust. Steps are clipped to the parameters' bounds.
     """
     coordinates = problem.coordinates
     x = np.clip(start, coordinates.lower, coordinates.upper)

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt within bounds, on normal equations.
 
-scipy's solvers factor the whole Jacobian (rows x parameters) at each iteration; with exact sensitivities from C that costs
-more than the model itself. Here the rows are only summed, and the linear algebra is as small as the parameter vector.
+scipy's solvers factor the whole Jacobian (rows x parameters) at each iteration, which costs more than the exact sensitivities
+from C. Here only the normal matrix is formed, and the linear algebra has the size of the parameter vector.
 """
 
 from collections.abc import Callable
@@ -10,23 +10,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 FLAT = 1e-9
-"""Converged when the residual's cosine with every free column is below this (the gradient test of MINPACK)."""
-
+"""Converged if the residual's cosine with every free column is below this (the gradient test of MINPACK)."""
 
 STRAIGHT = 0.25
-"""Share by which a step may bring more or less than promised for the Jacobian to be kept."""
+"""Maximum relative difference between actual and predicted decrease of the cost to keep the Jacobian."""
 
 CLOSE = 0.01
-"""Share of the cost that a step may bring for the Jacobian to be kept: one that brings more is still on its way, and where a
-record is far from what the model can be, an old Jacobian walks into another valley."""
+"""Maximum relative decrease of the cost by a step to keep the Jacobian: after a larger one the search is far from the optimum,
+and an old Jacobian may lead to another minimum."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What the search found. `cost` is half the sum of squares of the residual.
+    """Result of a search. `cost` is half the sum of squares of the residual.
 
-    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end; `costs`: the cost after each evaluation that lowered
-    it, the start first; `active` (n,): parameters that stand at a bound.
+    `value` (n,), `residual` (rows,), `jacobian` (rows, n) at the end; `costs`: the cost at the start and after each evaluation
+    that decreased it; `active` (n,): whether a parameter is at a bound.
     """
 
     value: np.ndarray
@@ -38,7 +37,7 @@ class Solution:
     active: np.ndarray
 
     def slim(self) -> "Solution":
-        """The same without residual and Jacobian, which are as long as the data."""
+        """The same without residual and Jacobian, which have as many rows as the data."""
         return replace(self, residual=np.zeros(0), jacobian=np.zeros((0, len(self.value))))
 
     @property
@@ -59,11 +58,10 @@ def solve(
 ) -> Solution:
     """Minimise the sum of squares of `evaluate(x) -> (residual, jacobian)` from `start` within [lower, upper].
 
-    Stops when no free column has a share in the residual, when a step promised and brought less than `tolerance` of the
-    cost, or after `limit` evaluations. Parameters pressed against a bound leave the step until the gradient
-    turns. Damping follows Nielsen's rule. `residual_at(x)`: the residual alone, where that is cheaper: steps are tried by it,
-    and the Jacobian stays where it was as long as they bring little, and what it promised (a chord method). `tangent`: the
-    Jacobian handed out is the solution's own, whatever it costs.
+    Stops if the residual is orthogonal to every free column, if predicted and actual decrease of the cost are below `tolerance`
+    of it, or after `limit` evaluations. A parameter at a bound is fixed until the gradient points inside. Damping follows
+    Nielsen's rule. `residual_at(x)`: the residual alone, if that is cheaper. It evaluates trial steps, and the Jacobian is kept
+    while steps are small and as predicted (a chord method). `tangent`: the returned Jacobian is evaluated at the solution.
     """
     x = np.clip(np.asarray(start, float), lower, upper)
     residual, jacobian = evaluate(x)
@@ -72,8 +70,8 @@ def solve(
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
     while evaluations < limit and damping < 1e12:
         length = np.sqrt(np.diag(normal))
-        pressed = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-        free = np.flatnonzero(~pressed & (length > 0))
+        at_bound = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+        free = np.flatnonzero(~at_bound & (length > 0))
         share = np.abs(gradient[free]) / (length[free] * np.sqrt(2 * costs[-1]) + 1e-300)
         gained, done = 0.0, not len(free) or share.max() < FLAT
         if not done:
@@ -81,27 +79,27 @@ def solve(
             step[free] = _damped_step(normal[np.ix_(free, free)], gradient[free], length[free], damping)
             there = np.clip(x + step, lower, upper)
             step = there - x
-            promise = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
-            if promise <= 0:  # the bounds turned the step uphill: stay closer
+            predicted = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
+            if predicted <= 0:  # clipped to the bounds, the step increases the cost: more damping
                 damping, growth = damping * growth, growth * 2
                 continue
             new_residual, new_jacobian = evaluate(there) if residual_at is None else (residual_at(there), None)
             evaluations += 1
             cost = 0.5 * float(new_residual @ new_residual)
             gained, least = costs[-1] - cost, tolerance * costs[-1]
-            done = promise <= least and abs(gained) <= least
+            done = predicted <= least and abs(gained) <= least
             if gained > 0:
                 x, residual, fresh = there, new_residual, new_jacobian is not None
                 costs.append(cost)
-                damping, growth = damping * max(1 / 3, 1 - (2 * gained / promise - 1) ** 3), 2.0
+                damping, growth = damping * max(1 / 3, 1 - (2 * gained / predicted - 1) ** 3), 2.0
             else:
                 damping, growth = damping * growth, growth * 2
             jacobian = jacobian if new_jacobian is None or gained <= 0 else new_jacobian
         if done and (fresh or not tangent):
             converged = True
             break
-        if not fresh and (done or gained <= 0 or gained > CLOSE * cost or abs(gained / promise - 1.0) > STRAIGHT):
-            del jacobian  # of a long record there is room for one
+        if not fresh and (done or gained <= 0 or gained > CLOSE * cost or abs(gained / predicted - 1.0) > STRAIGHT):
+            del jacobian  # a long record has memory for one Jacobian only
             jacobian, fresh = evaluate(x)[1], True
         if fresh:
             normal = jacobian.T @ jacobian
@@ -111,6 +109,6 @@ def solve(
 
 
 def _damped_step(normal, gradient, length, damping):
-    """Solve in units of each column's length, so that damping means the same for seconds and for coefficients."""
+    """Solve in units of each column's length, so that damping is the same for seconds and for coefficients."""
     scaled = normal / np.outer(length, length)
     return -np.linalg.solve(scaled + damping * np.eye(len(length)), gradient / length) / length

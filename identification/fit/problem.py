@@ -1,10 +1,10 @@
-"""The least-squares problem of every fit: a model against experiments, and what is known beforehand.
+"""The least-squares problem of every fit: the residuals of a model over experiments, and a prior.
 
-Residuals are whitened, and in units of their standard deviation. How large they are follows in each channel from what the fit
-leaves there (maximum likelihood with unknown variances): a sensor that is far better than the model is would otherwise dictate
-all parameters. What noise is supposed differs with the purpose. Estimates that ship suppose independent readings: they then
-predict best where the model lacks something, and what colour the residual has is accounted for in their uncertainty. Judgements
-whiten by the noise's own colour: evidence counts independent readings.
+Residuals are whitened, in units of their standard deviation, which is estimated for each channel from the residual (maximum
+likelihood with unknown variances). Otherwise a sensor more accurate than the model would determine all parameters. The assumed
+noise depends on the purpose. Published estimates assume independent readings: with model error these predict best, and their
+uncertainty accounts for the colour of the residual. Tests whiten by the colour of the noise, because evidence counts
+independent readings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,19 +20,19 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 
 REWEIGHTS = 3
-"""Rounds of fit and weight; the third changes the weights by less than a per cent."""
+"""Iterations of fit and weights; the third changes the weights by less than 1 %."""
 
 WEIGHED, ENOUGH = 0.5, 1e-3
-"""Log-likelihood at which a fit may end that only weighs the channels, and one that is compared with others (a deviation of
-0.045 standard deviations of the estimate)."""
+"""Tolerance of the log-likelihood: of a fit that only sets the channels' weights, and of one that is compared with others
+(0.045 standard deviations of the estimate)."""
 
 EXACT = 1e-12
-"""Share of the cost: as far as numbers go."""
+"""Relative tolerance of the cost: full numerical precision."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of some parameters beforehand: `names`, `mean` (k,) and `covariance` (k, k)."""
+    """Prior distribution of some parameters: `names`, `mean` (k,) and `covariance` (k, k)."""
 
     names: tuple[str, ...]
     mean: np.ndarray
@@ -41,7 +41,7 @@ class Prior:
     def root(self) -> np.ndarray:
         """L (k, k) with L.T @ L the inverse covariance: L (p - mean) has unit variance."""
         std = np.sqrt(np.diag(self.covariance))
-        # Terms that nearly make up each other are known together ten decades better than each: no Cholesky factor stands that.
+        # Eigenvalues of nearly collinear terms differ by ten decades: a Cholesky factorisation would fail.
         power, axes = np.linalg.eigh(self.covariance / np.outer(std, std))
         least = len(std) * np.finfo(float).eps * max(power[-1], 0.0) if len(std) else 0.0
         return axes.T / np.sqrt(np.maximum(power, least))[:, None] / std
@@ -56,18 +56,18 @@ class Prior:
         return root @ (np.array([values[n] for n in self.names]) - self.mean), root @ chosen
 
     def of(self, names: Sequence[str]) -> "Prior | None":
-        """What it tells of those in `names`; None where that is nothing."""
+        """The marginal prior of the parameters in `names`; None if it has none of them."""
         kept = [k for k, n in enumerate(self.names) if n in names]
         chosen = tuple(self.names[k] for k in kept)
         return Prior(chosen, self.mean[kept], self.covariance[np.ix_(kept, kept)]) if kept else None
 
     def loosened(self, factor: float) -> "Prior":
-        """The same knowledge with standard deviations `factor` times as large."""
+        """The same prior with standard deviations `factor` times as large."""
         return Prior(self.names, self.mean, self.covariance * factor**2)
 
     def wider_than(self, other: "Prior") -> float:
-        """How many times the standard deviations of `other`, which it was loosened from, its own are."""
-        own, its = (knowledge.covariance[0, 0] for knowledge in (self, other.of(self.names)))
+        """Ratio of its standard deviations to those of `other`, from which it was loosened."""
+        own, its = (prior.covariance[0, 0] for prior in (self, other.of(self.names)))
         return float(np.sqrt(own / its))
 
 
@@ -84,14 +84,14 @@ class Score:
         return float(sum(n * np.log(max(self.squares[c], 1e-300)) for c, n in self.counts.items()))
 
     def fall(self, other: "Score") -> dict[str, float]:
-        """By how much half of it is below another's, by channel."""
+        """Log-likelihood gain over `other`, by channel."""
         ratio = {c: max(other.squares[c], 1e-300) / max(self.squares[c], 1e-300) for c in self.counts}
         return {c: 0.5 * n * float(np.log(ratio[c])) for c, n in self.counts.items()}
 
 
 @dataclass(frozen=True)
 class Block:
-    """The rows of the residual that one channel of one experiment has, at `time` [s]; of speed, each record has its own."""
+    """Rows `at` of the residual for one channel of one experiment, at `time` [s]; of speed, one block for each record."""
 
     experiment: int
     channel: str
@@ -100,7 +100,7 @@ class Block:
 
 
 def summed(group: Sequence[Block], residual: np.ndarray) -> np.ndarray:
-    """(m,) the residuals (rows,) of one channel in records of the same commands, added at the times of the first."""
+    """(m,): sum of the residuals (rows,) of one channel over records of the same commands, at the times of the first."""
     first = group[0]
     total = residual[first.at].copy()
     for other in group[1:]:
@@ -109,10 +109,10 @@ def summed(group: Sequence[Block], residual: np.ndarray) -> np.ndarray:
 
 
 class Problem:
-    """The residual of a model over experiments; `names` are free, `values` holds the rest.
+    """The residual of a model over experiments. Parameters `names` are free; `values` has the others.
 
-    Its rows: thrust by experiment, then speed by experiment, a prior's last. `scale` divides each channel's residual: what the
-    fit leaves there, so that neither channel dictates.
+    Rows: thrust by experiment, then speed by experiment, then the prior. `scale`: standard deviation of each channel's
+    residual, by which it is divided.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Problem:
 
     @cached_property
     def simulator(self) -> Simulator:
-        """The model's, with sensitivities in what is free."""
+        """The model's simulator, with sensitivities in the free parameters."""
         return Simulator(self.model, self.coordinates.names)
 
     @property
@@ -140,7 +140,7 @@ class Problem:
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
-        """Where each channel of each experiment stands in the residual."""
+        """Rows of each channel of each experiment in the residual."""
         times = [(i, "thrust", e.thrust_time) for i, e in enumerate(self.experiments)]
         times += [(i, "omega", time) for i, e in enumerate(self.experiments) for time in e.omega_times]
         ends = np.cumsum([len(time) for _, _, time in times]).tolist()
@@ -148,7 +148,7 @@ class Problem:
 
     @property
     def groups(self) -> tuple[tuple[Block, ...], ...]:
-        """The same, those of one channel in records of the same commands together: what the model lacks is shared there."""
+        """The blocks grouped by channel and experiment: records of the same commands share the model error."""
         together: dict[tuple[int, str], list[Block]] = {}
         for block in self.blocks:
             together.setdefault((block.experiment, block.channel), []).append(block)
@@ -171,7 +171,7 @@ class Problem:
     def columns(self, tangents: Sequence[np.ndarray], outputs: Sequence[np.ndarray] | None = None) -> dict[str, np.ndarray]:
         """Each channel's sensitivities (n, ...), unscaled, from those of the outputs (rows, 3, ...) of each experiment.
 
-        `outputs`: where they are taken, for what a coarse converter makes of them; None: as if it were fine.
+        `outputs`: the point of linearisation of a coarse converter; None: a fine converter.
         """
         pairs = list(zip(self.experiments, tangents, strict=True))
         slopes = [e.converter.slope(y[:, 0]) for e, y in zip(self.experiments, outputs or (), strict=False)]
@@ -188,8 +188,8 @@ class Problem:
         return self.rows(self.coordinates.values(x), self.coordinates.jacobian(x))
 
     def rows(self, values: Mapping[str, float], inner: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Residual and Jacobian (rows, k) at the free parameters' `values` by name, in what these have the derivatives `inner`
-        (names, k) in; None: in the parameters themselves."""
+        """Residual and Jacobian (rows, k) at the free parameters' `values` by name. The Jacobian is in coordinates with
+        `inner` (names, k), the derivatives of the parameters; None: in the parameters."""
         found, names = self.values | dict(values), self.coordinates.names
         inner = np.eye(len(names)) if inner is None else inner
         known = 0 if self.prior is None else len(self.prior.names)
@@ -221,13 +221,13 @@ class Problem:
         return residual if self.prior is None else np.append(residual, self.prior.rows(found, self.coordinates.names)[0])
 
     def thrust_errors(self, values: Mapping[str, float]) -> list[np.ndarray]:
-        """Predicted less measured thrust [N] of every record, the rows (rows with thrust,) as they are."""
+        """Predicted minus measured thrust [N] of every record, (rows with thrust,), not averaged or whitened."""
         runs = zip(self.outputs(values), self.experiments, strict=True)
         pairs = [(shown[:, 0], one.record["thrust"]) for shown, e in runs for one in e.records]
         return [(predicted - measured)[np.isfinite(measured)] for predicted, measured in pairs]
 
     def fit(self, start: Mapping[str, float]) -> Solution:
-        """Fit from `start`, then once more with the channels weighed by what the first fit left: to compare with other fits."""
+        """Fit from `start`, weigh the channels by the residual, and fit again: for comparison with other fits."""
         found = self._solve(self.coordinates.vector(start), WEIGHED, 40)
         self.weigh(found.residual)
         return self.refit(found.value)
@@ -237,8 +237,8 @@ class Problem:
         return self._solve(x, ENOUGH, limit)
 
     def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
-        """Fit from `start` under the present weights. `enough`: log-likelihood (of noise of unknown size) that a step must
-        bring for the search to go on, and then the Jacobian need not be the solution's own; 0: as far as numbers go."""
+        """Fit from `start` under the present weights. `enough`: minimum gain of log-likelihood (noise of unknown size) to
+        continue the search; the Jacobian may then be of an earlier step. 0: full numerical precision."""
         return self._solve(self.coordinates.vector(start), enough, 100)
 
     def _solve(self, x, enough, limit):
@@ -248,9 +248,9 @@ class Problem:
         )
 
     def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
-        """Fit from `start`, and weigh the channels by what the fit leaves in them, until the two agree.
+        """Fit from `start` and weigh the channels by their residuals, by turns, until both converge.
 
-        All fits, the last is the result, the others are slim; each has its own weights, so their costs do not compare.
+        Returns all fits. The last is the result; the others are slim. Each has its own weights, so their costs do not compare.
         """
         rounds = REWEIGHTS if len({b.channel for b in self.blocks}) > 1 or self.prior is not None else 0
         found = [self.solve(start, WEIGHED if rounds else 0.0)]
@@ -271,12 +271,12 @@ class Problem:
             groups = [g for g in self.groups if g[0].channel == channel]
             if groups:
                 rows = [len(g) * len(g[0].time) for g in groups]
-                # The mean of n independent records has a variance of 1 / n, that of what they share has none the less.
+                # The mean of n records has 1 / n of the variance of independent noise, but all of that of shared errors.
                 variances = [np.mean(summed(g, residual) ** 2) / len(g) for g in groups]
                 self.scale[channel] *= float(np.sqrt(np.average(variances, weights=rows))) or 1.0
 
     def score_of(self, residual: np.ndarray) -> Score:
-        """The score that a scaled residual, as `evaluate` gives it under the present scales, stands for."""
+        """The score of a scaled residual that `evaluate` gives under the present scales."""
         counts = {c: sum(e.sizes.get(c, 0) for e in self.experiments) for c in self.scale}
         counts = {c: n for c, n in counts.items() if n}
         parts = np.split(residual, np.cumsum(list(counts.values())))

@@ -1,7 +1,7 @@
-"""Fine-tuning: the parameters that make the model's response fit the measured one (paper, section 3.2).
+"""Fine-tuning: fit the parameters of the model's response to the measured one (paper, section 3.2).
 
-The default is Levenberg-Marquardt on exact forward sensitivities, from several starts, thrust and speed together, with the
-static map as prior knowledge; the paper's gradient descent, or a search on the adjoint gradient, can be chosen.
+The default is Levenberg-Marquardt on exact forward sensitivities, from several starts, on thrust and speed together, with the
+static map as prior. The paper's gradient descent and a search on the adjoint gradient are options.
 """
 
 import time
@@ -32,17 +32,17 @@ BASE_PARAMETERS = tuple(FINE_TUNED)
 METHODS = ("levenberg-marquardt", "gradient-descent", "adjoint")
 
 SAME, ROUGH = 1e-6, 1e-8
-"""Two starts have reached the same optimum when their costs differ by less than the first share; one is told to the second."""
+"""Relative tolerances of the cost: of two starts that reached the same optimum, and of the search from a random start."""
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """What a fine-tuning found.
+    """Result of a fine-tuning.
 
-    `values`: every parameter of the model. `held`: parameters that the data do not tell, kept at their start: name -> why.
-    `cost_start`, `cost_final`: the paper's cost, mean(e^2) / 2 of normalised thrust. `curve`: the search's own cost after
-    each step of the first fit; `evaluations`: of all fits from the given start. `starts`, `reached`: how many starts were
-    tried, and how many ended at the best optimum; `others`: where the rest of them ended.
+    `values`: every parameter of the model. `held`: parameters that are not identifiable, kept at their start: name ->
+    reason. `cost_start`, `cost_final`: the paper's cost, mean(e^2) / 2 of normalised thrust. `curve`: the search's cost after
+    each step of the first fit; `evaluations`: of all fits from the given start. `starts`, `reached`: numbers of starts, and of
+    those that ended at the best optimum; `others`: the solutions of the other starts.
     """
 
     problem: Problem
@@ -84,10 +84,10 @@ def refine(
 ) -> Refinement:
     """Fit the parameters `names` of `model` to `records`, from the values `start` and from `starts` - 1 random ones.
 
-    `start`: changes to the model's defaults, by name. Each record starts settled on its first command.
-    Gradient descent uses thrust alone, one start and no prior, as the paper does. The random starts repeat with the `seed`.
+    `start`: changes of the model's defaults, by name. Each record starts in equilibrium with its first command. Gradient
+    descent uses only thrust, one start and no prior, as in the paper. The same `seed` gives the same random starts.
     """
-    # Threads of a numerical library cost more than they bring on matrices this narrow, and much more on a busy machine.
+    # On matrices this narrow one thread is faster than several, even more so on a busy machine.
     with _BLAS.limit(limits=1):
         return _refine(model, records, start, names, prior, channels, method, starts, seed)
 
@@ -106,9 +106,9 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     why = undetermined(trial, trial.coordinates.vector(values), names)
     free = [n for n in names if n not in why]
     if not free:
-        told = "; ".join(dict.fromkeys(why.values()))
+        reasons = "; ".join(dict.fromkeys(why.values()))
         raise BadInput(
-            records[0].source, "thrust", f"nothing that tells a parameter ({told})", "what follows a command that moves"
+            records[0].source, "thrust", f"no identifiable parameter ({reasons})", "a response to a command that moves"
         )
     problem = kind(model, experiments, values, free, prior) if why else trial
     cost_start = paper_cost(problem, values)
@@ -117,7 +117,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     else:
         rounds = problem.solve_and_weigh(values)
     best, found = rounds[-1], [rounds[-1].slim()]
-    if starts > 1:  # while others are sought, there is no room for the first one's rows
+    if starts > 1:  # releases memory for the other starts
         best, rounds = found[0], [solution.slim() for solution in rounds]
     for at in _random_starts(problem, values, starts - 1, seed):
         one = problem.solve(at, 0.5 * ROUGH * problem.size).slim()
@@ -149,7 +149,7 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
 def independent_readings(
     records: Sequence[Record], values: Mapping[str, float], channels: Sequence[str] = CHANNELS
 ) -> list[Experiment]:
-    """Records as experiments, those of the same commands together, whose readings are taken for independent."""
+    """Experiments from records, one for each set of the same commands, with readings assumed independent."""
     noise = independent(values["thrust_scale"])
     return [Experiment(g, noise, channels=channels) for g in together(Fitted(r.source, r) for r in records)]
 

@@ -1,9 +1,9 @@
 """Predicted speed as a speed sensor reads it.
 
 A mark sensor gives n pulses a revolution: its value is the mean speed between the last two, held until the next one. An
-encoder gives the speed of the instant. Telemetry gives a filtered speed that is renewed now and then. Taken for the speed at
-the row's time, a reading would be late by up to a revolution, and the delay would pass for physics. So a prediction is
-averaged, filtered and delayed as the sensor does it, and compared only where a new value came in.
+encoder gives the speed of the instant. Telemetry gives a filtered speed that is renewed at intervals. A reading lags the speed
+at its row's time by up to a revolution, which a fit would attribute to the rig. So a prediction is averaged, filtered and
+delayed as the sensor does it, and compared only at new values.
 """
 
 from functools import cached_property
@@ -19,20 +19,18 @@ TIMER = 4e-6
 """Resolution of the period, s."""
 
 MORE = 1.3
-"""New values per pulse of one mark from which a sensor of unknown kind has more marks, or is none with marks."""
-
+"""Minimum number of new values per revolution for a sensor of unknown kind to be taken for an encoder."""
 
 FADED = 12.0
-"""Time constants after which nothing remains of a filter's input."""
+"""Time constants after which a filter has forgotten its input."""
 
 
 class Tachometer:
     """Turns predicted speed (rows,) or its sensitivities (rows, k) into readings of the record's sensor at its new values.
 
-    `rows` (m,): the rows at which a new value came in; `measured` (m,) rpm there; `std` (m,) rpm: the uncertainty that
-    resolution, and the unknown instant of the value within the row's step, leave; `unknown` s: half of that time, the median.
-    `sensor`: as the record declares it; of
-    unknown kind it is taken for one mark, or for an encoder where values are renewed faster than the rotor turns.
+    `rows` (m,): the rows with a new value; `measured` (m,) rpm: these values; `std` (m,) rpm: their uncertainty from resolution
+    and from the unknown instant within the sampling step; `unknown` s: median of half that time. `sensor`: as the record
+    declares it. An unknown kind is taken for one mark, or for an encoder if values are renewed faster than the rotor turns.
     """
 
     def __init__(self, record: Record):
@@ -43,7 +41,7 @@ class Tachometer:
         kind = self.sensor.kind
         if kind == MARK:
             period = 60.0 / (np.where(new, shown, 1.0) * self.sensor.marks_per_revolution)
-            since = np.minimum(step, period)  # the last pulse came in this time before the row, somewhere
+            since = np.minimum(step, period)  # the last pulse came at an unknown instant within this time before the row
             new &= time - 0.5 * since - period >= time[0]
         else:
             period = np.zeros(len(time))
@@ -75,7 +73,7 @@ class Tachometer:
         return self._average @ solve_banded((1, 0), decay, drive @ omega, check_finite=False)  # a trial of a fit may diverge
 
     def transpose(self, weights: np.ndarray) -> np.ndarray:
-        """The transpose of `shows`: (rows,) whose product with any speed is that of `weights` (m,) with the readings."""
+        """The transpose of `shows`: (rows,) whose product with a speed equals that of `weights` (m,) with its readings."""
         found = self._average.T @ weights
         if not self.sensor.filter:
             return found
@@ -84,7 +82,7 @@ class Tachometer:
 
     @cached_property
     def matrix(self) -> csr_array:
-        """(m, rows) that `shows` applies, the filter's response cut off where next to nothing remains of it."""
+        """(m, rows): the matrix of `shows`, with the filter's response truncated after FADED time constants."""
         if not self.sensor.filter:
             return self._average
         time, n = self._time, len(self._time)
@@ -96,7 +94,7 @@ class Tachometer:
     @cached_property
     def _filter(self) -> tuple[csr_array, np.ndarray]:
         """(matrix (rows, rows) from the speed to the filter's drive, its decay from row to row as a banded matrix (2, rows)): a
-        first-order low-pass, settled at first."""
+        first-order low-pass that starts in equilibrium."""
         n, ratio = len(self._time), np.diff(self._time) / self.sensor.filter
         kept = np.exp(-ratio)
         mean = -np.expm1(-ratio) / ratio
@@ -106,11 +104,12 @@ class Tachometer:
 
     @property
     def times(self) -> np.ndarray:
-        """(m,) s of the rows at which a new value came in."""
+        """(m,): times of the rows with a new value, s."""
         return self._time[self.rows]
 
     def _kinks(self) -> np.ndarray:
-        """(m,) rpm: how far the speed may be off a parabola between two rows, from how the bend changes between readings."""
+        """(m,) rpm: maximum deviation of the speed from a parabola between rows, from the change of curvature between
+        readings."""
         bend = np.zeros(len(self))
         if len(self) < 3:
             return bend
@@ -119,13 +118,14 @@ class Tachometer:
         return np.maximum.reduce([kink, np.append(kink[1:], 0.0), np.append(0.0, kink[:-1])])
 
     def _uncertainty(self, end: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """rpm: the display's digit, the timer's tick, the mark's jitter, and acceleration over the unknown part of a step."""
+        """(m,) rpm: from the display's digit, the timer's tick, the marks' jitter, and acceleration over the unknown time
+        `step`."""
         if len(self.rows) < 3:
             return np.full(len(self.rows), 1.0)
         values = np.unique(self.measured)
         digit = np.min(np.diff(values)) if len(values) > 1 else 1.0
         tick = self.measured**2 * TIMER / 60.0 * (self.sensor.marks_per_revolution if self.sensor.kind == MARK else 1)
-        # A pulse that comes late makes one revolution long and the next short: neighbours differ by sqrt 3 jitters.
+        # A late pulse makes one revolution longer and the next shorter: neighbours differ by sqrt 3 times the jitter.
         change = np.diff(self.measured)
         jitter = 1.4826 * np.median(np.abs(change - np.median(change))) / np.sqrt(3.0)
         rate = np.gradient(self.measured, end)
@@ -135,7 +135,7 @@ class Tachometer:
 def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(s since the last reading of each row, whether the row holds a new value), (rows,) each."""
     seen = np.isfinite(shown)
-    # The last row before that shows anything: a value that comes back after empty rows is no new one.
+    # Compare with the last row that has a value: the same value after empty rows is not new.
     last = np.maximum.accumulate(np.where(seen, np.arange(len(shown)), 0))
     before = np.append(0, last[:-1])
     step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
@@ -144,14 +144,14 @@ def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _guess(shown: np.ndarray, step: np.ndarray, new: np.ndarray) -> str:
-    """The kind of a sensor of which nothing is known."""
+    """The kind of an undeclared sensor."""
     pulses = np.minimum(np.where(np.isfinite(shown), shown, 0.0) / 60.0 * step, 1.0).sum()
     return ENCODER if new.sum() > MORE * pulses else MARK
 
 
 def _bends(time: np.ndarray) -> csr_array:
-    """Matrix (rows - 1, rows): mean over each step of how far a signal is from a straight line between its rows, by the mean
-    of the second derivatives at both: -h^2 / 12 of it."""
+    """Matrix (rows - 1, rows): mean deviation over each step h of a signal from a straight line between its rows. It is -h^2 /
+    12 times the mean of the second derivatives at both rows."""
     n, steps = len(time), np.diff(time)
     if n < 3:
         return csr_array((max(n - 1, 0), n))
@@ -165,8 +165,8 @@ def _bends(time: np.ndarray) -> csr_array:
 
 
 def _instants(time: np.ndarray, at: np.ndarray) -> tuple[csr_array, csr_array]:
-    """Matrices (instants, rows), (instants, rows - 1): the value of a signal at each instant is the first times its rows, as if
-    it ran straight between them, and the second times its `_bends`, for it runs along parabolas."""
+    """Matrices (instants, rows), (instants, rows - 1): the value of a signal at each instant is the first times its rows
+    (linear interpolation) plus the second times its `_bends` (parabolas)."""
     first = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
     u = np.clip((at - time[first]) / (time[first + 1] - time[first]), 0.0, 1.0)
     rows, n = np.arange(len(at)), len(time)
@@ -176,7 +176,7 @@ def _instants(time: np.ndarray, at: np.ndarray) -> tuple[csr_array, csr_array]:
 
 
 def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[csr_array, csr_array]:
-    """The same for the mean over each window [start, end]."""
+    """The same two matrices for the mean over each window [start, end]."""
     steps, n = np.diff(time), len(time)
     first, last = (np.clip(np.searchsorted(time, at, side="right") - 1, 0, n - 2) for at in (start, end))
     windows, columns, weights, bent = [], [], [], []
@@ -194,7 +194,7 @@ def _means(time: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[csr_ar
     if not windows:
         return csr_array((len(start), n)), csr_array((len(start), n - 1))
     windows, columns = np.concatenate(windows), np.concatenate(columns)
-    left, right = (np.concatenate(weights[k::2]) for k in (0, 1))
-    straight = csr_array((left, (windows, columns)), shape=(len(start), n))
-    straight += csr_array((right, (windows, columns + 1)), shape=(len(start), n))
+    first_row, second_row = (np.concatenate(weights[k::2]) for k in (0, 1))
+    straight = csr_array((first_row, (windows, columns)), shape=(len(start), n))
+    straight += csr_array((second_row, (windows, columns + 1)), shape=(len(start), n))
     return straight, csr_array((np.concatenate(bent), (windows, columns)), shape=(len(start), n - 1))

@@ -1,14 +1,14 @@
-"""What estimates are worth: covariance under coloured residuals, intervals, weak directions.
+"""Uncertainty of estimates: covariance under coloured residuals, confidence intervals, weakly identified directions.
 
-Least squares stays unbiased when residuals are correlated, but its textbook covariance is then too small. The covariance
-here is the sandwich H^-1 S H^-1, S the covariance of the scores J.T e. With F the filter of zero phase whose gain is the root
-of the residual's spectrum, J.T e = (F J).T (F^-1 e) exactly, and F^-1 e is white: S sums the outer products of the rows of
-F J times F^-1 e, as White (1980) does for white residuals. So it holds for any colour, and for residuals that are larger
-while the model moves. Sums of the scores' correlation over lags (Newey and West, 1987) must choose a longest lag: the one
-that slow colours need makes intervals of white residuals too small, since a fit absorbs what is slow.
+Least squares is unbiased if residuals are correlated, but its textbook covariance is then too small. The covariance here is the
+sandwich H^-1 S H^-1, with S the covariance of the scores J.T e. Let F be the zero-phase filter whose gain is the root of the
+residual's spectrum. Then J.T e = (F J).T (F^-1 e) exactly, and F^-1 e is white: S sums the outer products of the rows of F J
+times F^-1 e, as White (1980) does for white residuals. So it is valid for any colour, and for residuals that are larger during
+transients. Sums of the scores' autocorrelation (Newey and West, 1987) need a longest lag. The lag for slow colours makes
+intervals of white residuals too small, because a fit absorbs slow residuals.
 
-What a model lacks is the same in every record of the same commands: such records are not independent. Their residuals are
-summed before the scores are, so what they share counts as shared, and what is noise averages out.
+Records of the same commands share the model error, so they are not independent. Their residuals are summed before the scores
+are computed: the model error adds up, and the noise averages out.
 """
 
 from collections.abc import Iterable, Mapping
@@ -26,24 +26,24 @@ from identification.fit.problem import Prior, Problem, summed
 NORMAL_95 = 1.959963984540054
 
 UNIDENTIFIABLE = 1e-10
-"""Share of what the records tell of the best known combination of parameters below which they tell nothing of another."""
+"""Ratio of information to that of the best identified combination, below which a combination is not identifiable."""
 
 WIDEST = 100.0
-"""How much wider than its own scatter knowledge is taken at most: nothing is left of it then."""
+"""Maximum factor on the standard deviations of a prior: it then has no influence."""
 
 SINGULAR = 1e-15
-"""Ratio of a covariance's least to its largest eigenvalue that is rounding."""
+"""Ratio of the smallest to the largest eigenvalue of a covariance that is rounding error."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariance (n, n) of the parameters `names`, in their own units, and what follows from it.
+    """Covariance (n, n) of the parameters `names`, in their units, with intervals and derived statistics.
 
-    `inflation` (n,): standard deviation over what white residuals would give. `reach` (n, 2): how far below and above the
-    values the 95 % intervals go, where that is not the same on both sides. `profiled`: the parameters whose intervals come from
-    the profile of the likelihood. The covariance is a tangent's: near a double pole
-    it is right for what depends on a pair's sum and product, as predictions do, and too wide for the single constants;
-    their `std` follows from their reach.
+    `inflation` (n,): ratio of the standard deviation to that under white residuals. `reach` (n, 2): distances of the lower and
+    upper end of the 95 % intervals from the values; None: symmetric ones from the covariance. `profiled`: parameters with
+    profile likelihood intervals. `left_open`: parameters that the records do not identify. The covariance is linearised. Near
+    a double pole it is right for functions of a pair's sum and product, such as predictions, and too wide for the single
+    constants; their `std` is from their reach.
     """
 
     names: tuple[str, ...]
@@ -55,7 +55,7 @@ class Uncertainty:
     left_open: tuple[str, ...] = ()
 
     def renamed(self, names: Mapping[str, str]) -> "Uncertainty":
-        """The same under other names, by the names it has."""
+        """The same with parameters renamed: `names` maps old to new."""
         own, profiled, left_open = (tuple(names.get(n, n) for n in ns) for ns in (self.names, self.profiled, self.left_open))
         return replace(self, names=own, profiled=profiled, left_open=left_open)
 
@@ -71,7 +71,7 @@ class Uncertainty:
         return self.values[:, None] + np.array([-1.0, 1.0]) * reach
 
     def beside(self, other: "Uncertainty", names: Iterable[str]) -> "Uncertainty":
-        """With what another says of further parameters `names`, as if the two had nothing to do with each other."""
+        """Joined with the parameters `names` of `other` that it does not have, assumed independent."""
         kept = [k for k, n in enumerate(other.names) if n in names and n not in self.names]
         further = {n for k, n in enumerate(other.names) if k in kept}
         reaches = [NORMAL_95 * u.std[:, None] * np.ones(2) if u.reach is None else u.reach for u in (self, other)]
@@ -86,20 +86,20 @@ class Uncertainty:
         )
 
     def kind(self, name: str) -> str:
-        """In words, what a parameter's interval comes from."""
+        """Source of a parameter's interval, in words."""
         return "profile likelihood" if name in self.profiled else "covariance"
 
     @property
     def correlation(self) -> np.ndarray:
-        """(n, n); 0 where a parameter has no variance."""
+        """(n, n); 0 for a parameter without variance."""
         own = np.sqrt(np.diag(self.covariance))
         size = np.where(own > 0, own, np.inf)
         return self.covariance / np.outer(size, size) + np.diag(np.where(own > 0, 0.0, 1.0))
 
     def directions(self) -> tuple[float | None, np.ndarray, float]:
-        """(condition number, weakest direction (n,) of unit length, its relative standard deviation), values as units.
+        """(condition number, weakest direction (n,) of unit length, its relative standard deviation), in units of the values.
 
-        The condition number is None where some direction has no variance: what stands on a bound.
+        The condition number is None if a direction has no variance: a parameter is at a bound.
         """
         size = np.where(self.values == 0, 1.0, np.abs(self.values))
         spread, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
@@ -108,14 +108,14 @@ class Uncertainty:
         return None if singular else float(np.sqrt(spread[-1] / spread[0])), weakest, float(np.sqrt(max(spread[-1], 0.0)))
 
     def of(self, gradient: np.ndarray) -> float:
-        """Standard deviation of a quantity with the given gradient (n,) in the parameters."""
+        """Standard deviation of a quantity whose gradient with respect to the parameters is `gradient` (n,)."""
         return float(np.sqrt(gradient @ self.covariance @ gradient))
 
 
 def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
-    """Covariance of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance."""
+    """Uncertainty of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance."""
     coordinates = problem.coordinates
-    free, inverse, blind = _free(problem, found)
+    free, inverse, unidentifiable = _free(problem, found)
     j, e = found.jacobian[:, free], found.residual
     prior = slice(problem.size, len(e))
     known = j[prior].T @ j[prior]
@@ -127,29 +127,29 @@ def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     tangent = coordinates.jacobian(found.value)[:, free]
     size = np.linalg.norm(found.jacobian[:, free], axis=0)
     away = tangent / np.where(size > 0.0, size, 1.0)
-    unknown = np.linalg.norm(away @ blind, axis=1) > np.sqrt(UNIDENTIFIABLE) * np.linalg.norm(away, axis=1)
+    is_unidentifiable = np.linalg.norm(away @ unidentifiable, axis=1) > np.sqrt(UNIDENTIFIABLE) * np.linalg.norm(away, axis=1)
     covariance, plain = (tangent @ c @ tangent.T for c in (coloured, plain))
     with np.errstate(invalid="ignore", divide="ignore"):
         inflation = np.nan_to_num(np.sqrt(np.diag(covariance) / np.diag(plain)), nan=1.0, posinf=1.0)
     values = np.array(list(coordinates.values(found.value).values()))
     sides = (slope[:, free] for slope in _secants(coordinates, found.value, NORMAL_95 * std))
     reach = NORMAL_95 * np.column_stack([np.sqrt(np.diag(side @ coloured @ side.T)) for side in sides])
-    left_open = tuple(n for n, is_open in zip(coordinates.names, unknown, strict=True) if is_open)
+    left_open = tuple(n for n, is_open in zip(coordinates.names, is_unidentifiable, strict=True) if is_open)
     return Uncertainty(coordinates.names, values, covariance, inflation, reach, left_open=left_open)
 
 
-def disagreement(told: Prior, uncertainty: Uncertainty) -> float:
-    """How much wider knowledge must be for records to agree with it, from 1 to WIDEST. `uncertainty`: of a fit to the records
-    that it hardly held.
+def disagreement(prior: Prior, uncertainty: Uncertainty) -> float:
+    """Factor, from 1 to WIDEST, by which a prior must be widened to agree with the records. `uncertainty`: of a fit to the
+    records with a weak prior.
 
-    What is missing in a model bends records and steady points, and not alike. The factor f solves d' (C + f^2 S)^-1 d = k, d
-    (k,) the differences, C and S the covariances of records and knowledge (Birge, 1932; Mandel and Paule, 1970): where the
-    records tell little, knowledge keeps its word.
+    Model error biases records and steady points in different ways. The factor f solves d' (C + f^2 S)^-1 d = k, with d (k,) the
+    differences, and C and S the covariances of records and prior (Birge, 1932; Mandel and Paule, 1970). Parameters that the
+    records hardly identify do not widen it.
     """
-    names = [n for n in told.names if n in uncertainty.names and n not in uncertainty.left_open]
-    own, its = [uncertainty.names.index(n) for n in names], [told.names.index(n) for n in names]
-    away = uncertainty.values[own] - told.mean[its]
-    records, known = uncertainty.covariance[np.ix_(own, own)], told.covariance[np.ix_(its, its)]
+    names = [n for n in prior.names if n in uncertainty.names and n not in uncertainty.left_open]
+    own, its = [uncertainty.names.index(n) for n in names], [prior.names.index(n) for n in names]
+    away = uncertainty.values[own] - prior.mean[its]
+    records, known = uncertainty.covariance[np.ix_(own, own)], prior.covariance[np.ix_(its, its)]
 
     def excess(log_factor: float) -> float:
         return float(away @ np.linalg.solve(records + np.exp(2.0 * log_factor) * known, away)) - len(names)
@@ -161,9 +161,9 @@ def disagreement(told: Prior, uncertainty: Uncertainty) -> float:
 
 
 def _secants(coordinates: Coordinates, x: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """d values / d coordinates (n, n) for changes of `reach` (n,) from `x`: towards (lower, higher) values.
+    """Secants of values by coordinates (n, n) for changes of `reach` (n,) from `x`: towards (lower, higher) values.
 
-    The constants of a pair go with the root of the spread, whose tangent is upright at a double pole.
+    The constants of a pair depend on the root of the spread, whose derivative is infinite at a double pole.
     """
     below = coordinates.jacobian(x)
     above = below.copy()
@@ -181,26 +181,26 @@ def _white(jacobian, residual):
 
 
 def _coloured(jacobian, residual, inverse):
-    """Covariance of the scores of one block: rows (m, n) and (m,), evenly spaced as far as this goes."""
+    """Covariance of the scores of one block, from rows (m, n) and (m,), assumed evenly spaced."""
     m = len(residual)
     j, e = np.fft.rfft(jacobian, axis=0), np.fft.rfft(residual)
-    spectrum = np.maximum(banded(np.abs(e) ** 2 / m), 1e-300) / _left(j, inverse, m)  # never 0: noise-free data
+    spectrum = np.maximum(banded(np.abs(e) ** 2 / m), 1e-300) / _remaining_share(j, inverse, m)  # not 0, for data without noise
     gain = np.sqrt(spectrum)
     scores = np.fft.irfft(j * gain[:, None], m, axis=0) * np.fft.irfft(e / gain, m)[:, None]
     return scores.T @ scores
 
 
-def _left(j, inverse, m):
-    """Share (k,) of the residual's power that the fit has left in it, by frequency; from the Jacobian's transform (k, n)."""
+def _remaining_share(j, inverse, m):
+    """Share (k,) of the noise power that remains in the residual, by frequency; from the Jacobian's transform (k, n)."""
     absorbed = np.sum((j @ inverse) * j.conj(), axis=1).real / m
     return np.maximum(1.0 - banded(absorbed), 1.0 / ORDINATES)
 
 
 def restored(problem: Problem, found: Solution) -> np.ndarray:
-    """The residual (rows,) as large as it was before the fit took its share, at each frequency; a prior's rows stay.
+    """The residual (rows,), scaled at each frequency to the noise power before the fit; rows of a prior are unchanged.
 
-    What a bootstrap should draw from: a fit of steady levels absorbs a good part of what is slow. It takes from the mean of
-    records of the same commands, and nothing from their differences.
+    A bootstrap draws from it, because a fit of steady levels absorbs much of the slow noise. The fit absorbs part of the mean
+    of records of the same commands, and nothing of their differences.
     """
     free, inverse, _ = _free(problem, found)
     residual = found.residual.copy()
@@ -208,17 +208,17 @@ def restored(problem: Problem, found: Solution) -> np.ndarray:
         first, count = group[0], len(group)
         mean, m = summed(group, found.residual) / count, len(first.time)
         j = np.fft.rfft(found.jacobian[first.at][:, free], axis=0)
-        taken = np.fft.irfft(np.fft.rfft(mean) / np.sqrt(_left(j, inverse * count, m)), m) - mean
+        taken = np.fft.irfft(np.fft.rfft(mean) / np.sqrt(_remaining_share(j, inverse * count, m)), m) - mean
         for block in group:
             residual[block.at] += np.interp(block.time, first.time, taken)
     return residual
 
 
 def _free(problem, found):
-    """(coordinates that vary, inverse of their normal matrix, directions (n, k) of which the records tell nothing, each column
-    in units of the coordinates' influence).
+    """(free coordinates, inverse of their normal matrix, directions (n, k) that the records do not identify, in units of the
+    coordinates' influence).
 
-    A double pole is no bound to hold them: the response is smooth through it, only the constants' names end there.
+    A pair's spread at its lower bound is free: the response is smooth through a double pole.
     """
     coordinates, held = problem.coordinates, found.active.copy()
     held[[j for _, j in coordinates.pairs if found.value[j] <= coordinates.lower[j]]] = False
@@ -226,7 +226,7 @@ def _free(problem, found):
     normal = found.jacobian[:, free].T @ found.jacobian[:, free]
     size = np.sqrt(np.diag(normal))
     size = np.where(size > 0.0, size, 1.0)
-    told, axes = np.linalg.eigh(normal / np.outer(size, size))
-    known = told > UNIDENTIFIABLE * told[-1] if len(told) else np.zeros(0, bool)
-    inverse = (axes[:, known] / told[known]) @ axes[:, known].T / np.outer(size, size)
+    power, axes = np.linalg.eigh(normal / np.outer(size, size))
+    known = power > UNIDENTIFIABLE * power[-1] if len(power) else np.zeros(0, bool)
+    inverse = (axes[:, known] / power[known]) @ axes[:, known].T / np.outer(size, size)
     return free, inverse, axes[:, ~known]

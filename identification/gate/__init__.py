@@ -1,1 +1,1 @@
-"""The quality gate: what a campaign's files, and a fit to them, say of themselves before anyone trusts them."""
+"""The quality gate: checks of a campaign's files, and of a fit to them."""

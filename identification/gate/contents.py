@@ -1,4 +1,4 @@
-"""What a campaign's files are, what they hold, and what is missing of them."""
+"""Contents of a campaign's files, and missing files and columns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,26 +15,26 @@ ROLES = {
     "steps": "one step a run: start values of the lags",
     "open_loop": "the record that the model is fitted to",
     "repeat": "the same commands again: the noise",
-    "validation": "other commands: errors that no fit has seen",
+    "validation": "other commands: the hold-out record",
     RAW: "raw readings of steady points, in place of static.csv",
 }
-"""What each file is for."""
+"""Role of each file."""
 
 MISSING = {
-    "static": "the map comes from the moving records alone, and units and tare have nothing to be compared with",
-    "steps": "the search for the lags starts at the model's own",
-    "open_loop": "nothing but a repeat, or a record by --record, can be fitted",
-    "repeat": "what is noise and what the model lacks are told apart less surely",
-    "validation": "every error is of data that were fitted",
-    FILE: "the rig's ranges and scales are inferred from what was commanded and measured",
+    "static": "the map is estimated from the moving records alone; units and tare cannot be compared",
+    "steps": "the search for the lags starts at the model's defaults",
+    "open_loop": "only a repeat, or a record given by --record, can be fitted",
+    "repeat": "noise and model error are distinguished less reliably",
+    "validation": "there is no hold-out error, only errors of fitted data",
+    FILE: "the rig's ranges and scales are inferred from the commands and readings",
 }
-"""What it costs that a file is not there."""
+"""Consequence of each missing file."""
 
 
 @dataclass(frozen=True)
 class FileContents:
-    """What one file holds. `columns`: by name, least, greatest and the number of empty cells; None, None: text. `rate` 1/s, of
-    rows; `runs` of a file of steps."""
+    """Content of one file. `columns`: by name, minimum, maximum (None for text) and number of empty cells. `rate`: rows per
+    second; `runs`: number of step runs."""
 
     name: str
     file: str
@@ -70,12 +70,12 @@ COLUMNS = ("file", "is", "rows", "s", "Hz", "omega_ref [rpm]", "beta_ref [deg]",
 
 
 def contents(files: Sequence[File]) -> list[FileContents]:
-    """What each file holds, in a campaign's order."""
+    """Content of each file, in a campaign's order."""
     order = [*NAMES, RAW]
-    return sorted(map(_held, files), key=lambda h: order.index(h.name) if h.name in order else len(order))
+    return sorted(map(_content, files), key=lambda h: order.index(h.name) if h.name in order else len(order))
 
 
-def _held(file: File) -> FileContents:
+def _content(file: File) -> FileContents:
     role, short = ROLES.get(file.name, "a further record to fit"), file.where.rsplit("/", 1)[-1]
     if file.static is not None:
         names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
@@ -103,7 +103,7 @@ def _unit(name: str) -> str | None:
 
 
 def lacks(campaign: Campaign, files: Sequence[File]) -> dict[str, str]:
-    """What is missing, by file or column, and what it costs."""
+    """Missing files and columns, with the consequence."""
     found = {f"{name}.csv": MISSING[name] for name in NAMES if f"{name}.csv" in campaign.missing}
     if campaign.static is None and campaign.static_raw is not None:
         del found["static.csv"]

@@ -1,7 +1,7 @@
-"""What a campaign's files say of themselves: units, signs, tares, and whether they speak of the same rig.
+"""Checks of a campaign's files: units, signs, tares, and consistency between files.
 
-Every judgement is by a ratio that is the same for a rotor of a gram and for one of a ton: measured over commanded speed,
-one file over the other, a response over the slowest rotor there is.
+Every check uses a ratio that does not depend on the size of the rotor: measured over commanded speed, one file over another,
+a lag over that of the slowest rotor.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,66 +20,67 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import DECLARED, RANGES, Rig
 
 SPEEDS = {"rad/s": 2.0 * np.pi / 60.0, "Hz": 1.0 / 60.0, "deg/s": 6.0}
-"""What one rpm is in other units."""
+"""One rpm in other units."""
 
 POLE_PAIRS = (2, 30)
-"""Pole pairs of motors. A measured speed that is so many times the commanded one is most likely electrical."""
+"""Range of pole pairs of motors. If measured over commanded speed is such a number, the speed is most likely electrical."""
 
 WHOLE = 0.03
-"""Share by which a ratio of speeds may miss a whole number: speed controllers settle within it. From 17 pole pairs on, each
-ratio is that close to a whole number; no unit of speed has such a ratio, so nothing else is missed."""
+"""Relative tolerance of a whole ratio of speeds: speed controllers settle within it. From 17 pole pairs on every ratio is that
+close to a whole number, but no unit of speed has such a ratio."""
 
 FORCES = {"gf": 101.972, "kgf": 0.101972, "lbf": 0.224809, "ozf": 3.59694, "mN": 1000.0, "kN": 0.001}
-"""What one newton is in other units."""
+"""One newton in other units."""
 
 TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-"""What a unit of time is in s."""
+"""Units of time in s."""
 
 AS_UNIT = 0.2
-"""A ratio within so many parts of a unit's is that unit's: units lie further apart, and rigs agree better with themselves."""
+"""Logarithmic tolerance of a unit's ratio: units differ by more, and consistent files by less."""
 
 SLOWEST = 10.0
-"""s: no rotor that a rig's commands make move takes longer, and no blade; a servo's or a motor's lag is a hundredth."""
+"""s: no lag of a rotor or of blades is longer; that of a servo or a motor is a hundredth."""
 
 USUAL = 0.3
-"""s: the lag in the middle of all rigs, by which one of several units of time is chosen; they differ by a thousand."""
+"""s: typical lag of a rig, to choose among units of time; these differ by a factor of a thousand."""
 
 BETTER = 2.0
-"""Ratio of what two first looks leave in the variance from which one is right and the other wrong. With as few as fifty
-independent readings chance gives this once in a hundred records, and most have thousands."""
+"""Ratio of the residual variances of two preliminary fits above which the larger is rejected. With only fifty independent
+readings chance exceeds it in one of a hundred records, and most records have thousands."""
 
 SLOPE = 0.1
-"""Share of a file's range of thrust that the thrust must rise or fall by with a command, to have a sign."""
+"""Minimum change of thrust with a command, as a share of a file's thrust range, to determine a sign."""
 
 ONE_DEGREE = 1.0
-"""deg: blades whose pitch is this far from no thrust give little of what they can; nobody's rig ends there."""
+"""deg: at this pitch from zero thrust blades give little of their thrust, so no rig has such a small range."""
 
 FOLLOWING = (0.8, 1.25)
-"""Measured over commanded speed, settled: saturation and a sagging supply stay within."""
+"""Range of settled measured over commanded speed; saturation and a sagging supply stay within it."""
 
 AGREE = 1.25
-"""Ratio of two files' thrust from which they disagree: gains drift and supplies sag by less."""
+"""Maximum ratio of two files' thrust: drift of gains and sag of supplies are smaller."""
 
 USED = (0.25, 1.1)
-"""Share of the declared thrust that a campaign's largest is, in the right unit."""
+"""Range of a campaign's largest thrust over the declared one, in the right unit."""
 
 OFFSET = 0.02
-"""Share of the largest thrust from which an offset is worth a word, if it is also FAR standard deviations from none."""
+"""Minimum offset to report, as a share of the largest thrust; it must also exceed FAR standard deviations."""
 
 FAR = 5.0
-"""Standard deviations that make an offset certain, also where the scatter is what a map of five terms leaves, and no noise."""
+"""Standard deviations for a significant offset, even if the scatter is model error of a map of five terms instead of noise."""
 
 SOUND, LIFT, AIR = 340.0, 0.4, 1.225
-"""m/s, largest thrust coefficient T / (rho n^2 D^4) of any static propeller, and kg/m^3: together a rotor's least diameter."""
+"""m/s, largest thrust coefficient T / (rho n^2 D^4) of any static propeller, and kg/m^3: they give a rotor's minimum
+diameter."""
 
 MARK = 0.025
-"""Share by which turns between a tachometer's values may miss a number, and differ between slow and quick turning."""
+"""Relative tolerance of the turns between a tachometer's values, against a number and between slow and fast rotation."""
 
 
 @dataclass(frozen=True, eq=False)
 class File:
-    """One file of a campaign: its records, one or, of steps, many; or its steady points. `look`: at its response, None where
-    it has too few readings."""
+    """One file of a campaign: its records (several for steps) or its steady points. `look`: preliminary fits, None with too few
+    readings."""
 
     name: str
     where: str
@@ -94,7 +95,7 @@ class File:
 
 
 def files_of(campaign: Campaign, further: Mapping[str, Record]) -> list[File]:
-    """What the campaign holds, and `further` records, each with a first look at its response."""
+    """The campaign's files and `further` records, each with a preliminary fit of its response."""
     named = {n: getattr(campaign, n) for n in ("open_loop", "repeat", "validation", "static_raw")} | dict(further)
     groups = {n: (r,) for n, r in named.items() if r is not None}
     if campaign.steps:
@@ -113,7 +114,7 @@ def _steady(static: StaticMap) -> File:
 
 
 def of_files(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
-    """Everything that the files by themselves show, what explains most first."""
+    """All findings on the files, the most explanatory first."""
     units = [*_times(files), *_speeds(files), *_pitches(files), *_forces(files, rig)]
     yield from units
     yield from _copies(files)
@@ -129,7 +130,7 @@ def of_files(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
 
 
 def as_unit(ratio: float, units: Mapping[str, float]) -> tuple[str, bool] | None:
-    """(unit, whether the numerator is in it; else the denominator) where a ratio is that of a unit to the right one."""
+    """(unit, whether the numerator has it; else the denominator) if the ratio is that of a unit to the right one."""
     for name, factor in units.items():
         for forward, expected in ((True, factor), (False, 1.0 / factor)):
             if abs(np.log(ratio / expected)) < AS_UNIT:
@@ -138,62 +139,63 @@ def as_unit(ratio: float, units: Mapping[str, float]) -> tuple[str, bool] | None
 
 
 def _times(files: Sequence[File]) -> Iterator[Finding]:
-    """A time column in another unit, by lags that no rotor has."""
+    """A time column in another unit, from lags that no rotor has."""
     for file in files:
         if file.look is None or file.response.explained < FOLLOWS:
             continue
         lags, row = file.response.lags, file.response.row
         lag = max(lags.values()) * row
         slow, fast = lag > SLOWEST, 0.0 < lag < TIME_CONSTANTS[0] and max(lags.values()) > 5.0
-        if slow:  # a drift may look like a lag: the right ones must be far worse
+        if slow:  # a drift may look like a lag: plausible lags must fit much worse
             slow = file.look.best(SLOWEST / row)[0] > BETTER * float(np.mean(file.response.left**2))
         if slow or fast:
             distance = {unit: abs(np.log(lag * size / USUAL)) for unit, size in TIMES.items()}
             unit = min(distance, key=distance.get)
-            told = f"thrust follows its commands after {lag:.3g} s, in rows {row:.3g} s apart"
-            yield Finding("time_unit", file.where, "time", lag, "s", told, f"time in {unit}; then {lag * TIMES[unit]:.2g} s")
+            message = f"thrust has a lag of {lag:.3g} s, at a sampling period of {row:.3g} s"
+            yield Finding("time_unit", file.where, "time", lag, "s", message, f"time in {unit}; then {lag * TIMES[unit]:.2g} s")
 
 
 def _speeds(files: Sequence[File]) -> Iterator[Finding]:
-    """Measured speed in another unit than commanded, files in different ones, and both wrong where the mark's pulses tell."""
+    """Measured and commanded speed in different units, files in different units, and both in a wrong unit, from a mark's
+    pulses."""
     for file in files:
         ratio = _ratio(file)
-        # A command that stands still beside a speed that moves is one that was not logged.
+        # A constant command with a moving speed was not logged.
         if ratio is not None and np.ptp(file.column("omega_ref")) > 0.0 and (pairs := pole_pairs(ratio)):
-            told = f"measured speed is {ratio:.4g} times the commanded one"
-            yield Finding("speed_unit", file.where, "omega", ratio, "1", told, electrical_cause(pairs))
+            message = f"measured speed is {ratio:.4g} times the commanded one"
+            yield Finding("speed_unit", file.where, "omega", ratio, "1", message, electrical_cause(pairs))
             continue
         if ratio is not None and (found := as_unit(ratio, SPEEDS)):
             unit, field = found[0], "omega" if found[1] else "omega_ref"
-            told = f"measured speed is {ratio:.4g} of what is commanded"
-            yield Finding("speed_unit", file.where, field, ratio, "1", told, f"{field} in {unit}")
+            message = f"measured speed is {ratio:.4g} of the commanded one"
+            yield Finding("speed_unit", file.where, field, ratio, "1", message, f"{field} in {unit}")
             continue
         turns = [t for r in file.records if (t := turns_a_value(r)) is not None]
         for unit in ("rad/s", "Hz"):
             if turns and abs(np.median(turns) / SPEEDS[unit] - 1.0) < MARK:
                 value = float(np.median(turns))
-                told = f"{value:.4f} turns from one measured value to the next, where one mark makes 1"
-                yield Finding("speed_unit", file.where, "omega", value, "1", told, f"omega and omega_ref both in {unit}")
+                message = f"{value:.4f} turns from one measured value to the next; one mark gives 1"
+                yield Finding("speed_unit", file.where, "omega", value, "1", message, f"omega and omega_ref both in {unit}")
     yield from _between(files, "omega_ref", SPEEDS, "speed_unit", lambda c: float(np.quantile(c, 0.95)))
 
 
 def _ratio(file: File) -> float | None:
-    """The ratio of speeds of a file; None without a measured speed."""
+    """Measured over commanded speed of a file; None without measured speed."""
     if file.static is None and not all("omega" in r for r in file.records):
         return None
     return speed_ratio(file.column("omega"), file.column("omega_ref"))
 
 
 def speed_ratio(omega: np.ndarray, command: np.ndarray) -> float | None:
-    """Median of measured over commanded speed, each (n,) rpm, where the command is not near rest; None without any."""
+    """Median of measured over commanded speed, each (n,) rpm, without commands near rest; None without any."""
     moving = np.isfinite(omega) & (command > 0.2 * command.max())
     ratio = float(np.median(omega[moving] / command[moving])) if moving.any() else 0.0
     return ratio if ratio > 0.0 else None
 
 
 def pole_pairs(ratio: float) -> int | None:
-    """The pole pairs by which a measured over a commanded speed is electrical; None where the ratio is no whole number, or is
-    nearer to that of a unit."""
+    """Number of pole pairs if measured over commanded speed is that of an electrical speed; None if the ratio is no whole
+    number, or is nearer to that of a unit."""
     pairs = round(ratio)
     if not POLE_PAIRS[0] <= pairs <= POLE_PAIRS[1] or abs(np.log(ratio / pairs)) > WHOLE:
         return None
@@ -202,16 +204,16 @@ def pole_pairs(ratio: float) -> int | None:
 
 
 def electrical_cause(pairs: int) -> str:
-    """Why a measured speed is so many times the commanded one, in words."""
+    """Cause of a measured speed of `pairs` times the commanded one, in words."""
     cause = f"electrical speed of a motor with {pairs} pole pairs"
     return f"{cause}, or deg/s" if pairs == SPEEDS["deg/s"] else cause
 
 
 def turns_a_value(record: Record) -> float | None:
-    """Turns of the rotor from one new value of its speed to the next, by the speed itself; None where that is not the same at
-    slow and at quick turning, as where the logger's rows, and not the mark, renew the value.
+    """Turns of the rotor from one new value of its speed to the next, computed from the speed; None if they differ between
+    slow and fast rotation, for example if the logger renews the value instead of the mark.
 
-    Counted where the speed moves: settled, two values may be equal, and pass for one.
+    Only moving speeds count: settled ones may repeat a value.
     """
     if "omega" not in record or not (np.isfinite(record["omega"]).all() and record["omega"].min() > 0.0):
         return None
@@ -223,7 +225,7 @@ def turns_a_value(record: Record) -> float | None:
     moving = change > np.quantile(change, 0.8)
     if not moving.any():
         return None
-    moving &= turned < 1.7 * np.mean(turned[moving])  # of two turns, the first showed the value of the one before
+    moving &= turned < 1.7 * np.mean(turned[moving])  # after two turns the first had a repeated value
     quick = shown[1:] > np.median(shown[1:][moving])
     parts = [turned[moving & side] for side in (quick, ~quick)]
     if min(map(len, parts)) < 20 or np.mean(shown[1:][moving & quick]) < 1.2 * np.mean(shown[1:][moving & ~quick]):
@@ -235,8 +237,8 @@ def turns_a_value(record: Record) -> float | None:
 def _between(
     files: Sequence[File], column: str, units: Mapping[str, float], code: str, size: Callable[[np.ndarray], float]
 ) -> Iterator[Finding]:
-    """Files whose commands differ in size by a unit, and lie in the same range if they are in it: a record that hardly moves
-    its blades is no smaller one in rad."""
+    """Files whose commands differ by the factor of a unit and have overlapping ranges after conversion: a small move in deg
+    is not taken for rad."""
     for one, other in combinations(files, 2):
         sizes = [size(f.column(column)) for f in (one, other)]
         if min(sizes) <= 0.0 or not (found := as_unit(sizes[1] / sizes[0], units)):
@@ -245,56 +247,58 @@ def _between(
         right = wrong.column(column) / units[found[0]]
         if right.min() > than.column(column).max() or right.max() < than.column(column).min():
             continue
-        told = f"{column} reaches {size(wrong.column(column)):.4g}, in {Path(than.where).name} {size(than.column(column)):.4g}"
+        message = (
+            f"{column} reaches {size(wrong.column(column)):.4g}, in {Path(than.where).name} {size(than.column(column)):.4g}"
+        )
         ratio = size(wrong.column(column)) / size(than.column(column))
-        yield Finding(code, wrong.where, column, ratio, "1", told, f"{column} in {found[0]}")
+        yield Finding(code, wrong.where, column, ratio, "1", message, f"{column} in {found[0]}")
 
 
 def _pitches(files: Sequence[File]) -> Iterator[Finding]:
-    """Pitch in rad or as a share: another file's range tells, or a fraction of a degree that makes all the thrust."""
+    """Pitch in rad or as a share: by another file's range, or if a fraction of a degree gives all the thrust."""
     yield from _between(files, "beta_ref", {"rad": np.pi / 180.0}, "pitch_unit", lambda c: float(np.ptp(c)))
     for file in files:
         r = file.response
         if r is None or r.explained < FOLLOWS or r.rise("beta") is None:
             continue
-        rise, owed = r.owed_to_pitch()
-        if owed < BETTER or abs(rise) < SLOPE * r.size:  # blades that hardly move tell no slope
+        change, owed = r.owed_to_pitch()
+        if owed < BETTER or abs(change) < SLOPE * r.size:  # a small move determines no slope
             continue
         ends = np.quantile(r.beta, [0.1, 0.9])
-        away = float(np.max(np.abs(r.thrust)) * (ends[1] - ends[0]) / abs(rise))
+        away = float(np.max(np.abs(r.thrust)) * (ends[1] - ends[0]) / abs(change))
         if away < ONE_DEGREE:
-            told = f"{ends[1] - ends[0]:.2g} deg change the thrust by {abs(rise):.3g} N: all of it lies within {away:.2g} deg"
-            yield Finding("pitch_unit", file.where, "beta_ref", away, "deg", told, "pitch in rad, or a share of its travel")
+            message = f"{ends[1] - ends[0]:.2g} deg change the thrust by {abs(change):.3g} N: all of it needs {away:.2g} deg"
+            yield Finding("pitch_unit", file.where, "beta_ref", away, "deg", message, "pitch in rad, or a share of its travel")
 
 
 def _forces(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
-    """Thrust in another unit: than another file's, than rig.json declares, than any rotor makes. If all files agree and
-    nothing is declared, gf can't be told from N."""
+    """Thrust in a wrong unit: compared with another file, with rig.json, and with the limit of any rotor. If all files agree
+    and no range is declared, gf cannot be distinguished from N."""
     looked = [f for f in files if f.response is not None and f.response.explained > FOLLOWS]
-    told_of = set()
+    in_unit = set()
     for file in looked[1:]:
         if (gain := _gain(looked[0], file)) is None:
             continue
         first = Path(looked[0].where).name
-        told = f"thrust is {gain:.4g} times that of {first} for the same commands"
+        message = f"thrust is {gain:.4g} times that of {first} for the same commands"
         if found := as_unit(max(abs(gain), 1e-9), FORCES):
-            told_of.add(file.name)
+            in_unit.add(file.name)
             wrong = file if found[1] else looked[0]
             if wrong is not file:
-                told = f"thrust is {1.0 / gain:.4g} times that of {Path(file.where).name} for the same commands"
-            yield Finding("thrust_unit", wrong.where, "thrust", abs(gain), "1", told, f"thrust in {found[0]}")
+                message = f"thrust is {1.0 / gain:.4g} times that of {Path(file.where).name} for the same commands"
+            yield Finding("thrust_unit", wrong.where, "thrust", abs(gain), "1", message, f"thrust in {found[0]}")
         elif gain > 0.0 and abs(np.log(gain)) > np.log(AGREE):
-            yield Finding("disagree", file.where, "thrust", gain, "1", told, "another calibration, propeller or supply")
+            yield Finding("disagree", file.where, "thrust", gain, "1", message, "another calibration, propeller or supply")
     if rig.origin.get("thrust") == DECLARED:
-        yield from _declared([f for f in files if f.name not in told_of], max(map(abs, rig.thrust)))
+        yield from _declared([f for f in files if f.name not in in_unit], max(map(abs, rig.thrust)))
     for file in looked:
         yield from _supersonic(file)
 
 
 def _declared(files: Sequence[File], declared: float) -> Iterator[Finding]:
-    """Thrust in another unit than rig.json declares: above it by more than the rig can be, or a kgf's part of it.
+    """Thrust in another unit than rig.json: far above the declared thrust, or below it by the factor of kgf.
 
-    A rig may use a part of what it can, so a unit is one in which it would use USED of it.
+    A campaign may use a part of the rig's range, so a unit is plausible if the share is then within USED.
     """
     for file in files:
         share = _most(file) / declared if declared > 0.0 else 0.0
@@ -302,13 +306,13 @@ def _declared(files: Sequence[File], declared: float) -> Iterator[Finding]:
         if USED[0] < share < USED[1] or not units:
             continue
         unit = min(units, key=lambda u: abs(np.log(units[u])))
-        told = f"thrust reaches {_most(file):.4g} where rig.json declares {declared:.4g} N"
-        code = "thrust_unit" if share > 1.0 else "beyond_rig"  # below what is declared a rig may well stay
-        yield Finding(code, file.where, "thrust", share, "1", told, f"thrust in {unit}")
+        message = f"thrust reaches {_most(file):.4g}, rig.json declares {declared:.4g} N"
+        code = "thrust_unit" if share > 1.0 else "beyond_rig"  # a campaign may stay below the declared thrust
+        yield Finding(code, file.where, "thrust", share, "1", message, f"thrust in {unit}")
 
 
 def _gain(reference: File, file: File) -> float | None:
-    """Thrust of a file over that of the reference for the same commands; None where these do not meet, or tell too little."""
+    """Thrust of a file over that of the reference at the same commands; None if they do not overlap, or do not determine it."""
     r = file.response
     inside = reference.response.span.holds(r.omega, r.beta)
     if inside.sum() < 10:
@@ -320,7 +324,7 @@ def _gain(reference: File, file: File) -> float | None:
 
 
 def _most(file: File) -> float:
-    """Largest thrust but for spikes, N."""
+    """Largest thrust without spikes, N."""
     thrust = file.column("thrust")
     thrust = np.abs(thrust[np.isfinite(thrust)])
     if not len(thrust):
@@ -329,7 +333,7 @@ def _most(file: File) -> float:
 
 
 def least_diameter(file: File) -> tuple[float, float, float]:
-    """(largest thrust [N], its speed [rpm], the least diameter [m] of a rotor that makes it)."""
+    """(largest thrust [N], its speed [rpm], minimum diameter [m] of a rotor with this thrust)."""
     thrust, speed = file.column("thrust"), file.column("omega_ref")
     at = np.flatnonzero(np.abs(thrust) >= 0.98 * _most(file))
     force, rpm = _most(file), float(np.median(speed[at]))
@@ -337,69 +341,69 @@ def least_diameter(file: File) -> tuple[float, float, float]:
 
 
 def _supersonic(file: File) -> Iterator[Finding]:
-    """Thrust for which blades of any diameter would outrun sound: the larger they are, the slower they would have to turn."""
+    """Thrust that needs supersonic tips: of a rotor with the minimum diameter at this speed."""
     force, rpm, diameter = least_diameter(file)
     tip = np.pi * diameter * rpm / 60.0
     if tip > SOUND:
-        told = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2f} m, its tips at {tip:.0f} m/s"
+        message = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2f} m with a tip speed of {tip:.0f} m/s"
         cause = "thrust in gf or mN, or a speed that is not in rpm"
-        yield Finding("thrust_unit", file.where, "thrust", float(tip), "m/s", told, cause)
+        yield Finding("thrust_unit", file.where, "thrust", float(tip), "m/s", message, cause)
 
 
 def _copies(files: Sequence[File]) -> Iterator[Finding]:
-    """A record that holds another one's readings."""
+    """A record with the readings of another one."""
     single = [f for f in files if len(f.records) == 1]
     for one, other in combinations(single, 2):
         a, b = (f.records[0]["thrust"] for f in (one, other))
         rows = min(len(a), len(b))
         if rows > 20 and np.array_equal(a[:rows], b[:rows], equal_nan=True) and np.ptp(a[np.isfinite(a)]) > 0.0:
-            told = f"all {rows} readings are those of {Path(one.where).name}"
-            yield Finding("copied", other.where, "thrust", rows, "1", told, "the file was copied, not measured")
+            message = f"all {rows} readings are those of {Path(one.where).name}"
+            yield Finding("copied", other.where, "thrust", rows, "1", message, "the file was copied, not measured")
 
 
 def _early(files: Sequence[File]) -> Iterator[Finding]:
-    """Commands that stand in the file after what they cause."""
+    """Commands that are in the file later than their effects."""
     for file in files:
         r = file.response
         if file.look is None or r.explained < FOLLOWS or not any(r.lags.values()):
             continue
-        left = {}
+        errors = {}
         for early in (0, *(2**k for k in range(9) if 2**k <= 2.0 * max(r.lags.values()))):
             lags = ({u: scale * lag for u, lag in r.lags.items()} for scale in (0.5, 0.7, 1.0, 1.4))
-            left[early] = min(file.look.fit(each, early)[0] for each in lags)
-        rows = min(left, key=left.get)
-        if BETTER * left[rows] < left[0]:
-            told = f"thrust begins to move about {rows * r.row:.3g} s before its command"
+            errors[early] = min(file.look.fit(each, early)[0] for each in lags)
+        rows = min(errors, key=errors.get)
+        if BETTER * errors[rows] < errors[0]:
+            message = f"thrust begins to move about {rows * r.row:.3g} s before its command"
             cause = "commands logged late, or columns from different clocks"
-            yield Finding("early", file.where, "time", rows * r.row, "s", told, cause)
+            yield Finding("early", file.where, "time", rows * r.row, "s", message, cause)
 
 
 def _signs(files: Sequence[File]) -> Iterator[Finding]:
-    """Thrust that grows downwards, or pitch that counts the wrong way."""
+    """Wrong sign of thrust or pitch."""
     for file in files:
         r = file.response
         if r is None or r.explained < FOLLOWS:
             continue
         pitch, speed, mean = r.rise("beta"), r.rise("omega"), float(np.mean(r.thrust))
         if pitch is not None:
-            alone, owed = r.owed_to_pitch()
-            pitch = alone if owed > BETTER else 0.0
+            change, owed = r.owed_to_pitch()
+            pitch = change if owed > BETTER else 0.0
         negative = mean < -SLOPE * r.size
         if pitch is not None and pitch < -SLOPE * r.size:
-            told = f"thrust changes by {pitch:+.3g} N from low to high pitch, and is {mean:.3g} N on average"
+            message = f"thrust changes by {pitch:+.3g} N from low to high pitch, and is {mean:.3g} N on average"
             if mean > SLOPE * r.size:
-                cause = "pitch counts the other way, or the blades are mounted so"
-                yield Finding("pitch_sign", file.where, "beta_ref", pitch, "N", told, cause)
+                cause = "pitch counts the other way, or the blades are mounted in reverse"
+                yield Finding("pitch_sign", file.where, "beta_ref", pitch, "N", message, cause)
             else:
                 cause = "thrust counts downwards" if negative else "thrust or pitch counts the other way"
-                yield Finding("thrust_sign", file.where, "thrust", pitch, "N", told, cause)
+                yield Finding("thrust_sign", file.where, "thrust", pitch, "N", message, cause)
         elif (pitch is None or abs(pitch) < SLOPE * r.size) and negative and speed is not None and speed < -SLOPE * r.size:
-            told = f"thrust changes by {speed:+.3g} N from low to high speed, and is {mean:.3g} N on average"
-            yield Finding("thrust_sign", file.where, "thrust", speed, "N", told, "thrust counts downwards")
+            message = f"thrust changes by {speed:+.3g} N from low to high speed, and is {mean:.3g} N on average"
+            yield Finding("thrust_sign", file.where, "thrust", speed, "N", message, "thrust counts downwards")
 
 
 def _speed_off(files: Sequence[File], known: set[str]) -> Iterator[Finding]:
-    """A measured speed that does not go with its command."""
+    """A measured speed that is inconsistent with its command."""
     for file in files:
         ratio = _ratio(file)
         if ratio is None or file.where in known:
@@ -408,23 +412,23 @@ def _speed_off(files: Sequence[File], known: set[str]) -> Iterator[Finding]:
         seen = np.isfinite(omega)
         together = np.corrcoef(omega[seen], command[seen])[0, 1] if min(np.ptp(omega[seen]), np.ptp(command)) > 0.0 else 1.0
         if not FOLLOWING[0] < ratio < FOLLOWING[1]:
-            told = f"measured speed is {ratio:.4g} of what is commanded"
+            message = f"measured speed is {ratio:.4g} of the commanded one"
             cause = "a wrong number of marks or pole pairs, or a command that is no speed"
-            yield Finding("speed_off", file.where, "omega", ratio, "1", told, cause)
+            yield Finding("speed_off", file.where, "omega", ratio, "1", message, cause)
         elif together < np.sqrt(FOLLOWS) and file.static is None and _slower(file):
-            told = f"measured and commanded speed go together by {together:.2f} (1: always)"
+            message = f"the correlation of measured and commanded speed is {together:.2f}"
             cause = "another run's column, or a speed that the motor can't hold"
-            yield Finding("speed_off", file.where, "omega", float(together), "1", told, cause)
+            yield Finding("speed_off", file.where, "omega", float(together), "1", message, cause)
 
 
 def _slower(file: File) -> bool:
-    """Whether no lag of the command explains the measured speed either."""
+    """Whether no lag of the command explains the measured speed."""
     with_speed = [r.with_columns(thrust=r["omega"], beta_ref=np.zeros(len(r))) for r in file.records]
     return Look(with_speed).response().explained < FOLLOWS
 
 
 def _not_logged(files: Sequence[File]) -> Iterator[Finding]:
-    """A command that stands while what it commands moves."""
+    """A constant command whose measured value moves."""
     for file in files:
         for channel, unit in (("omega", "rpm"), ("beta", "deg")):
             if file.static is not None or not all(channel in r for r in file.records):
@@ -435,38 +439,38 @@ def _not_logged(files: Sequence[File]) -> Iterator[Finding]:
                 continue
             low, high = np.quantile(shown, [0.02, 0.98])
             if high - low > AS_UNIT * max(abs(low), abs(high)):
-                told = f"it stands at {command[0]:.4g} {unit} while {channel} runs from {low:.4g} to {high:.4g} {unit}"
+                message = f"it is constant at {command[0]:.4g} {unit} while {channel} runs from {low:.4g} to {high:.4g} {unit}"
                 field, moved = f"{channel}_ref", float(high - low)
                 other = file.column("beta_ref" if channel == "omega" else "omega_ref")
                 code = "not_logged" if np.ptp(other) > 0.0 else "no_commands"
-                yield Finding(code, file.where, field, moved, unit, told, "the command was not logged")
+                yield Finding(code, file.where, field, moved, unit, message, "the command was not logged")
 
 
 def _tares(files: Sequence[File]) -> Iterator[Finding]:
-    """An offset of the reading: at rest, where the steady points' thrust ends at no speed, or between files."""
+    """An offset of the thrust reading: at rest, of the steady points extrapolated to zero speed, or between files."""
     largest = max((_most(f) for f in files), default=0.0)
     for file in files:
-        if (rest := _at_rest(file)) is not None and abs(rest[0]) > max(OFFSET * largest, FAR * rest[1]):
-            told = f"{rest[0]:+.3g} N at rest ({100 * abs(rest[0]) / largest:.2g} % of the largest thrust)"
-            yield Finding("tare", file.where, "thrust", rest[0], "N", told, "the sensor was not tared")
+        if (zero := _at_rest(file)) is not None and abs(zero[0]) > max(OFFSET * largest, FAR * zero[1]):
+            message = f"{zero[0]:+.3g} N at rest ({100 * abs(zero[0]) / largest:.2g} % of the largest thrust)"
+            yield Finding("tare", file.where, "thrust", zero[0], "N", message, "the sensor was not tared")
     steady = next((f for f in files if f.static is not None and f.response is not None), None)
     if steady is not None:
         offset, std = _at_no_speed(steady)
         if abs(offset) > max(OFFSET * largest, FAR * std):
-            told = f"thrust ends at {offset:+.3g} ± {std:.1g} N where the speed goes to 0"
-            yield Finding("tare", steady.where, "thrust", offset, "N", told, "the sensor was not tared")
+            message = f"thrust is {offset:+.3g} ± {std:.1g} N, extrapolated to zero speed"
+            yield Finding("tare", steady.where, "thrust", offset, "N", message, "the sensor was not tared")
     by_name = {f.name: f for f in files}
     if {"open_loop", "repeat"} <= set(by_name):
         yield from _shifted(by_name["open_loop"], by_name["repeat"], largest)
 
 
 def _at_rest(file: File) -> tuple[float, float] | None:
-    """(mean thrust, its standard error) of readings at rest; None where there is too little."""
+    """(mean thrust, its standard error) of readings at rest; None with too few."""
     parts = []
     for record in file.records:
         speed = record["omega"] if "omega" in record else record["omega_ref"]
         still = (speed == 0.0) & (record["omega_ref"] == 0.0) & np.isfinite(record["thrust"])
-        if "omega" not in record:  # it may still turn: the later half of each rest counts
+        if "omega" not in record:  # the rotor may still turn: only the later half of each stop counts
             first, length = runs_of_equals(still)
             for begin, many in zip(first, length, strict=True):
                 still[begin : begin + many // 2] = False
@@ -476,14 +480,14 @@ def _at_rest(file: File) -> tuple[float, float] | None:
 
 
 def _at_no_speed(file: File) -> tuple[float, float]:
-    """(thrust [N] at no speed, its standard deviation) by all terms of the map and one in w, weighted equally."""
+    """(thrust [N] at zero speed, its standard deviation) from all terms of the map and one in w, unweighted."""
     static, r = file.static, file.response
     a = np.column_stack([r.span.columns(static.omega, static.beta_ref), static.omega / r.span.speed[1]])
     if len(a) < a.shape[1] + 5 or np.linalg.matrix_rank(a, tol=1e-6 * np.linalg.norm(a, 2)) < a.shape[1]:
         return 0.0, np.inf
     found = np.linalg.lstsq(a, static.thrust, rcond=None)[0]
-    left = static.thrust - a @ found
-    variance = np.linalg.inv(a.T @ a)[0, 0] * float(left @ left) / (len(a) - a.shape[1])
+    residual = static.thrust - a @ found
+    variance = np.linalg.inv(a.T @ a)[0, 0] * float(residual @ residual) / (len(a) - a.shape[1])
     return float(found[0]), float(np.sqrt(variance))
 
 
@@ -491,18 +495,18 @@ def _shifted(first: File, again: File, largest: float) -> Iterator[Finding]:
     """An offset between two records of the same commands."""
     a, b = first.records[0]["thrust"], again.records[0]["thrust"]
     rows = min(len(a), len(b))
-    apart = (b[:rows] - a[:rows])[np.isfinite(a[:rows]) & np.isfinite(b[:rows])]
-    if len(apart) < 200:
+    difference = (b[:rows] - a[:rows])[np.isfinite(a[:rows]) & np.isfinite(b[:rows])]
+    if len(difference) < 200:
         return
-    means = np.array([part.mean() for part in np.array_split(apart, 20)])
+    means = np.array([part.mean() for part in np.array_split(difference, 20)])
     shift, std = float(means.mean()), float(means.std(ddof=1) / np.sqrt(20))
     if abs(shift) > max(OFFSET * largest, FAR * std):
-        told = f"thrust is {shift:+.3g} ± {std:.1g} N from that of {Path(first.where).name} for the same commands"
-        yield Finding("tare", again.where, "thrust", shift, "N", told, "a tare that changed, or a sensor that drifts")
+        message = f"thrust differs by {shift:+.3g} ± {std:.1g} N from that of {Path(first.where).name} for the same commands"
+        yield Finding("tare", again.where, "thrust", shift, "N", message, "a tare that changed, or a sensor that drifts")
 
 
 def _beyond(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
-    """Commands and readings beyond what rig.json declares."""
+    """Commands and readings outside the ranges of rig.json."""
     for name, signal in RANGES.items():
         if rig.origin.get(name) != DECLARED:
             continue
@@ -513,6 +517,6 @@ def _beyond(files: Sequence[File], rig: Rig) -> Iterator[Finding]:
             ends = np.quantile(values[np.isfinite(values)], [0.001, 0.999] if name == "thrust" else [0.0, 1.0])
             if ends[0] < low - reach or ends[1] > high + reach:
                 worst = float(ends[1] if ends[1] - high > low - ends[0] else ends[0])
-                told = f"{column} runs from {ends[0]:.4g} to {ends[1]:.4g} {unit}, rig.json declares {low:.4g} to {high:.4g}"
+                message = f"{column} runs from {ends[0]:.4g} to {ends[1]:.4g} {unit}, rig.json declares {low:.4g} to {high:.4g}"
                 cause = "another rig's file, or a rig.json that is out of date"
-                yield Finding("beyond_rig", file.where, column, worst, unit, told, cause)
+                yield Finding("beyond_rig", file.where, column, worst, unit, message, cause)

@@ -1,4 +1,4 @@
-"""A finding of the quality gate: what is wrong, the number that shows it, the likely cause, what to do."""
+"""A finding of the quality gate: the fault, its evidence as a number, the likely cause, and advice."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ ERROR, WARNING = "error", "warning"
 
 @dataclass(frozen=True)
 class Kind:
-    """What findings of one code mean, and what to do. `accept`: what `--accept CODE` does; "": it can't be accepted."""
+    """Meaning of a code, and advice. `accept`: effect of `--accept CODE`; "": it cannot be accepted."""
 
     level: str
     meaning: str
@@ -19,51 +19,55 @@ class Kind:
     accept: str = ""
 
 
-_GO_ON = "goes on with the data as they are"
+_GO_ON = "continues with the data unchanged"
 _KEEP = "keeps the rows"
 
 KINDS = {
     "too_short": Kind(ERROR, "too few rows, seconds or readings to show a lag", "Record longer, or leave the file out"),
-    "no_move": Kind(WARNING, "both commands stand still throughout", "Move one at least; a record at rest tells one thrust"),
-    "no_commands": Kind(ERROR, "no command moves while the rotor does", "Log what was commanded, row by row"),
+    "no_move": Kind(WARNING, "both commands are constant", "Move at least one; a record at rest identifies one thrust only"),
+    "no_commands": Kind(ERROR, "no command moves while the rotor does", "Log the commands, row by row"),
     "thrust_dead": Kind(ERROR, "the thrust never changes", "Look at the load cell and its wires"),
-    "copied": Kind(ERROR, "a file holds another one's readings", "Leave the file out, and it is known to be missing"),
+    "copied": Kind(ERROR, "a file has the readings of another one", "Remove the file, so that it counts as missing"),
     "time_unit": Kind(ERROR, "responses are slower or faster than any rotor's", "Write seconds", _GO_ON),
     "speed_unit": Kind(ERROR, "speed in rad/s, Hz or deg/s, or electrical speed", "Write rpm of the rotor", _GO_ON),
     "pitch_unit": Kind(ERROR, "pitch in rad, or as a share of its travel", "Write degrees", _GO_ON),
     "thrust_unit": Kind(ERROR, "thrust in gf, kgf, lbf, ozf, mN or kN", "Write newtons", _GO_ON),
     "thrust_sign": Kind(ERROR, "thrust counts downwards", "Change the column's sign", _GO_ON),
-    "pitch_sign": Kind(ERROR, "thrust falls with pitch", "Change the column's sign", _GO_ON),
-    "speed_dead": Kind(WARNING, "the measured speed stands while its command moves", "Look at the mark and its sensor", _KEEP),
-    "frozen": Kind(WARNING, "a reading stands still where noise or a command would move it", "Look at wires and logger", _KEEP),
+    "pitch_sign": Kind(ERROR, "thrust decreases with pitch", "Change the column's sign", _GO_ON),
+    "speed_dead": Kind(
+        WARNING, "the measured speed is constant while its command moves", "Look at the mark and its sensor", _KEEP
+    ),
+    "frozen": Kind(WARNING, "a reading is constant despite noise or a moving command", "Look at wires and logger", _KEEP),
     "clipped": Kind(WARNING, "readings at the sensor's limit", "Measure with more range, or less thrust", _KEEP),
     "spikes": Kind(WARNING, "single readings far from their neighbours", "Look at wires and shield", _KEEP),
-    "run_in": Kind(WARNING, "a record begins before its rig has settled", "Hold the first command before the log begins"),
+    "run_in": Kind(WARNING, "a record begins before the rig has settled", "Hold the first command before the log begins"),
     "gap": Kind(WARNING, "rows are missing", "Log without gaps", _KEEP),
     "speed_off": Kind(WARNING, "the measured speed does not follow its command", "Look at both columns"),
-    "not_logged": Kind(WARNING, "a command stands still while what it commands moves", "Log what was commanded, row by row"),
+    "not_logged": Kind(WARNING, "a command is constant while its measured value moves", "Log the commands, row by row"),
     "early": Kind(
         WARNING,
         "the response begins before its command",
-        "Nothing: it is allowed for; vpp import --mend mends the file",
+        "Nothing: the fit corrects it; vpp import --mend corrects the file",
     ),
-    "tare": Kind(WARNING, "the thrust reading is off by a constant", "Tare at rest, or correct the column; else vpp diagnose"),
-    "disagree": Kind(WARNING, "files tell different thrust for the same commands", "Measure all files on one rig"),
-    "beyond_rig": Kind(WARNING, "commands or readings are not within what rig.json declares", "Correct rig.json, or the file"),
-    "on_bound": Kind(WARNING, "a fitted parameter ends on its bound", "Look at units and scales; it is no estimate"),
-    "poor_fit": Kind(WARNING, "the fit explains less than half", "Look at the record beside its prediction"),
+    "tare": Kind(WARNING, "the thrust reading has an offset", "Tare at rest, or correct the column; else vpp diagnose"),
+    "disagree": Kind(WARNING, "files differ in thrust at the same commands", "Measure all files on one rig"),
+    "beyond_rig": Kind(WARNING, "commands or readings are outside the ranges of rig.json", "Correct rig.json, or the file"),
+    "on_bound": Kind(WARNING, "a fitted parameter is at its bound", "Look at units and scales; it is no estimate"),
+    "poor_fit": Kind(WARNING, "the fit explains less than half", "Compare the record with its prediction"),
     "above_noise": Kind(WARNING, "the error is far above the noise", "vpp diagnose"),
-    "thin": Kind(WARNING, "the commands leave parameters open", "More moves over the whole range; vpp plan proposes them"),
-    "slow_sampling": Kind(WARNING, "readings are further apart than a fifth of the fastest lag", "Log more often"),
+    "thin": Kind(
+        WARNING, "the commands do not identify all parameters", "More moves over the whole range; vpp plan proposes them"
+    ),
+    "slow_sampling": Kind(WARNING, "the sampling period is longer than a fifth of the fastest lag", "Log more often"),
     "no_fit": Kind(ERROR, "no model can be fitted", "See above"),
 }
-"""All that the gate can find, by code."""
+"""Every finding of the gate, by code."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding. `value`, in `unit`: the number that shows it; `told`: the same in words. `where`: the file as its reader
-    knows it; `field`: its column, or a parameter. `accepted`: the user wants to go on all the same."""
+    """One finding. `value`, in `unit`: the evidence; `told`: the same in words. `where`: the file's source; `field`: its
+    column, or a parameter. `accepted`: the user accepts it."""
 
     code: str
     where: str
@@ -81,7 +85,7 @@ class Finding:
 
     @property
     def advice(self) -> str:
-        """What to do."""
+        """Advice to the user."""
         return KINDS[self.code].advice
 
     @property
@@ -91,7 +95,7 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """All of it in a line."""
+        """The finding in one line."""
         accepted = " (accepted)" if self.accepted else ""
         what = f"{self.level} {self.code}{accepted}: {self.file}, {self.field}"
         return f"{what}: {self.told}. Likely: {self.cause}. {self.advice}."
@@ -108,7 +112,7 @@ def acceptable() -> list[str]:
 
 
 def check_accepted(accept: Iterable[str]) -> frozenset[str]:
-    """The codes that a user accepts. BadInput names one that can't be."""
+    """The codes that a user accepts. BadInput for a code that cannot be accepted."""
     accept = frozenset(accept)
     if unknown := sorted(accept - set(acceptable())):
         raise BadInput("command line", "--accept", ", ".join(unknown), f"any of {', '.join(acceptable())}")
@@ -116,13 +120,13 @@ def check_accepted(accept: Iterable[str]) -> frozenset[str]:
 
 
 def settled(findings: Iterable[Finding], accept: frozenset[str]) -> tuple[Finding, ...]:
-    """The findings, those of an accepted code marked so; errors first."""
+    """The findings, errors first; those of an accepted code are marked."""
     marked = [replace(f, accepted=True) if f.code in accept else f for f in findings]
     return tuple(sorted(marked, key=lambda f: f.level != ERROR))
 
 
 def refuse(findings: Sequence[Finding]) -> None:
-    """BadInput for the first error there is."""
+    """BadInput for the first error, if there is one."""
     errors = [f for f in findings if f.level == ERROR]
     if not errors:
         return

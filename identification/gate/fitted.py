@@ -1,4 +1,4 @@
-"""What a fit says of the data behind it: bounds, what the commands leave open, rows too far apart, errors above the noise."""
+"""Checks of the data by a fit: bounds, identifiability, sampling period, errors above the noise, and an offset."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -18,32 +18,32 @@ from identification.static.static_map import TERMS, design
 from vpp_fmu.rig import Rig
 
 HALF = 50.0
-"""%: a fit below leaves an error of half the thrust's own standard deviation."""
+"""%: below, the error exceeds half the thrust's standard deviation."""
 
 FIFTH = 5.0
-"""Rows that a lag should span: with fewer, what happens between two readings decides it."""
+"""Minimum number of rows that a lag should span: with fewer it depends on the signal between readings."""
 
 NOISE = 3.0
-"""Error over noise from which the fit is far off: of its mean square eight parts in nine are not noise."""
+"""Ratio of error to noise above which the fit is poor: 8/9 of the mean square are then not noise."""
 
 LAG_KNOWN, MAP_KNOWN = 0.1, 0.05
-"""Relative standard deviation of a channel's whole lag, and standard deviation of the map anywhere in the commanded range as a
-share of the largest thrust, from which the commands told too little."""
+"""Maximum relative standard deviation of a channel's total lag, and maximum standard deviation of the map in the commanded
+range as a share of the largest thrust."""
 
 MOST = 0.5
-"""Share of what a fit leaves above the noise, that an offset takes if it is what is wrong."""
+"""Minimum share of the residual power above the noise that an offset must explain."""
 
 SECOND = 1.0
-"""s over which the score of an offset is summed: longer than thrust noise remembers."""
+"""s over which the score of an offset is summed: longer than the correlation time of thrust noise."""
 
 
 def of_fit(
     found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: ReadingNoise, rig: Rig
 ) -> tuple[Finding, ...]:
-    """Everything that a fit shows. `predictions` by record, those `fitted` to among them; `noise` of one reading; `rig`: whose
-    ranges the map should hold in."""
+    """All findings of a fit. `predictions` by record, including the `fitted` ones; `noise` of one reading; `rig`: its ranges
+    are those of the map."""
     where = predictions[fitted[0]].record.source
-    with _BLAS.limit(limits=1):  # threads cost more than they bring on matrices this narrow
+    with _BLAS.limit(limits=1):  # on matrices this narrow one thread is faster
         return (
             *_bounds(found, where),
             *_errors(predictions, fitted, noise.high),
@@ -67,60 +67,61 @@ def _bounds(found: Refinement, where: str) -> Iterator[Finding]:
         if p.unit != "s":
             cause = "columns in another unit, or scales of another size"
         elif value < p.minimum + near:
-            cause = "one lag where the model has two, or rows too far apart to show it"
+            cause = "one lag instead of the model's two, or a sampling period too long to identify it"
         else:
             cause = "time in another unit, or commands that do not belong to these readings"
-        told = f"the fit ends at {value:.4g}, a bound ({ends})"
-        yield Finding("on_bound", where, name, value, p.unit, told, cause)
+        message = f"the estimate is at a bound, {value:.4g} ({ends})"
+        yield Finding("on_bound", where, name, value, p.unit, message, cause)
 
 
 def _errors(predictions: Mapping[str, Prediction], fitted: tuple[str, ...], noise: float) -> Iterator[Finding]:
     for name, p in predictions.items():
         fit = p.fit_thrust
-        moved = any(np.ptp(p.record[n]) > 0.0 for n in ("omega_ref", "beta_ref"))  # else there is nothing to explain
+        moved = any(np.ptp(p.record[n]) > 0.0 for n in ("omega_ref", "beta_ref"))
         if moved and fit < HALF:
-            told = f"the fit explains {fit:.1f} %"
+            message = f"the fit explains {fit:.1f} %"
             cause = "columns that do not belong together, a wrong unit, or a rig that this model does not describe"
-            yield Finding("poor_fit", p.record.source, "thrust", fit, "%", told, cause)
+            yield Finding("poor_fit", p.record.source, "thrust", fit, "%", message, cause)
         elif noise and name in fitted and p.rmse_thrust > NOISE * noise:
             ratio = p.rmse_thrust / noise
-            told = f"the error is {p.rmse_thrust:.3g} N, {ratio:.1f} times the noise of at most {noise:.3g} N"
-            yield Finding("above_noise", p.record.source, "thrust", ratio, "1", told, "an effect that the model lacks")
+            message = f"the error is {p.rmse_thrust:.3g} N, {ratio:.1f} times the noise of at most {noise:.3g} N"
+            yield Finding(
+                "above_noise", p.record.source, "thrust", ratio, "1", message, "an effect that the model does not have"
+            )
 
 
 def _thin(found: Refinement, where: str, rig: Rig) -> Iterator[Finding]:
-    """What the commands leave open: parameters that were held, lags and a map that are hardly known."""
+    """Parameters that the commands do not identify: held ones, and lags and a map with large standard deviations."""
     if found.held:
         reasons: dict[str, list[str]] = {}
         for name, why in found.held.items():
             reasons.setdefault(why, []).append(name)
-        told = "; ".join(f"{', '.join(names)} can't be told, {why}" for why, names in reasons.items())
+        message = "; ".join(f"{', '.join(names)} not identifiable, {why}" for why, names in reasons.items())
         field, count = ", ".join(found.held), len(found.held)
-        yield Finding("thin", where, field, count, "1", told, "a command that does not move enough")
+        yield Finding("thin", where, field, count, "1", message, "a command that does not move enough")
     known = _from_commands(found)
-    for channel, told_of in forms(known).items():
-        relative = told_of["sum"]["std"] / told_of["sum"]["value"]
+    for channel, functions in forms(known).items():
+        relative = functions["sum"]["std"] / functions["sum"]["value"]
         if relative > LAG_KNOWN:
             name = "speed" if channel == "omega" else "pitch"
-            told = f"the lags of {name} are {told_of['sum']['value']:.3g} s together, ± {100 * relative:.0f} %"
-            yield Finding("thin", where, f"{channel}_ref", relative, "1", told, f"few moves of {name}")
+            message = f"the sum of lags of {name} is {functions['sum']['value']:.3g} s, ± {100 * relative:.0f} %"
+            yield Finding("thin", where, f"{channel}_ref", relative, "1", message, f"few moves of {name}")
     if set(TERMS) <= set(known.names):
         at = [known.names.index(n) for n in TERMS]
         omega, beta = (m.ravel() for m in np.meshgrid(np.linspace(*rig.speed, 5), np.linspace(*rig.pitch, 5)))
         a = design(omega, beta, found.values)
         std = np.sqrt(np.einsum("ni,ij,nj->n", a, known.covariance[np.ix_(at, at)], a))
         largest, k = float(np.abs(a @ [found.values[n] for n in TERMS]).max()), int(np.argmax(std))
-        share = float(std[k]) / largest if largest > 0.0 else 0.0  # a map of nothing is known to be one
+        share = float(std[k]) / largest if largest > 0.0 else 0.0  # a map of zero thrust is certain
         if share > MAP_KNOWN:
             size = std[k] * found.values["thrust_scale"]
             there = f"thrust at {omega[k]:.4g} rpm and {beta[k]:.3g} deg"
-            told = f"{there} is known to ± {size:.2g} N, {100 * share:.0f} % of the largest"
-            yield Finding("thin", where, "omega_ref and beta_ref", share, "1", told, "a part of the range that is not visited")
+            message = f"{there} has a standard deviation of {size:.2g} N, {100 * share:.0f} % of the largest"
+            yield Finding("thin", where, "omega_ref and beta_ref", share, "1", message, "a part of the range without commands")
 
 
 def _from_commands(found: Refinement) -> Uncertainty:
-    """What the fit's parameters would be known to if all that is left were white noise: a lack of the model is no fault of
-    the commands."""
+    """Uncertainty of the fit's parameters if the residual were white noise: model error is no fault of the commands."""
     solution, coordinates = found.solution, found.problem.coordinates
     free = np.flatnonzero(~solution.active)
     normal = solution.jacobian.T @ solution.jacobian
@@ -130,17 +131,17 @@ def _from_commands(found: Refinement) -> Uncertainty:
 
 
 def _sampling(found: Refinement, predictions: Mapping[str, Prediction], fitted: tuple[str, ...]) -> Iterator[Finding]:
-    """Readings further apart than a fifth of the fastest lag, or than a tenth of both, whose sum is what is known best.
+    """A sampling period longer than a fifth of the fastest lag, or than a tenth of the sum of both, which is best identified.
 
-    A lag shorter than a row shows in nothing and may as well be none. Of records with equal rows, the first is told.
+    Lags shorter than the sampling period are ignored. Of records with equal periods, the first is reported.
     """
-    told_of: set[float] = set()
+    reported: set[float] = set()
     for name in fitted:
         record = predictions[name].record
         row = float(np.median(np.diff(record.time[np.isfinite(record["thrust"])])))
-        if row in told_of:
+        if row in reported:
             continue
-        told_of.add(row)
+        reported.add(row)
         for channel in CHANNELS:
             pair = [f"tau_{channel}_1", f"tau_{channel}_2"]
             if not set(pair) <= set(found.names):
@@ -149,16 +150,20 @@ def _sampling(found: Refinement, predictions: Mapping[str, Prediction], fitted: 
             both = sum(found.values[n] for n in pair)
             if row > min(fastest / FIFTH, both / (2.0 * FIFTH)):
                 lags = " and ".join(f"{found.values[n]:.3g}" for n in pair)
-                told = f"readings are {row:.3g} s apart, the lags of {'speed' if channel == 'omega' else 'pitch'} are {lags} s"
+                message = (
+                    f"the sampling period is {row:.3g} s, the lags of {'speed' if channel == 'omega' else 'pitch'} are {lags} s"
+                )
                 enough = min(fastest, 0.5 * both) / FIFTH
-                cause = f"a logger that is slow or averages (every {enough:.2g} s would do), or one lag where the model has two"
-                yield Finding("slow_sampling", record.source, "time", row, "s", told, cause)
+                cause = (
+                    f"a logger that is slow or averages ({enough:.2g} s would be enough), or one lag instead of the model's two"
+                )
+                yield Finding("slow_sampling", record.source, "time", row, "s", message, cause)
 
 
 def _offset(found: Refinement, where: str, noise: float, rig: Rig) -> Iterator[Finding]:
-    """A constant in the thrust, by the score of one at the solution: what is left, along what no other parameter explains.
+    """An offset of the thrust, by its score at the solution, orthogonal to the fitted parameters.
 
-    Where it takes less than MOST of what is left above the noise, the model lacks something else, of which this is a part.
+    If it explains less than MOST of the residual power above the noise, the cause is another model error.
     """
     problem, solution = found.problem, found.solution
     constant = np.zeros(len(solution.residual))
@@ -171,14 +176,14 @@ def _offset(found: Refinement, where: str, noise: float, rig: Rig) -> Iterator[F
     inverse[free] = np.linalg.pinv((jacobian.T @ jacobian)[free], hermitian=True)
     own = constant - jacobian @ (inverse @ (jacobian.T @ constant))
     information, whole = float(own @ own), float(constant @ constant)
-    if information < 1e-3 * whole:  # all of it goes as well with the map
+    if information < 1e-3 * whole:  # not distinguishable from the map
         return
     score = own * solution.residual
     parts = [p.sum() for b in blocks for p in np.array_split(score[b.at], max(2, int(np.ptp(b.time) / SECOND)))]
     offset = -float(score.sum()) / information
-    std = float(np.sqrt(len(parts)) * np.std(parts, ddof=1)) / information  # an offset itself does not scatter
-    left = np.mean(np.concatenate(problem.thrust_errors(found.values)) ** 2)  # N^2 a reading
-    above, taken = float(left) - noise**2, offset**2 * information / whole
-    if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and taken > MOST * above:
-        told = f"the reading is {offset:+.3g} ± {std:.1g} N off the map, whatever is commanded"
-        yield Finding("tare", where, "thrust", offset, "N", told, "the sensor was not tared")
+    std = float(np.sqrt(len(parts)) * np.std(parts, ddof=1)) / information  # an offset is constant and adds no scatter
+    mean_square = np.mean(np.concatenate(problem.thrust_errors(found.values)) ** 2)  # N^2 a reading
+    above, explained = float(mean_square) - noise**2, offset**2 * information / whole
+    if abs(offset) > max(OFFSET * max(map(abs, rig.thrust)), FAR * std) and explained > MOST * above:
+        message = f"the reading differs from the map by {offset:+.3g} ± {std:.1g} N at all commands"
+        yield Finding("tare", where, "thrust", offset, "N", message, "the sensor was not tared")

@@ -1,4 +1,4 @@
-"""The gate: a campaign goes through, with what can't be trusted left empty, or is refused in one line."""
+"""The gate: a campaign passes, with untrusted readings emptied, or is rejected with one line."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -19,9 +19,8 @@ RECORDS = ("open_loop", "repeat", "validation")
 
 @dataclass(frozen=True)
 class Passed:
-    """A campaign and `further` records as they may be used: readings that can't be trusted are empty. `findings`: what was
-    said of the files, errors first; without errors unless `look` made it. `logger`: the one that the records were corrected
-    for; None: they are as the files hold them."""
+    """A campaign and `further` records for use: untrusted readings are empty. `findings`: on the files, errors first; only
+    `look` returns errors. `logger`: the records are corrected for it; None: they are uncorrected."""
 
     campaign: Campaign
     further: Mapping[str, Record]
@@ -29,7 +28,7 @@ class Passed:
     logger: Logger | None = None
 
     def changed(self, change: Callable[[Record], Record]) -> "Passed":
-        """The same with each record changed, steps among them."""
+        """The same with each record changed, including steps."""
         own = {n: change(r) for n in (*RECORDS, "static_raw") if (r := getattr(self.campaign, n)) is not None}
         campaign = replace(self.campaign, **own, steps=tuple(map(change, self.campaign.steps)))
         return replace(self, campaign=campaign, further={n: change(r) for n, r in self.further.items()})
@@ -41,9 +40,9 @@ class Passed:
         def emptied(record: Record) -> Record:
             if not (seconds := run_in(record)):
                 return record
-            told = f"begins in motion: its first {seconds:.2g} s are left out of every figure"
-            cause = "the log begins less than a few lags after a command has moved"
-            found.append(Finding("run_in", record.source, "time", seconds, "s", told, cause))
+            message = f"begins in motion: its first {seconds:.2g} s are excluded"
+            cause = "the log begins less than a few lags after a change of a command"
+            found.append(Finding("run_in", record.source, "time", seconds, "s", message, cause))
             return without(record, seconds)
 
         kept = self.changed(emptied)
@@ -51,9 +50,9 @@ class Passed:
 
 
 def look(campaign: Campaign, further: Mapping[str, Record] | None = None, accept: Iterable[str] = ()) -> Passed:
-    """All that the files show by themselves. `accept`: codes whose errors become warnings, and whose rows are kept."""
+    """All findings on the files. `accept`: codes whose errors become warnings, and whose rows are kept."""
     accept, further = check_accepted(accept), dict(further or {})
-    with _BLAS.limit(limits=1):  # threads cost more than they bring on matrices this narrow
+    with _BLAS.limit(limits=1):  # on matrices this narrow one thread is faster
         return _look(campaign, further, accept)
 
 
@@ -65,7 +64,7 @@ def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[s
     found = [f for r in (own | further).values() for f in unusable(r)]
     short = {f.where for f in found if f.level == ERROR}
     unseen = {campaign.validation.source} if campaign.validation is not None else set()
-    found = [f for f in found if f.where not in unseen or f.code == "thrust_dead"]  # nothing is fitted to it
+    found = [f for f in found if f.where not in unseen or f.code == "thrust_dead"]  # it is not fitted
     kept: dict[str, Record] = {}
     for name, record in (own | further).items():
         kept[name], faults = (record, ()) if record.source in short else screen(record, accept)
@@ -81,14 +80,14 @@ def _look(campaign: Campaign, further: Mapping[str, Record], accept: frozenset[s
 
 
 def passed(campaign: Campaign, further: Mapping[str, Record] | None = None, accept: Iterable[str] = ()) -> Passed:
-    """The same, for use: BadInput, one line, for the first error that is not accepted."""
+    """The result of `look`; BadInput for the first error that is not accepted."""
     found = look(campaign, further, accept)
     refuse(found.findings)
     return found
 
 
 def _of_one_file(findings: Iterable[Finding]) -> list[Finding]:
-    """One finding a code, file and field: those of a file's many runs together."""
+    """One finding for each code, file and field: those of a file's runs are merged."""
     groups: dict[tuple, list[Finding]] = {}
     for finding in dict.fromkeys(findings):
         where = finding.where.partition(", run ")[0]
@@ -96,7 +95,7 @@ def _of_one_file(findings: Iterable[Finding]) -> list[Finding]:
     found = []
     for (_, where, _), group in groups.items():
         first = group[0]
-        told = f"{first.told}; so in {len(group)} runs" if len(group) > 1 else first.told
+        message = f"{first.told}; in {len(group)} runs" if len(group) > 1 else first.told
         value = float(np.sum([f.value for f in group])) if first.unit == "1" and len(group) > 1 else first.value
-        found.append(replace(first, where=where, told=told, value=value))
+        found.append(replace(first, where=where, told=message, value=value))
     return found

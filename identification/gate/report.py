@@ -1,4 +1,4 @@
-"""What the gate found, on a report's page."""
+"""The gate's findings on a report's page."""
 
 from collections.abc import Sequence
 
@@ -15,10 +15,10 @@ def quality_tile(findings: Sequence[Finding]) -> tuple[str, str, str]:
 
 
 def add_quality(page: Page, findings: Sequence[Finding]) -> None:
-    """The findings as a table; nothing where there are none."""
+    """Add the findings as a table, if there are any."""
     if not findings:
         return
     page.section("Quality of the data")
     rows = [(f.level, f.code, f"{f.file}, {f.field}", f.told, f.cause, f.advice) for f in findings]
     columns = ("level", "code", "where", "what shows it", "likely cause", "what to do")
-    page.table(columns, rows, "What the files, and the fit to them, say of themselves before anything below is trusted.")
+    page.table(columns, rows, "Findings on the files, and on the fit to them, that limit the results below.")

@@ -1,9 +1,9 @@
-"""A first look at how a file's thrust follows its commands, whatever the units of the file are.
+"""A preliminary fit of a file's thrust to its commands, for unknown units.
 
     thrust = c0 + c20 w^2 + c11 w b + c21 w^2 b + c12 w b^2 + c30 w^3
 
-w and b are the commands behind one first-order lag each, counted in rows and not in seconds, normalised by the file's own
-ranges; the map's terms and a constant by least squares, the lags by search. Good for signs, factors and orders of magnitude.
+w and b are the commands after one first-order lag each, in rows instead of seconds, normalised by the file's ranges. Least
+squares gives the map's terms and a constant, a search gives the lags. It is used for signs, factors and orders of magnitude.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,31 +18,30 @@ from vpp_fmu.campaign import StaticMap
 from vpp_fmu.record import Record
 
 FINER = 1.6
-"""Ratio of neighbouring lags in the search: a lag is met within a quarter, and the fit hardly knows the difference."""
+"""Ratio of neighbouring lags in the search: a lag is found to a quarter, which hardly changes the fit."""
 
 MOST_ROWS = 3000
-"""Rows that a fit uses, evenly taken from all: enough for six coefficients, few enough for hundreds of fits."""
+"""Maximum number of rows of a fit, evenly taken from all: enough for six coefficients, few enough for hundreds of fits."""
 
 FOLLOWS = 0.5
-"""Share of the variance that the commands explain, from which the first look tells anything."""
+"""Minimum share of the variance that the commands explain, to use the preliminary fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Ranges (least, greatest) that normalise speed [as commanded] and pitch [as commanded]: speed by its greatest, pitch from
-    0 to 1."""
+    """Ranges (least, greatest) that normalise the commands: speed is divided by its greatest, pitch runs from 0 to 1."""
 
     speed: tuple[float, float]
     pitch: tuple[float, float]
 
     def columns(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """(n, 6) the terms at commands (n,), the constant first."""
+        """(n, 6): the terms at commands (n,), the constant first."""
         w = omega / (self.speed[1] or 1.0)
         b = (beta - self.pitch[0]) / ((self.pitch[1] - self.pitch[0]) or 1.0)
         return np.column_stack([np.ones_like(w), *(w**i * b**j for i, j in TERMS.values())])
 
     def holds(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """(n,) whether commands lie within, but for a twentieth of each range."""
+        """(n,): whether commands are inside, with a tolerance of a twentieth of each range."""
         inside = np.ones(len(omega), bool)
         for values, (low, high) in ((omega, self.speed), (beta, self.pitch)):
             reach = 0.05 * max(high - low, 1e-9 * abs(high))
@@ -52,11 +51,11 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What the first look at a file found.
+    """Result of the preliminary fit of a file.
 
-    `omega`, `beta`, `thrust` (n,): the lagged commands and readings it was fitted to. `coefficients` (6,) in the units of the
-    thrust; `lags`: of speed and pitch, in rows, 0 where a command never moves; `row`: usual distance of rows, in the unit of
-    the file's time. `explained`: share of the thrust's variance. `left` (n,): thrust less fit.
+    `omega`, `beta`, `thrust` (n,): lagged commands and readings of the fit. `coefficients` (6,) in the unit of the thrust;
+    `lags`: of speed and pitch, in rows, 0 for a constant command; `row`: median sampling period, in the unit of the file's
+    time.
     """
 
     span: Span
@@ -69,27 +68,28 @@ class Response:
 
     @property
     def left(self) -> np.ndarray:
-        """(n,) readings less fit."""
+        """(n,): residual, readings minus fit."""
         return self.thrust - self.at(self.omega, self.beta)
 
     @property
     def explained(self) -> float:
-        """Share of the variance."""
+        """Share of the thrust's variance that the fit explains."""
         total = float(np.var(self.thrust))
         return 1.0 - float(np.mean(self.left**2)) / total if total > 0.0 else 0.0
 
     @property
     def size(self) -> float:
-        """The range of the readings, without a thousandth at each end."""
+        """Range of the readings, without a thousandth at each end."""
         low, high = np.quantile(self.thrust, [0.001, 0.999])
         return float(high - low)
 
     def at(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """(n,) thrust at settled commands (n,)."""
+        """(n,): thrust at settled commands (n,)."""
         return self.span.columns(np.asarray(omega, float), np.asarray(beta, float)) @ self.coefficients
 
     def rise(self, channel: str) -> float | None:
-        """Thrust at the upper tenth of a channel's range less that at the lower, the other in its middle; None: it stands."""
+        """Thrust difference between the upper and lower tenth of a channel, the other at its median; None for a constant
+        channel."""
         own, other = (self.omega, self.beta) if channel == "omega" else (self.beta, self.omega)
         ends, middle = np.quantile(own, [0.1, 0.9]), np.full(2, np.median(other))
         if ends[1] - ends[0] <= 1e-6 * max(abs(ends[0]), abs(ends[1]), 1e-6):
@@ -98,19 +98,19 @@ class Response:
         return float(high - low)
 
     def owed_to_pitch(self) -> tuple[float, float]:
-        """(change of the thrust from the lower to the upper tenth of the pitch, how many times as much variance is left without
-        pitch), by speed, its square and pitch alone: terms of both reach into corners in which no reading was taken."""
+        """(change of the thrust from the lower to the upper tenth of the pitch, ratio of residual variances without and with
+        pitch), from speed, its square and pitch. Terms of both would extrapolate into corners without readings."""
         w = self.omega / (self.span.speed[1] or 1.0)
         a = np.column_stack([np.ones_like(w), w, w**2, self.beta])
         whole, part = (np.linalg.lstsq(columns, self.thrust, rcond=1e-9)[0] for columns in (a, a[:, :3]))
-        left = float(np.mean((self.thrust - a @ whole) ** 2))
+        residual = float(np.mean((self.thrust - a @ whole) ** 2))
         low, high = np.quantile(self.beta, [0.1, 0.9])
         without = float(np.mean((self.thrust - a[:, :3] @ part) ** 2))
-        return float(whole[3] * (high - low)), without / left if left > 0.0 else np.inf
+        return float(whole[3] * (high - low)), without / residual if residual > 0.0 else np.inf
 
 
 class Look:
-    """Records of one file, to be looked at with lags of any length; what is missing of the thrust is left out."""
+    """Records of one file for preliminary fits with any lags; rows without thrust are omitted."""
 
     def __init__(self, records: Sequence[Record]):
         self.records = [r for r in records if len(r) > 1]
@@ -126,21 +126,22 @@ class Look:
         self._lagged: dict = {}
 
     def lagged(self, channel: str, lag: float, early: int = 0) -> np.ndarray:
-        """A command behind a lag of so many rows, at the rows in use; `early` rows sooner than it stands in the file."""
+        """A command after a lag in rows, at the rows in use; shifted `early` rows earlier than in the file."""
         key = channel, lag, early
         if key not in self._lagged:
-            parts = [_behind(_sooner(r[f"{channel}_ref"], early), lag) for r in self.records]
+            parts = [_after_lag(_earlier(r[f"{channel}_ref"], early), lag) for r in self.records]
             self._lagged[key] = np.concatenate(parts)[self.rows]
         return self._lagged[key]
 
     def fit(self, lags: Mapping[str, float], early: int = 0) -> tuple[float, np.ndarray]:
-        """(mean square left, coefficients) with lags in rows."""
+        """(mean square of the residual, coefficients) with lags in rows."""
         a = self.span.columns(*(self.lagged(channel, lags[channel], early) for channel in ("omega", "beta")))
         found = np.linalg.lstsq(a, self.thrust, rcond=1e-9)[0]
         return float(np.mean((self.thrust - a @ found) ** 2)), found
 
     def best(self, longest: float) -> tuple[float, dict[str, float]]:
-        """(mean square left, lags) of the best lags up to `longest` rows: a coarse grid, then each channel's by itself."""
+        """(mean square of the residual, lags) of the best lags up to `longest` rows: a coarse grid, then one channel at a
+        time."""
         count = max(2, round(np.log(2.0 * longest) / np.log(FINER))) if longest > 0.5 else 0
         grid = [0.0, *np.geomspace(0.5, longest, count).tolist()]
         choices = {channel: grid if moves else [0.0] for channel, moves in self.moves.items()}
@@ -154,26 +155,27 @@ class Look:
         return self.fit({"omega": lags[0], "beta": lags[1]})[0]
 
     def response(self) -> Response:
-        """The best there is."""
+        """The fit with the best lags."""
         _, lags = self.best(self.longest)
         omega, beta = (self.lagged(channel, lags[channel]) for channel in ("omega", "beta"))
         return Response(self.span, omega, beta, self.thrust, self.fit(lags)[1], lags, self.row)
 
 
-def _sooner(command: np.ndarray, rows: int) -> np.ndarray:
-    """(n,) a command that comes so many rows sooner, and stays as it is at the end."""
+def _earlier(command: np.ndarray, rows: int) -> np.ndarray:
+    """(n,): a command shifted earlier by `rows`; its last value is repeated."""
     return np.append(command[rows:], np.full(min(rows, len(command)), command[-1]))
 
 
-def _behind(command: np.ndarray, lag: float) -> np.ndarray:
-    """(n,) a held command behind a first-order lag of so many rows, settled at first, each row before its command acts."""
+def _after_lag(command: np.ndarray, lag: float) -> np.ndarray:
+    """(n,): a held command after a first-order lag in rows, in equilibrium at the start; each row is before its command
+    acts."""
     kept = float(np.exp(-1.0 / lag)) if lag > 0.0 else 0.0
     moved = lfilter([0.0, 1.0 - kept], [1.0, -kept], command - command[0])
     return command[0] + moved
 
 
 def steady_response(static: StaticMap) -> Response:
-    """The same of steady points, which have no lags."""
+    """The preliminary fit of steady points, without lags."""
     ends = [(float(c.min()), float(c.max())) for c in (static.omega_ref, static.beta_ref)]
     span = Span(*ends)
     a = span.columns(static.omega_ref, static.beta_ref)

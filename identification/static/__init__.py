@@ -1,1 +1,1 @@
-"""The static map: means of steady stretches, the terms of the polynomial, what of it is sure."""
+"""The static map: means of steady holds, the terms of the polynomial, and its uncertainty."""

@@ -1,4 +1,4 @@
-"""The report's section on the static map: how it fits, what it leaves, how well it is known, how many readings it needs."""
+"""The report's section on the static map: fit, residuals, uncertainty, and the number of readings that it needs."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from vpp_fmu.report import Page, map_lines, map_residuals, map_section
 from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
 
 MEAN_STD = 1.0 / 1500.0
-"""How well a steady point's mean shall be known, in thrust scales: the paper's 0.01 N of 15 N."""
+"""Required standard deviation of a steady point's mean, in thrust scales: the paper's 0.01 N of 15 N."""
 
 
 def add_static(page: Page, found: Identification) -> None:
@@ -28,7 +28,7 @@ def add_static(page: Page, found: Identification) -> None:
         _add_point(page, static, points)
     if static.untold:
         where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
-        page.note(f"{where} tell only combinations of {', '.join(static.untold)} with others: they stay near the paper's.")
+        page.note(f"{where} identify only combinations of {', '.join(static.untold)} with others: they stay near the paper's.")
     elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
         _add_selection(page, select_terms(points, found.parameters.values))
     _add_samples(page, found)
@@ -48,20 +48,20 @@ def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
     used = points.omega_ref[static.used], points.beta_ref[static.used], points.thrust[static.used]
     levels = np.unique(used[0])
-    # A line a level, at the mean of the speeds that were measured there: command and speed may differ.
+    # One line for each commanded speed, at the mean measured speed, which may differ from the command.
     speeds = np.array([points.omega[static.used][used[0] == level].mean() for level in levels])
     thrust = _mapped(static, scales, *np.meshgrid(speeds, beta, indexing="ij"))
     title = f"A cubic fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
     page.figure(
         map_lines(speeds, beta, thrust, (points.omega[static.used], *used[1:]), title), "Lines: fitted; points: measured."
     )
-    left = f"What the cubic leaves stays below {number(np.max(np.abs(static.residual)))} N"
-    page.figure(map_residuals(*used[:2], static.residual, left), "Measured less fitted.")
+    largest = f"The largest residual of the cubic is {number(np.max(np.abs(static.residual)))} N"
+    page.figure(map_residuals(*used[:2], static.residual, largest), "Measured minus fitted.")
     speeds, pitches, ct = coefficient_grid(points, 1.0, scales["thrust_scale"] / (scales["omega_scale"] / 60.0) ** 2)
     figure = thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch), _COEFFICIENT)
-    page.figure(figure, "Normalised; blades in their linear range draw one line.")
+    page.figure(figure, "Normalised; blades in their linear range give one line.")
     uncertainty = static.uncertainty(omega, beta[:, None], scales)
-    title = f"The map is known to {number(uncertainty.max())} N or better where it was measured"
+    title = f"The map's standard deviation is {number(uncertainty.max())} N or less in the measured range"
     page.figure(map_uncertainty(omega, beta, uncertainty, title), "Standard deviation from the coefficients' covariance.")
 
 
@@ -69,13 +69,13 @@ _COEFFICIENT = "thrust over speed squared, T / w² [-]"
 
 
 def _mapped(static: StaticFit, scales, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """Thrust [N] of the map at speeds [rpm] and pitches [deg] of one shape."""
+    """Thrust [N] of the map at speeds [rpm] and pitches [deg] of equal shape."""
     normalised = design(omega.ravel(), beta.ravel(), scales) @ list(static.coefficients.values())
     return normalised.reshape(omega.shape) * scales["thrust_scale"]
 
 
 def _add_line(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
-    """The map along the one command that was varied."""
+    """The map along the only varied command."""
     speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
     along_speed = np.ptp(speeds) > 0.0
     at = np.linspace(*((speeds.min(), speeds.max()) if along_speed else (pitches.min(), pitches.max())), 61)
@@ -85,27 +85,27 @@ def _add_line(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     measured = (speeds if along_speed else pitches), points.thrust[static.used]
     band = static.uncertainty(omega, beta, scales)
     figure = map_section(at, _mapped(static, scales, omega, beta), measured, title, label, band)
-    page.figure(figure, f"All steady points are at {held}: how thrust goes with the other command they can't tell.")
+    page.figure(figure, f"All steady points are at {held}: they do not identify the influence of that command.")
 
 
 def _add_point(page: Page, static: StaticFit, points: StaticMap) -> None:
     k = int(np.flatnonzero(static.used)[0])
     row = (points.omega_ref[k], points.beta_ref[k], points.thrust[k], points.thrust_std[k])
     columns = ("speed [rpm]", "pitch [deg]", "thrust [N]", "std of a reading [N]")
-    page.table(columns, [row], "The one steady point: it tells a level, and no map.")
+    page.table(columns, [row], "The only steady point: it determines one thrust, and no map.")
 
 
 def _coefficients_say(pitches: np.ndarray, ct: np.ndarray, fitted: tuple[float, float]) -> str:
-    """What thrust over speed squared (speeds, pitches) depends on, inside the `fitted` range [deg]."""
+    """Change of thrust over speed squared (speeds, pitches) with speed and pitch, inside the `fitted` range [deg]."""
     inside = ct[:, (pitches >= fitted[0]) & (pitches <= fitted[1]) & np.isfinite(ct).any(axis=0)]
     with_pitch = float(np.ptp(np.nanmean(inside, axis=0)))
     with_speed = float(np.sqrt(np.nanmean(np.nanvar(inside, axis=0))))
-    return f"Thrust over speed squared moves by {number(with_pitch)} with pitch, and by {number(with_speed)} rms with speed"
+    return f"Thrust over speed squared changes by {number(with_pitch)} with pitch, and by {number(with_speed)} rms with speed"
 
 
 def _add_selection(page: Page, chosen: Selection) -> None:
     rank = chosen.rank(chosen.of(), "bic") if chosen.of() else None
-    papers = "these points cannot tell the paper's apart" if rank is None else f"the paper's are number {rank} of their size"
+    papers = "these points do not identify the paper's" if rank is None else f"the paper's set has rank {rank} of its size"
     rows = [(size, name, f"{bic:.1f}", f"{r2:.6f}", loo) for size, name, bic, r2, loo in chosen.rows()]
     columns = ("terms", "best set", "BIC", "adjusted R²", "leave-one-out rmse [N]")
     page.table(columns, rows, f"The best of each number of terms w^i b^j; {papers}.")
@@ -114,18 +114,18 @@ def _add_selection(page: Page, chosen: Selection) -> None:
 def _add_samples(page: Page, found: Identification) -> None:
     record, repeat, raw = found.campaign.open_loop, found.campaign.repeat, found.campaign.static_raw
     if raw is not None and (still := resting(raw)):
-        readings, source = noise(still), "the raw samples of the steady points, each less its point's mean"
+        readings, source = noise(still), "the raw samples of the steady points, minus each point's mean"
     elif record is not None and repeat is not None:
         readings, source = (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0), "the difference of the repeated records"
     else:
         return
     readings, wanted = readings[np.isfinite(readings)], MEAN_STD * found.parameters.values["thrust_scale"]
     if len(readings) < FEWEST or np.ptp(readings) == 0.0:
-        return  # too few, or without any noise: there is nothing to average
+        return
     need = samples_needed(readings, wanted)
-    title = f"A steady point needs {need.number} readings for a mean that is good to {number(wanted, 2)} N"
-    worth = f"One reading in {number(max(1.0, need.inflation), 2)} counts, since neighbours share noise"
+    title = f"A steady point needs {need.number} readings for a mean with a standard deviation of {number(wanted, 2)} N"
+    note = f"One reading in {number(max(1.0, need.inflation), 2)} is independent, because neighbours share noise"
     if not need.settled:
-        worth = "The readings wander more slowly than their record is long: the number is too small"
-    caption = f"Standard deviation of a mean over m readings, from {source}. {worth}."
+        note = "The noise is slower than the record is long: the number is too small"
+    caption = f"Standard deviation of a mean over m readings, from {source}. {note}."
     page.figure(mean_convergence(need.m, need.std, need.white, title, (need.number, wanted)), caption)

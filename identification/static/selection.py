@@ -1,4 +1,4 @@
-"""Which terms the static map needs: every subset of the candidates, and where the paper's five rank among them."""
+"""Selection of terms of the static map: every subset of the candidates, and the rank of the paper's five."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from identification.static.static_map import TERMS, Regression, check_enough, re
 from vpp_fmu.campaign import StaticMap
 
 CANDIDATES = tuple((i, j) for degree in range(1, 5) for j in range(degree) for i in (degree - j,))
-"""Powers (i, j) of w and b up to degree four together; i >= 1, since thrust vanishes at standstill."""
+"""Powers (i, j) of w and b up to degree four together; i >= 1, because thrust is 0 at standstill."""
 
 PAPER = tuple(sorted(TERMS.values()))
 
@@ -19,10 +19,10 @@ CRITERIA = ("bic", "r2_adjusted", "loo")
 
 @dataclass(frozen=True)
 class Choice:
-    """A subset of the candidates, fitted: powers and normalised coefficients (k,), and what it is worth.
+    """A fitted subset of the candidates: powers and normalised coefficients (k,), with its criteria.
 
-    `bic` and `loo`, the root mean square error [N] of each point predicted from all others: small is good; `r2_adjusted`:
-    large is good.
+    `bic`; `loo`: leave-one-out root mean square error [N]; `r2_adjusted`. Small `bic` and `loo` and large `r2_adjusted` are
+    better.
     """
 
     terms: tuple[tuple[int, int], ...]
@@ -37,14 +37,14 @@ class Choice:
         return " ".join(f"c{i}{j}" for i, j in self.terms)
 
     def score(self, criterion: str) -> float:
-        """What to make small for the criterion, one of CRITERIA."""
+        """Value to minimise for the criterion, one of CRITERIA."""
         value = getattr(self, criterion)
         return -value if criterion == "r2_adjusted" else value
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Every subset that `points` steady points can tell apart; `criterion` is one of CRITERIA throughout."""
+    """Every subset that `points` steady points identify; `criterion` is one of CRITERIA."""
 
     tried: tuple[Choice, ...]
     points: int
@@ -59,11 +59,11 @@ class Selection:
         return tuple(min((c for c in self.tried if len(c.terms) == size), key=lambda c: c.score(criterion)) for size in sizes)
 
     def of(self, terms=PAPER) -> Choice | None:
-        """The subset of these terms, the paper's unless told; None where the points cannot tell them apart."""
+        """The subset of these terms, by default the paper's; None if the points do not identify it."""
         return next((c for c in self.tried if set(c.terms) == set(terms)), None)
 
     def rank(self, choice: Choice, criterion: str = "bic", same_size: bool = True) -> int:
-        """Place of a subset, from 1, among those of its size or among all."""
+        """Rank of a subset, from 1, among those of its size or among all."""
         rivals = (c for c in self.tried if not same_size or len(c.terms) == len(choice.terms))
         return 1 + sum(c.score(criterion) < choice.score(criterion) for c in rivals)
 
@@ -79,10 +79,10 @@ class Selection:
 def select_terms(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] | None = None) -> Selection:
     """Fit every subset of CANDIDATES to the steady points inside `pitch` [deg] (None: all), weighted as `fit_static_map` does.
 
-    BIC = n ln(S / n) + k ln n, S the weighted sum of squares left (Schwarz, 1978; variance unknown); adjusted R^2 as
-    `StaticFit`; leave-one-out errors are e / (1 - h), exactly, with h the point's leverage (Allen's PRESS, 1974).
-    A shift of b mixes powers: which terms suffice holds for the `beta_offset` in `scales` only. The paper's five in degrees
-    (offset 0) need c10 besides when b starts at -5 deg. BadInput where no subset of the paper's size can be told apart.
+    BIC = n ln(S / n) + k ln n, S the weighted residual sum of squares (Schwarz, 1978; variance unknown); adjusted R^2 as in
+    `StaticFit`; leave-one-out errors are exactly e / (1 - h), with h the point's leverage (Allen's PRESS, 1974). A shift of b
+    mixes powers, so the result is valid only for the `beta_offset` in `scales`. The paper's five in degrees (offset 0) also
+    need c10 if b starts at -5 deg. BadInput if the points identify no subset of the paper's size.
     """
     whole = regression(static, scales, pitch, CANDIDATES)
     points = len(whole.thrust)
@@ -99,7 +99,7 @@ def select_terms(static: StaticMap, scales: Mapping[str, float], pitch: tuple[fl
 
 
 def _fitted(whole: Regression, columns: list[int], newton: float) -> Choice | None:
-    """The fit of some of the columns; None where the points cannot tell them apart."""
+    """The fit of some of the columns; None if the points do not identify them."""
     a, n, k = whole.terms[:, columns], len(whole.thrust), len(columns)
     q, r = np.linalg.qr(a * whole.weight[:, None])
     steps = np.abs(np.diag(r))
@@ -107,16 +107,16 @@ def _fitted(whole: Regression, columns: list[int], newton: float) -> Choice | No
         return None
     target = whole.thrust * whole.weight
     c = np.linalg.solve(r, q.T @ target)
-    left = whole.thrust - a @ c
+    residual = whole.thrust - a @ c
     kept = 1.0 - np.sum(q**2, axis=1)
-    alone = kept < 1e-9  # a point that fixes a term on its own says nothing about how well it would be predicted
-    loo = np.where(alone, np.inf, left / np.where(alone, 1.0, kept))
-    # Data without noise leave rounding only, which more terms would still lower.
-    squares = max(float(np.sum((left * whole.weight) ** 2)), 1e-24 * float(target @ target), 1e-300)
+    alone = kept < 1e-9  # a point that alone determines a term has no leave-one-out prediction
+    loo = np.where(alone, np.inf, residual / np.where(alone, 1.0, kept))
+    # Without noise the residual is rounding error, which further terms would decrease.
+    squares = max(float(np.sum((residual * whole.weight) ** 2)), 1e-24 * float(target @ target), 1e-300)
     return Choice(
         terms=tuple(CANDIDATES[column] for column in columns),
         coefficients=tuple(c.tolist()),
         bic=float(n * np.log(squares / n) + k * np.log(n)),
-        r2_adjusted=1.0 - float(left @ left) / (n - k) / whole.total,
+        r2_adjusted=1.0 - float(residual @ residual) / (n - k) / whole.total,
         loo=float(np.sqrt(np.mean(loo**2))) * newton,
     )

@@ -15,17 +15,16 @@ TERMS = {"c20": (2, 0), "c11": (1, 1), "c21": (2, 1), "c12": (1, 2), "c30": (3, 
 """Powers of w and b of each term of the paper's polynomial."""
 
 ALIKE = 0.01
-"""Level of the F test that takes the map over all measured pitch for worse than over the pitch that records use: so often a map
-that fits everywhere is cut down to these."""
+"""Level of the F test that rejects the map over all measured pitch in favour of the pitch range of the records."""
 
 WIDE = 10.0
-"""Standard deviation of a normalised coefficient before anything was measured: the bounds of the thrust map's parameters."""
+"""Prior standard deviation of a normalised coefficient: the bounds of the thrust map's parameters."""
 
 FINEST = 1e-4
-"""Share of the thrust scale that the mean of a steady point is never known better than."""
+"""Minimum standard deviation of the mean of a steady point, in thrust scales."""
 
 ROUNDING = 1e-8
-"""Variance of what a fit leaves, in those of the means, that is rounding: of points that were made up, or are all the same."""
+"""Minimum residual variance over that of the means: a smaller one is rounding error, of computed or equal points."""
 
 DIAMETER = 0.254
 """m: the 1045 propeller's 10 in."""
@@ -36,10 +35,10 @@ DENSITY = 1.225
 
 @dataclass(frozen=True)
 class StaticFit:
-    """A fitted map: coefficients by name (normalised), covariance (terms, terms), what it leaves, and how well it fits.
+    """A fitted map: coefficients by name (normalised), covariance (terms, terms), residuals, and quality of fit.
 
-    `used` (n,): the points of the campaign with pitch inside `pitch` [deg]; `residual` (points used,) N, measured less fitted.
-    `untold`: coefficients that the points do not tell by themselves, such as the pitch's at a single pitch.
+    `used` (n,): the points of the campaign with pitch inside `pitch` [deg]; `residual` (points used,) N, measured minus fitted.
+    `untold`: coefficients that are not identifiable, such as the pitch's at a single pitch.
     """
 
     coefficients: Mapping[str, float]
@@ -71,8 +70,8 @@ class StaticFit:
     def uncertainty(self, omega: np.ndarray, beta: np.ndarray, scales: Mapping[str, float]) -> np.ndarray:
         """Standard deviation [N] of the fitted map at speed [rpm] and pitch [deg], of the shape the two broadcast to.
 
-        sqrt(a.T C a), a the terms at a point: what the coefficients' uncertainty is worth there. That the rig may differ from
-        any such polynomial is in it only as far as the points' scatter tells; `scales` must be those of the fit.
+        sqrt(a.T C a), with a the terms at a point. Errors of the polynomial form are included only through the points' scatter.
+        `scales` must be those of the fit.
         """
         omega, beta = np.broadcast_arrays(omega, beta)
         a = design(omega.ravel(), beta.ravel(), scales)
@@ -82,8 +81,8 @@ class StaticFit:
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """What a fit of terms starts from: the points used, as mask (n,); of these, terms (points, terms), normalised thrust
-    and weights (points,), one over the standard deviation of the normalised mean."""
+    """Data of a fit: the points used, as mask (n,); their terms (points, terms), normalised thrust and weights (points,), one
+    over the standard deviation of the normalised mean."""
 
     used: np.ndarray
     terms: np.ndarray
@@ -92,7 +91,7 @@ class Regression:
 
     @property
     def total(self) -> float:
-        """Variance of the thrust over the points, normalised: what adjusted R^2 compares with."""
+        """Variance of the thrust over the points, normalised: the reference of adjusted R^2."""
         return float(np.var(self.thrust, ddof=1))
 
 
@@ -111,7 +110,7 @@ def regression(
     pitch: tuple[float, float] | None = None,
     terms: Iterable[tuple[int, int]] = tuple(TERMS.values()),
 ) -> Regression:
-    """The points with pitch inside `pitch` [deg] (None: all), each weighing by how well its mean is known (`thrust_std`,
+    """The points with pitch inside `pitch` [deg] (None: all), weighted by the standard error of their means (`thrust_std`,
     `samples`)."""
     low, high = pitch or (-np.inf, np.inf)
     used = (static.beta_ref >= low) & (static.beta_ref <= high)
@@ -121,10 +120,10 @@ def regression(
 
 
 def static_fit(campaign: Campaign, scales: Mapping[str, float]) -> StaticFit | None:
-    """The map of a campaign's steady points; None where it has none.
+    """The map of a campaign's steady points; None without points.
 
-    Over all measured pitch, unless there the polynomial leaves more than over the pitch that the campaign's records use (F test
-    of the two fits' scatter at the level ALIKE): blades that stall beyond it are then no matter of this map.
+    It covers all measured pitch, unless the residual variance there is larger than over the pitch range of the campaign's
+    records (F test at the level ALIKE), for example because blades stall outside it. Then it covers that range.
     """
     static = campaign.static
     if static is None:
@@ -133,16 +132,16 @@ def static_fit(campaign: Campaign, scales: Mapping[str, float]) -> StaticFit | N
     if commanded is None:
         return whole
     inside = (static.beta_ref >= commanded[0]) & (static.beta_ref <= commanded[1])
-    spare = int(inside.sum()) - len(TERMS)
-    if inside.all() or spare < 1 or whole.untold:
+    degrees = int(inside.sum()) - len(TERMS)
+    if inside.all() or degrees < 1 or whole.untold:
         return whole
     part = fit_static_map(static, scales, commanded)
     more = _scatter(static, scales, whole) / _scatter(static, scales, part)
-    return part if f_distribution.sf(more, len(whole.residual) - len(TERMS), spare) < ALIKE and not part.untold else whole
+    return part if f_distribution.sf(more, len(whole.residual) - len(TERMS), degrees) < ALIKE and not part.untold else whole
 
 
 def _commanded_pitch(campaign: Campaign) -> tuple[float, float] | None:
-    """Least and greatest pitch [deg] that the campaign's fitted records command."""
+    """Range of the pitch command [deg] of the campaign's fitted records."""
     records = [r for r in (campaign.open_loop, campaign.repeat, *campaign.steps) if r is not None]
     if not records:
         return None
@@ -150,7 +149,7 @@ def _commanded_pitch(campaign: Campaign) -> tuple[float, float] | None:
 
 
 def _scatter(static: StaticMap, scales: Mapping[str, float], fit: StaticFit) -> float:
-    """Mean square of what a fit leaves at its points, in their standard deviations, per degree of freedom."""
+    """Weighted residual sum of squares of a fit per degree of freedom."""
     weight = regression(static, scales, fit.pitch).weight / scales["thrust_scale"]
     return max(float((fit.residual * weight) @ (fit.residual * weight)) / (len(fit.residual) - len(TERMS)), ROUNDING)
 
@@ -158,11 +157,11 @@ def _scatter(static: StaticMap, scales: Mapping[str, float], fit: StaticFit) -> 
 def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[float, float] | None = None) -> StaticFit:
     """Fit the paper's map to steady points with pitch inside `pitch` [deg]; None: all of them.
 
-    Each point weighs by how well its mean is known (`thrust_std`, `samples`). The points scatter around the polynomial by
-    more than that, so the covariance is scaled to what they leave. `scales`: the parameters of the normalisation, by name.
-    Adjusted R^2 is 1 - (sum of squares left / (n - k)) / (variance of the thrust), every point counting the same, as the
-    paper's. Points that cannot tell all terms apart tell what they can: the coefficients are then those nearest to the paper's,
-    and the covariance is as wide as their bounds where nothing was told. BadInput without any point.
+    Each point is weighted by the standard error of its mean (`thrust_std`, `samples`). The points scatter more around the
+    polynomial, so the covariance is scaled by the residual variance. `scales`: the parameters of the normalisation, by name.
+    Adjusted R^2 is 1 - (residual sum of squares / (n - k)) / (variance of the thrust), unweighted, as in the paper. If the
+    points do not identify all terms, the coefficients are the nearest to the paper's, and the covariance is as wide as their
+    bounds in directions that are not identifiable. BadInput without any point.
     """
     r = regression(static, scales, pitch)
     weighted = r.terms * r.weight[:, None]
@@ -171,41 +170,41 @@ def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[
         raise BadInput(static.source, "steady points", f"none from {pitch[0]:g} to {pitch[1]:g} deg", "at least one point")
     rank = int(np.linalg.matrix_rank(weighted))
     c, covariance = (_determined if n > k == rank else _nearest)(weighted, r.thrust * r.weight, n - rank)
-    left = r.thrust - r.terms @ c
+    residual = r.thrust - r.terms @ c
     spread = np.sqrt(np.diag(covariance))
     return StaticFit(
         coefficients=dict(zip(TERMS, c.tolist(), strict=True)),
         covariance=covariance,
-        residual=left * scales["thrust_scale"],
+        residual=residual * scales["thrust_scale"],
         used=r.used,
-        r2_adjusted=1.0 - float(left @ left) / (n - rank) / r.total if n > max(rank, 1) and r.total > 0.0 else None,
-        rmse=float(np.sqrt(np.mean(left**2))) * scales["thrust_scale"],
+        r2_adjusted=1.0 - float(residual @ residual) / (n - rank) / r.total if n > max(rank, 1) and r.total > 0.0 else None,
+        rmse=float(np.sqrt(np.mean(residual**2))) * scales["thrust_scale"],
         pitch=(float(static.beta_ref[r.used].min()), float(static.beta_ref[r.used].max())),
         untold=tuple(name for name, std in zip(TERMS, spread, strict=True) if std > UNKNOWN),
     )
 
 
-def _determined(weighted: np.ndarray, thrust: np.ndarray, spare: int) -> tuple[np.ndarray, np.ndarray]:
-    """(coefficients, covariance) where the points tell all of them."""
+def _determined(weighted: np.ndarray, thrust: np.ndarray, degrees: int) -> tuple[np.ndarray, np.ndarray]:
+    """(coefficients, covariance) if the points identify all of them."""
     c, *_ = np.linalg.lstsq(weighted, thrust, rcond=None)
-    left = thrust - weighted @ c
-    return c, np.linalg.inv(weighted.T @ weighted) * max(float(left @ left) / spare, ROUNDING)
+    residual = thrust - weighted @ c
+    return c, np.linalg.inv(weighted.T @ weighted) * max(float(residual @ residual) / degrees, ROUNDING)
 
 
-def _nearest(weighted: np.ndarray, thrust: np.ndarray, spare: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same where they do not: from coefficients like the paper's, known to WIDE beforehand."""
+def _nearest(weighted: np.ndarray, thrust: np.ndarray, degrees: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same if they do not: with the paper's coefficients as prior, of standard deviation WIDE."""
     usual = np.array([FINE_TUNED[name] for name in TERMS])
     c, *_ = np.linalg.lstsq(weighted, thrust - weighted @ usual, rcond=1e-10)
-    left = thrust - weighted @ (usual + c)
-    scatter = max(1.0, float(left @ left) / spare) if spare > 0 else 1.0
+    residual = thrust - weighted @ (usual + c)
+    scatter = max(1.0, float(residual @ residual) / degrees) if degrees > 0 else 1.0
     return usual + c, np.linalg.inv(weighted.T @ weighted / scatter + np.eye(len(c)) / WIDE**2)
 
 
 def check_enough(static: StaticMap, points: int, terms: int, rank: int) -> None:
-    """BadInput where the points are no more than the terms, or lie so that these cannot be told apart."""
+    """BadInput if there are not more points than terms, or if the points do not identify the terms."""
     if points <= terms or rank < terms:
-        found = f"{points} points that tell {rank} terms apart"
-        allowed = f"more than {terms} points on a grid that tells {terms} terms apart"
+        found = f"{points} points that identify {rank} terms"
+        allowed = f"more than {terms} points on a grid that identifies {terms} terms"
         raise BadInput(static.source, "steady points", found, allowed)
 
 
@@ -220,8 +219,8 @@ def thrust_coefficient(
 def coefficient_grid(
     static: StaticMap, diameter: float = DIAMETER, density: float = DENSITY
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Commanded speeds (m,) [rpm], pitches (k,) [deg] and C_T (m, k) of all steady points; the mean where a point was
-    measured more than once, NaN where never or at standstill. C_T is that at the measured speed."""
+    """Commanded speeds (m,) [rpm], pitches (k,) [deg] and C_T (m, k) of all steady points; the mean if a point was
+    measured more than once, NaN if never or at standstill. C_T is that at the measured speed."""
     speeds, row = np.unique(static.omega_ref, return_inverse=True)
     pitches, column = np.unique(static.beta_ref, return_inverse=True)
     total, count = np.zeros((2, len(speeds), len(pitches)))

@@ -10,21 +10,21 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
 
 SETTLE = 3.0
-"""s that the paper lets transients decay."""
+"""s: the paper's time for transients to decay."""
 
 BATCHES = 50
-"""Blocks that the longest mean leaves in the readings: its variance is then known to 16 %, sqrt(4 / (3 BATCHES))."""
+"""Number of blocks of the longest mean: the standard error of its variance is then 16 %, sqrt(4 / (3 BATCHES))."""
 
 FEWEST = 4 * BATCHES
-"""Readings from which the colour of noise can be told."""
+"""Minimum number of readings to estimate the colour of noise."""
 
 _GROWTH = 1.3
-"""More than chance lets m times the variance of a mean grow over the last doubling of m, once readings are independent."""
+"""Maximum growth of m times the variance of a mean over the last doubling of m: by chance independent readings grow less."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Commands [rpm, deg] that stood still; of what was settled by then, `thrust` N and `omega` rpm, each (readings,)."""
+    """A hold of both commands [rpm, deg], and its settled readings `thrust` N and `omega` rpm, each (readings,)."""
 
     omega_ref: float
     beta_ref: float
@@ -33,9 +33,9 @@ class Stretch:
 
 
 def resting(record: Record, settle: float = SETTLE) -> list[Stretch]:
-    """Where neither command of a record moves, without the first `settle` s, and without rows that have no value.
+    """Holds of both commands of a record, without their first `settle` s and without rows that have no value.
 
-    Those with less than two readings of thrust are left out.
+    Holds with fewer than two thrust readings are omitted.
     """
     moved = (np.diff(record["omega_ref"]) != 0) | (np.diff(record["beta_ref"]) != 0)
     starts = np.append(0, np.flatnonzero(moved) + 1)
@@ -51,20 +51,20 @@ def resting(record: Record, settle: float = SETTLE) -> list[Stretch]:
 
 
 def noise(found: Sequence[Stretch]) -> np.ndarray:
-    """Readings (n,) N of all stretches, one after the other, each less its stretch's mean."""
+    """Readings (n,) N of all holds, concatenated, each minus the mean of its hold."""
     return np.concatenate([stretch.thrust - stretch.thrust.mean() for stretch in found])
 
 
 def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
-    """The static map of a record with thrust: a point for each stretch `resting`, with their errors. BadInput without any.
+    """The static map of a record with thrust: a point for each hold of `resting`. BadInput without any.
 
-    Means, and the spread of single readings, are over what is settled. `samples` is the number of independent readings that
-    such a mean is worth: neighbours share noise, by an inflation that all stretches tell together (1 where all of them have
-    too few readings for one). `omega` is the command where no speed was measured. A point measured twice is two points.
+    Means and standard deviations of readings are over the settled readings. `samples` is the equivalent number of independent
+    readings: neighbours share noise, with an inflation of the variance estimated from all holds together (1 with too few
+    readings). `omega` is the command if no speed was measured. A point measured twice gives two points.
     """
     found = resting(record, settle)
     if not found:
-        allowed = f"both commands still for longer than {settle:g} s somewhere"
+        allowed = f"a hold of both commands longer than {settle:g} s"
         raise BadInput(record.source, "steady stretches", "none", allowed)
     shared = np.concatenate([(s.thrust - s.thrust.mean()) / (s.thrust.std() or 1.0) for s in found])
     enough = len(shared) >= FEWEST and np.ptp(shared) > 0.0
@@ -85,11 +85,11 @@ def steady_points(record: Record, settle: float = SETTLE) -> StaticMap:
 
 @dataclass(frozen=True, eq=False)
 class SampleSize:
-    """How the mean of m readings settles: `std` of the mean [N] and that of white noise, `white`, both over `m` (k,).
+    """Convergence of the mean of m readings: its standard deviation `std` [N], and `white` for white noise, over `m` (k,).
 
-    `number` readings make the mean's standard deviation `wanted` [N]. `inflation`: variance of a long mean over that of white
-    noise, so one reading in `inflation` counts; it and `number` are known to `relative_std`, with `settled` False not even
-    that: the readings wander more slowly than their record is long, and more of them would be needed.
+    `number` readings give the mean a standard deviation of `wanted` [N]. `inflation`: variance of a long mean over that under
+    white noise, so one reading in `inflation` is independent. `relative_std`: standard error of both. `settled` False: the
+    noise is slower than the record is long, and both are lower bounds.
     """
 
     m: np.ndarray
@@ -102,19 +102,18 @@ class SampleSize:
     settled: bool
 
     def std_of(self, count: float) -> float:
-        """Standard deviation [N] of the mean of `count` readings: from the curve, beyond it with one over the root."""
+        """Standard deviation [N] of the mean of `count` readings: from the curve, extrapolated by the inverse square root."""
         beyond = np.sqrt(max(1.0, count / self.m[-1]))
         return float(np.exp(np.interp(np.log(count), np.log(self.m), np.log(self.std))) / beyond)
 
 
 def samples_needed(readings: np.ndarray, wanted_std: float) -> SampleSize:
-    """How many readings in a row [N] a mean needs, so that its standard deviation is `wanted_std` [N].
+    """Number of successive readings [N] whose mean has a standard deviation of `wanted_std` [N].
 
-    `readings` (n,) of one steady point, or the noise of any record; NaN is left out. The variance of a mean of m is that of
-    the overlapping blocks of m about the mean of all, n / ((n - m) (n - m + 1)) sum (block - mean)^2 (Meketon and Schmeiser,
-    1984), unbiased for white readings, whatever m; of coloured ones it stays above var / m, by
-    (1 + rho) / (1 - rho) in the end for a first-order colour rho. m runs up to n / BATCHES. The paper settled on 5000.
-    BadInput for less than FEWEST readings, or for readings that are all the same.
+    `readings` (n,) of one steady point, or the noise of any record; NaN is omitted. The variance of a mean of m is estimated
+    from overlapping blocks, n / ((n - m) (n - m + 1)) sum (block - mean)^2 (Meketon and Schmeiser, 1984). It is unbiased for
+    white readings. For coloured ones it exceeds var / m, in the limit by (1 + rho) / (1 - rho) for a first-order colour rho.
+    The largest m is n / BATCHES. The paper uses 5000. BadInput for less than FEWEST readings, or for equal readings.
     """
     y = _seen(np.asarray(readings, float))
     n = len(y)
@@ -125,7 +124,7 @@ def samples_needed(readings: np.ndarray, wanted_std: float) -> SampleSize:
     m = np.unique(np.round(np.geomspace(1, longest, 40)).astype(int))
     sums = np.append(0.0, np.cumsum(y - y.mean()))
     variance = np.array([_variance(sums, size) for size in m.tolist()])
-    # A tone that a block holds whole times leaves a mean without any variance, and no logarithm.
+    # The mean over whole periods of a tone has no variance, and no logarithm.
     std, inflation = np.sqrt(np.maximum(variance, 1e-24 * variance[0])), longest * variance[-1] / variance[0]
     halved = longest // 2 * _variance(sums, longest // 2) / variance[0]
     return SampleSize(
@@ -148,7 +147,7 @@ def _variance(sums: np.ndarray, m: int) -> float:
 
 
 def _first_below(m: np.ndarray, std: np.ndarray, wanted: float) -> int:
-    """The number from which on the curve stays at or below `wanted`, on straight lines of its logarithms."""
+    """Smallest number from which the curve is at or below `wanted`, by linear interpolation of logarithms."""
     above = np.flatnonzero(std > wanted)
     if not len(above):
         return 1

@@ -1,1 +1,1 @@
-"""Step responses: delay and two lags of each channel from single steps."""
+"""Step responses: dead time and two lags of each channel from single steps."""

@@ -9,16 +9,17 @@ from identification.fit.coordinates import CLOSEST, WIDEST
 from identification.fit.least_squares import solve
 
 LONGEST_DELAY = 0.12
-"""Share of a run after its step. The model's effects reach 0.6 of a rig's time scale, and a run that settles lasts five."""
+"""Maximum dead time, as a share of a run after its step. The model's effects reach 0.6 of a rig's time scale; a run that
+settles lasts five."""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A fit of one signal: `slow`, `fast`, `delay` [s], `offset` and `gain` in the signal's unit.
+    """A fit of one signal: lags `slow` and `fast` and dead time `delay` [s], `offset` and `gain` in the signal's unit.
 
-    `std`: standard deviations by the same names and of `sum` (slow + fast), for white residuals of the size that is left; None
-    where the lags can't be told apart, or the faster one from none at all. `rms`: what is left in `readings` readings, each
-    weighted by what its sensor is good for. `predicted` (rows,): the signal at each row, before any sensor.
+    `std`: standard deviations by the same names and of `sum` (slow + fast), for white residuals; None for lags that are not
+    identifiable separately. `rms`: residual of `readings` readings, each weighted by the uncertainty of its sensor. `predicted`
+    (rows,): the signal at each row, before any sensor.
     """
 
     slow: float
@@ -33,12 +34,12 @@ class Response:
 
     @property
     def double_pole(self) -> bool:
-        """Whether both lags came out the same: often the sign of a rate limit."""
+        """Whether both lags are equal: often due to a rate limit."""
         return self.slow - self.fast < 0.01 * self.slow
 
     @property
     def covariance(self) -> np.ndarray:
-        """(2, 2) of slow and fast; where only their sum is told, that of lags which keep their share of it."""
+        """(2, 2) of slow and fast; if only their sum is identifiable, that of lags with a fixed share of it."""
         sum_, slow, fast = (self.std[name] for name in ("sum", "slow", "fast"))
         if slow is None or fast is None:
             share = np.array([self.slow, self.fast]) / (self.slow + self.fast)
@@ -53,29 +54,29 @@ class Response:
 
 
 def settled_from(time: np.ndarray) -> float:
-    """s from the step, from which the response counts as settled: the last third."""
+    """s after the step at which the settled part of the response starts: its last third."""
     return float(time[-1]) * 2.0 / 3.0
 
 
 def two_lags(t: np.ndarray, slow: float, fast: float) -> np.ndarray:
-    """Unit step response of two different lags in a row, (n, 4): the value, its derivatives in slow, fast and t.
+    """Unit step response of two different lags in series, (n, 4): the value, and its derivatives by slow, fast and t.
 
     1 - (a e_a - b e_b) / (a - b) with e_a = exp(-t / a), a slow, b fast; 0 for t <= 0 (solution of the paper's eqs. 13 to 15).
     """
-    t, apart = np.maximum(t, 0.0), slow - fast
+    t, difference = np.maximum(t, 0.0), slow - fast
     e_slow, e_fast = np.exp(-t / slow), np.exp(-t / fast)
-    left = (slow * e_slow - fast * e_fast) / apart
-    in_slow = (left - e_slow * (1.0 + t / slow)) / apart
-    in_fast = (e_fast * (1.0 + t / fast) - left) / apart
-    return np.column_stack([1.0 - left, in_slow, in_fast, (e_slow - e_fast) / apart])
+    decay = (slow * e_slow - fast * e_fast) / difference
+    in_slow = (decay - e_slow * (1.0 + t / slow)) / difference
+    in_fast = (e_fast * (1.0 + t / fast) - decay) / difference
+    return np.column_stack([1.0 - decay, in_slow, in_fast, (e_slow - e_fast) / difference])
 
 
 class LagFit:
-    """Least squares of one signal of a run, in the coordinates offset, gain, log(slow + fast), spread and, maybe, delay.
+    """Least squares of one signal of a run, in the coordinates offset, gain, log(slow + fast), spread and, optionally, delay.
 
-    Of `time` (rows,) the predicted signal is observed by `observe`, (rows, k) -> (readings, k), and compared with `measured`
-    (readings,) at `at` (readings,) s in units of `std` (readings,). `curve`: how
-    the signal follows the lags from 0 to 1, a polynomial, lowest power first.
+    `observe`, (rows, k) -> (readings, k), is the sensor of the signal predicted at `time` (rows,). Its readings are compared
+    with `measured` (readings,) at the times `at` (readings,) s in units of `std` (readings,). `curve`: the signal as a
+    polynomial of the lags' response from 0 to 1, lowest power first.
     """
 
     def __init__(self, time, at, measured, observe, std, curve):
@@ -84,11 +85,11 @@ class LagFit:
 
     def signal(self, x: np.ndarray) -> np.ndarray:
         """(rows, 1 + coordinates): the signal and its derivatives at coordinates `x`."""
-        apart = np.sqrt(x[3])
-        slow, fast = (0.5 * np.exp(x[2]) * (1.0 + sign * apart) for sign in (1.0, -1.0))
+        spread = np.sqrt(x[3])
+        slow, fast = (0.5 * np.exp(x[2]) * (1.0 + sign * spread) for sign in (1.0, -1.0))
         s, in_slow, in_fast, in_time = two_lags(self.time - (x[4] if len(x) > 4 else 0.0), slow, fast).T
         g, rise = (np.polynomial.polynomial.polyval(s, p) for p in (self.curve, self.slope))
-        in_spread = (in_slow - in_fast) * np.exp(x[2]) / (4.0 * apart)
+        in_spread = (in_slow - in_fast) * np.exp(x[2]) / (4.0 * spread)
         inner = (in_slow * slow + in_fast * fast, in_spread, -in_time)[: len(x) - 2]
         return np.column_stack([x[0] + x[1] * g, np.ones_like(g), g, *(x[1] * rise * d for d in inner)])
 
@@ -98,13 +99,13 @@ class LagFit:
         return (seen[:, 0] - self.measured) / self.std, seen[:, 1:] / self.std[:, None]
 
     def start(self, delay: bool) -> np.ndarray:
-        """Where the search starts: the mean time by which the response lags its step is the sum of all lags and delays."""
-        # A quiet tachometer shows no new value once the speed has settled: then its last ones must do.
+        """Start of the search: the mean lag of the response is the sum of all lags and delays."""
+        # A tachometer without noise shows no new value after the speed has settled: then take its last ones.
         settled = self.measured[self.at >= min(settled_from(self.time), self.at[-3])].mean()
         before, after = self.at < 0.0, self.at >= 0.0
         offset = self.measured[before].mean() if before.any() else self.measured[0]
-        missing = (settled - self.measured[after]) / ((settled - offset) or 1.0)
-        lag = float(np.clip(np.sum(missing[1:] * np.diff(self.at[after])), 0.02, self.time[-1] / 4.0))
+        remaining = (settled - self.measured[after]) / ((settled - offset) or 1.0)
+        lag = float(np.clip(np.sum(remaining[1:] * np.diff(self.at[after])), 0.02, self.time[-1] / 4.0))
         return np.array([offset, settled - offset, np.log(lag), 0.3, *[0.1 * lag] * delay])
 
     def solve(self, delay: bool) -> Response:
@@ -112,7 +113,7 @@ class LagFit:
         lower = np.array([-np.inf, -np.inf, np.log(0.002), CLOSEST, *[0.0] * delay])
         upper = np.array([np.inf, np.inf, np.log(2.0 * self.time[-1]), WIDEST, *[LONGEST_DELAY * self.time[-1]] * delay])
         found = solve(self.evaluate, self.start(delay), lower, upper)
-        x, total, apart = found.value, np.exp(found.value[2]), np.sqrt(found.value[3])
+        x, total, spread = found.value, np.exp(found.value[2]), np.sqrt(found.value[3])
         degrees = max(len(self.at) - len(x), 1)
         known = np.delete(np.arange(len(x)), 3) if found.active[3] else np.arange(len(x))
         normal = found.jacobian[:, known].T @ found.jacobian[:, known]
@@ -121,13 +122,13 @@ class LagFit:
         std = dict(zip(("offset", "gain", "sum", "spread", "delay"), np.sqrt(np.diag(covariance)).tolist(), strict=False))
         std |= {"sum": std["sum"] * total, "delay": std.get("delay")}
         for name, sign in (("slow", 1.0), ("fast", -1.0)):
-            to = np.array([0.0, 0.0, 0.5 * total * (1.0 + sign * apart), sign * total / (4.0 * apart), *[0.0] * delay])
+            to = np.array([0.0, 0.0, 0.5 * total * (1.0 + sign * spread), sign * total / (4.0 * spread), *[0.0] * delay])
             std[name] = None if found.active[3] else float(np.sqrt(to @ covariance @ to))
         del std["spread"]
         rms = np.sqrt(np.mean(found.residual**2) / np.mean(self.std**-2.0))
         return Response(
-            slow=float(0.5 * total * (1.0 + apart)),
-            fast=float(0.5 * total * (1.0 - apart)),
+            slow=float(0.5 * total * (1.0 + spread)),
+            fast=float(0.5 * total * (1.0 - spread)),
             delay=float(x[4]) if delay else 0.0,
             offset=float(x[0]),
             gain=float(x[1]),

@@ -1,4 +1,4 @@
-"""Start values from step responses: every run is fitted, the telling ones are averaged (paper, sections 3.2 and 4.2)."""
+"""Start values from step responses: every run is fitted, and the usable ones are averaged (paper, sections 3.2 and 4.2)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,17 +11,17 @@ from identification.steps.run import StepRun, fit_run, one_step
 from vpp_fmu.record import Record
 
 EVIDENCE = 10.0
-"""Difference of the BIC, summed over the runs of a channel, from which a delay is there."""
+"""Minimum BIC difference, summed over the runs of a channel, to include a delay."""
 
 
 @dataclass(frozen=True)
 class Average:
-    """Weighted mean over the runs of a channel and direction ("up", "down", "both"), of what was fitted to `signal`.
+    """Weighted mean of the fits to `signal`, over the runs of a channel and direction ("up", "down", "both").
 
-    Each run weighs by (gain / rms)^2, the inverse variance of what it tells. `spread`: weighted standard deviation from run to
-    run. `delayed`: whether the fits have a delay. `covariance` (2, 2) of the means (slow, fast): what each run leaves open, and
-    by how much more than that the runs differ (random effects: DerSimonian and Laird, 1986). `apart`: whether any run tells
-    the two lags apart.
+    The weight of a run is (gain / rms)^2, its inverse variance. `spread`: weighted standard deviation from run to run.
+    `delayed`: whether the fits have a delay. `covariance` (2, 2) of the means (slow, fast): variance within runs, plus the
+    excess variance between runs (random effects: DerSimonian and Laird, 1986). `apart`: whether any run identifies the two
+    lags separately.
     """
 
     channel: str
@@ -39,7 +39,7 @@ class Average:
 
     @property
     def std(self) -> dict[str, float | None]:
-        """Of the means, and of their sum; None where only the sum is told."""
+        """Standard deviations of the means and of their sum; None if only the sum is identifiable."""
         (slow, both), (_, fast) = self.covariance
         known = {"slow": float(np.sqrt(slow)), "fast": float(np.sqrt(fast))} if self.apart else {"slow": None, "fast": None}
         return known | {"sum": float(np.sqrt(max(slow + fast + 2.0 * both, 0.0)))}
@@ -52,8 +52,8 @@ class Average:
 
 @dataclass(frozen=True, eq=False)
 class StepSummary:
-    """All runs, and their averages; `lags`: by channel, the one without delay that a model starts from; `unreadable`: runs
-    without a single step, by source, and why."""
+    """All runs, and their averages; `lags`: by channel, the average without delay, from which a model starts; `unreadable`:
+    runs that are not a single step, by source, with the reason."""
 
     runs: tuple[StepRun, ...]
     averages: tuple[Average, ...]
@@ -62,12 +62,12 @@ class StepSummary:
 
     @property
     def start(self) -> dict[str, float]:
-        """Time constants by name of each channel that has a run to average."""
+        """Time constants by name of each channel that has a usable run."""
         return {name: value for u, a in self.lags.items() for name, value in zip(pair(u), (a.slow, a.fast), strict=True)}
 
     @property
     def outliers(self) -> tuple[StepRun, ...]:
-        """Runs that were left out."""
+        """Runs that are excluded."""
         return tuple(run for run in self.runs if run.reason)
 
     def delayed(self, channel: str) -> bool:
@@ -87,8 +87,8 @@ class StepSummary:
 def fit_steps(steps: Sequence[Record], scales: Mapping, coefficients: Mapping | None = None) -> StepSummary:
     """Fit every run and average the time constants, slow first.
 
-    `scales`: the parameters of the normalisation, `coefficients`: the static map's, both by name. `lags` are without delay:
-    the model that starts from them has none. The speed's are those of the measured speed where there is one.
+    `scales`: the parameters of the normalisation, `coefficients`: the static map's, both by name. `lags` are without delay,
+    because the model that starts from them has none. Those of the speed channel are from the measured speed, if there is one.
     """
     runs, unreadable = [], {}
     for record in steps:
@@ -137,10 +137,10 @@ def _average(used: Sequence[StepRun], channel: str, signal: str, direction: str,
 
 
 def covariance(values: np.ndarray, own: np.ndarray, share: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Of the mean, weighted by `share` (runs,), of values (runs, 2) that are each known to `own` (runs, 2, 2)."""
+    """Covariance of the mean, weighted by `share` (runs,), of values (runs, 2) with covariances `own` (runs, 2, 2)."""
     expected = np.einsum("n,nij->ij", share * (1.0 - share), own)
     away = values - share @ values
-    # Scatter about a weighted mean of alike values is what their own uncertainty makes expect; more of it is from run to run.
+    # Scatter beyond the expectation from the runs' own covariances is variance between runs.
     excess, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", share, away, away) - expected)
     between = (axes * np.maximum(excess, 0.0)) @ axes.T / max(1.0 - share @ share, 1e-12)
     return tuple(map(tuple, (np.einsum("n,nij->ij", share**2, own) + (share @ share) * between).tolist()))

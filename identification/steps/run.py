@@ -1,17 +1,17 @@
 """One step response: a dead time and two lags, fitted to its thrust and its speed (paper, sections 3.2 and 4.2).
 
-    thrust(t) = offset + gain * g(s(t - delay)),   s: unit step response of the lags `slow` and `fast` in a row
+    thrust(t) = offset + gain * g(s(t - delay)),   s: unit step response of the lags `slow` and `fast` in series
 
-g is how the thrust follows the channel from the step's start (g(0) = 0) to its end (g(1) = 1). With a static map it is the
-map's own curve between the two commands, so the lags are those of speed and pitch; without one it is a straight line, and
-the lags are those of the normalised thrust, as in the paper. Offset and gain are free in each run: neither an error of the map
-nor drift from run to run gets into the lags. Each run is fitted with and without the delay.
+g is the thrust as a function of the channel from the step's start (g(0) = 0) to its end (g(1) = 1). With a static map it is the
+map between the two commands, so the lags are those of speed and pitch. Without one it is a straight line, and the lags are
+those of the normalised thrust, as in the paper. Offset and gain are free in each run, so errors of the map and drift between
+runs do not bias the lags. Each run is fitted with and without the delay.
 
-A step of the speed is also fitted in the measured speed, seen as the tachometer shows it: its mean over the last revolution,
-compared only where a pulse came in. At 2000 rpm half a revolution and half a hold would be 30 ms of delay that is none.
+A step of the speed is also fitted to the measured speed, as the tachometer shows it: the mean over the last revolution,
+compared only at new pulses. Otherwise half a revolution and half a hold would appear as a delay, of 30 ms at 2000 rpm.
 
-Standard deviations are for white residuals. Those of the speed are too large, some three times where the mark jitters: a pulse
-that comes late makes one revolution long and the next short, which hardly moves a lag.
+Standard deviations are for white residuals. Those of the speed are too large, about three times with a jittering mark: a late
+pulse makes one revolution longer and the next shorter, which hardly changes a lag.
 """
 
 from collections.abc import Mapping
@@ -27,19 +27,19 @@ from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 
 UNSETTLED = 0.05
-"""Share of the step that may be missing where the run ends, and by which the reached value may miss the command."""
+"""Maximum share of the step that remains at the end of the run, and maximum error of the reached value over the step."""
 
 BAND = 4.0
-"""Standard deviations of the settled thrust beyond which its highest mean over SMOOTHED counts as overshoot."""
+"""Standard deviations of the settled thrust that the highest mean over SMOOTHED must exceed to count as overshoot."""
 
 SMOOTHED = 0.02
 """s; shorter peaks are rotor vibration."""
 
 READINGS = (3, 20, 5)
-"""Thrust readings a run needs before its step, after it, and in the last third after it."""
+"""Minimum number of thrust readings of a run before its step, after it, and in the last third after it."""
 
 FLATTEST = 0.1
-"""Share of the map's rise and fall between two commands below which their difference is no scale for a step."""
+"""Minimum ratio of the map's change between two commands to its range between them, to use the map as curve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +51,12 @@ class Fits:
 
     @property
     def evidence(self) -> float:
-        """Difference of the BIC in favour of the delay, for white residuals."""
+        """BIC difference in favour of the delay, for white residuals."""
         n = self.plain.readings
         return float(2.0 * n * np.log(self.plain.rms / self.delayed.rms) - np.log(n))
 
     def chosen(self, delayed: bool) -> Response:
-        """The one with the delay, or the other."""
+        """The fit with or without the delay."""
         return self.delayed if delayed else self.plain
 
     def summary(self) -> dict:
@@ -66,12 +66,12 @@ class Fits:
 
 @dataclass(frozen=True, eq=False)
 class StepRun:
-    """One run: `channel` ("omega" or "beta") steps from `start` to `end` [rpm or deg] while the other stands at `level`.
+    """One run: `channel` ("omega" or "beta") steps from `start` to `end` [rpm or deg] while the other is at `level`.
 
     `time` (rows,) s from the step; `thrust` (rows,) N; `noise` [N] of the settled thrust. `overshoot`: the highest thrust
-    beyond the final one, `overshoot_band`: what noise alone may show of it, both in % of the step. `fits`: of "thrust", and of
-    "omega" where a stepped speed was measured. `expected` [N]: the step by the map, None without one. `reason`: why the
-    averages leave the run out, "" where they don't.
+    beyond the final one; `overshoot_band`: its limit under noise alone, both in % of the step. `fits`: of "thrust", and of
+    "omega" if a speed step was measured. `expected` [N]: the step of the map, None without one. `reason`: why the averages
+    exclude the run, "" if they use it.
     """
 
     source: str
@@ -90,12 +90,12 @@ class StepRun:
 
     @property
     def direction(self) -> str:
-        """Of the command: up or down."""
+        """Direction of the command: up or down."""
         return "up" if self.end > self.start else "down"
 
     @property
     def overshoots(self) -> bool:
-        """Whether the overshoot exceeds what noise alone may show."""
+        """Whether the overshoot exceeds its limit under noise alone."""
         return self.overshoot > self.overshoot_band
 
     def normalised(self, delayed: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +111,7 @@ class StepRun:
 
 
 def one_step(record: Record) -> tuple[str, int] | str:
-    """(channel, row of the step), or what is wrong with the run."""
+    """(channel, row of the step), or the reason why the run is not usable."""
     changes = {channel: np.flatnonzero(np.diff(record[f"{channel}_ref"])) + 1 for channel in CHANNELS}
     rows = np.concatenate(list(changes.values()))
     if len(rows) != 1:
@@ -152,12 +152,12 @@ def fit_run(record: Record, channel: str, row: int, scales: Mapping, coefficient
         overshoot_band=band,
         fits=fits,
         expected=expected,
-        reason=_missed(record, channel, start, end, tail),
+        reason=_not_reached(record, channel, start, end, tail),
     )
 
 
 def _curve(channel: str, start: float, end: float, level: float, scales: Mapping, coefficients: Mapping | None):
-    """(polynomial g, lowest power first, the step in N) of the thrust between two commands; a straight line without a map."""
+    """(polynomial g, lowest power first; step of the map [N]) between two commands; (straight line, None) without a map."""
     line = np.array([0.0, 1.0])
     if coefficients is None:
         return line, None
@@ -172,7 +172,8 @@ def _curve(channel: str, start: float, end: float, level: float, scales: Mapping
 
 
 def _overshoot(time: np.ndarray, thrust: np.ndarray, gain: float) -> tuple[float, float]:
-    """(highest smoothed value beyond the final one, what noise alone may show), both in % of the step; (readings,) s, N."""
+    """(highest smoothed value beyond the final one, its limit under noise alone), both in % of the step; inputs (readings,) s,
+    N."""
     width = max(1, round(SMOOTHED / float(np.median(np.diff(time)))))
     smoothed = np.convolve(thrust / gain, np.ones(width) / width, "valid")
     at = time[width - 1 :]
@@ -180,8 +181,8 @@ def _overshoot(time: np.ndarray, thrust: np.ndarray, gain: float) -> tuple[float
     return max(0.0, 100.0 * float(smoothed[at > 0.0].max() - settled.mean())), 100.0 * BAND * float(settled.std())
 
 
-def _missed(record: Record, channel: str, start: float, end: float, tail: np.ndarray) -> str:
-    """Why the command was not reached, by the channel's own sensor at the rows `tail`; "" where it was, or has no sensor."""
+def _not_reached(record: Record, channel: str, start: float, end: float, tail: np.ndarray) -> str:
+    """Reason if the channel's sensor at the rows `tail` does not reach the command; else, or without a sensor, ""."""
     shown = record[channel][tail] if channel in record else np.array([])
     shown = shown[np.isfinite(shown)]
     if not len(shown) or abs(shown.mean() - end) <= UNSETTLED * abs(end - start):

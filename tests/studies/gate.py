@@ -18,7 +18,7 @@ import numpy as np
 
 from identification.gate.finding import ERROR, Finding
 from identification.gate.gate import look
-from identification.gate.made import Maker, varied, write_campaign
+from identification.gate.synthetic import SyntheticRig, varied, write_campaign
 from identification.identify import identify
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput, VppError
@@ -29,7 +29,7 @@ from vpp_fmu.record import Record
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 SIZES = {
-    "1.2 N": Maker(
+    "1.2 N": SyntheticRig(
         scales=Scales(20000.0, 15.0, 5.0, 1.2),
         speed=(7000.0, 20000.0),
         pitch=(-5.0, 10.0),
@@ -40,7 +40,7 @@ SIZES = {
         digit=0.00024,
         values={"tau_omega_1": 0.06, "tau_omega_2": 0.02, "tau_beta_1": 0.05, "tau_beta_2": 0.03},
     ),
-    "15 N": Maker(
+    "15 N": SyntheticRig(
         scales=Scales(),
         speed=(2000.0, 6000.0),
         pitch=(-5.0, 10.0),
@@ -51,7 +51,7 @@ SIZES = {
         digit=0.003,
         values={"tau_beta_1": 0.374, "tau_beta_2": 0.207},
     ),
-    "180 N": Maker(
+    "180 N": SyntheticRig(
         scales=Scales(2500.0, 12.0, -2.0, 180.0),
         speed=(800.0, 2500.0),
         pitch=(2.0, 14.0),
@@ -266,8 +266,8 @@ FAULTS = {
 def good(size: str, seed: int, section: float | None = None) -> Campaign:
     """A campaign of a rig drawn about a size; `section` s of each kind of move, the size's own unless told."""
     rng = np.random.default_rng([seed, len(size)])
-    maker = replace(SIZES[size], section=section or SIZES[size].section)
-    return varied(maker, rng, SPREAD).campaign(rng, Path(size))
+    rig = replace(SIZES[size], section=section or SIZES[size].section)
+    return varied(rig, rng, SPREAD).campaign(rng, Path(size))
 
 
 def written(campaign: Campaign, folder: Path, rig: Mapping | None = None) -> Campaign:
@@ -310,9 +310,9 @@ def main(arguments):
     parser.add_argument("--data", type=Path, default=DATA, metavar="DIR", help="folder with emulated rigs rig_*")
     options = parser.parse_args(arguments)
     found = total = 0
-    for size, maker in SIZES.items():
+    for size, rig in SIZES.items():
         campaign = good(size, options.seed)
-        print(f"\n{size}, {1.0 / maker.row:g} Hz: what was planted -> what was said")
+        print(f"\n{size}, {1.0 / rig.row:g} Hz: what was planted -> what was said")
         for fault, plan in FAULTS.items():
             if options.only not in fault:
                 continue

@@ -1,4 +1,4 @@
-"""Campaigns made of the model itself, with noise and the rig's sensors: for a template, and to try the gate on."""
+"""Synthetic campaigns, simulated by the model with noise and sensors: for a template, and to test the gate."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,20 +14,20 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record, write_record
 
 TICK = 4e-6
-"""s, of the tachometer's timer."""
+"""Resolution of the tachometer's timer, s."""
 
 JITTER = 3e-4
-"""Turns by which a pulse of the mark comes early or late."""
+"""Standard deviation of the angle of a pulse, turns."""
 
 SAMPLES = 400
-"""Readings of a steady point's mean."""
+"""Number of readings of a steady point."""
 
 
 @dataclass(frozen=True)
-class Maker:
-    """A rig that a campaign is made of. Speed [rpm] and pitch [deg] (least, greatest) are commanded, every `row` s, each level
-    for a time in `hold` [s]; sections of speed, of pitch and of both last `section` s each. `values`: the model's parameters;
-    `noise` N of a reading, written in steps of `digit` N."""
+class SyntheticRig:
+    """A simulated rig that generates campaigns. Commands have ranges `speed` [rpm] and `pitch` [deg] (least, greatest) and a
+    sampling period of `row` s. Each level is held for a time within `hold` [s]. Sections of speed, of pitch and of both last
+    `section` s each. `values`: the model's parameters; `noise` N of a reading, rounded to `digit` N."""
 
     scales: Scales
     speed: tuple[float, float]
@@ -41,15 +41,15 @@ class Maker:
     grid: int = 6
 
     def campaign(self, rng: np.random.Generator, folder: Path) -> Campaign:
-        """All of it, as if read from `folder`."""
+        """The whole campaign, as if read from `folder`."""
         orders = self.orders(rng)
-        told = {"open_loop": orders, "repeat": orders, "validation": self.orders(rng)}
-        records = {name: self.record(own, rng, f"{name}.csv") for name, own in told.items()}
+        commands = {"open_loop": orders, "repeat": orders, "validation": self.orders(rng)}
+        records = {name: self.record(own, rng, f"{name}.csv") for name, own in commands.items()}
         steps = tuple(self.record(order, rng, f"steps.csv, run {k}") for k, order in enumerate(self.single_steps()))
         return Campaign(folder, self.steady(rng), steps, **records)
 
     def orders(self, rng: np.random.Generator) -> Mapping[str, np.ndarray]:
-        """Commands of a long record: speed moves, pitch moves, both move; what does not move rests in its middle."""
+        """Commands of a long record: speed moves, pitch moves, both move. A command at rest has its middle value."""
         rows = round(self.section / self.row)
         rest = [np.full(rows, round(float(np.mean(ends)), 2)) for ends in (self.speed, self.pitch)]
         speed = [self._levels(rng, rows, self.speed), rest[0], self._levels(rng, rows, self.speed)]
@@ -62,7 +62,8 @@ class Maker:
         return np.repeat(np.round(rng.uniform(*ends, most), 2), holds)[:rows]
 
     def single_steps(self) -> list[Mapping[str, np.ndarray]]:
-        """Up and down, of speed and of pitch, the other in its middle; 0.2 of `hold` before and all of it after the step."""
+        """Steps up and down, of speed and of pitch, the other at its middle: 0.2 of the longest `hold` before, 1.5 after the
+        step."""
         before, after = (max(10, round(share * self.hold[1] / self.row)) for share in (0.2, 1.5))
         found = []
         for own, other in (("omega_ref", "beta_ref"), ("beta_ref", "omega_ref")):
@@ -75,7 +76,7 @@ class Maker:
         return found
 
     def record(self, orders: Mapping[str, np.ndarray], rng: np.random.Generator, name: str) -> Record:
-        """What the rig's sensors show of commands."""
+        """The sensors' readings under the commands `orders`."""
         rows = len(orders["omega_ref"])
         time = np.round(self.row * np.arange(rows), 9)
         model = BASE.sized(self.scales)
@@ -85,7 +86,7 @@ class Maker:
         return Record(columns | {"omega": one_mark(time, outputs[:, 1], rng), "thrust": thrust}, name)
 
     def steady(self, rng: np.random.Generator) -> StaticMap:
-        """A grid over both ranges."""
+        """Steady points on a grid over both ranges."""
         axes = (np.linspace(*ends, self.grid) for ends in (self.speed, self.pitch))
         speed, pitch = (m.ravel() for m in np.meshgrid(*axes))
         orders = {"omega_ref": np.round(speed, 2), "beta_ref": np.round(pitch, 3)}
@@ -99,8 +100,8 @@ class Maker:
 
 
 def one_mark(time: np.ndarray, omega: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(n,) rpm as a tachometer with one mark shows it: the mean over the last whole turn, in ticks of its timer, held until the
-    next pulse; the speed itself until two have come."""
+    """(n,) rpm: readings of a tachometer with one mark. They are means over the last whole turn, in ticks of the timer, held
+    until the next pulse; before the second pulse, the first speed."""
     turns = np.append(0.0, np.cumsum(0.5 * (omega[1:] + omega[:-1]) / 60.0 * np.diff(time)))
     marks = np.arange(1, int(turns[-1]) + 1)
     pulses = np.interp(marks + JITTER * rng.standard_normal(len(marks)), turns, time)
@@ -112,7 +113,7 @@ def one_mark(time: np.ndarray, omega: np.ndarray, rng: np.random.Generator) -> n
 
 
 def write_campaign(folder: OutputFolder, campaign: Campaign) -> None:
-    """The files that a campaign's reader takes."""
+    """Write the campaign's files."""
     if campaign.static is not None:
         write_static(folder, campaign.static)
     if campaign.steps:
@@ -122,8 +123,8 @@ def write_campaign(folder: OutputFolder, campaign: Campaign) -> None:
             write_record(folder, f"{name}.csv", record)
 
 
-def varied(maker: Maker, rng: np.random.Generator, by: float) -> Maker:
-    """The maker of a rig whose lags and map lie within a share `by` of this one's."""
-    values = BASE.sized(maker.scales).values(maker.values)
+def varied(rig: SyntheticRig, rng: np.random.Generator, by: float) -> SyntheticRig:
+    """A rig whose lags and map coefficients differ from this one's by at most a share `by`."""
+    values = BASE.sized(rig.scales).values(rig.values)
     moved = {n: v * (1.0 + rng.uniform(-by, by)) for n, v in values.items() if n.startswith(("tau_", "c"))}
-    return replace(maker, values={**maker.values, **moved})
+    return replace(rig, values={**rig.values, **moved})
