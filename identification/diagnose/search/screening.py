@@ -239,7 +239,7 @@ class _Response:
         least, none = self.at([others | {name: min(levels)}, others | {name: off}]).T
         return not np.array_equal(least, none)
 
-    def followed(self, point) -> dict[str, float]:
+    def re_estimated(self, point) -> dict[str, float]:
         """Fitted parameters, re-estimated with the candidate at `point`."""
         return self._about.followed(self._about.rows(self._simulator, [{**self.candidate.form, **point}])[:, 0])
 
