@@ -163,11 +163,11 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
 
 def _where(found: Diagnosis) -> tuple[str, str, str]:
     """Location of the unexplained error."""
-    where = found.location
-    band, section = (max(where[k], key=where[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
-    strongest, largest = where["strongest_correlate"], where["largest"]
+    location = found.location
+    band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
+    strongest, largest = location["strongest_correlate"], location["largest"]
     note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f}); "
-    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {where['input']}"
+    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
     return "residual", f"{band} Hz", note
 
 
@@ -297,16 +297,16 @@ def _moving(section: str) -> str:
 
 
 def _add_location(page: Page, found: Diagnosis) -> None:
-    where, what = found.location, "error of the base model" if not found.final.effects else "residual"
-    strongest, largest = where["strongest_correlate"], where["largest"]
+    location, what = found.location, "error of the base model" if not found.final.effects else "residual"
+    strongest, largest = location["strongest_correlate"], location["largest"]
     page.table(
         ("quantity", "value"),
         [
             ("strongest correlation", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
-            ("input", where["input"]),
+            ("input", location["input"]),
             ("largest", f"{signed(largest['thrust'], 3)} N at {largest['time']:.1f} s"),
-            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
-            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in where["mean_square_by_section"].items()),
+            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in location["share_by_band_hz"].items()),
+            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in location["mean_square_by_section"].items()),
         ],
         f"Location of the {what}, its repeatable part.",
     )

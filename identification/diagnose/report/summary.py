@@ -143,8 +143,8 @@ def errors(found: Diagnosis, fit: Fit) -> dict:
 
 
 def _effect(found: Diagnosis, name: str) -> dict:
-    ships, judged = name not in found.left_out, found.selection.judgements[name]
-    fit, std = (found.final, found.std) if ships else (found.selection.final, found.selection.final.std())
+    exported, judged = name not in found.left_out, found.selection.judgements[name]
+    fit, std = (found.final, found.std) if exported else (found.selection.final, found.selection.final.std())
     units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
     values = {n.partition(".")[2]: {"value": fit.values[n], "std": std.get(n), "unit": units[n]} for n in own}
@@ -152,7 +152,7 @@ def _effect(found: Diagnosis, name: str) -> dict:
     for parameter, (seconds, times) in reached(fit, name).items():
         values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
     found_in = {"artefact": text} if (text := artefact(found, name)) else {}
-    found_in |= {} if ships else {"left_out": LEFT_OUT}
+    found_in |= {} if exported else {"left_out": LEFT_OUT}
     return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence(found, judged), **found_in}
 
 

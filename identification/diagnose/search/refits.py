@@ -65,8 +65,8 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
         if t.fit is None and t.fall > MIN_EVIDENCE:
             predicted.setdefault(t.candidate.name, t.fall)
     most = max(predicted.values(), default=0.0)
-    first = {name: fall for k, (name, fall) in enumerate(predicted.items()) if k < count or fall > most - MIN_EVIDENCE}
-    least = {name: max(MIN_EVIDENCE, REACH * fall) for name, fall in first.items()}
+    first = {name: gain for k, (name, gain) in enumerate(predicted.items()) if k < count or gain > most - MIN_EVIDENCE}
+    least = {name: max(MIN_EVIDENCE, REACH * gain) for name, gain in first.items()}
     chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
     if not chosen:
         return list(tried)
