@@ -1,4 +1,4 @@
-"""A campaign becomes parameters, and a measure of how far to trust them."""
+"""Identify the parameters of a campaign, with their uncertainty."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -36,15 +36,14 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True)
 class Identification:
-    """What a campaign gave: parameters, how they were found, and predictions of every long record by name.
+    """Result of an identification: parameters, statistics of the fit, and predictions of all long records by name.
 
-    `uncertainty` is of the parameters that the campaign tells, `not_identifiable` says by name why it does not tell the others.
-    `refinement` and `tests` are None where there is no record to fit: the parameters are then those of steady points and steps.
-    `fitted`: names of the records that the parameters were fitted to; the other predictions are of records that no fit has
-    seen. `logger`: the one that the records were corrected for. `bands`: standard deviation of a predicted reading (rows,) N by
-    record, of parameters and noise together. `tests`: of the thrust residual of the first fitted record. `noise`: of one
-    thrust reading, None where the campaign shows no scatter. `quality`: what the gate found in the files and in the fit.
-    `bootstrap` where it was asked for.
+    `uncertainty`: of the identifiable parameters; `not_identifiable`: the reason for each other one, by name. `refinement`,
+    `tests`: None without a record to fit; the parameters are then those of steady points and steps. `fitted`: names of the
+    fitted records; the other predictions are of hold-out records. `logger`: the logger for which the records are corrected.
+    `bands`: standard deviation (rows,) N of a predicted reading, from parameters and noise, by record. `tests`: of the thrust
+    residual of the first fitted record. `noise`: of one thrust reading, None if it cannot be estimated. `quality`: findings of
+    the gate in the files and in the fit. `bootstrap`: None if not requested.
     """
 
     campaign: Campaign
@@ -71,7 +70,7 @@ class Identification:
 
     @property
     def model_error(self) -> ModelError | None:
-        """How far the model is off by itself; a repeat shows once more what the open loop has shown."""
+        """The error of the model without the noise; a repeat of the open-loop record is not counted again."""
         fitted, unseen = (
             [self.predictions[name] for name in names if name != "repeat" or "open_loop" not in names]
             for names in (self.fitted, self.unseen)
@@ -82,12 +81,12 @@ class Identification:
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Names of the records that no fit has seen."""
+        """Names of the hold-out records."""
         return tuple(name for name in self.predictions if name not in self.fitted)
 
     @property
     def at_bounds(self) -> dict[str, float]:
-        """The bound that a parameter ended on, by name."""
+        """The bound at which a parameter ended, by name."""
         declared = {p.name: p for p in self.parameters.model.parameters}
         found = zip(self.uncertainty.names, self.uncertainty.values.tolist(), strict=True)
         return {n: bound for n, v in found for bound in (declared[n].minimum, declared[n].maximum) if isclose(v, bound)}
@@ -137,7 +136,7 @@ class Identification:
         }
 
     def _search(self) -> dict:
-        """How the fit went; null where there was nothing to fit to."""
+        """Statistics of the search; null without a record to fit."""
         r = self.refinement
         return {
             "method": r and r.method,
@@ -164,14 +163,14 @@ def identify(
     stage: Callable[[str], None] = lambda text: None,
     gate: Passed | None = None,
 ) -> Identification:
-    """Static map by least squares, lags by step responses, then all parameters on the fitted records, the map as prior.
+    """Fit the static map by least squares, the lags to step responses, then all parameters to the records, the map as prior.
 
-    Fitted are the campaign's open-loop record, its repeat, and further `records` by name, all together; where there is none of
-    these, the validation record. What is missing of the campaign is left out, down to one file: without any record the result
-    is what map and steps tell by themselves. BadInput where nothing tells a parameter, and for what the quality gate finds
-    wrong but for the codes that `accept` names. Without means of steady points these are taken from their raw samples.
-    `resamples`: of the block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is told what begins. `gate`: what
-    the quality gate made of all this, where it has been asked already. Other options as in `refine`.
+    The open-loop record, its repeat and further `records`, by name, are fitted together; without any, the validation record.
+    Files may be missing: without any record, the result is that of map and steps alone. Without means of steady points, these
+    are computed from the raw samples. `accept`: codes of findings of the quality gate that are not errors. `resamples`: of the
+    block bootstrap, on `workers` processes or a Dask `scheduler`. `stage` is called with the name of each stage. `gate`: the
+    result of the quality gate, if it has run already. Other options as in `refine`. BadInput if no parameter is identifiable,
+    and for findings of the gate.
     """
     if gate is None:
         stage("quality")
@@ -179,7 +178,7 @@ def identify(
     if gate.logger is None:
         stage("logger")
         gate = as_logged(gate)
-    fitted = _to_fit(gate.campaign, gate.further)
+    fitted = _fitted_records(gate.campaign, gate.further)
     campaign = replace(campaign, steps=gate.campaign.steps)
     if campaign.static is None and campaign.static_raw is not None:
         campaign = replace(campaign, static=steady_points(campaign.static_raw))
@@ -201,17 +200,17 @@ def identify(
     validation = gate.campaign.validation
     shown = fitted | ({"validation": validation} if validation is not None else {})
     predictions = {name: predict(model, found.values, record) for name, record in shown.items()}
-    left = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
+    rms = float(np.sqrt(2.0 * found.cost_final)) * found.values["thrust_scale"]
     first = predictions[next(iter(fitted))]
     noise = reading_noise([predictions[name] for name in fitted], campaign.static, found.values)
-    source = {**_made(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
+    source = {**_source(campaign), "record_seconds": float(first.record.time[-1]), "logger": gate.logger.summary()}
     drawn = bootstrap(found, resamples, seed, workers, scheduler) if resamples else None
     quality = (*gate.findings, *of_fit(found, predictions, tuple(fitted), noise, campaign.rig))
-    found = replace(found, solution=found.solution.slim())  # what stays is small, however long the records
+    found = replace(found, solution=found.solution.slim())  # without arrays as long as the records
     uncertainty = with_steps(found.uncertainty, found.values, steps)
     known = dict(zip(uncertainty.names, uncertainty.std.tolist(), strict=True))
-    told = off_bounds(model, found.values, start, steps)
-    rig = campaign.rig.timed(slowest(told, uncertainty.names))
+    lag_values = off_bounds(model, found.values, start, steps)
+    rig = campaign.rig.timed(slowest(lag_values, uncertainty.names))
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
     return Identification(
         campaign=campaign,
@@ -224,7 +223,7 @@ def identify(
         not_identifiable={n: why for n, why in found.held.items() if n not in known} | weakly_identified(uncertainty),
         fitted=tuple(fitted),
         predictions=predictions,
-        bands={name: band(model, found.values, found.uncertainty, record, left) for name, record in shown.items()},
+        bands={name: band(model, found.values, found.uncertainty, record, rms) for name, record in shown.items()},
         tests=residual_tests(first.record, first.record["thrust"] - first.thrust),
         noise=noise,
         quality=quality,
@@ -241,12 +240,12 @@ def _without_record(
     steps: StepSummary | None,
     gate: Passed,
 ) -> Identification:
-    """What the map and the steps tell by themselves, `measured` by name; the model's defaults for the rest."""
+    """Identify from map and steps alone (`measured`, by name); the other parameters have the model's defaults."""
     values = model.values() | slow_first(model.values() | measured)
-    told = unrefined(campaign, BASE_PARAMETERS, values, static, steps)
-    known = dict(zip(told.uncertainty.names, told.uncertainty.std.tolist(), strict=True))
+    result = unrefined(campaign, BASE_PARAMETERS, values, static, steps)
+    known = dict(zip(result.uncertainty.names, result.uncertainty.std.tolist(), strict=True))
     rig = campaign.rig.timed(slowest(values, known))
-    parameters = ParameterSet(model.sized(rig.scales), source={**_made(campaign), "rig": rig.summary()})
+    parameters = ParameterSet(model.sized(rig.scales), source={**_source(campaign), "rig": rig.summary()})
     return Identification(
         campaign=campaign,
         parameters=parameters.replaced(values, known),
@@ -254,8 +253,8 @@ def _without_record(
         static=static,
         steps=steps,
         refinement=None,
-        uncertainty=told.uncertainty,
-        not_identifiable={**told.not_identifiable, **weakly_identified(told.uncertainty)},
+        uncertainty=result.uncertainty,
+        not_identifiable={**result.not_identifiable, **weakly_identified(result.uncertainty)},
         fitted=(),
         predictions={},
         bands={},
@@ -266,15 +265,15 @@ def _without_record(
     )
 
 
-def _made(campaign: Campaign) -> dict[str, str]:
+def _source(campaign: Campaign) -> dict[str, str]:
     return {"made_by": "vpp identify", "campaign": campaign.folder.name}
 
 
 def off_bounds(
     model: Model, values: Mapping[str, float], start: Mapping[str, float], steps: StepSummary | None = None
 ) -> dict[str, float]:
-    """The values with those of `start` where a lag ended on its bound: it tells that the model lacks something, and no time.
-    Nor does its channel's other lag then, which may be anything, where the step runs have told that one."""
+    """The values, with lags that ended on a bound replaced by those of `start`: at a bound, a lag compensates a missing effect.
+    The other lag of the channel is replaced, too, if the step responses identify it."""
     bounds = {p.name: (p.minimum, p.maximum) for p in model.parameters if p.name.startswith("tau_")}
     stuck = {n for n, ends in bounds.items() if any(isclose(values[n], end) for end in ends)}
     pairs = [{f"tau_{u}_1", f"tau_{u}_2"} for u in CHANNELS]
@@ -282,8 +281,8 @@ def off_bounds(
     return {**values, **{n: start[n] for n in stuck | doubtful}}
 
 
-def _to_fit(campaign: Campaign, more: Mapping[str, Record]) -> dict[str, Record]:
-    """The records to fit by name, those of the campaign first; a validation record only where it is all there is."""
+def _fitted_records(campaign: Campaign, more: Mapping[str, Record]) -> dict[str, Record]:
+    """The records to fit by name, those of the campaign first; the validation record only if there is no other."""
     own = {"open_loop": campaign.open_loop, "repeat": campaign.repeat}
     found = {name: record for name, record in own.items() if record is not None} | dict(more)
     return found or ({"validation": campaign.validation} if campaign.validation is not None else {})

@@ -1,4 +1,4 @@
-"""How a log's rows were written: when its readings were taken relative to its commands, and what measured the speed."""
+"""The logger of a record: the offset of its readings to its commands, and the kind of speed sensor."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -7,17 +7,17 @@ from vpp_fmu.record import Record
 from vpp_fmu.sensors import UNKNOWN, SpeedSensor
 
 SIGNIFICANT = 4.4
-"""Standard errors from which an offset or a delay differs from another value: half a BIC difference of 5 nats, as is asked for
-an effect, in ten thousand readings, sqrt(2 * 5 + ln 10^4)."""
+"""Standard errors by which an offset or a delay must differ from another value: half a BIC difference of 5 nats, as for
+effects, with ten thousand readings, sqrt(2 * 5 + ln 10^4)."""
 
 FINEST = 0.02
-"""Rows: a signal is taken as straight from row to row, which an offset can be no finer than."""
+"""Resolution of an offset, in rows: signals are interpolated linearly between rows."""
 
 
 @dataclass(frozen=True)
 class Logger:
-    """`rows`: by which commands act later than the readings of their row, negative: earlier; `std`: its standard error.
-    `sensor`: of the speed, `sensor_std` [s]: standard errors of its numbers that were estimated. `period` [s]: of the rows."""
+    """`rows`: delay of commands to the readings of their row, in rows; negative: commands act earlier; `std`: its standard
+    error. `sensor`: of the speed; `sensor_std` [s]: standard errors of its estimated parameters. `period` [s]: of the rows."""
 
     rows: float = 0.0
     std: float = 0.0
@@ -27,21 +27,21 @@ class Logger:
 
     @property
     def offset(self) -> float:
-        """s by which readings are taken before the command of their row acts; negative: after it acts."""
+        """Seconds from the readings of a row until its command acts; negative: the command acts first."""
         return self.rows * self.period
 
     def applied(self, record: Record) -> Record:
-        """The record with its commands beside the readings that they act on, and its sensor."""
+        """The record with its sensor, and with the commands shifted to the rows in which they act."""
         moved = record.commands_later(self.rows) if self.rows else record
         return replace(moved, sensor=self.sensor) if "omega" in record else moved
 
     @property
     def plain(self) -> bool:
-        """Whether it is the contract's: it reads before it commands, and its speed sensor has neither delay nor filter."""
+        """Whether it is the contract's: no offset, and a speed sensor without delay and filter."""
         return not (self.rows or self.sensor.delay or self.sensor.filter)
 
     def agrees_with(self, other: "Logger") -> bool:
-        """Whether both are the same within their standard errors."""
+        """Whether both are equal within SIGNIFICANT standard errors."""
         same = (self.sensor.kind, self.sensor.marks_per_revolution) == (other.sensor.kind, other.sensor.marks_per_revolution)
         pairs = [(self.rows, other.rows, max(self.std, other.std, FINEST))]
         pairs += [
@@ -52,20 +52,20 @@ class Logger:
 
     @property
     def lines(self) -> list[str]:
-        """In words."""
-        told = []
+        """The logger in words."""
+        lines = []
         if self.rows:
             late = "later" if self.rows > 0.0 else "earlier"
-            told.append(
+            lines.append(
                 f"a command acts {abs(self.rows):.3g} ± {self.std:.1g} rows ({1e3 * abs(self.offset):.3g} ms) {late} than the"
                 " readings of its row"
             )
         if self.sensor.kind:
-            told.append(f"speed sensor: {self.sensor.text}")
-        return told
+            lines.append(f"speed sensor: {self.sensor.text}")
+        return lines
 
     def summary(self) -> dict:
-        """For JSON files."""
+        """Content for JSON files."""
         return {
             "command_offset": {"value": self.rows, "std": self.std, "unit": "rows"},
             "row_period": {"value": self.period, "unit": "s"},

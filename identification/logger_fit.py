@@ -1,11 +1,11 @@
 """Estimate the logger of a campaign: the offset of readings to commands, and the kind of speed sensor.
 
-The contract's logger reads, then commands, in each row. Others command first, write what the last loop read, or log a command a
-row late. All of that is one number: the rows by which a command acts later than the readings of its row. It is estimated
-together with the base model and a speed sensor, by maximum likelihood over the kinds of sensor.
+In each row, the contract's logger reads first and commands then. Others command first, write readings of the previous loop, or
+log a command one row late. The offset, in rows, is the delay of a command to the readings of its row. It is estimated together
+with the base model and a speed sensor, by maximum likelihood over the kinds of sensor.
 
-Effects of a rig make its response later, never earlier. So of three delays, from each command to the thrust and from the speed
-command to the measured speed, the least is the logger's; what the others have beyond it is the sensor's or the rig's.
+Effects of a rig delay its response. There are three delays: from each command to the thrust, and from the speed command to the
+measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,65 +34,67 @@ from vpp_fmu.rig import infer_rig
 from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, UNKNOWN, SpeedSensor
 
 EARLIEST = 3
-"""Rows by which readings may lead their commands, at most."""
+"""Maximum number of rows by which commands may act before their readings."""
 
 ROUNDS, QUARTER = 4, 0.25
-"""Fits in which run-ins are looked for, at most, and the share of a record that the first of them leaves out, at most."""
+"""Maximum number of fits that search for run-ins; maximum share of a record that the first of them excludes."""
 
 MARKS = (1, 2, 3, 4)
-"""Pulses of a revolution that are tried."""
+"""Numbers of pulses per revolution that are tried."""
 
 EVIDENCE = 5.0
-"""Penalised log-likelihood (half a BIC difference) by which a sensor of more parameters, or another logger, must be better
-(Kass and Raftery, 1995: very strong)."""
+"""Minimum evidence (half a BIC difference) for a sensor of more parameters, or another logger: very strong (Kass and Raftery,
+1995)."""
 
 MOST_ROWS = 12_000
-"""Rows of a record that are used: enough for a hundredth of a row."""
+"""Maximum number of rows used of a record: they identify the offset to a hundredth of a row."""
 
 FAST = 3.0
-"""Digits by which two values of a moving speed differ, at least."""
+"""Minimum difference of two successive values of a changing speed, in digits."""
 
 LEAST_CHANGE = 0.05
-"""Quantile of the changes between values that counts as one digit."""
+"""Quantile of the changes between values that is taken as one digit."""
 
 STRAY = 0.01
-"""Share of intervals between two new values that may be of any length."""
+"""Share of renewal intervals (rows between two new values) that may have any length."""
 
 ROUGH, FULL = (3, 3), (6, 6, 6, 12)
-"""Evaluations in each round of a fit that ranks a sensor, and of one that estimates."""
+"""Evaluations in each round of a fit that ranks sensors, and of one that estimates."""
 
 NEAR = 100.0
-"""Log-likelihood within which a rough fit may still be the best one."""
+"""Log-likelihood difference within which a rough fit may still be the best one."""
 
 CLOSE = 1e-9
-"""Share of the cost that ends a fit."""
+"""Relative change of the cost that ends a fit."""
 
 NUDGE = 0.02
-"""Share of a row by which a sensor's times are moved for a derivative."""
+"""Step of the finite difference in a sensor's parameters, in rows."""
 
 LATEST = 0.3
-"""s: delay and filter of a speed sensor, at most."""
+"""Maximum delay and filter time constant of a speed sensor, s."""
 
 FILTER = 0.02
-"""s: filter of a telemetry from which a fit starts."""
+"""Start value of the filter time constant of telemetry, s."""
 
 STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: STRAY}
-"""Share of intervals of any length beside which a kind still explains the others: a rotor turns unevenly, a clock does not."""
+"""Share of renewal intervals that a kind need not explain: a rotor turns unevenly, a clock does not."""
 
 UNLIKELY = 0.01
-"""Level of the test that the most likely kind explains the intervals between new values."""
+"""Level of the test that the most likely kind explains the renewal intervals."""
 
 FRESH = 1.05
-"""Rows between two new values, in the mean, above which they are renewed at an interval that shows."""
+"""Mean renewal interval, in rows, from which the sensor is slower than the rows."""
 
 DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
 ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 
-@threadpool_limits.wrap(limits=1)  # matrices of ten columns gain nothing by threads
+@threadpool_limits.wrap(limits=1)  # threads do not help with ten columns
 def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
-    """What passed the gate, its records as their logger took them, without their run-ins. Estimated beside `effects` of a
-    `library` at `values`, from the fitted records; without any, the logger is the contract's, and no start is judged."""
+    """The records that passed the gate, corrected for their logger and without run-ins.
+
+    The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it is the
+    contract's, and run-ins are not searched."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
@@ -100,7 +102,7 @@ def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effec
     values = {**AVERAGED, **(values or {})}
     longest = 0.5 * BLOCKS * slowest(values, values)
     settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
-    for _ in range(ROUNDS):  # wrong lags may explain a run-in: the first fit leaves the start of every record out
+    for _ in range(ROUNDS):  # wrong lags may explain a run-in: the first fit excludes the start of each record
         groups, _ = roles(settled.campaign, settled.further)
         of = _Estimate(groups, campaign.rig.scales, declared, effects, library, values)
         values = of.values
@@ -112,16 +114,16 @@ def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effec
 
 
 def mended(record: Record) -> tuple[Record, list[str]]:
-    """(the record with its commands shifted by whole rows to where they acted, what was done in words). BadInput where the gate
-    refuses the record."""
+    """(the record with its commands shifted by whole rows to the rows in which they act, the change in words). BadInput if the
+    gate refuses the record."""
     campaign = Campaign(Path("."), None, (), record, None, None, rig=infer_rig([record], None, {}))
     logger = as_logged(passed(campaign)).logger
     rows = round(logger.rows)
     if not rows:
         return record, ["mend: no shift of the commands by a whole row"]
     way = "down" if rows > 0 else "up"
-    told = f"mend: commands shifted {way} by {abs(rows)} row{'s' * (abs(rows) > 1)}: {logger.lines[0]}"
-    return record.commands_later(rows), [told]
+    words = f"mend: commands shifted {way} by {abs(rows)} row{'s' * (abs(rows) > 1)}: {logger.lines[0]}"
+    return record.commands_later(rows), [words]
 
 
 class _Estimate:
@@ -130,7 +132,7 @@ class _Estimate:
         library = tuple(library)
         delays = (e for e in LIBRARY if e.name in DELAYS.values() and e.name not in {known.name for known in library})
         self._model = plant([*effects, *DELAYS.values()], sized((*library, *delays), scales))
-        # A repeat shows the same moments once more.
+        # A repeat adds no other moments.
         self._groups = [[Fitted(group[0].name, _as_modelled(group[0].record))] for group in groups]
         self._first, self._declared = self._groups[0][0].record, declared
         self._period = self._first.period
@@ -146,38 +148,38 @@ class _Estimate:
         self._experiments = [Experiment(group, noise) for group in self._groups]
         self._thrust_alone = [Experiment(group, noise, channels=("thrust",)) for group in self._groups]
         self._measured = any(len(e.omega_time) for e in self._experiments)
-        # Delays that are free from the start take the place of lags.
+        # Delays that are free from the start would replace lags.
         base = Problem(self._model, self._thrust_alone, start, [n for n in self._names if n not in delays])
         self.values = start | base.coordinates.values(base.fit(start).value)
 
     def run_in(self, record: Record) -> float:
-        """s at the record's start that its initial state takes to die away."""
+        """Seconds from the record's start until its initial state has decayed."""
         shown = _as_modelled(record)
         outputs = Simulator(self._model).simulate(self.values, *shown.run)
         return run_in(shown, outputs, slowest(self.values, self._names))
 
     def logger(self) -> Logger:
-        """The most likely one. Each sensor is fitted roughly beside one offset of all readings, the best ones in full. Of
-        sensors that the data do not tell apart, the one whose offset is nearest to whole rows is taken."""
+        """The most likely logger. Each sensor is fitted roughly with one offset of all readings, the best ones in full. Of
+        sensors that are not distinguishable, that with the offset nearest to whole rows is taken."""
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
-            return self._decided(start)
+            return self._logger_of(start)
         fits = [_SensorFit(self, *one, start, tied=True).solved(ROUGH) for one in self._hypotheses()]
         scores = _scores(fits)
         near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         scores = _scores(near)
         likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - EVIDENCE]
-        return self._decided(min(likely, key=_SensorFit.from_whole_rows))
+        return self._logger_of(min(likely, key=_SensorFit.from_whole_rows))
 
-    def _decided(self, fit: "_SensorFit") -> Logger:
-        """The logger that a fit with one offset shows, unless more freedom is worth its parameters."""
+    def _logger_of(self, fit: "_SensorFit") -> Logger:
+        """The logger of a fit with one offset, unless further parameters have very strong evidence."""
         if not self._delays:
             return Logger(sensor=fit.sensor, period=self._period)
         shared = fit.late(self._delays[0])
         freer = fit.tied or fit.with_delay != fit.free
         loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
         delayed = fit.worse_than(loose)
-        if delayed:  # the rig or the sensor has delays of its own
+        if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
         rows, std = shared.value / self._period, shared.std / self._period
         for value in (0.0, float(round(rows))):
@@ -198,13 +200,13 @@ class _Estimate:
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
     def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
-        """(sensor, which of its numbers are free, log-likelihood of the rows at which its values were renewed). A mark and an
-        encoder have no delay unless the data ask for one."""
+        """(sensor, its free parameters, log-likelihood of its renewal intervals). Marks and encoders have no delay without very
+        strong evidence."""
         declared = self._declared
         rows, turn = renewals(self._first)
-        usual = float(rows.mean()) if len(rows) else 1.0
-        # A telemetry that is faster than the rows shows no interval of its own.
-        renewed = {1.0, usual} if usual > FRESH else {1.0}
+        mean_interval = float(rows.mean()) if len(rows) else 1.0
+        # Telemetry that is faster than the rows is renewed in each row.
+        renewed = {1.0, mean_interval} if mean_interval > FRESH else {1.0}
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
         marks = [declared["marks_per_revolution"]] if "marks_per_revolution" in declared else MARKS
         every = [(SpeedSensor(kind), 1.0) for kind in kinds if kind == ENCODER]
@@ -220,16 +222,16 @@ class _Estimate:
             free = {"delay", "filter"} if sensor.kind == TELEMETRY else set()
             found.append((replace(sensor, **known), tuple(sorted(free - set(known))), renewal_score(rows, expected)))
         ((likeliest, expected), (*_, best)) = max(zip(every, found, strict=True), key=lambda pair: pair[1][-1])
-        if unexplained(likeliest.kind, rows, expected):  # no kind renews its values so: means over rows, for one
+        if unexplained(likeliest.kind, rows, expected):  # no kind has such intervals: means over rows, for example
             return [(sensor, free, 0.0) for sensor, free, _ in found]
         return [one for one in found if one[-1] > best - NEAR]
 
 
 class _SensorFit:
-    """The base model and the delays of its commands, fitted with one kind of sensor, whose `free` numbers are parameters too.
+    """The base model with delays of its commands, fitted with one kind of sensor, whose `free` parameters are fitted, too.
 
-    `sensor` None: to the thrust alone. `tied`: both commands have one delay. `held`: it is so many rows. `renewed`:
-    log-likelihood of the rows at which the sensor's values were renewed.
+    `sensor` None: fitted to the thrust alone. `tied`: both commands have the same delay. `held`: its fixed value, in rows.
+    `renewed`: log-likelihood of the renewal intervals of the sensor.
     """
 
     def __init__(
@@ -268,18 +270,18 @@ class _SensorFit:
 
     @property
     def with_delay(self) -> tuple[str, ...]:
-        """What is free where the sensor may have a delay too."""
+        """Free parameters if the sensor may have a delay, too."""
         return tuple(sorted({*self.free, "delay"})) if self.sensor.kind and "delay" not in self._of._declared else self.free
 
     @property
     def has_delay(self) -> bool:
-        """Whether the sensor is later than its standard error, and the time in which a value may have come, allow. A speed that
-        is read earlier than the thrust is a thrust that is read late, which is an effect of the list."""
+        """Whether the delay of the sensor exceeds its uncertainty: SIGNIFICANT standard errors, and the unknown instant of a
+        value. A negative delay is a late thrust reading, which is an effect of the library."""
         delay, std = self.estimate("delay")
         return delay > max(SIGNIFICANT * std, self.unknown_instant)
 
     def solved(self, limits: Sequence[int]) -> "_SensorFit":
-        """Fit in rounds of so many evaluations, the channels weighed by what each round leaves."""
+        """Fit in rounds with `limits` of evaluations; after each round, the channels are weighted by their residuals."""
         for limit in limits:
             found = solve(self._evaluate, self._x, self._lower, self._upper, CLOSE, limit)
             self._x, self._solution = found.value, found
@@ -298,7 +300,7 @@ class _SensorFit:
         return self
 
     def _whole(self, x: np.ndarray) -> np.ndarray:
-        """Coordinates of the problem at coordinates of the search."""
+        """Coordinates of the problem from those of the search."""
         own = np.empty(self._count)
         own[self._kept] = x[: len(self._kept)]
         if self._tied:
@@ -307,7 +309,7 @@ class _SensorFit:
 
     @property
     def unknown_instant(self) -> float:
-        """s: half the time within which the instant of a value is not known."""
+        """Half the time span within which the instant of a value is unknown, s."""
         return max((t.unknown for e in self._with(self.sensor).experiments for t in e.tachometers), default=0.0)
 
     def _with(self, sensor: SpeedSensor) -> Problem:
@@ -339,7 +341,7 @@ class _SensorFit:
         return residual, np.column_stack([jacobian, further])
 
     def score(self, rows: Sequence[tuple[int, int]]) -> float:
-        """Penalised log-likelihood, of the speed on these `rows` (record, row), the noise's variances unknown."""
+        """Penalised log-likelihood with unknown noise variances; that of the speed is on `rows` (record, row)."""
         count = len(self._x) * 0.5 * float(np.log(max(len(rows), len(self._problem.blocks[0].time))))
         total = self._thrust + self.renewed - count
         if not rows:
@@ -350,11 +352,11 @@ class _SensorFit:
 
     @property
     def rows(self) -> float:
-        """The offset of a fit with one, in rows."""
+        """The offset of a fit with one offset, in rows."""
         return self.late(*self._of._delays[:1]).value / self._of._period
 
     def from_whole_rows(self) -> float:
-        """By how much the offset differs from whole rows."""
+        """Distance of the offset from the nearest whole number of rows."""
         return abs(self.rows - round(self.rows))
 
     def worse_than(self, other: "_SensorFit") -> bool:
@@ -363,7 +365,7 @@ class _SensorFit:
         return its - own > EVIDENCE
 
     def estimate(self, *names: str) -> tuple[float, float]:
-        """(sum of parameters, its standard error) under white noise; of tied delays, that of the first."""
+        """(sum of parameters, its standard error) under white noise; tied delays go by the name of the first."""
         every = [*(self._problem.coordinates.names[k] for k in self._kept), *self.free]
         values = self.values | {n: getattr(self.sensor, n) for n in ("delay", "filter")}
         free = [k for k, active in enumerate(self._solution.active) if not active]
@@ -372,13 +374,13 @@ class _SensorFit:
         at = [free.index(every.index(n)) for n in names if n in every and every.index(n) in free]
         return sum(values[n] for n in names), float(np.sqrt(inverse[np.ix_(at, at)].sum()))
 
-    def late(self, *names: str, unknown: float = 0.0) -> "_Late":
-        """The sum of delays beyond what the records were moved by."""
+    def late(self, *names: str, unknown: float = 0.0) -> "_Delay":
+        """The sum of delays, minus the shift of the records."""
         value, std = self.estimate(*names)
-        return _Late(value - EARLIEST * self._of._period, std, unknown)
+        return _Delay(value - EARLIEST * self._of._period, std, unknown)
 
-    def shared(self) -> "_Late":
-        """What the delays of a fit in which each command has its own share."""
+    def shared(self) -> "_Delay":
+        """The common part of the delays, of a fit in which each command has a separate delay."""
         thrust = {u: self.late(f"{name}.delay") for u, name in DELAYS.items() if f"{name}.delay" in self._names}
         if not self.sensor.kind or "omega" not in thrust:
             return _offset(thrust, None, "")
@@ -386,9 +388,9 @@ class _SensorFit:
 
 
 @dataclass(frozen=True)
-class _Late:
-    """A delay [s] from a command to a reading, its standard error, and how much more or less of it may be the instant of the
-    reading, which is not `known`."""
+class _Delay:
+    """A delay [s] from a command to a reading, its standard error, and half the time span within which the instant of the
+    reading is `unknown`."""
 
     value: float
     std: float
@@ -397,25 +399,25 @@ class _Late:
     def differs_from(self, value: float) -> bool:
         return abs(self.value - value) > SIGNIFICANT * self.std + self.unknown
 
-    def agrees_with(self, other: "_Late") -> bool:
+    def agrees_with(self, other: "_Delay") -> bool:
         return (
             abs(self.value - other.value) <= SIGNIFICANT * float(np.hypot(self.std, other.std)) + self.unknown + other.unknown
         )
 
-    def with_(self, other: "_Late") -> "_Late":
-        """The mean, weighed by precision."""
+    def with_(self, other: "_Delay") -> "_Delay":
+        """Mean, weighted by precision."""
         a, b = (1.0 / (one.std + one.unknown + 1e-9) ** 2 for one in (self, other))
-        return _Late((a * self.value + b * other.value) / (a + b), float(1.0 / np.sqrt(a + b)))
+        return _Delay((a * self.value + b * other.value) / (a + b), float(1.0 / np.sqrt(a + b)))
 
 
-NONE = _Late(0.0, 0.0)
+NONE = _Delay(0.0, 0.0)
 
 
-def _offset(thrust: Mapping[str, _Late], reading: _Late | None, kind: str) -> _Late:
-    """What the delays of thrust, by commanded channel, and of the speed's `reading` share.
+def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str) -> _Delay:
+    """The common part of the delays of `thrust`, by commanded channel, and of the speed `reading`.
 
-    A logger moves all of them alike. A rig makes one of them later, and an overshoot of the thrust makes it earlier. A mark or
-    an encoder has no delay to speak of, telemetry may have any: there the two channels of thrust must agree.
+    A logger shifts all delays alike. A rig increases one of them; an overshoot of the thrust decreases it. Marks and encoders
+    have a negligible delay. Telemetry may have any: with it, the two delays of the thrust must agree.
     """
     own = list(thrust.values())
     if reading is None or kind == TELEMETRY:
@@ -437,7 +439,7 @@ def _offset(thrust: Mapping[str, _Late], reading: _Late | None, kind: str) -> _L
 
 
 def _scores(fits: Sequence[_SensorFit]) -> list[float]:
-    """Of each fit, on the rows of which all have a reading."""
+    """Score of each fit, on the rows at which all of them have a reading."""
     rows = sorted(set.intersection(*(set(f.speed) for f in fits)))
     return [f.score(rows) for f in fits]
 
@@ -447,10 +449,10 @@ def _as_modelled(record: Record) -> Record:
 
 
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """((intervals,) rows from one new value of the speed to the next, (intervals,) the rows that a revolution takes) between
-    values that each differ from the one before by FAST digits or more: equal ones in between are then the same value.
+    """((intervals,) renewal intervals of the speed in rows, (intervals,) rows per revolution).
 
-    A digit is the same at all speeds, or, of a timed period, goes with the square of the speed."""
+    Only values that differ from the previous one by at least FAST digits are used: equal values between them are then held
+    values. A digit is constant, or, for a timed period, proportional to the square of the speed."""
     shown = np.where(np.isfinite(record["omega"]), record["omega"], 0.0)
     changes = np.append(0.0, np.abs(np.diff(shown)))
     new = np.flatnonzero((changes > 0.0) & (shown > 0.0))
@@ -464,16 +466,16 @@ def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 def renewal_score(rows: np.ndarray, expected: np.ndarray | float) -> float:
-    """Log-likelihood of intervals (n,) in whole rows between new values that come `expected` rows apart, at any phase."""
-    return float(np.sum(np.log(np.maximum(1.0 - _away(rows, expected), STRAY))))
+    """Log-likelihood of renewal intervals (n,) in whole rows, for an `expected` interval in rows at unknown phase."""
+    return float(np.sum(np.log(np.maximum(1.0 - _difference(rows, expected), STRAY))))
 
 
-def _away(rows: np.ndarray, expected: np.ndarray | float) -> np.ndarray:
-    """Rows (n,) by which intervals differ from the expected ones: from 1 on no phase explains one."""
+def _difference(rows: np.ndarray, expected: np.ndarray | float) -> np.ndarray:
+    """Differences (n,) of intervals from the expected ones, in rows: no phase explains a difference of 1 or more."""
     return np.abs(rows - np.maximum(expected, 1.0))
 
 
 def unexplained(kind: str, rows: np.ndarray, expected: np.ndarray | float) -> bool:
-    """Whether more intervals between new values than STRAYS of a kind are unlike the `expected` ones, by a binomial test."""
-    strays = np.sum(_away(rows, expected) >= 1.0)
+    """Whether more renewal intervals than STRAYS of a kind differ from the `expected` ones, by a binomial test."""
+    strays = np.sum(_difference(rows, expected) >= 1.0)
     return bool(len(rows)) and float(binom.sf(strays - 1, len(rows), STRAYS[kind])) < UNLIKELY

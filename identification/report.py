@@ -1,4 +1,4 @@
-"""The report of an identification: what was found, how good it is, what it rests on."""
+"""The report of an identification: parameters, errors of prediction, tests, static map and step responses."""
 
 from identification.found_report import add_found
 from identification.gate.report import add_quality, quality_tile
@@ -16,7 +16,7 @@ from vpp_fmu.report.steps import step_responses
 
 
 def key_figures(found: Identification) -> list[tuple[str, str, str]]:
-    """(label, value, note) of what a reader must know first."""
+    """(label, value, note) of the figures of the first screen."""
     figures = [quality_tile(found.quality)] if found.quality else []
     for name in _shown(found):
         p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
@@ -31,10 +31,10 @@ def key_figures(found: Identification) -> list[tuple[str, str, str]]:
         note = f"adjusted R², {_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
         known = found.static.r2_adjusted
         figures.append(("static map", "–" if known is None else f"{known:.6f}", note))
-    untold = found.not_identifiable
-    names = {*found.uncertainty.names, *untold}
-    left_open = f"not: {', '.join(untold)}" if untold else "all that were asked for"
-    return [*figures, ("parameters told by the data", f"{len(names) - len(untold)} of {len(names)}", left_open)]
+    unidentified = found.not_identifiable
+    names = {*found.uncertainty.names, *unidentified}
+    note = f"not: {', '.join(unidentified)}" if unidentified else "all fitted parameters"
+    return [*figures, ("identifiable parameters", f"{len(names) - len(unidentified)} of {len(names)}", note)]
 
 
 def _newton(value: float | None) -> str:
@@ -42,21 +42,21 @@ def _newton(value: float | None) -> str:
 
 
 def remarks(found: Identification) -> list[str]:
-    """In sentences without their stop, what a reader must know of how far the result goes."""
+    """Limits of the result, as sentences without full stop."""
     missing = found.campaign.missing
-    lines = [f"missing, so what it would have told is left out: {', '.join(missing)}"] if missing else []
+    lines = [f"missing files, which are not used: {', '.join(missing)}"] if missing else []
     if not found.predictions:
-        told = " and ".join(n for n, there in (("steady points", found.static), ("steps", found.steps)) if there is not None)
-        lines.append(f"there is no record to fit or to judge by: the parameters are those of {told} alone")
+        sources = " and ".join(n for n, there in (("steady points", found.static), ("steps", found.steps)) if there is not None)
+        lines.append(f"there is no record to fit or to validate with: the parameters are those of {sources} alone")
         if found.steps is not None and found.static is None:
             lines.append("without steady points the lags are those of the thrust, not of speed and pitch behind it")
     elif not found.unseen:
-        lines.append("every record was fitted: nothing is left unseen, and nothing tells how well the model does elsewhere")
+        lines.append("all records were fitted: there is no hold-out record, and the error on other data is not known")
     return lines
 
 
 def _shown(found: Identification) -> list[str]:
-    """Records with a figure of their own: a repeat has the commands of the open loop, so its figure would be the same."""
+    """Records to show: all but a repeat of the open-loop record, whose figure would be the same."""
     return [name for name in found.predictions if name != "repeat" or "open_loop" not in found.predictions]
 
 
@@ -68,7 +68,7 @@ def identification_page(found: Identification) -> Page:
 
 
 def add_identification(page: Page, found: Identification) -> None:
-    """Tiles, figures and tables of an identification, onto a page."""
+    """Add tiles, figures and tables of an identification to a page."""
     page.tiles(key_figures(found))
     add_quality(page, found.quality)
     if lines := remarks(found):
@@ -88,15 +88,17 @@ def add_identification(page: Page, found: Identification) -> None:
 
 def _add_tests(page: Page, found: Identification) -> None:
     tests, outside = found.tests, found.tests.outside
-    title = f"The residual remembers itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
+    title = f"The residual correlates with itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
     page.figure(
         autocorrelation(tests.lags, tests.own, tests.band, title), f"Thrust residual of {found.fitted[0]}, means over 20 ms."
     )
     if tests.crossed:
         worst = max((n for n in outside if n != "itself"), key=outside.get)
-        title = f"Changes of {worst} show in the residual at {100 * outside[worst]:.0f} % of the lags; chance gives 5 %"
+        title = (
+            f"The residual is correlated with changes of {worst} at {100 * outside[worst]:.0f} % of the lags; chance gives 5 %"
+        )
         figure = cross_correlation(tests.lags, tests.crossed, tests.band, title)
-        page.figure(figure, "The residual against the changes of each command before it.")
+        page.figure(figure, "Correlation of the residual with earlier changes of each command.")
 
 
 def _add_steps(page: Page, found: Identification) -> None:
@@ -108,22 +110,22 @@ def _add_steps(page: Page, found: Identification) -> None:
             slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
             kept = sum(not run.reason for run in runs)
             lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
-            title = f"{kept} of {len(runs)} steps of {'speed' if channel == 'omega' else 'pitch'} count{lags}"
+            title = f"{kept} of {len(runs)} steps of {'speed' if channel == 'omega' else 'pitch'} are used{lags}"
             figure = step_responses(runs, title, unit, level, steps.delayed(channel))
             page.figure(figure, "Thrust as a share of the step; black: two lags through the static map.")
     rows = [(run.source.rsplit("/", 1)[-1], run.reason) for run in steps.outliers]
     if rows:
-        page.table(("run", "left out because"), rows, "Runs that tell nothing of the lags.")
+        page.table(("run", "reason"), rows, "Step responses that are not used.")
 
 
 def _record_figure(found: Identification, name: str):
     """(figure, caption) of a record beside its prediction."""
     p, noise = found.predictions[name], found.noise.std
     beside = f"; the noise alone is {_newton(noise)}"
-    used = "which it was fitted to" if name in found.fitted else "which it has never seen"
-    title = f"The model errs by {_newton(p.rmse_thrust)} on {name}, {used}{beside}"
+    used = "which was fitted" if name in found.fitted else "which no fit saw"
+    title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
     if p.rmse_thrust is None:
-        title = f"What the model predicts for {name}, which holds no thrust"
+        title = f"Prediction for {name}, which has no thrust"
     commands = {n: p.record[n] for n in ("omega_ref", "beta_ref")}
     figure = measured_against_predicted(
         *(p.record.time, p.record["thrust"], {"model": p.thrust}, title),
@@ -132,9 +134,9 @@ def _record_figure(found: Identification, name: str):
         band=found.bands[name],
     )
     share = found.coverage[name]
-    within = "Of" if share is None else f"{100 * share:.1f} % of"
-    held = f"{within} the readings of {name} lie in the band that is to hold 95 % of them"
-    return figure, f"{held}: what the parameters leave open, and what the fit left. {thinning(len(p.record))}"
+    within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
+    coverage = f"{within} the readings of {name} are within the 95 % prediction band"
+    return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
 
 
 def _add_sections(page: Page, found: Identification) -> None:
@@ -146,4 +148,4 @@ def _add_sections(page: Page, found: Identification) -> None:
             within = f"{100 * share:.1f}" if section == "all" and share is not None else ""
             rows.append((name, used, section, figures["rmse_thrust"], None if fit is None else f"{fit:.1f}", within))
     columns = ("record", "used", "section", "rmse [N]", "fit [%]", "readings in the 95 % band [%]")
-    page.table(columns, rows, "Thrust error by what is commanded.")
+    page.table(columns, rows, "Thrust error by moving command.")

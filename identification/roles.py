@@ -1,5 +1,4 @@
-"""What a record may be used for, kept apart by type: some are fitted and choose, the validation record only judges at the
-end."""
+"""The roles of records, distinguished by type: fitted records, and the hold-out record that is used only once."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A record that has passed the gate, which fits and choices may use."""
+    """A record that passed the gate, and may be used for fits and for the selection of models."""
 
     name: str
     record: Record
@@ -21,16 +20,16 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """A record that no fit and no choice may use: it is opened once, when the model stands."""
+    """A hold-out record: neither fits nor selection use it; it is used once, when the model is final."""
 
     name: str
     record: Record
 
 
 def roles(campaign: Campaign, more: Mapping[str, Record]) -> tuple[list[list[Fitted]], Unseen | None]:
-    """(fitted records, those of the same commands together; the unseen one) of what has passed the gate. BadInput without any.
+    """(fitted records, those of the same commands together; the unseen one) of a campaign that passed the gate.
 
-    A validation record that stands alone is fitted: there is nothing else.
+    A validation record is fitted if there is no other record. BadInput without any.
     """
     own = {"open_loop": campaign.open_loop, "repeat": campaign.repeat}
     fitted = {name: record for name, record in own.items() if record is not None} | dict(more)

@@ -1,6 +1,6 @@
-"""What a campaign tells without a record to fit: the map by its steady points, the lags by its step responses.
+"""Estimates of a campaign without a record to fit: the map from steady points, the lags from step responses.
 
-Nothing is fitted to both, so neither knows of the other: their covariances stand side by side.
+The two are estimated independently: the joint covariance is block diagonal.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ WORDS = {"omega": "speed", "beta": "pitch"}
 
 @dataclass(frozen=True)
 class Unrefined:
-    """`uncertainty` of what is told, and of all else why it is not: `not_identifiable`, by name."""
+    """`uncertainty` of the identifiable parameters; `not_identifiable`: the reason for each other one, by name."""
 
     uncertainty: Uncertainty
     not_identifiable: Mapping[str, str]
@@ -30,28 +30,28 @@ class Unrefined:
 def unrefined(
     campaign: Campaign, names: Sequence[str], values: Mapping[str, float], static: StaticFit | None, steps: StepSummary | None
 ) -> Unrefined:
-    """Of the parameters `names` at their `values`. BadInput where the campaign tells none of them."""
-    why = _untold_lags(steps) | _untold_coefficients(static)
-    told = tuple(name for name in names if name not in why)
-    if not told:
+    """Uncertainty of the parameters `names` at their `values`. BadInput if the campaign identifies none of them."""
+    why = _unidentified_lags(steps) | _unidentified_coefficients(static)
+    identified = tuple(name for name in names if name not in why)
+    if not identified:
         reasons = "; ".join(dict.fromkeys(why.values()))
-        raise BadInput(campaign.folder, "campaign", f"nothing that tells a parameter ({reasons})", _ENOUGH)
-    covariance = np.zeros((len(told), len(told)))
+        raise BadInput(campaign.folder, "campaign", f"no identifiable parameter ({reasons})", _SUFFICIENT)
+    covariance = np.zeros((len(identified), len(identified)))
     parts = [(pair(u), np.array(a.covariance)) for u, a in (steps.lags if steps else {}).items()]
     parts += [] if static is None else [(tuple(static.coefficients), static.covariance)]
     for own, known in parts:
-        kept = [k for k, name in enumerate(own) if name in told]
-        at = [told.index(own[k]) for k in kept]
+        kept = [k for k, name in enumerate(own) if name in identified]
+        at = [identified.index(own[k]) for k in kept]
         covariance[np.ix_(at, at)] = known[np.ix_(kept, kept)]
-    found = Uncertainty(told, np.array([values[n] for n in told]), covariance, np.ones(len(told)))
+    found = Uncertainty(identified, np.array([values[n] for n in identified]), covariance, np.ones(len(identified)))
     return Unrefined(found, {n: why[n] for n in names if n in why})
 
 
 def with_steps(fitted: Uncertainty, values: Mapping[str, float], steps: StepSummary | None) -> Uncertainty:
-    """A fit's uncertainty with that of lags that it leaves alone and the steps tell: no record moves the command."""
-    untold = _untold_lags(steps)
-    told = {pair(u): a for u, a in (steps.lags if steps else {}).items() if not {*fitted.names, *untold} & {*pair(u)}}
-    for own, average in told.items():
+    """A fit's uncertainty, with that of the lags of step responses whose command no record moves."""
+    unidentified = _unidentified_lags(steps)
+    added = {pair(u): a for u, a in (steps.lags if steps else {}).items() if not {*fitted.names, *unidentified} & {*pair(u)}}
+    for own, average in added.items():
         names, kept = (*fitted.names, *own), len(fitted.names)
         covariance = np.zeros((len(names), len(names)))
         covariance[:kept, :kept], covariance[kept:, kept:] = fitted.covariance, np.array(average.covariance)
@@ -67,10 +67,10 @@ def with_steps(fitted: Uncertainty, values: Mapping[str, float], steps: StepSumm
     return fitted
 
 
-_ENOUGH = "a record with time, omega_ref, beta_ref, thrust; or steady points; or steps"
+_SUFFICIENT = "a record with time, omega_ref, beta_ref, thrust; or steady points; or steps"
 
 
-def _untold_lags(steps: StepSummary | None) -> dict[str, str]:
+def _unidentified_lags(steps: StepSummary | None) -> dict[str, str]:
     why = {}
     for channel in CHANNELS:
         average = steps.lags.get(channel) if steps else None
@@ -78,7 +78,7 @@ def _untold_lags(steps: StepSummary | None) -> dict[str, str]:
             why |= dict.fromkeys(pair(channel), _no_lag(steps, channel))
         elif not average.apart:
             total = with_uncertainty(average.slow + average.fast, NORMAL_95 * average.std["sum"], "s")
-            why |= dict.fromkeys(pair(channel), f"the steps tell only the sum of both lags, {total}")
+            why |= dict.fromkeys(pair(channel), f"the steps identify only the sum of both lags, {total}")
     return why
 
 
@@ -86,13 +86,13 @@ def _no_lag(steps: StepSummary | None, channel: str) -> str:
     word = WORDS[channel]
     runs = [run for run in steps.runs if run.channel == channel] if steps else []
     if runs:
-        return f"no record to fit, and none of {len(runs)} steps of the {word} counts ({runs[0].reason})"
+        return f"no record to fit, and none of {len(runs)} steps of the {word} is usable ({runs[0].reason})"
     if steps and not steps.runs and steps.unreadable:
-        return f"no record to fit, and no run of steps is one ({next(iter(steps.unreadable.values()))})"
+        return f"no record to fit, and no usable step response ({next(iter(steps.unreadable.values()))})"
     return f"no record to fit, and no step of the {word}"
 
 
-def _untold_coefficients(static: StaticFit | None) -> dict[str, str]:
+def _unidentified_coefficients(static: StaticFit | None) -> dict[str, str]:
     if static is None:
         return dict.fromkeys(TERMS, "no record to fit, and no steady points")
-    return dict.fromkeys(static.untold, f"the {static.used.sum()} steady points tell only its combinations with others")
+    return dict.fromkeys(static.untold, f"the {static.used.sum()} steady points identify only its combinations with others")

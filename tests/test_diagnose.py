@@ -312,7 +312,7 @@ def test_a_refuted_effect_is_the_best_guess_with_its_size_and_what_speaks_agains
     shown = number(size.value, 2)
     label, value, note = key_figures(found)[-1]  # the command's last lines
     assert (label, shown in value, found.refuted in note) == ("best guess", True, True)
-    assert "next_experiment.csv tells it from the model without it" in note
+    assert "next_experiment.csv distinguishes it from the model without it" in note
     assert f"Best guess: {name} half_gap {shown}" in headline(found)
     assert f"Best guess: {name} half_gap {shown}" in diagnosis_page(found).html()
 

@@ -220,7 +220,7 @@ def test_an_error_rises_where_blocks_that_were_not_fitted_agree_on_it(after, wor
     assert error_increases([(time, 0.1 * rng.standard_normal(len(time)), after * rng.standard_normal(len(time)))]) is worse
 
 
-@pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error rises from 0.1 to 0.11 N"), (False, "")])
+@pytest.mark.parametrize(("partly", "told"), [(True, "cross-validated thrust error increases from 0.1 to 0.11 N"), (False, "")])
 def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(monkeypatch, partly, told):
     """Left-out thirds are worse by a tenth, in one of three blocks alone: no certainty."""
     time = np.arange(0.0, 15.0, 0.05)
@@ -485,7 +485,9 @@ def test_step_runs_ask_for_the_other_estimate_too(on_runs, chosen):
     assert validation._estimated(judge, None, estimate("present"), fit).name == chosen
 
 
-@pytest.mark.parametrize(("after", "told"), [(0.1001, "cross-validated thrust error rises from 0.1 to 0.1001 N"), (0.0999, "")])
+@pytest.mark.parametrize(
+    ("after", "told"), [(0.1001, "cross-validated thrust error increases from 0.1 to 0.1001 N"), (0.0999, "")]
+)
 def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, after, told):
     """Whatever the evidence, and however little: that it is so for certain is not asked for."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
@@ -494,7 +496,9 @@ def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, a
     assert validation._refuted(judge, present, estimate("base"), found, found, None) == told
 
 
-@pytest.mark.parametrize(("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error rises from 0.2 to 0.21 N")])
+@pytest.mark.parametrize(
+    ("as_it_ships", "told"), [(0.09, ""), (0.21, "cross-validated thrust error increases from 0.2 to 0.21 N")]
+)
 def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_predicts_better(monkeypatch, as_it_ships, told):
     """Of an actuator that latches the records tell little of the map: with the static map's word it is known."""
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
@@ -507,8 +511,8 @@ def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_pr
 @pytest.mark.parametrize(
     ("every", "rise", "told"),
     [
-        (2, 0.48, "thrust error of the step responses rises from 0.1 to 0.5 N"),
-        (20, 4.8, "thrust error of the step responses rises from 0.1 to 0.5 N"),
+        (2, 0.48, "thrust error of the step responses increases from 0.1 to 0.5 N"),
+        (20, 4.8, "thrust error of the step responses increases from 0.1 to 0.5 N"),
         (2, 0.01, ""),
     ],
 )

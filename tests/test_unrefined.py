@@ -84,7 +84,7 @@ def test_steps_alone_give_lags_and_say_of_what():
 
 def test_what_tells_nothing_is_refused_in_a_line():
     empty = campaign("paper", only())
-    with pytest.raises(BadInput, match="nothing that tells a parameter") as error:
+    with pytest.raises(BadInput, match="no identifiable parameter") as error:
         identify(empty)
     assert "\n" not in str(error.value)
     flat = campaign("paper", only("steps"))
@@ -102,7 +102,7 @@ def test_one_record_of_any_kind_is_fitted_and_nothing_is_called_unseen():
         assert found.fitted == (name,)
         assert found.unseen == ()
         assert np.abs(pulls(found, "paper")).max() < FAR
-        assert any("nothing is left unseen" in line for line in remarks(found))
+        assert any("no hold-out record" in line for line in remarks(found))
     found = identify(campaign("paper", only("open_loop", "validation")), starts=1)
     assert found.unseen == ("validation",)
     assert not any("unseen" in line for line in remarks(found))
@@ -114,7 +114,7 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     assert {"tau_beta_1", "tau_beta_2", "c21", "c12"} <= set(found.not_identifiable)
     assert found.not_identifiable["c21"] == "the data identify only its combination with c20"
     assert found.not_identifiable["c12"] == "the data identify only its combination with c11"
-    assert any(line.startswith("not told by these data: c21 (stays at ") for line in untold(found))
+    assert any(line.startswith("not identifiable from these data: c21 (stays at ") for line in untold(found))
     # The same record beside a whole grid: the map is then told, the pitch's lags are still not.
     whole_grid = gridded(np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5))
     found = identify(campaign("micro", recorded("wwx", (4.0, 4.0)), whole_grid), starts=1)
@@ -159,7 +159,7 @@ def test_a_page_without_a_record_has_values_and_no_prediction():
     page = identification_page(found).html()
     assert "How well the model predicts" not in page
     assert "The step responses" in page
-    assert ("parameters told by the data", "9 of 9", "all that were asked for") in key_figures(found)
+    assert ("identifiable parameters", "9 of 9", "all fitted parameters") in key_figures(found)
 
 
 def test_means_of_runs_scatter_as_their_covariance_says():

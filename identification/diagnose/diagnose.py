@@ -1,4 +1,4 @@
-"""Close the loop: residual, missing effect, augmented model, error before and after."""
+"""Diagnose a campaign: find the effects that the base model needs, add them, and compare the errors before and after."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -49,21 +49,20 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
 UNEXPLAINED = ("partly", "unexplained")
-"""Verdicts that leave something unexplained, and come with a best guess."""
+"""Verdicts with an unexplained lack of fit; a best guess is added."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a campaign's residual was traced to.
+    """Result of a diagnosis.
 
-    `quality`: what the gate found in the files, and in the fit of the identification. `logger`: the one that the records were
-    corrected for. `base`: the model without any further
-    effect, as it was identified. `final`: the one that ships. `given`: the model that was brought, as it was brought; None
-    where the campaign was identified first. `before`, `after`: what base and set lack. `held_out_before`, `held_out_after`:
-    cross-validation of the model before and of the one that ships. `unseen`: the validation record, opened when the model
-    stood. `refuted`: why what was found does not ship, in words; "" where it does. `attempt`: at a term of no list, where no
-    effect explains all. `best_guess`: the best candidate where something stays unexplained; None elsewhere, and where no
-    candidate is left.
+    `quality`: findings of the gate in the files, and in the fit of the identification. `logger`: the logger for which the
+    records are corrected. `base`: the identified model, without further effects. `final`: the exported model. `given`: the
+    given model before any fit; None if the campaign was identified first. `before`, `after`: lack of fit of the base and of the
+    selected set. `held_out_before`, `held_out_after`: cross-validation of base and final model. `unseen`: the validation
+    record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: to learn
+    a term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not explained; None
+    otherwise, or without candidates.
     """
 
     campaign: Campaign
@@ -93,33 +92,33 @@ class Diagnosis:
 
     @property
     def learned(self) -> Learned | None:
-        """The term of no list that ships."""
+        """The learned term of the final model."""
         return self.attempt.learned
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Effects that are there and do not ship, for nothing says that their start is another record's too."""
+        """Accepted effects that are not in the final model, because their start value is specific to a record."""
         if self.verdict not in CHANGED or self.refuted or self.learned:
             return ()
         return tuple(name for name in self.selection.final.effects if name not in self.final.effects)
 
     @property
     def fits(self) -> dict[str, Fit]:
-        """The models to show: before and after where effects ship, else the only one."""
+        """The models to show: before and after if effects are added, else the only one."""
         return {"before": self.base, "after": self.final} if self.final.effects else {"model": self.base}
 
     @property
     def shown(self) -> Record:
-        """The record to show: the unseen one where there is one, else the first that was fitted."""
+        """The record to show: the unseen one, else the first fitted one."""
         return self.unseen.record if self.unseen is not None else self.fitted[0].record
 
     @property
     def shown_name(self) -> str:
-        """Of the record to show."""
+        """Name of the record to show."""
         return self.unseen.name if self.unseen is not None else self.fitted[0].name
 
     def parameters(self, fit: Fit) -> ParameterSet:
-        """A fit's parameters as a set that exports; a channel's lags that nothing tells apart stand with the slower first."""
+        """A fit's parameters as a set for export; exchangeable lags of a channel have the slower one first."""
         source = {"made_by": "vpp diagnose", "campaign": self.campaign.folder.name, "verdict": self.verdict}
         first = self.fitted[0].record
         source |= {"record_seconds": float(first.time[-1]), "sample_period": first.period, "rig": self.rig.summary()}
@@ -129,24 +128,24 @@ class Diagnosis:
         return ParameterSet(exportable(fit.problem.model), source=source).replaced(values, std)
 
     def renamed(self, fit: Fit) -> dict[str, str]:
-        """Names that a fit's lags are written under, where they are not its own."""
+        """Names under which a fit's lags are written, if they differ from its own."""
         return agreed_order(fit.problem.model, fit.values, self.fitted[0].record)
 
     @property
     def std(self) -> dict[str, float | None]:
-        """Standard deviations of the parameters of the model that ships, under the names that they are written under."""
+        """Standard errors of the parameters of the final model, by the names under which they are written."""
         renamed = self.renamed(self.final)
         return {renamed.get(n, n): std for n, std in self.final.std().items()}
 
     @property
     def lag_order(self) -> dict[str, str]:
-        """For each channel, in words, what the order of its two lags rests on in the model that ships."""
+        """By channel, in words: how the order of its two lags in the final model is determined."""
         fit, record = self.final, self.fitted[0].record
         free = {u: exchangeable(fit.problem.model, fit.values, record, u) for u in CHANNELS}
-        return {u: "exchangeable, the slower first" if same else "told by the data" for u, same in free.items()}
+        return {u: "exchangeable, the slower first" if same else "identified from the data" for u, same in free.items()}
 
     def prediction(self, fit: Fit, record: Record) -> Prediction:
-        """A fit's open-loop response to a record."""
+        """Open-loop response of a fit to a record."""
         return predict(fit.problem.model, fit.values, record)
 
     def errors(self, fit: Fit) -> tuple[float, float | None]:
@@ -154,12 +153,12 @@ class Diagnosis:
         if self.unseen is not None:
             shown = self.prediction(fit, self.unseen.record)
             return shown.rmse_thrust, shown.rmse_omega
-        held = self.held_out_before if fit is self.base else self.held_out_after
-        return held.rmse_thrust, held.rmse_omega
+        held_out = self.held_out_before if fit is self.base else self.held_out_after
+        return held_out.rmse_thrust, held_out.rmse_omega
 
     @property
     def explained(self) -> float | None:
-        """Share of the thrust error beyond the noise that the final model removes, by `errors`; None where there is none."""
+        """Share of the mean square thrust error beyond the noise that the final model removes; None if there is none."""
         before, after = (self.errors(fit)[0] ** 2 for fit in (self.base, self.final))
         beyond = before - self.noise.floor**2
         return (before - after) / beyond if self.final.effects and beyond > 0.0 else None
@@ -178,18 +177,18 @@ def diagnose(
     accept: Iterable[str] = (),
     thorough: bool = True,
 ) -> Diagnosis:
-    """Trace a campaign's residual to what the model lacks. `stage` is told what begins.
+    """Find the effects that the model of a campaign needs. `stage` is called with the name of each stage.
 
-    The model is identified from the campaign first, or it is `given`, its effects part of the base. Fitted are the open-loop
-    record, its repeat and further `records`; the validation record is opened when the model stands. `smallest` [N],
-    `smallest_speed` [rpm]: least sizes of interest. `thorough`: where what was tried leaves something, more candidates are
-    refitted, and a term of no list is looked for. BadInput where the campaign has no record to fit.
+    The model is identified from the campaign first, or it is `given`, its effects part of the base. The open-loop record, its
+    repeat and further `records` are fitted; the validation record is used only after the model is final. `smallest` [N],
+    `smallest_speed` [rpm]: minimum sizes of interest. `thorough`: if lack of fit remains, more candidates are refitted, and a
+    term of unknown form is learned. BadInput if the campaign has no record to fit.
 
-    The logger is estimated first, beside the base model. A missing effect may bias that estimate: where effects are found
-    beside a logger that is not the contract's, it is estimated once more beside them, and if it differs, the campaign is
+    The logger is estimated first, beside the base model. A missing effect may bias this estimate. So if effects are found
+    beside a logger that differs from the contract's, it is estimated again beside them. If it differs, the campaign is
     diagnosed with it, too.
     """
-    # The fits run side by side: threads in each would only fight.
+    # The fits run in parallel, each with one thread of linear algebra.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         stage("quality")
         gate = passed(campaign, records, accept)
@@ -222,7 +221,7 @@ def _diagnosed(
     thorough: bool,
     gate: Passed,
 ) -> Diagnosis:
-    """The diagnosis of a campaign whose records have passed the `gate`, corrected for its logger."""
+    """Diagnose a campaign whose records passed the `gate`, corrected for its logger."""
     stage("identify")
     groups, unseen = roles(gate.campaign, gate.further)
     fitted = tuple(one for group in groups for one in group)
@@ -236,8 +235,8 @@ def _diagnosed(
     searcher, base = prepared(groups, at, options, pool)
     judge = Judge(searcher, base, smallest, gate.campaign.steps)
     searcher.base_score_gain = judge.lack(base).score.gain
-    stage("what can be told apart")
-    told_apart = distinguishability(base, options, at.library, pool.map)
+    stage("distinguishable effects")
+    distinguishable = distinguishability(base, options, at.library, pool.map)
     give_back()
 
     def clearer(judge: Judge, fit: Fit) -> Judge | None:
@@ -259,10 +258,10 @@ def _diagnosed(
     ):
         (selection, after, final), refuted = others, ""
         word = verdict(base, selection.final, before, after, selection.family)
-    lacks = before if refuted else after
-    word = unnamed(before) if refuted else word  # what was found is not it
+    lack = before if refuted else after
+    word = unnamed(before) if refuted else word
     attempt = Attempt()
-    if thorough and word in UNEXPLAINED and lacks.significant:
+    if thorough and word in UNEXPLAINED and lack.significant:
         besides = [base, selection.final] if word == "partly" else [base]
 
         def learned_beside(beside: Fit) -> Attempt:
@@ -292,7 +291,7 @@ def _diagnosed(
         verdict=word,
         before=before,
         after=after,
-        distinguishability=told_apart,
+        distinguishability=distinguishable,
         location=locate([one.record for one in groups[0]], shown.thrust, shown.omega, shown.beta),
         experiment=experiment,
         final=final,
@@ -312,24 +311,24 @@ def _learned(
     present: Fit,
     shipped: Callable[[Fit, Fit, Fit], tuple[Fit, str]],
 ) -> tuple[Attempt, Fit]:
-    """(the attempt at a term of no list, what ships: the `present` model where none stands).
+    """(attempt to learn a term; final model: the `present` one if no term is accepted).
 
-    Effects of the list that explain a part only may be what a wrong list makes of one effect that it lacks: so a term is
-    looked for beside the base first, where it must explain more than they do, with less, and leave nothing; then beside them.
-    Where a term leaves something, and one of another place or driver explains as much, neither is known to be what is there:
-    it predicts what was fitted, and nobody knows what it does elsewhere.
+    Effects that explain only a part may approximate one effect outside the library. So a term is learned beside the base first:
+    it must have more evidence than they have and leave no lack of fit. Then a term is learned beside them. If lack of fit
+    remains, and a term of another port or driver explains as much, both are rejected: they fit these records, but do not
+    extrapolate.
     """
     known, attempt = besides[-1], Attempt()
     for beside in besides:
         attempt = learned_beside(beside)
         if not attempt.learned:
             continue
-        term, leaves = attempt.learned.term.fit, judge.lack(attempt.learned.term.fit).significant
-        if beside is not known and (evidence_over(term, known) <= MIN_EVIDENCE or leaves):
-            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} of the list explains as much, or not all is explained")
+        term, lack_remains = attempt.learned.term.fit, judge.lack(attempt.learned.term.fit).significant
+        if beside is not known and (evidence_over(term, known) <= MIN_EVIDENCE or lack_remains):
+            attempt = attempt.but_refuted(f"{' + '.join(known.effects)} explains as much, or lack of fit remains")
             continue
-        if leaves and attempt.learned.elsewhere:
-            attempt = attempt.but_refuted("it does not explain all, and a term of another place or driver explains as much")
+        if lack_remains and attempt.learned.elsewhere:
+            attempt = attempt.but_refuted("lack of fit remains, and a term at another port or driver explains as much")
             continue
         final, why = shipped(present, beside, term)
         if not why:
@@ -339,14 +338,14 @@ def _learned(
 
 
 def _timed(at: InitialModel, final: Fit) -> Rig:
-    """The rig with the time scale of the model that ships: what was missing may have bent the lags of the identification."""
+    """The rig with the time scale of the final model: the missing effects may have biased the identified lags."""
     steps = at.identification.steps if at.identification else None
-    told = off_bounds(final.problem.model, final.values, at.first, steps)
-    return at.rig.timed(slowest(told, at.names))
+    values = off_bounds(final.problem.model, final.values, at.first, steps)
+    return at.rig.timed(slowest(values, at.names))
 
 
 def _with(selection: Selection, learned: Learned) -> Selection:
-    """A selection whose final set is that beside which a term was learned, and the term."""
+    """A selection whose final set is the learned term and the effects beside which it was learned."""
     kept, name = learned.beside.effects, learned.term.effect.name
     judgements = {n: j for n, j in selection.judgements.items() if n in kept} | {name: learned.judgement}
     rivals = {n: fits for n, fits in selection.rivals.items() if n in kept}

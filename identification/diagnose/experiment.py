@@ -1,8 +1,8 @@
-"""A discriminating experiment, as a record of commands: a minute and a half for a rig of the paper's time scale.
+"""A discriminating experiment, as a record of commands: 90 s for a rig of the paper's time scale.
 
-Each part asks what another can't answer: small stairs and reversals for dead bands and play, two amplitudes of the same
-spectrum for anything nonlinear in size, full steps for limits, slow sections for drift, holds at rest for offsets. Where the
-pitch is fixed, the speed is asked the same.
+Each section excites other effects: small stairs and reversals excite dead bands and play; one spectrum at two amplitudes,
+nonlinearities; full steps, limits; slow sections, drift; holds, offsets. If the pitch is fixed, the speed gets the sections of
+the pitch.
 """
 
 from collections.abc import Sequence
@@ -16,19 +16,19 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig, rounded
 
 LONGEST = 0.04
-"""Time scales between commands that still draw the fastest moves: five a period of a multisine's highest line at least."""
+"""Maximum sampling period of commands, in time scales: at least five samples per period of a multisine's highest line."""
 
 STAIRS = (0.02, 0.05, 0.1, 0.2)
-"""Sizes of the stairs' steps, in shares of the range."""
+"""Heights of the stairs, as shares of the range."""
 
 AMPLITUDES = (0.075, 0.3)
-"""Of the two multisines, in shares of the range."""
+"""Amplitudes of the two multisines, as shares of the range."""
 
 LINES, BAND = 14, (0.075, 3.0)
-"""Lines of a multisine and the band that they are spread over, in lines a time scale: 0.15 to 6 Hz for the paper's rig."""
+"""Lines of a multisine, and their band in cycles per time scale: 0.15 to 6 Hz for the paper's rig."""
 
 SLOWEST = 40.0
-"""Time scales that a full step may take at most where a slew draws it out."""
+"""Maximum duration of a full step with a slew limit, in time scales."""
 
 REVERSALS = (0.7, 1.6, 3.0)
 """Time scales after which a doublet reverses: before, about, and after the rig has settled."""
@@ -36,7 +36,7 @@ REVERSALS = (0.7, 1.6, 3.0)
 
 @dataclass(frozen=True)
 class Clock:
-    """Rows of `step` s that so many time scales of `unit` s take: of a move, and of a `section`."""
+    """Converts a number of time scales of `unit` s to rows of `step` s: for a move, and for a `section`."""
 
     unit: float
     step: float
@@ -49,9 +49,9 @@ class Clock:
 
 
 def discriminating_experiment(rig: Rig, seed: int = 0, period: float | None = None) -> Record:
-    """Commands `time` [s], `omega_ref` [rpm], `beta_ref` [deg] that the rig may be given; run it twice.
+    """Commands `time` [s], `omega_ref` [rpm], `beta_ref` [deg] within the limits of the rig; to be run twice.
 
-    `period` s: how the rig is sampled, for the time between commands.
+    `period` s: the sampling period of the rig.
     """
     unit, rng = rig.scales.time_scale, np.random.default_rng(seed)
     step = period if period and period <= LONGEST * unit else rounded((LONGEST if period else STEP) * unit)
@@ -65,8 +65,8 @@ def discriminating_experiment(rig: Rig, seed: int = 0, period: float | None = No
 
 
 def _sections(rng, clock: Clock, speed: bool, pitch: bool, travel: float) -> list[np.ndarray]:
-    """The sections (rows, 2) in shares of the ranges; `speed`, `pitch`: whether these move at all; `travel`: time scales that
-    the speed's slew takes from end to end."""
+    """The sections (rows, 2) as shares of the ranges. `speed`, `pitch`: whether they may move; `travel`: duration of a slew of
+    the speed over its range, in time scales."""
     rest = _section(clock.section(6.0), 0.0, 0.5)
     if not speed and not pitch:
         return [rest]
@@ -103,7 +103,7 @@ def _random_steps(rng, clock: Clock, rows: int) -> np.ndarray:
 
 
 def _stairs(rows: int) -> np.ndarray:
-    """About the middle, up and down by each of STAIRS."""
+    """Stairs about the middle, up and down by each of STAIRS."""
     levels = [0.5]
     for size in STAIRS:
         levels += [0.5 + size * k for k in (1, 2, 1, 0, -1, 0)]
@@ -111,7 +111,7 @@ def _stairs(rows: int) -> np.ndarray:
 
 
 def _multisine(rng, clock: Clock, rows: int) -> np.ndarray:
-    """Equal power a line, random phases, peak 1."""
+    """Multisine with equal power per line, random phases, peak 1."""
     lines = np.geomspace(*BAND, LINES) / clock.unit
     t = np.arange(rows) * clock.step
     wave = np.sin(2 * np.pi * np.outer(t, lines) + rng.uniform(0, 2 * np.pi, LINES)).sum(axis=1)
@@ -119,7 +119,7 @@ def _multisine(rng, clock: Clock, rows: int) -> np.ndarray:
 
 
 def _doublets(clock: Clock, rows: int) -> np.ndarray:
-    """About the middle, 0.2 up and down, held for each of REVERSALS; over and over."""
+    """Repeated doublets about the middle, 0.2 up and down, held for each of REVERSALS."""
     once = []
     for hold in REVERSALS:
         once += [0.7] * clock.move(hold) + [0.3] * clock.move(hold) + [0.5] * clock.move(1.0)
@@ -127,5 +127,5 @@ def _doublets(clock: Clock, rows: int) -> np.ndarray:
 
 
 def _held(levels: Sequence[float], rows: int) -> np.ndarray:
-    """(rows,) the levels one after another, each as long."""
+    """The levels in sequence (rows,), each equally long."""
     return np.asarray(levels)[np.arange(rows) * len(levels) // rows]

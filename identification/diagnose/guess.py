@@ -1,7 +1,6 @@
-"""The best guess where something is unexplained: the best candidate, its size, and what speaks against it.
+"""The best guess if the lack of fit is not explained: the best candidate, its size, and why it is not accepted.
 
-It changes nothing that ships. It says which candidate comes nearest, and how far the next experiment would separate it from its
-strongest rival.
+It does not change the exported model. It also says how far the next experiment separates it from its best rival.
 """
 
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True)
 class Size:
-    """A parameter of an effect: `std` is its standard error, None where the records leave it open."""
+    """A parameter of an effect; `std`: its standard error, None if not identifiable."""
 
     effect: str
     name: str
@@ -33,13 +32,12 @@ class Size:
 
 @dataclass(frozen=True)
 class Guess:
-    """The best candidate, beside the effects `beside` that are accepted already.
+    """The best candidate, beside the accepted effects `beside`.
 
-    `effects`: its names, more than one where a whole set is refuted. `evidence`: its penalised log-likelihood ratio.
-    `explains`: share of the lack of fit that it would remove; `most`: the largest such share of any refitted candidate.
-    `against`: why it is not accepted. `rival`: the next best candidate, "" where there is none and the model without the guess
-    takes its place. `here`, `there` [N]: rms by which the thrusts of the two differ on the fitted record and on the next
-    experiment.
+    `effects`: its names; several if a whole set is refuted. `evidence`: its penalised log-likelihood ratio. `explains`: share
+    of the lack of fit that it removes; `most`: the largest such share of any refitted candidate. `against`: why it is not
+    accepted. `rival`: the next best candidate; "" if there is none: the model without the guess. `here`, `there` [N]: rms
+    difference of their thrusts on the fitted record and on the next experiment.
     """
 
     effects: tuple[str, ...]
@@ -55,7 +53,7 @@ class Guess:
 
     @property
     def near(self) -> bool:
-        """Whether it would remove more than MAJORITY of the lack of fit; else no candidate comes near."""
+        """Whether it removes more than MAJORITY of the lack of fit."""
         return self.explains > MAJORITY
 
 
@@ -68,10 +66,10 @@ def best_guess(
     tried: Callable[[], Tried],
     experiment: Record,
 ) -> Guess | None:
-    """The best guess at what is still missing; None where no candidate is left.
+    """The best guess at the missing effect; None without candidates.
 
-    `lacks`: of the base and of the selected set. `refuted`: why that set does not ship, "" where nothing refutes it. `partly`:
-    it ships, and a guess is made at the rest. `tried()`: the candidates beside what is accepted, the best first.
+    `lacks`: lack of fit of the base and of the selected set. `refuted`: why that set is refuted, else "". `partly`: the set is
+    used, and the guess is for the remaining lack of fit. `tried()`: candidates beside the accepted effects, the best first.
     """
     before, after = lacks
     base, final = judge.base, selection.final
@@ -79,7 +77,7 @@ def best_guess(
         explains = share_explained(base, final, before, after)
         against = (
             refuted
-            or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, {100.0 * MAJORITY:.0f} % are asked for"
+            or f"it removes {100.0 * max(explains, 0.0):.0f} % of the lack of fit, the minimum is {100.0 * MAJORITY:.0f} %"
         )
         return _guess(base, final, (explains, explains), (against,), ("", base), experiment)
     beside, missing = (final, after) if partly else (base, before)
@@ -92,10 +90,10 @@ def best_guess(
         return share_explained(beside, fit, missing, judge.lack(fit))
 
     explains = most = explained(fit)
-    if explains <= MAJORITY:  # else nobody asks for the most
+    if explains <= MAJORITY:  # else `most` is not shown
         most = max(explains, *(explained(other) for _, other, _ in others), 0.0)
-    limit = f"a diagnosis names {MOST} effects at most"
-    against = judged().refused or ((limit,) if len(beside.effects) >= MOST else ("beside it another effect is dropped again",))
+    limit = f"a diagnosis accepts at most {MOST} effects"
+    against = judged().refused or ((limit,) if len(beside.effects) >= MOST else ("it makes an accepted effect superfluous",))
     rival = next(((other, its) for other, its, _ in others if other != name), ("", beside))
     return _guess(beside, fit, (explains, most), against, rival, experiment)
 
@@ -110,12 +108,12 @@ def _guess(
         sizes += [Size(effect.name, p.name, fit.values[n := effect.full(p.name)], p.unit, std.get(n)) for p in free]
     explains, most = (float(np.clip(share, 0.0, 1.0)) for share in shares)
     record = fit.problem.experiments[0].record
-    here, there = (_apart(fit, rival[1], one) for one in (record, experiment))
+    here, there = (_thrust_difference(fit, rival[1], one) for one in (record, experiment))
     evidence = float(evidence_over(fit, beside))
     return Guess(own, tuple(beside.effects), tuple(sizes), evidence, explains, most, against, rival[0], here, there)
 
 
-def _apart(one: Fit, other: Fit, record: Record) -> float:
-    """N, rms: by how much the thrusts differ that two fits predict."""
+def _thrust_difference(one: Fit, other: Fit, record: Record) -> float:
+    """Rms difference [N] of the thrusts that two fits predict."""
     shown = [predict(fit.problem.model, fit.values, record).thrust for fit in (one, other)]
     return float(np.sqrt(np.mean((shown[0] - shown[1]) ** 2)))

@@ -1,8 +1,7 @@
-"""Where a diagnosis starts: at an identification of the campaign, or at a model that someone brings.
+"""The initial model of a diagnosis: an identification of the campaign, or a given model.
 
-A model that is brought has its own effects; they become part of the base, which no candidate replaces and nothing drops.
-Its smooth parameters are fitted to the campaign all the same: else an effect would be credited with what stale parameters
-cost. Thresholds and forms stay as they are given.
+The effects of a given model become part of the base: they are neither replaced nor dropped. Its smooth parameters are fitted to
+the campaign: else effects would compensate outdated parameters. Its thresholds and forms are not changed.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,31 +38,31 @@ from vpp_fmu.rig import Rig
 
 @dataclass(frozen=True)
 class AlwaysOn(Effect):
-    """An optional effect that a base model has for good; its parameters keep their names. `origin`: as the library has it."""
+    """An optional effect as a permanent part of the base; its parameters keep their names. `origin`: the library effect."""
 
     origin: Effect | None = None
 
     def full(self, name: str) -> str:
-        """As of the optional effect."""
+        """The full name, as for the optional effect."""
         return f"{self.name}.{name}"
 
 
 def always_on(effect: Effect) -> AlwaysOn:
-    """The effect as part of every model that is built from a library."""
+    """The effect as part of each model that is built from a library."""
     own = {f.name: getattr(effect, f.name) for f in fields(Effect)}
     return AlwaysOn(**{**own, "off": None}, origin=effect)
 
 
 def exportable(model: Model) -> Model:
-    """The model with the library's own effects: what is always on is then an effect like any other."""
+    """The model with the library's effects in place of those that are always on."""
     return replace(model, effects=tuple(e.origin if isinstance(e, AlwaysOn) else e for e in model.effects))
 
 
 @dataclass(frozen=True)
 class InitialModel:
-    """Library, sized for the `rig`, and free base parameters of a search; the `refinement` to start from, with its
-    `uncertainty`, and the values before any fit (`first`); what the steady points tell, None where there are none;
-    `noise` of one thrust reading; `identification` where all this is from one."""
+    """The library, scaled for the `rig`, and the `names` of the free base parameters. `refinement`: start values, with their
+    `uncertainty`; `first`: values before any fit; `knowledge`: the prior from the steady points, None without any; `noise`: of
+    one thrust reading; `identification`: the source of all this, None for a given model."""
 
     library: tuple[Effect, ...]
     names: tuple[str, ...]
@@ -77,12 +76,12 @@ class InitialModel:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Where a search starts."""
+        """Start values of a search."""
         return self.refinement.values
 
 
 def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effect], seed: int) -> InitialModel:
-    """Start at what an identification of the campaign, and of further records, finds; `gate`: what may be used of them."""
+    """Identify the campaign, with further records, to start from; `gate`: the records that passed."""
     found = identify(campaign, seed=seed, gate=gate)
     names = tuple(found.refinement.names)
     rig, knowledge = found.parameters.rig, _knowledge(gate.campaign, found.static, found.parameters.values)
@@ -92,12 +91,14 @@ def from_identification(campaign: Campaign, gate: Passed, library: Iterable[Effe
 
 
 def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect], fitted: Sequence[Record]) -> InitialModel:
-    """Start at a given model, fitted to the `fitted` records. BadInput where a record lacks an input that the model needs."""
+    """Fit a given model to the `fitted` records, to start from. BadInput if a record has no column for one of its inputs."""
     kept = given.model.optional
     for name in (u.name for e in given.model.effects for u in e.inputs if not u.clock):
         for record in (campaign.open_loop, campaign.repeat, campaign.validation):
             if record is not None and name not in record:
-                raise BadInput(record.source, f"column {name}", "no such column", f"what {', '.join(kept)} of the model needs")
+                raise BadInput(
+                    record.source, f"column {name}", "no such column", f"a column for each input of {', '.join(kept)}"
+                )
     library = tuple(always_on(e) if e.name in kept else e for e in sized(library, given.rig.scales))
     model = plant((), library)
     own = [
@@ -116,7 +117,7 @@ def from_given(campaign: Campaign, given: ParameterSet, library: Iterable[Effect
 
 
 def _knowledge(campaign: Campaign, static: StaticFit | None, scales: Mapping[str, float]) -> Knowledge | None:
-    """What the steady points tell, normalised by these `scales`."""
+    """The prior from the steady points, normalised by `scales`."""
     return AtRest(campaign.static, static, scales) if static is not None else None
 
 
@@ -128,10 +129,10 @@ def prepared(groups: Sequence[Sequence[Fitted]], at: InitialModel, options: Sequ
     """(searcher with the experiments, base fitted to them).
 
     Without a repeat record the noise colour is estimated again from the residual of the most promising candidate: in the
-    residual of the base a missing effect passes for noise.
+    residual of the base, a missing effect is counted as noise.
     """
     noise = _noise(groups, plant((), at.library), at.values, at.names, at)
-    searcher, base = _based(groups, at, noise, at.values)
+    searcher, base = _fitted_base(groups, at, noise, at.values)
     if noise.verified:
         return searcher, base
     ranked = screened(searcher, base, options, pool)[:CLEARING]
@@ -152,12 +153,12 @@ def with_lower_noise(
     found = _noise(groups, fit.problem.model, fit.values, fit.problem.coordinates.names, at)
     if not found.clearer_than(noise):
         return None
-    again, base = _based(groups, at, found, base.values)
+    again, base = _fitted_base(groups, at, found, base.values)
     again.points, again.base_score_gain = searcher.points, searcher.base_score_gain
     return again, base
 
 
-def _based(
+def _fitted_base(
     groups: Sequence[Sequence[Fitted]], at: InitialModel, noise: Noise, values: Mapping[str, float]
 ) -> tuple[Searcher, Fit]:
     """(searcher on experiments with this noise, base fitted to them)."""
@@ -168,30 +169,30 @@ def _based(
         return searcher, searcher.fit((), {}, (), values)
 
     searcher, base = fitted(values, WIDEST)
-    if at.knowledge and (told := base.told(at.knowledge)):
-        searcher, base = fitted(base.values, disagreement(told, base.uncertainty))
+    if at.knowledge and (prior := base.told(at.knowledge)):
+        searcher, base = fitted(base.values, disagreement(prior, base.uncertainty))
     return searcher, base
 
 
 def _noise(
     groups: Sequence[Sequence[Fitted]], model: Model, values: Mapping[str, float], names: Sequence[str], at: InitialModel
 ) -> Noise:
-    """Noise from the differences of repeated records; without any, from the residual of a model with fitted `names`, regressed
-    on shapes of the commands and trends: a filter that took those for noise would hide a missing effect."""
+    """Noise from the differences of repeated records; without any, from the residual of a model with fitted `names`, after a
+    regression on shapes of the commands and trends: counted as noise, they would hide a missing effect."""
     block, std = at.rig.scales.time_scale / BLOCKS_A_TIME, at.noise.std
     group = max(groups, key=len)
     if len(group) < 2:
-        return _noise_left(group[0], model, values, names, block, std)
+        return _noise_of_residual(group[0], model, values, names, block, std)
     outputs = Simulator(model).simulate(values, *group[0].record.run)
     errors = [outputs[:, 0] - one.record["thrust"] for one in group]
     share = np.sqrt(len(group) / (len(group) - 1.0))
     errors = [(e - np.mean(errors, axis=0)) * share for e in errors]
-    (first, one), *others = [_heard(one.record, outputs[:, 1]) for one in group]
+    (first, one), *others = [_speed_residual(one.record, outputs[:, 1]) for one in group]
     between = [(one - np.interp(first.times, sensor.times, other)) / np.sqrt(2.0) for sensor, other in others if len(other)]
     return noise_from(group[0].record, errors, between if len(one) else [], block, SLOW, std, verified=True)
 
 
-def _noise_left(
+def _noise_of_residual(
     one: Fitted, model: Model, values: Mapping[str, float], names: Sequence[str], block: float, std: float
 ) -> Noise:
     """Noise from the residual of a single record."""
@@ -199,22 +200,22 @@ def _noise_left(
     white = replace(independent(1.0), block=block)
     outputs, fitted = Experiment([one], white).sensitivities(Simulator(model, names), values)
     error = outputs[:, 0] - record["thrust"]
-    moved = np.zeros((len(mean(error)), len(names)))
-    moved[np.isfinite(mean(error))] = fitted["thrust"]
-    error, taken = regress_out(lambda: thrust_shapes(values, record, outputs), mean, error, moved)
-    sensor, residual = _heard(record, outputs[:, 1])
-    heard = None
+    sensitivities = np.zeros((len(mean(error)), len(names)))
+    sensitivities[np.isfinite(mean(error))] = fitted["thrust"]
+    error, removed = regress_out(lambda: thrust_shapes(values, record, outputs), mean, error, sensitivities)
+    sensor, residual = _speed_residual(record, outputs[:, 1])
+    speed_removed = None
     if len(residual):
 
-        def heard_shapes() -> Iterator[np.ndarray]:
+        def shapes_at_sensor() -> Iterator[np.ndarray]:
             return (sensor.shows(s) / sensor.std for s in speed_shapes(values, record, outputs))
 
-        residual, heard = regress_out(heard_shapes, lambda readings: readings, residual, fitted["omega"])
-    return noise_from(record, [error], [residual], block, SLOW, std, verified=False, taken=(taken, heard))
+        residual, speed_removed = regress_out(shapes_at_sensor, lambda readings: readings, residual, fitted["omega"])
+    return noise_from(record, [error], [residual], block, SLOW, std, verified=False, taken=(removed, speed_removed))
 
 
-def _heard(record: Record, omega: np.ndarray) -> tuple[Tachometer | None, np.ndarray]:
-    """(sensor, residual in units of its uncertainty) of a record's speed readings; none where it has none."""
+def _speed_residual(record: Record, omega: np.ndarray) -> tuple[Tachometer | None, np.ndarray]:
+    """(sensor, residual in units of its uncertainty) of a record's speed readings; empty without readings."""
     if "omega" not in record:
         return None, np.zeros(0)
     sensor = Tachometer(record)

@@ -1,4 +1,4 @@
-"""Where an error lives that no known effect explains: band, section, input, size of the move, strongest correlate."""
+"""Locate an unexplained error: frequency band, section, input, and the signal of strongest correlation."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,16 +10,16 @@ from identification.fit.noise import blocks
 from vpp_fmu.record import Record
 
 RATE = 0.02
-"""Means over this many seconds; the bands below end well under their Nyquist frequency."""
+"""Seconds of the block means, whose Nyquist frequency is not below the bands."""
 
 BANDS = ((0.0, 0.2), (0.2, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 25.0))
 
 WEAK = 0.2
-"""Correlation below which an error goes with neither command."""
+"""Correlation below which an error is assigned to neither command."""
 
 
 def locate(records: Sequence[Record], thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> dict:
-    """Description of the repeatable error of a prediction (rows,) [N], [rpm], [deg] of records of the same commands."""
+    """Describe the repeatable error of a prediction (rows,) [N], [rpm], [deg], of records of the same commands."""
     record, repeat = records[0], records[1] if len(records) > 1 else None
     at = blocks(record, RATE)
     error = at.mean(record["thrust"] - thrust)
@@ -47,14 +47,14 @@ def locate(records: Sequence[Record], thrust: np.ndarray, omega: np.ndarray, bet
 
 
 def _correlation(error: np.ndarray, signal: np.ndarray) -> float:
-    """Where there is an error; 0 with a signal that stands still: a fixed pitch explains nothing."""
+    """Correlation over the rows that have an error; 0 with a constant signal."""
     seen = np.isfinite(error)
     error, signal = error[seen], signal[seen]
     return float(np.corrcoef(error, signal)[0, 1]) if np.ptp(signal) > 0.0 and np.ptp(error) > 0.0 else 0.0
 
 
 def _input(speed: float, pitch: float) -> str:
-    """Which command the error goes with, by its strongest correlations with what belongs to each."""
+    """The command of the error, by the strongest correlation with the signals of each command."""
     if max(speed, pitch) < WEAK:
         return "neither"
     return "pitch" if pitch > 1.2 * speed else "speed" if speed > 1.2 * pitch else "both"
@@ -80,14 +80,11 @@ def _signals(record, thrust, omega, beta) -> Mapping[str, np.ndarray]:
 
 
 def _rate(signal: np.ndarray, time: np.ndarray) -> np.ndarray:
-    return np.gradient(signal - signal[0], time)  # exactly 0 where it stands still
+    return np.gradient(signal - signal[0], time)  # exactly 0 for a constant signal
 
 
 def _bands(error: np.ndarray, other: np.ndarray, step: float) -> dict[str, float]:
-    """Share of the power that two records' errors, a value every `step` s, have in common, by frequency band.
-
-    Where either has none, nothing adds to it.
-    """
+    """Share of the cross-spectral power of two records' errors, one value per `step` s, by frequency band; NaN counts as 0."""
     seen = np.isfinite(error) & np.isfinite(other)
     error, other = (np.where(seen, e, 0.0) for e in (error, other))
     frequency, shared = csd(error, other, fs=1.0 / step, nperseg=min(1024, len(error)), detrend=False)

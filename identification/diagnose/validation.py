@@ -43,18 +43,18 @@ def unnamed(lack: LackOfFit) -> str:
 def share_explained(base: Fit, final: Fit, before: LackOfFit, after: LackOfFit) -> float:
     """Share of the lack of fit that a set explains: of the pure error's power with a repeat, else of the log-likelihood. Where
     the remaining lack of fit is of the transient thrust or of the speed, its share, if smaller."""
-    fall = 0.5 * (base.deviance - final.deviance)
+    gain = 0.5 * (base.deviance - final.deviance)
     if before.bands:
         power = sum(band.power for band in before.bands)
         share = 1.0 - sum(band.power for band in after.bands) / power if power > 0.0 else 0.0
     else:
-        share = fall / (fall + max(after.score.gain, 0.0)) if fall > 0.0 else 0.0
+        share = gain / (gain + max(after.score.gain, 0.0)) if gain > 0.0 else 0.0
     if after.transient_lack_of_fit:
         share = min(share, 1.0 - (after.transient_size / before.transient_size) ** 2) if before.transient_size > 0.0 else 0.0
     if not after.speed_lack_of_fit:
         return share
-    was, left = (lack.speed * fit.score.squares["omega"] for fit, lack in ((base, before), (final, after)))
-    return min(share, 1.0 - left / was) if was > 0.0 else 0.0
+    old, new = (lack.speed * fit.score.squares["omega"] for fit, lack in ((base, before), (final, after)))
+    return min(share, 1.0 - new / old) if old > 0.0 else 0.0
 
 
 CHANGED = ("attributed", "family", "partly", "learned")
@@ -67,7 +67,7 @@ def next_valid_alternative(
     """(selection, lack of fit, final model) of the best rival of a `refuted` effect that held-out data do not refute; None
     without one. The fitted data did not distinguish the rivals; further valid ones are its family.
     """
-    standing, refused = [], {}
+    valid, rejected = [], {}
     for effect, name, other in alternatives(judge.searcher, found, judge):
         lack = with_rotor_order(judge.lack(other.final), other.final)
         word = verdict(base, other.final, before, lack, other.family)
@@ -75,15 +75,15 @@ def next_valid_alternative(
             continue
         final, why = shipped(other.final, word == "partly")
         if why:
-            refused[name] = replace(other.judgements[name], refused=(why,))
+            rejected[name] = replace(other.judgements[name], refused=(why,))
         else:
-            standing.append((effect, name, other, lack, final))
-    if not standing:
+            valid.append((effect, name, other, lack, final))
+    if not valid:
         return None
-    (effect, name, other, lack, final), *rest = standing
+    (effect, name, other, lack, final), *rest = valid
     family = {n: selection.final for e, n, selection, *_ in rest if e == effect}
-    refused = {**other.refused, effect: replace(found.judgements[effect], refused=(refuted,)), **refused}
-    return replace(other, rivals={**other.rivals, name: family}, refused=refused), lack, final
+    rejected = {**other.refused, effect: replace(found.judgements[effect], refused=(refuted,)), **rejected}
+    return replace(other, rivals={**other.rivals, name: family}, refused=rejected), lack, final
 
 
 def validated(
@@ -100,8 +100,8 @@ def validated(
     if found.effects == base.effects:
         return present, ""
     final = _estimated(judge, knowledge, present, found)
-    gone = [name for name in final.effects if not judge.matters(name, final)]
-    why = NOTHING_LEFT.format(gone[0]) if gone else _refuted(judge, present, base, found, final, unseen, partly)
+    too_small = [name for name in final.effects if not judge.matters(name, final)]
+    why = NOTHING_LEFT.format(too_small[0]) if too_small else _refuted(judge, present, base, found, final, unseen, partly)
     return (present, why) if why else (final, "")
 
 
@@ -145,16 +145,16 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unse
     - both predict the folds worse than the `base`, fitted by the same likelihood;
     - `final` predicts folds or thirds significantly worse than `shipped` (a `partly`: worse at all, or not significantly better
       on thirds: what explains a part must carry over to other commands);
-    - the step responses lose more than the folds gain: they go where other commands hardly go;
+    - the step responses lose more than the folds gain: they cover commands outside the folds;
     - the reported error increases: on the `unseen` record (`_refuted_by`), else on the folds."""
     before, best = judge.held_out(base), min((judge.held_out(fit) for fit in (found, final)), key=lambda h: h.rmse_thrust)
     if best.rmse_thrust > before.rmse_thrust and judge.held_out(found).gain(before)["thrust"] < 0.0:
-        return _rises(FOLDED, before.rmse_thrust, best.rmse_thrust)
+        return _increases(FOLDED, before.rmse_thrust, best.rmse_thrust)
     for split in (folds, contiguous_folds):
         was, now = (judge.held_out(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
         worse = [(e.record.time, *pair) for e, *pair in zip(found.problem.experiments, was.thrust, now.thrust, strict=True)]
         if error_increases(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
-            return _rises(FOLDED, was.rmse_thrust, now.rmse_thrust)
+            return _increases(FOLDED, was.rmse_thrust, now.rmse_thrust)
         if (
             partly
             and split is contiguous_folds
@@ -165,9 +165,9 @@ def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unse
     if judge.runs:
         old, new = judge.on_runs(shipped), judge.on_runs(final)
         if np.mean(new - old) > was**2 - now**2:
-            return _rises("thrust error of the step responses", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
+            return _increases("thrust error of the step responses", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
     if unseen is None:
-        return _rises(FOLDED, was, now) if now > was else ""
+        return _increases(FOLDED, was, now) if now > was else ""
     return _refuted_by(unseen, judge.searcher.experiments[0].noise, shipped, final)
 
 
@@ -182,11 +182,11 @@ def _refuted_by(unseen: Unseen, noise: Noise, shipped: Fit, final: Fit) -> str:
     gain = held_out_gain(noise, was, now)
     if sum(gain.values()) > MIN_EVIDENCE and gain["thrust"] > -MIN_EVIDENCE:
         return ""
-    return _rises(f"thrust error on {unseen.name}.csv", was.rmse_thrust, now.rmse_thrust)
+    return _increases(f"thrust error on {unseen.name}.csv", was.rmse_thrust, now.rmse_thrust)
 
 
 FOLDED = "cross-validated thrust error"
 
 
-def _rises(what: str, before: float, after: float) -> str:
-    return f"{what} rises from {before:.4g} to {after:.4g} N"
+def _increases(what: str, before: float, after: float) -> str:
+    return f"{what} increases from {before:.4g} to {after:.4g} N"

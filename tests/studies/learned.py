@@ -161,7 +161,7 @@ def outcome(case: Case, pages: str | None = None) -> dict:
     stages, began, worked = [], time.perf_counter(), time.process_time()
     library = [e for e in LIBRARY if e.name != case.deleted]
     found = diagnose(measured, library, stage=lambda text: stages.append((text, time.process_time())))
-    learning = [at for text, at in stages if text.startswith("look for an effect of no list")]
+    learning = [at for text, at in stages if text.startswith("search for an effect outside the library")]
     record, true = case.unseen()
 
     def error(fit: Fit) -> float:

@@ -1,7 +1,7 @@
-"""What a small term at a port would do to thrust and speed: the linear response of the fitted model, on a grid of block means.
+"""Linear response of thrust and speed to a small term at a port of the fitted model, on block means.
 
-A grid of blocks (BLOCKS_A_TIME in the rig's time scale) is fine enough to see any lag of a rig, and a tenth as long as the
-record. What effects of the fitted set do to a response is left out: this only ranks.
+The blocks resolve each lag of a rig (BLOCKS_A_TIME per time scale), and are a tenth as many as the rows. The influence of the
+fitted effects on a response is neglected: the responses only rank terms.
 """
 
 from collections.abc import Mapping
@@ -19,11 +19,11 @@ from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 
 TINY = 1e-30
-"""Of the complex step."""
+"""Size of the complex step."""
 
 
 def lagged(signal: np.ndarray, tau: float, step: float) -> np.ndarray:
-    """A signal (n, ...) through a first-order lag, settled on its first value."""
+    """A signal (n, ...) filtered by a first-order lag that starts settled at the first value."""
     if tau <= 0.0:
         return signal
     kept = np.exp(-step / tau)
@@ -33,8 +33,8 @@ def lagged(signal: np.ndarray, tau: float, step: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One experiment as a fitted model runs through it, in block means of `step` s: drivers by name, each (blocks,), and what a
-    port's response is made of."""
+    """Simulation of one experiment with a fitted model, in block means of `step` s: drivers by name, each (blocks,), and the
+    linear gains of a port's response."""
 
     experiment: Experiment
     step: float
@@ -74,8 +74,8 @@ class Course:
         )
 
     def stage(self, u: str, form: float, swapped: bool) -> tuple[np.ndarray, float, float]:
-        """(what a channel's lag has still to go (blocks,), its time constant s, the other's). `swapped`: the two lags in the
-        other order, which is the same to whatever does not stand between them."""
+        """(remaining change (blocks,) of a channel's lag, its time constant [s], the other lag's). `swapped`: lags in the other
+        order."""
         inner_tau, outer_tau = self.values[f"tau_{u}_2"], self.values[f"tau_{u}_1"]
         inner_tau, outer_tau = (outer_tau, inner_tau) if swapped else (inner_tau, outer_tau)
         word = "speed" if u == "omega" else "pitch"
@@ -84,7 +84,7 @@ class Course:
         return (command - inner, inner_tau, outer_tau) if form == INNER else (inner - reached, outer_tau, inner_tau)
 
     def driver(self, name: str, port: str, form: float, swapped: bool) -> np.ndarray:
-        """A driver (blocks,) as a port sees it."""
+        """A driver (blocks,) at a port."""
         if DRIVERS[name].own_stage(PORTS[port]):
             return self.stage(PORTS[port].channel, form, swapped)[0]
         return self.drivers[name]
@@ -100,8 +100,8 @@ class Course:
         if port.endswith("command_share"):
             terms = self.drivers["speed_command"][:, None] * terms
         if place.staged:
-            left, tau, other = self.stage(u, form, swapped)
-            terms = left[:, None] * terms if port.endswith("share") else tau * terms
+            remaining, tau, other = self.stage(u, form, swapped)
+            terms = remaining[:, None] * terms if port.endswith("share") else tau * terms
             terms = lagged(terms, tau, self.step)
             if form == INNER:
                 terms = lagged(terms, other, self.step)
@@ -112,7 +112,7 @@ class Course:
         return self.to_speed[:, None] * terms, terms
 
     def speed_rows(self, speed: np.ndarray) -> np.ndarray:
-        """Whitened rows (n, k) of a change of speed (blocks, k) rpm."""
+        """Whitened rows (n, k) of a change (blocks, k) of the speed, rpm."""
         return self.experiment.white_speed([shows @ speed for shows in self.shows])
 
 
@@ -126,7 +126,7 @@ def _grid(time: np.ndarray, at: np.ndarray) -> csr_array:
 
 
 def hats(v: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(n, knots): the curve that is 1 at one knot and 0 at the others, for each; flat beyond the first and the last."""
+    """Linear B-splines (n, knots): each is 1 at its knot and 0 at the others, and constant beyond the ends."""
     k = np.clip(np.searchsorted(at, v) - 1, 0, len(at) - 2)
     share = np.clip((v - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0)
     found = np.zeros((len(v), len(at)))
@@ -136,7 +136,7 @@ def hats(v: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def plays(v: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """(n, widths): what follows v (n,) with play of a width to each side, less v."""
+    """(n, widths): output of a play (backlash) of each half width, minus its input v (n,)."""
     at, found = np.full(len(widths), v[0]), np.empty((len(v), len(widths)))
     for k, now in enumerate(v.tolist()):
         at = np.minimum(np.maximum(at, now - widths), now + widths)
@@ -145,7 +145,7 @@ def plays(v: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 
 def holds(v: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """(n, widths): v (n,) held until it differs by more than a width, less v."""
+    """(n, widths): v (n,) held until it differs by more than a width, minus v."""
     at, found = np.full(len(widths), v[0]), np.empty((len(v), len(widths)))
     for k, now in enumerate(v.tolist()):
         at = np.where(np.abs(now - at) > widths, now, at)
@@ -154,14 +154,14 @@ def holds(v: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 
 def relay(v: np.ndarray, lower: float, upper: float) -> np.ndarray:
-    """(n,): 1 from v > upper on until v < lower, at first where v > upper."""
-    said = (v > upper) | (v < lower)
-    last = np.maximum.accumulate(np.where(said, np.arange(len(v)), -1))
+    """Relay with hysteresis (n,): 1 from v > upper until v < lower; between them it starts at 0."""
+    decided = (v > upper) | (v < lower)
+    last = np.maximum.accumulate(np.where(decided, np.arange(len(v)), -1))
     return np.where(last >= 0, v[np.maximum(last, 0)] > upper, False).astype(float)
 
 
 def knots_of(v: np.ndarray, signed: bool) -> np.ndarray:
-    """Knots over the range of a driver (n,): even ones, or denser about rest where it has one."""
+    """Knots over the range of a driver (n,): equidistant, or denser about 0 for a signed driver."""
     low, high = np.quantile(v, [0.005, 0.995])
     if not signed:
         return np.linspace(low, high, 6) if high > low else np.zeros(0)

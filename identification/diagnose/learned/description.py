@@ -1,4 +1,4 @@
-"""A learned term in words, in figures of diagnosis.json, and as a file that `--effects-from` takes."""
+"""Describe a learned term: in words, in diagnosis.json, and as a file for `--effects-from`."""
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from vpp_fmu.kernel.scales import Scales
 FILE = "learned_effect.py"
 
 NO_EFFECT = 2.0
-"""Standard deviations within which a curve counts as none."""
+"""Standard errors within which the value of a curve counts as zero."""
 
 
 def sentence(term: Term) -> str:
-    """Where a term enters, what drives it, and how it looks."""
+    """Port, driver and shape of a term, in words."""
     port, driver, values = PORTS[term.lead.port], DRIVERS[term.lead.driver], term.values
     if term.lead.shape == "sine":
         size = float(np.hypot(values["in_phase"], values["quadrature"]))
@@ -24,10 +24,10 @@ def sentence(term: Term) -> str:
         return f"enters at {port.words}: a sine of {number(size, 3)} {port.unit} at {turns}, locked to the record's start"
     lag = f" through a lag of {number(values['lag'], 2)} s" if "lag" in values else ""
     times = ", times the square of speed" if term.lead.times else ""
-    return f"enters at {port.words}, driven by {driver.words}{lag}{times}: {_look(term, port.unit, driver.unit)}"
+    return f"enters at {port.words}, driven by {driver.words}{lag}{times}: {_shape_words(term, port.unit, driver.unit)}"
 
 
-def _look(term: Term, unit: str, driver_unit: str) -> str:
+def _shape_words(term: Term, unit: str, driver_unit: str) -> str:
     values, shape = term.values, term.lead.shape
     if shape == "curve":
         return _curve(term, unit, driver_unit)
@@ -46,7 +46,7 @@ def _look(term: Term, unit: str, driver_unit: str) -> str:
         "threshold": lambda: f"a step of {size} above {at('level')}",
         "saturation": lambda: f"in proportion, {size}, up to {at('limit')}",
         "sign": lambda: f"with its sign, {size}",
-        "play": lambda: f"a play of {at('half_gap')} to each side, {size} of what is lost",
+        "play": lambda: f"a play of {at('half_gap')} to each side, {size} times the difference",
         "hold": lambda: f"changes up to {at('half_width')} are ignored, {size} of them",
         "relay": lambda: f"{size} from above {at('upper')} until below {at('lower')}",
     }[shape]()
@@ -55,7 +55,7 @@ def _look(term: Term, unit: str, driver_unit: str) -> str:
 def _curve(term: Term, unit: str, driver_unit: str) -> str:
     at, f, std = curve_of(term)
     ends = [f"{number(f[k], 3)} {unit}".removesuffix(" 1") + f" at {number(at[k], 3)} {driver_unit}" for k in (0, -1)]
-    told = f"from {ends[0]} to {ends[1]}"
+    words = f"from {ends[0]} to {ends[1]}"
     none = np.abs(f) <= np.maximum(NO_EFFECT * std, 1e-3 * np.abs(f).max())
     if none[0] and none[1] and not none.all():
         return f"no effect below {number(at[np.argmin(none) - 1], 2)} {driver_unit}, {ends[1]}"
@@ -63,24 +63,24 @@ def _curve(term: Term, unit: str, driver_unit: str) -> str:
         return f"no effect above {number(at[len(at) - np.argmin(none[::-1])], 2)} {driver_unit}, {ends[0]}"
     k = int(np.argmax(np.abs(f)))
     if 0 < k < len(at) - 1:
-        told += f", most, {number(f[k], 3)} {unit}".removesuffix(" 1") + f", at {number(at[k], 3)} {driver_unit}"
-    return told
+        words += f", largest, {number(f[k], 3)} {unit}".removesuffix(" 1") + f", at {number(at[k], 3)} {driver_unit}"
+    return words
 
 
 def rival_words(term: Term) -> str:
-    """Place and driver, in few words."""
+    """Port and driver, in few words."""
     return f"{PORTS[term.lead.port].words} by {DRIVERS[term.lead.driver].words}"
 
 
 def block(found: Learned, std: dict[str, float | None]) -> dict:
-    """For diagnosis.json. `std`: standard deviations by full name."""
+    """Part of diagnosis.json. `std`: standard errors by full name."""
     term, effect = found.term, found.term.effect
     units = {p.name: p.unit for p in effect.parameters}
     parameters = {
         n: {"value": v, "std": std.get(effect.full(n)), "unit": units[n]} for n, v in term.values.items() if n != "lag"
     }
     lag = term.values.get("lag")
-    told = {
+    figures = {
         "port": term.lead.port,
         "driver": term.lead.driver,
         "lag": None if lag is None else {"value": lag, "std": std.get(effect.full("lag")), "unit": "s"},
@@ -93,16 +93,16 @@ def block(found: Learned, std: dict[str, float | None]) -> dict:
     }
     if found.curve.lead.shape == "curve":
         at, f, std = curve_of(found.curve)
-        told["curve"] = {"at": at.tolist(), "value": f.tolist(), "std": std.tolist()}
-    told["laws"] = [{"law": name, "evidence_over_curve": evidence} for name, evidence in found.laws]
-    told["could_also_be"] = [
+        figures["curve"] = {"at": at.tolist(), "value": f.tolist(), "std": std.tolist()}
+    figures["laws"] = [{"law": name, "evidence_over_curve": evidence} for name, evidence in found.laws]
+    figures["could_also_be"] = [
         {"port": t.lead.port, "driver": t.lead.driver, "shape": t.lead.shape, "lag": t.values.get("lag")} for t in found.rivals
     ]
-    return told
+    return figures
 
 
 def source(term: Term, scales: Scales, campaign: str) -> str:
-    """The effect as a Python file, to all digits: a value may stand on its bound, and the bounds go by the range."""
+    """The effect as a Python file. Numbers have all digits: a value may equal its bound, which depends on the range."""
     lead = term.lead
     lines = "".join(f'        "{n}": {float(v)!r},\n' for n, v in term.values.items() if n not in ("lag", "form"))
     lag = f"    lag={float(term.values['lag'])!r},\n" if "lag" in term.values else ""
@@ -113,8 +113,8 @@ def source(term: Term, scales: Scales, campaign: str) -> str:
     return f'''"""Learned from {campaign} by vpp diagnose: a term that {sentence(term)}.
 
 {_equation(term)}
-Beyond the range in which it was learned it stays as at its ends. Give it a name of its own below: `--effects-from` takes this
-file, in vpp diagnose as a candidate, in vpp export and vpp simulate for parameters that name it.
+Beyond the range of the data it keeps its end values. Give it another name below. Pass this file to `--effects-from`: in vpp
+diagnose it is a candidate; in vpp export and vpp simulate it is used by parameters that name it.
 """
 
 from vpp_fmu.kernel.learned import learned

@@ -1,8 +1,7 @@
-"""Simple laws tried on a learned curve: a line, a square, a hinge, a step, a limit, a sign, two thresholds.
+"""Replace a learned curve by a simple law: a line, a square, a hinge, a step, a limit or a sign.
 
-Each law is first fitted to the curve, weighed by what the records tell of it; the best few are refitted in the curve's place.
-A law that has as much evidence, less what a shorter description is worth, takes the curve's place: it says the same in fewer
-numbers.
+Each law is fitted to the curve by weighted least squares; the best few are refitted to the records. A law replaces the curve
+if its BIC is not larger.
 """
 
 from collections.abc import Iterator
@@ -18,14 +17,14 @@ from vpp_fmu.kernel.learned.shapes import knots
 from vpp_fmu.kernel.scales import Scales
 
 REFITTED = 2
-"""Laws that are refitted, those that are nearest to the curve."""
+"""Laws that are refitted: those of the smallest error on the curve."""
 
 GRID = 24
-"""Levels of a law's threshold that are tried on the curve."""
+"""Grid points of a law's threshold."""
 
 
 def curve_of(term: Term) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(knots, values, standard deviations; 0 for what is pinned) of a curve."""
+    """(knots, values, standard errors) of a curve; 0 for pinned values."""
     values, count = term.values, knots(term.values)
     at, f = (np.array([values[f"{part}_{k + 1}"] for k in range(count)]) for part in ("at", "value"))
     names = [term.effect.full(f"value_{k + 1}") for k in range(count)]
@@ -34,7 +33,7 @@ def curve_of(term: Term) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def covariance_of(fit: Fit, names: list[str]) -> np.ndarray:
-    """(k, k) of parameters by full name; 0 for those that were not fitted."""
+    """Covariance (k, k) of parameters by full name; 0 for those that were not fitted."""
     _, jacobian = fit.tangent()
     coordinates = fit.problem.coordinates
     inner = coordinates.jacobian(fit.solution.value)
@@ -49,19 +48,19 @@ def covariance_of(fit: Fit, names: list[str]) -> np.ndarray:
 
 
 def laws_of(searcher: Searcher, beside: Fit, curve: Term, scales: Scales, pool) -> tuple[Term, tuple[tuple[str, float], ...]]:
-    """(the term in its simplest form, the laws that were refitted with their evidence over the curve)."""
+    """(the term in its simplest form; the refitted laws with their evidence over the curve)."""
     if curve.lead.shape != "curve":
         return curve, ()
     leads = nearest(curve)
     found = pool.map(lambda lead: refitted(searcher, beside, lead, curve.effect.name, scales, curve.fit), leads)
     terms = [t for t in found if t is not None]
-    told = tuple((t.lead.shape, evidence_over(t.fit, curve.fit)) for t in terms)
+    laws = tuple((t.lead.shape, evidence_over(t.fit, curve.fit)) for t in terms)
     best = min(terms, key=lambda t: t.fit.bic(), default=curve)
-    return (best if evidence_over(best.fit, curve.fit) >= 0.0 else curve), told
+    return (best if evidence_over(best.fit, curve.fit) >= 0.0 else curve), laws
 
 
 def nearest(curve: Term) -> list[Lead]:
-    """The laws that come nearest to a curve."""
+    """The laws of the smallest error on a curve."""
     at, f, std = curve_of(curve)
     known = std > 0.0
     weight = 1.0 / np.where(known, std, np.median(std[known]) if known.any() else 1.0)
@@ -69,15 +68,15 @@ def nearest(curve: Term) -> list[Lead]:
     target, weigh = np.interp(fine, at, f), np.interp(fine, at, weight)
     best: dict[str, tuple[float, dict[str, float]]] = {}
     for shape, point, column in _columns(fine):
-        # What the base takes up of a term it does of a law: a level is free where the curve was not pinned to one.
+        # A constant is free unless the curve is pinned at one value: the base model absorbs it.
         columns = (
             [column] if curve.lead.pinned[-1:] and curve.lead.pinned[-1].startswith("value") else [column, np.ones(len(fine))]
         )
         a = np.stack(columns, axis=1) * weigh[:, None]
         shares, *_ = np.linalg.lstsq(a, target * weigh, rcond=1e-9)
-        left = float(np.sum((target * weigh - a @ shares) ** 2))
-        if shape not in best or left < best[shape][0]:
-            best[shape] = left, {**point, "gain": float(shares[0])}
+        error = float(np.sum((target * weigh - a @ shares) ** 2))
+        if shape not in best or error < best[shape][0]:
+            best[shape] = error, {**point, "gain": float(shares[0])}
     ranked = sorted(best.items(), key=lambda item: item[1][0])[:REFITTED]
     lead = curve.lead
     lag = curve.values.get("lag")
@@ -85,7 +84,7 @@ def nearest(curve: Term) -> list[Lead]:
 
 
 def _columns(v: np.ndarray) -> Iterator[tuple[str, dict[str, float], np.ndarray]]:
-    """(shape, its parameters but the gain, what it is at v (n,)) of every law."""
+    """(shape, its parameters without the gain, its values at v (n,)) of every law."""
     yield "line", {}, v
     yield "square", {}, v * np.abs(v)
     levels = np.linspace(v[0], v[-1], GRID + 2)[1:-1].tolist()

@@ -1,9 +1,8 @@
-"""Where no effect of the library explains what is left: learn a term, with a place, a driver and a shape, or say that none
-stands.
+"""Learn a term of unknown form: its port, driver and shape, if the library does not explain the residual.
 
-The look ranks all of them by what they gain on folds left out; the best few are refitted with all parameters, looked for once
-more from where the best one leaves the base, and judged as any effect, by the same rules, against the best that so many
-comparisons find by chance.
+Screening ranks all terms by cross-validated gain. The best few are refitted with all parameters. Screening is repeated with the
+base of the best refit. Terms are accepted or rejected by the rules for effects, and must exceed the gain that the best of all
+comparisons reaches by chance.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,26 +24,26 @@ from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
 
 NAME = "learned"
-"""Of the effect."""
+"""Name of the effect."""
 
 FIRST, AGAIN = 5, 3
-"""Leads refitted after the first look and after each further one: seconds against rank."""
+"""Leads refitted after the first screening and after each further one."""
 
 ROUNDS = 3
-"""Further comparisons, each from where the best term leaves the base, while something is lacking and a better one turns up."""
+"""Maximum number of further screenings, each with the base of the best term, while lack of fit remains and terms improve."""
 
 UNLAGGED = 2
-"""Terms behind the best one of which the same without the lag is refitted, too."""
+"""Next best terms that are also refitted without their lag."""
 
 FAMILY = 2
-"""Of the leads of one family of ports, so many at most are refitted in a round."""
+"""Maximum number of leads of one family of ports that are refitted in a round."""
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What was learned. `term`: what enters the model; `curve`: the same as a table, where a law took its place; `beside`: the
-    fit without it; `rivals`: other terms whose evidence comes within ALTERNATIVE_WINDOW of it; `laws`: (name, evidence over the
-    table) of the laws that were tried on the curve."""
+    """A learned term. `term`: the term in the model; `curve`: the same as a table, if a law replaces it; `beside`: the fit
+    without it; `rivals`: other terms with evidence within ALTERNATIVE_WINDOW of it; `laws`: (name, evidence over the table) of
+    the refitted laws."""
 
     term: Term
     curve: Term
@@ -55,14 +54,14 @@ class Learned:
 
     @property
     def elsewhere(self) -> tuple[Term, ...]:
-        """The rivals of another place or driver; a quantity and a share of it are one place."""
+        """The rivals of another port or driver; a quantity and its share are one port."""
         return tuple(term for term in self.rivals if _place(term) != _place(self.term))
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What came of learning. `tried`: the terms that were refitted, each with its judgement; `comparisons`: points looked at;
-    `learned`: None where no term stands; `refuted`: why the one that stood does not ship."""
+    """Result of learning. `tried`: the refitted terms with their judgements; `comparisons`: number of screened terms;
+    `learned`: None if no term is accepted; `refuted`: reason why validation refutes the accepted term."""
 
     tried: tuple[tuple[Term, Judgement], ...] = ()
     comparisons: int = 0
@@ -70,17 +69,17 @@ class Attempt:
     refuted: str = ""
 
     def but_refuted(self, why: str) -> "Attempt":
-        """The same, its term refuted."""
+        """The same with its term refuted."""
         curve = self.learned.curve
         tried = tuple((term, replace(j, refused=(why,)) if term is curve else j) for term, j in self.tried)
         return replace(self, tried=tried, learned=None, refuted=why)
 
 
 def by_chance(comparisons: int) -> float:
-    """Cross-validated log-likelihood that the best of so many comparisons gains by chance with ALPHA.
+    """Cross-validated log-likelihood gain that the best of `comparisons` reaches by chance, at the level ALPHA.
 
-    A predictive likelihood ratio has an expectation of at most 1 where nothing is there; so it exceeds comparisons / ALPHA in a
-    share ALPHA of rigs at most (Markov, Bonferroni).
+    Under the null hypothesis a predictive likelihood ratio has an expectation of at most 1. So it exceeds comparisons / ALPHA
+    with a probability of at most ALPHA (Markov, Bonferroni).
     """
     return float(np.log(max(comparisons, 1) / ALPHA))
 
@@ -94,9 +93,9 @@ def learn(
     pool,
     stage: Callable[[str], None] = lambda text: None,
 ) -> Attempt:
-    """Learn a term beside a fit. `smallest`: least sizes of interest; `scales`: of the rig;
-    `runs`: of steps, where terms are checked."""
-    stage("look for an effect of no list")
+    """Learn a term beside a fit. `smallest`: minimum sizes of interest; `scales`: of the rig; `runs`: step responses to check
+    terms."""
+    stage("search for an effect outside the library")
     leads = screened(beside, spread=pool.map)
     comparisons = len(leads)
     searcher.points = max(searcher.points, comparisons)
@@ -120,11 +119,11 @@ def learn(
             break
     judged = {t: judged_term(judge, t.fit, beside, comparisons) for t in terms}
     tried = tuple(sorted(judged.items(), key=lambda pair: -judge.gain(pair[0].fit, beside)))
-    standing = [(t, j) for t, j in tried if not j.refused]
-    if not standing:
+    accepted = [(t, j) for t, j in tried if not j.refused]
+    if not accepted:
         return Attempt(tried, comparisons)
-    top = judge.gain(standing[0][0].fit, beside)
-    near = [(t, j) for t, j in standing if judge.gain(t.fit, beside) > top - MIN_EVIDENCE]
+    top = judge.gain(accepted[0][0].fit, beside)
+    near = [(t, j) for t, j in accepted if judge.gain(t.fit, beside) > top - MIN_EVIDENCE]
     curve, judgement = min(near, key=lambda pair: len(pair[0].free))
     stage("try simple laws")
     term, laws = laws_of(searcher, beside, curve, scales, pool)
@@ -144,19 +143,19 @@ def _own(name: str) -> bool:
 
 
 class Carried(Judge):
-    """The judge of terms: beside the interleaved folds, cross-validation also leaves whole thirds of the records out."""
+    """The judge of terms: cross-validation uses interleaved folds and also whole thirds of the records."""
 
     def __init__(self, searcher: Searcher, beside: Fit, smallest: Smallest, runs: Sequence[Record]):
         super().__init__(searcher, beside, smallest, runs)
-        self._carried: dict[int, tuple[Fit, HeldOut]] = {}
+        self._by_thirds: dict[int, tuple[Fit, HeldOut]] = {}
 
     def carried(self, fit: Fit) -> HeldOut:
         """Cross-validation of a fit by thirds, cached. Only the parameters of the term are refitted on the other two thirds,
         which may not identify the base: this favours the fit without a term.
         """
-        if id(fit) not in self._carried:
-            self._carried[id(fit)] = fit, cross_validated(fit, contiguous_folds, _own, TOLD)
-        return self._carried[id(fit)][1]
+        if id(fit) not in self._by_thirds:
+            self._by_thirds[id(fit)] = fit, cross_validated(fit, contiguous_folds, _own, TOLD)
+        return self._by_thirds[id(fit)][1]
 
     def gain(self, fit: Fit, beside: Fit) -> float:
         """Held-out log-likelihood ratio of two fits: the smallest of folds and thirds, of both channels and of the thrust
@@ -192,7 +191,7 @@ def judged_term(judge: Carried, fit: Fit, beside: Fit, comparisons: int) -> Judg
 
 
 def short_list(leads: Sequence[Lead], had: Sequence[Lead], count: int) -> list[Lead]:
-    """The leads of best held-out score that promise anything: one of a place and shape, FAMILY of a family of ports."""
+    """The promising leads of the best held-out score: one of each port and shape, up to FAMILY of a family of ports."""
     places, families, found = {lead.kind for lead in had}, {}, []
     for lead in leads:
         if len(found) == count:
@@ -207,7 +206,7 @@ def short_list(leads: Sequence[Lead], had: Sequence[Lead], count: int) -> list[L
 
 
 def variants(term: Term, had: Sequence[Term]) -> list[Lead]:
-    """The same term in the other lag of its channel, and with the lags in the other order, where it was not tried."""
+    """The same term at the other lag of its channel, and with the lags in the other order, if not tried yet."""
     lead, values = term.lead, {n: v for n, v in term.values.items() if n not in ("form", "lag")}
     own = replace(lead, values=values, lag=term.values.get("lag"))
     tried = {(t.lead.kind, t.lead.form, t.lead.swapped) for t in had}
@@ -216,13 +215,13 @@ def variants(term: Term, had: Sequence[Term]) -> list[Lead]:
 
 
 def unlagged(term: Term, had: Sequence[Lead]) -> list[Lead]:
-    """The same term without its lag, if it has one: a bent base asks for lags that are not there."""
+    """The same term without its lag, if it has one: with a biased base, spurious lags appear."""
     values = {n: v for n, v in term.values.items() if n not in ("form", "lag")}
     lead = replace(term.lead, values=values, lag=None)
     return [] if "lag" not in term.values or lead.kind in {other.kind for other in had} else [lead]
 
 
 def _refitted(searcher, beside, leads, scales, pool, start=None) -> list[Term]:
-    """Those of which there is strong evidence."""
+    """Refits of leads that have strong evidence."""
     terms = pool.map(lambda lead: refitted(searcher, beside, lead, NAME, scales, start), leads)
     return [t for t in terms if t is not None and evidence_over(t.fit, beside) > MIN_EVIDENCE]

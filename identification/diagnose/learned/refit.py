@@ -1,4 +1,4 @@
-"""Leads refitted beside a fit with all parameters free, by the search's own machinery: a term is an effect like any other."""
+"""Refit leads beside a fit with all parameters free. A term is fitted as any other effect."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,12 +14,12 @@ from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.kernel.types import Effect, Model
 
 WILD = 2.0
-"""Standard deviation of a term's sizes beforehand, over the largest in the look: half a nat at twice that."""
+"""Prior standard deviation of a term's sizes, as a multiple of the largest size in screening."""
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A lead as it was refitted. `library`: with the term in its place."""
+    """A refitted lead. `library`: the library with the term inserted."""
 
     lead: Lead
     effect: Effect
@@ -28,33 +28,33 @@ class Term:
 
     @property
     def values(self) -> dict[str, float]:
-        """Of the effect's parameters, by bare name."""
+        """Values of the effect's parameters, by bare name."""
         return {p.name: self.fit.values[self.effect.full(p.name)] for p in self.effect.parameters}
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Fitted parameters of the effect, bare names."""
+        """Bare names of the effect's fitted parameters."""
         head = f"{self.effect.name}."
         return tuple(n.removeprefix(head) for n in self.fit.free if n.startswith(head))
 
 
 def effect_of(lead: Lead, name: str, scales: Scales) -> Effect:
-    """The effect of a lead, sized for a rig; values beyond their bounds are held there."""
+    """The effect of a lead, scaled for a rig; values are clipped to their bounds."""
     effect = learned(name, lead.port, lead.driver, lead.shape, lead.values, lead.span, lead.lag, lead.times, lead.form, scales)
     bounds = {p.name: (p.minimum, p.maximum) for p in effect.parameters}
     return replace(effect, probe={n: min(max(v, bounds[n][0]), bounds[n][1]) for n, v in effect.probe.items()})
 
 
 def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Scales, start: Fit | None = None) -> Term | None:
-    """The term beside what is there already; None where a wild start has driven the model out of all bounds.
+    """Refit with the term added; None if the model diverges from its start values.
 
-    `start`: the fit whose base it starts from; None: that beside which it is.
+    `start`: the fit that gives start values of the base; None: `beside`.
     """
     effect = effect_of(lead, name, scales)
     library = placed(searcher.library, effect, PORTS[lead.port])
     fixed = {"form", "side", *lead.pinned}
     sizes = {effect.full(n): effect.probe[n] for n in effect.off if n not in fixed}
-    own = Searcher(searcher.experiments, searcher.names, _calmed(searcher, sizes), searcher.start, library)
+    own = Searcher(searcher.experiments, searcher.names, _with_prior_of_sizes(searcher, sizes), searcher.start, library)
     forms = {effect.full(n): v for n, v in effect.probe.items() if n in fixed}
     free = [effect.full(n) for n in effect.probe if n not in fixed]
     values = {**beside.values, **(start.values if start else {}), **{effect.full(n): v for n, v in effect.probe.items()}}
@@ -66,18 +66,18 @@ def refitted(searcher: Searcher, beside: Fit, lead: Lead, name: str, scales: Sca
             values |= {one: values[two], two: values[one]}
     effects, forms, free = [*beside.effects, name], {**beside.forms, **forms}, [*beside.free, *free]
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a loop that swings up grows without end
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop diverges
             fit = own.fit(effects, forms, free, values, order, not beside.thresholds)
             slopes = fit.tangent()[1]
-            told = np.isfinite(fit.deviance) and np.isfinite(np.vdot(slopes, slopes))  # thrust may stand where slopes burst
+            finite = np.isfinite(fit.deviance) and np.isfinite(np.vdot(slopes, slopes))  # sensitivities may diverge alone
     except np.linalg.LinAlgError:
         return None
-    return Term(lead, effect, library, fit) if told else None
+    return Term(lead, effect, library, fit) if finite else None
 
 
-def _calmed(searcher: Searcher, sizes: Mapping[str, float]) -> Knowledge:
-    """A searcher's knowledge that also keeps sizes of a term, which hardly any data may tell, from running away: none is WILD
-    times as large as the largest that the look has seen."""
+def _with_prior_of_sizes(searcher: Searcher, sizes: Mapping[str, float]) -> Knowledge:
+    """A searcher's prior, extended by a prior of the term's sizes, which are hardly identifiable: mean 0, standard deviation
+    WILD times the largest size in screening."""
     wide = WILD * max(abs(v) for v in sizes.values()) or 1.0
 
     def knowledge(model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior:

@@ -1,8 +1,9 @@
-"""Group score tests beside a fit: what a group of columns could gain if the fitted parameters follow, in all and held out.
+"""Group score tests beside a fit: predicted gain of a group of columns with the fitted parameters re-estimated, on all data and
+cross-validated.
 
-With C the group's columns less what the parameters can follow, r the residual: the fall is r'C (C'C)^-1 C'r / 2, under noise
-alone half a chi^2 of as many degrees of freedom as C has directions. Held out, the shares of each third of the records come
-from the others.
+Let C be the group's columns, orthogonal to the sensitivities of the parameters, and r the residual. The gain is
+r'C (C'C)^-1 C'r / 2; under noise it is half a chi-square with rank(C) degrees of freedom. For cross-validation, the
+coefficients on each third of the records are estimated from the other two.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,17 +17,16 @@ from identification.diagnose.learned.columns import Course
 from identification.fit.linearised import Linearised
 
 DEPENDENT = 1e-3
-"""Size of a direction over that of the strongest below which columns count as the same one."""
-
+"""Eigenvalue relative to the largest below which columns count as linearly dependent."""
 
 TOLD = 0.1
-"""Share of what all data tell of a direction that two thirds must tell for it to be learned from them."""
+"""Share of the information of all data about a direction that two thirds must have to estimate it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A group's outcome. `fall` of half the sum of squares; `held_out`: log-likelihood gained on folds left out; `rank`;
-    `shares` (k,) of the columns as given."""
+    """Result of a group's test. `fall`: decrease of half the sum of squares; `held_out`: cross-validated log-likelihood gain;
+    `rank`; `shares` (k,): coefficients of the columns."""
 
     fall: float
     held_out: float
@@ -35,11 +35,11 @@ class Scored:
 
 
 class Scores:
-    """Score tests beside a linearised fit, on the experiments' courses."""
+    """Score tests beside a linearised fit, on the courses of the experiments."""
 
     def __init__(self, about: Linearised, columns: np.ndarray, courses: Sequence[Course], scale: Mapping[str, float], times):
-        """`columns` (rows, n): the fitted parameters' sensitivities; `scale` divides each channel's; `times`: as of
-        a Problem."""
+        """`columns` (rows, n): sensitivities of the fitted parameters; `scale`: divisor of each channel; `times`: as in
+        Problem."""
         self.courses, self._scale = courses, scale
         fold = np.concatenate([contiguous_folds(time, seconds) for time, seconds in times])
         self._folds = range(int(fold.max()) + 1)
@@ -52,25 +52,26 @@ class Scores:
         products = [each.T @ each for each in both]
         self._squares = [float(p[-1, -1]) for p in products]
         self._inner, self._against = [p[:-1, :-1] for p in products], [p[:-1, -1] for p in products]
-        self._parts = {heard: self._part(heard) for heard in (False, True)}
+        self._parts = {with_speed: self._part(with_speed) for with_speed in (False, True)}
 
-    def _part(self, heard: bool):
-        """Of the rows that a response reaches, fold by fold: (order, ends of the folds, sensitivities beside the residual)."""
-        places = np.concatenate(self._slices if heard else self._slices[: len(self.courses)])
+    def _part(self, with_speed: bool):
+        """Rows that a response changes, sorted by fold: (order, ends of the folds, sensitivities and residual)."""
+        places = np.concatenate(self._slices if with_speed else self._slices[: len(self.courses)])
         order = np.argsort(self._fold[places], kind="stable")
         ends = np.searchsorted(self._fold[places][order], np.arange(len(self._folds) + 1))
         own = places[order]
         return order, ends, np.column_stack([self._columns[own], self._residual[own]])
 
     def products(self, responses: Sequence[tuple[np.ndarray, np.ndarray | None]]) -> tuple[np.ndarray, np.ndarray]:
-        """(Gram (folds, k, k), products with the residual (folds, k)) of columns less what the parameters can follow, for the
-        courses' responses: (thrust (blocks, k), speed (blocks, k) or None)."""
+        """(Gram (folds, k, k), products with the residual (folds, k)) of columns orthogonal to the sensitivities.
+
+        `responses`, one per course: (thrust (blocks, k), speed (blocks, k) or None)."""
         pairs = list(zip(self.courses, responses, strict=True))
         rows = [c.experiment.white_thrust(thrust) / self._scale["thrust"] for c, (thrust, _) in pairs]
-        heard = responses[0][1] is not None and len(self._slices) > len(self.courses)
-        if heard:
+        with_speed = responses[0][1] is not None and len(self._slices) > len(self.courses)
+        if with_speed:
             rows += [c.speed_rows(speed) / self._scale["omega"] for c, (_, speed) in pairs if len(c.experiment.omega_time)]
-        order, ends, known = self._parts[heard]
+        order, ends, known = self._parts[with_speed]
         rows = np.concatenate(rows)[order]
         folds = [slice(first, last) for first, last in pairwise(ends)]
         against = [rows[at].T @ known[at] for at in folds]  # (k, parameters + 1) of each fold
@@ -83,7 +84,7 @@ class Scores:
         return np.array(gram), np.array(product)
 
     def group(self, gram: np.ndarray, product: np.ndarray) -> Scored:
-        """The test of a group by its products."""
+        """Test a group from its products."""
         whole = gram.sum(axis=0)
         size = np.sqrt(np.maximum(np.diag(whole), 0.0))
         if not size.max(initial=0.0) > 0.0:
@@ -92,16 +93,16 @@ class Scores:
         gram, product = gram / np.outer(size, size), product / size
         whole = gram.sum(axis=0)
         shares, rank = _solved(whole, -product.sum(axis=0))
-        left, total = 0.0, sum(self._squares)
+        error, total = 0.0, sum(self._squares)
         for k in self._folds:
             other = informed_inverse(whole - gram[k], whole, TOLD) @ (product[k] - product.sum(axis=0))
-            left += self._squares[k] + 2.0 * float(other @ product[k]) + float(other @ gram[k] @ other)
-        held = 0.5 * len(self._fold) * float(np.log(total / max(left, 1e-300)))
-        return Scored(-0.5 * float(shares @ product.sum(axis=0)), held, rank, shares / size)
+            error += self._squares[k] + 2.0 * float(other @ product[k]) + float(other @ gram[k] @ other)
+        gain = 0.5 * len(self._fold) * float(np.log(total / max(error, 1e-300)))
+        return Scored(-0.5 * float(shares @ product.sum(axis=0)), gain, rank, shares / size)
 
 
 def _solved(gram: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, int]:
-    """(least-squares solution, rank) without the directions that are hardly there."""
+    """(least-squares solution, rank), without the directions of small eigenvalues."""
     power, axes = np.linalg.eigh(gram)
     kept = power > DEPENDENT * power[-1]
     return axes[:, kept] @ ((axes[:, kept].T @ right) / power[kept]), int(kept.sum())

@@ -1,6 +1,7 @@
-"""The look at every place, driver, lag and shape of a term beside a fit, by group score tests: which are worth a refit.
+"""Screen terms of every port, driver, lag and shape beside a fit, by group score tests, to choose those for a refit.
 
-Curves are groups of hats; plays, holds, relays and sines are single columns, or pairs, over a grid of their thresholds.
+Curves are groups of linear B-splines. Plays, holds, relays and sines are single columns, or pairs, over a grid of their
+thresholds.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -19,16 +20,16 @@ from vpp_fmu.kernel.effects.stage import INNER, OUTER
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
 
 LAGS = (0.0, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0)
-"""Lags behind a driver, in the rig's time scale; those beyond a third of the record are left out."""
+"""Lags of a driver, in the rig's time scale; at most a third of the record."""
 
 WIDTHS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 """Half widths of plays and holds, as shares of the driver's range."""
 
 LEVELS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-"""Quantiles of a driver that a relay's thresholds may be."""
+"""Quantiles of a driver that are tried as thresholds of a relay."""
 
 FASTEST = 5.0
-"""Hz: of sines."""
+"""Highest frequency of sines, Hz."""
 
 FOLLOWED = {
     "pitch_command": "pitch_command",
@@ -37,21 +38,19 @@ FOLLOWED = {
     "rotor_speed": "speed",
     "reading": "thrust",
 }
-"""Driver that a play at a port follows, and a hold of a command: the port's own quantity."""
+"""Driver of a play, and of a hold, by port: the port's quantity."""
 
 SWITCHED = ("thrust_share", "speed_command_share", "effective_pitch", "pitch_rate_share")
 """Ports of relays."""
 
 FREE_AT_REST = ("speed_command", "speed_command_share", "rotor_speed", "thrust", "reading", "motor_acceleration")
-"""Ports at which a constant is no gauge of the base: a curve over a driver without rest has no pinned knot there."""
+"""Ports at which the base does not absorb a constant: there a curve over an unsigned driver has no pinned knot."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lead:
-    """A term that looks worth a refit: where, by what, how; `swapped`: with the channel's lags in
-    the other order; `values` of its shape, `pinned`: those that stay where they are.
-
-    `needed`: fall that the best of all comparisons reaches by chance; `comparisons`: how many there were."""
+    """A screened term: its port, driver and shape. `swapped`: the channel's lags in the other order; `values`: of its shape;
+    `pinned`: those that are not fitted; `needed`: gain that the best of all `comparisons` reaches by chance."""
 
     port: str
     driver: str
@@ -69,18 +68,18 @@ class Lead:
 
     @property
     def kind(self) -> tuple:
-        """What tells one place, cause and shape from another; those with a lag are one kind, whatever it is."""
+        """Key of its port, driver and shape; all lags above 0 are one kind."""
         return self.port, self.driver, self.times, self.shape, self.lag is None
 
     @property
     def promising(self) -> bool:
-        """Whether it gains beyond the best that chance would find, and on what was left out."""
+        """Whether its gain exceeds that of the best by chance, and the held-out gain is positive."""
         return self.scored.fall > self.needed and self.scored.held_out > 0.0
 
 
 def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callable = map) -> list[Lead]:
-    """All leads beside a fit, the best held-out score first. `values`: look from there instead of from where the fit stands;
-    `spread` maps a function over the looks, as `map` does."""
+    """All leads beside a fit, the best held-out score first. `values`: linearise there instead of at the fit; `spread`: maps a
+    function over the groups of leads, as `map` does."""
     problem, simulator = fit.problem, fit.problem.simulator
     x = fit.solution.value if values is None else problem.coordinates.vector({**fit.values, **values})
     at = {**fit.values, **problem.coordinates.values(x)}
@@ -88,8 +87,8 @@ def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callab
     about = Linearised(problem, x, residual, jacobian)
     courses = [Course.of(e, at, simulator.simulate(at, *e.record.run)) for e in problem.experiments]
     scores = Scores(about, jacobian[: problem.size], courses, problem.scale, problem.times)
-    looks = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
-    leads = [lead for some in spread(lambda look: look(), looks) for lead in some]
+    groups = [*_curves(scores), *_memories(scores), *_relays(scores), *_sines(scores)]
+    leads = [lead for some in spread(lambda group: group(), groups) for lead in some]
     found = [replace(lead, needed=chance_threshold(lead.scored.rank, len(leads)), comparisons=len(leads)) for lead in leads]
     return sorted(found, key=lambda lead: -lead.scored.held_out)
 
@@ -102,7 +101,7 @@ def _lags(scores: Scores) -> list[float]:
 
 
 def forms_of(port: str) -> tuple[tuple[float, bool], ...]:
-    """(lag that a port bends, whether the two stand in the other order) to look at."""
+    """(lag at which a port acts, whether the two lags are in the other order), all combinations."""
     return tuple(product((INNER, OUTER), (False, True))) if PORTS[port].staged else ((OUTER, False),)
 
 
@@ -126,10 +125,10 @@ def _curves(scores: Scores) -> Iterator[Look]:
             common = [lagged(c.drivers[name], lag, c.step) for c in scores.courses]
             for port, place in PORTS.items():
                 if port == "reading" and name != "thrust":
-                    continue  # in front of all effects of the reading it is the thrust's
+                    continue  # before all other effects of the reading it equals the port "thrust"
                 own = driver.own_stage(place)
                 if own and lag > 0.0:
-                    continue  # an actuator's law goes by what there is to go now
+                    continue  # an actuator's law depends on the present remaining change
                 for form in forms_of(port):
                     v = [c.driver(name, port, *form) for c in scores.courses] if own else common
                     for times in ("", "speed_squared") if port == "thrust" else ("",):
@@ -155,15 +154,15 @@ def _curve(scores, port, name, lag, form, times, v) -> list[Lead]:
 
 
 def _memories(scores: Scores) -> Iterator[Look]:
-    """Plays, and holds of commands, of a port's own quantity."""
+    """Plays of a port's quantity, and holds of commands."""
     for port, name in FOLLOWED.items():
         v = [c.drivers[name] for c in scores.courses]
         low, high = _span(v)
         widths = (high - low) * np.array(WIDTHS)
-        for shape, width, made in (("play", "half_gap", plays), ("hold", "half_width", holds)):
+        for shape, width, columns in (("play", "half_gap", plays), ("hold", "half_width", holds)):
             if shape == "hold" and not name.endswith("command"):
                 continue
-            terms, points = [made(one, widths) for one in v], [{width: float(w)} for w in widths]
+            terms, points = [columns(one, widths) for one in v], [{width: float(w)} for w in widths]
             yield from (partial(_each, scores, port, name, shape, v, points, terms, 0.0, form) for form in forms_of(port))
 
 
@@ -180,7 +179,7 @@ def _relays(scores: Scores) -> Iterator[Look]:
 
 
 def _each(scores, port, name, shape, v, points, terms, lag, form) -> list[Lead]:
-    """A lead for each column by itself; the products of all are made at once."""
+    """A lead for each single column; all products are computed at once."""
     gram, product = scores.products(_responses(scores, port, form, terms))
     found = []
     for k, point in enumerate(points):

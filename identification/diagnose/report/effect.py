@@ -1,4 +1,4 @@
-"""Of the report: the effect's own curve, what it does to pitch, speed or thrust at rest and in time."""
+"""Report section: the curve of an effect, and its influence on pitch, speed or thrust at rest and over time."""
 
 import numpy as np
 
@@ -10,30 +10,30 @@ from vpp_fmu.record import Record
 from vpp_fmu.report import Page, behind_against_before, reached_against_commanded, stacked
 
 QUANTITIES = {"beta": ("pitch", "deg", 0.02), "omega": ("speed", "rpm", 5.0)}
-"""Output, its word and unit, and the change from which an effect is said to act on it."""
+"""Output: its word and unit, and the minimum change by which an effect acts on it."""
 
 OUTPUTS = ("thrust", "omega", "beta")
 STAIRS, HOLD, STEP = 60, 3.0, 0.02
-"""Stairs of a sweep up and down, s on each, s of a step."""
+"""Stairs of a sweep up and down, seconds on each, and the simulation step, s."""
 
 NEAR = 1.5
-"""s shown to both sides of the moment at which an effect does most."""
+"""Seconds shown to both sides of the largest influence of an effect."""
 
 AT_REST = 0.01
-"""Share of the range from which an effect is said to show at rest."""
+"""Minimum share of the range that counts as an influence at rest."""
 
 
 def add_effects(page: Page, found: Diagnosis) -> None:
-    """For each effect of the final set its curve at rest, where it has one, and what it does where it does most."""
+    """For each effect of the final set: its curve at rest, if there is one, and its largest influence over time."""
     for effect in found.final.effects:
         on, off = _with_and_without(found.final, effect, found.shown)
         change = on - off
-        acts = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
-        if acts == "thrust":
+        channel = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
+        if channel == "thrust":
             _add_thrust(page, effect, found.shown, off, change)
         else:
-            _add_at_rest(page, found, effect, acts)
-        _add_in_time(page, found, effect, acts, change)
+            _add_at_rest(page, found, effect, channel)
+        _add_in_time(page, found, effect, channel, change)
 
 
 class Outputs(dict):
@@ -54,24 +54,24 @@ def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Out
     return _simulated(fit, *record.run), _simulated(fit, *record.run, off)
 
 
-def _add_at_rest(page: Page, found: Diagnosis, effect: str, acts: str) -> None:
-    """Reached against commanded, up and down again; nothing where the effect doesn't show at rest."""
-    word, unit, _ = QUANTITIES[acts]
-    record, command = found.shown, f"{acts}_ref"
-    beside = "beta_ref" if acts == "omega" else "omega_ref"
-    levels = sorted({float(v) for v in np.percentile(record[beside], [0, 50, 100])}) if acts == "omega" else [None]
+def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> None:
+    """Reached against commanded values, up and down; nothing if the effect has no influence at rest."""
+    word, unit, _ = QUANTITIES[channel]
+    record, command = found.shown, f"{channel}_ref"
+    beside = "beta_ref" if channel == "omega" else "omega_ref"
+    levels = sorted({float(v) for v in np.percentile(record[beside], [0, 50, 100])}) if channel == "omega" else [None]
     reached, stairs = {}, _stairs(record[command])
     for level in levels:
         held = {beside: float(np.median(record[beside])) if level is None else level}
-        told = "" if level is None else f", pitch {number(level, 3)} deg"
+        suffix = "" if level is None else f", pitch {number(level, 3)} deg"
         fits = found.fits if level in (None, levels[-1]) else {"after": found.final}
-        reached |= {f"{name}{told}": at_rest(fit, record, command, stairs, held)[acts] for name, fit in fits.items()}
+        reached |= {f"{name}{suffix}": at_rest(fit, record, command, stairs, held)[channel] for name, fit in fits.items()}
     off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
     if off < AT_REST * np.ptp(stairs):
         return
-    title = f"{effect}: at rest the {word} ends up to {number(off, 3)} {unit} from its command"
+    title = f"{effect}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
     figure = reached_against_commanded(stairs, reached, title, word, unit)
-    page.figure(figure, f"The models at rest after stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down again.")
+    page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
 
 
 def _stairs(command: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ def _stairs(command: np.ndarray) -> np.ndarray:
 
 
 def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> Outputs:
-    """Outputs (stairs,) at the end of each stair of a command, everything else standing."""
+    """Outputs (stairs,) at the end of each stair of a command, all other inputs constant."""
     rows = round(HOLD / STEP)
     n = len(stairs) * rows
     inputs = [u.name for u in fit.problem.model.inputs if not u.clock]
@@ -96,24 +96,24 @@ def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: O
     title = f"{effect}: the thrust changes by up to {number(largest, 3)} N"
     figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
     page.figure(
-        figure, "The augmented model with the effect, less the same without it, on the commands of the record shown above."
+        figure, "Difference between the model with the effect and without it, on the commands of the record shown above."
     )
 
 
-def _add_in_time(page: Page, found: Diagnosis, effect: str, acts: str, change: Outputs) -> None:
+def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change: Outputs) -> None:
     record = found.shown
     at = blocks(record, 0.2)
-    center = float(at.time[np.argmax(np.abs(at.mean(change[acts])))])
+    center = float(at.time[np.argmax(np.abs(at.mean(change[channel])))])
     near = np.flatnonzero(np.abs(record.time - center) <= NEAR)
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
     rows = {}
-    word, unit, _ = QUANTITIES.get(acts, ("thrust", "N", 0.0))
-    if acts != "thrust":
-        rows[f"{word} [{unit}]"] = {f"{word} command": record[f"{acts}_ref"][near]}
-        rows[f"{word} [{unit}]"] |= {"measured": record[acts][near]} if acts in record else {}
-        rows[f"{word} [{unit}]"] |= {name: getattr(p, acts)[near] for name, p in shown.items()}
+    word, unit, _ = QUANTITIES.get(channel, ("thrust", "N", 0.0))
+    if channel != "thrust":
+        rows[f"{word} [{unit}]"] = {f"{word} command": record[f"{channel}_ref"][near]}
+        rows[f"{word} [{unit}]"] |= {"measured": record[channel][near]} if channel in record else {}
+        rows[f"{word} [{unit}]"] |= {name: getattr(p, channel)[near] for name, p in shown.items()}
     rows["thrust [N]"] = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
     size = float(np.max(np.abs(change["thrust"][near])))
-    moved = "" if acts == "thrust" else f"{number(np.max(np.abs(change[acts][near])), 3)} {unit} of {word}, "
-    title = f"{effect} does most around {center:.0f} s: {moved}{number(size, 3)} N of thrust"
+    change_words = "" if channel == "thrust" else f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}, "
+    title = f"{effect} has its largest influence around {center:.0f} s: {change_words}{number(size, 3)} N of thrust"
     page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")

@@ -1,4 +1,4 @@
-"""Of the report: what speaks for each candidate and where it failed, and what these commands can tell apart at all."""
+"""Report sections: the evidence for each candidate, why it is rejected, and which effects the commands distinguish."""
 
 import numpy as np
 
@@ -11,17 +11,17 @@ from vpp_fmu.report import Page, evidence_bars, overlap_heatmap, parameter_chang
 from vpp_fmu.report.evidence import FAILED, PASSED, TAKEN, Bar
 
 VISIBLE = 10.0
-"""Log-likelihood that an effect must gain at a plausible size to be shown among those that can be told apart."""
+"""Log-likelihood gain at a plausible size from which an effect counts as visible."""
 
 CLOSE = 0.8
-"""Squared cosine from which a pair of effects is worth showing."""
+"""Squared cosine from which a pair of effects is shown."""
 
 MOST = 14
-"""Effects in the figure of what can be told apart."""
+"""Maximum number of effects in the figure of similar effects."""
 
 
 def add_evidence(page: Page, found: Diagnosis) -> None:
-    """A figure of each round of the search, and the table of all that was refitted."""
+    """A figure of each round of the search, and the table of all refitted candidates."""
     for number, tried in enumerate(found.selection.rounds, start=1):
         fitted = [t for t in tried if t.fit is not None]
         if fitted:
@@ -31,15 +31,15 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
         beside = " + ".join(entry["beside"]) or "nothing"
         form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
         size = ", ".join(f"{n.partition('.')[2]} {digits(v, 3)}" for n, v in entry["parameters"].items())
-        rows.append((entry["name"], form, beside, f"{0.5 * entry['delta_bic']:.1f}", size, entry["why_not"] or "taken"))
+        rows.append((entry["name"], form, beside, f"{0.5 * entry['delta_bic']:.1f}", size, entry["why_not"] or "accepted"))
     columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
     page.table(columns, rows, "Candidates that were refitted in full.")
     for effect, judged in found.selection.judgements.items():
         gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
         page.note(
-            f"{effect}: log-likelihood rises by {judged.fall:.4g} (chance: {judged.needed:.3g} in one rig of "
-            f"{1.0 / ALPHA:.0f}); in cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; from "
-            f"{judged.least:.2g} N on it is of interest."
+            f"{effect}: the log-likelihood increases by {judged.fall:.4g}; chance exceeds {judged.needed:.3g} in one rig of "
+            f"{1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; the minimum "
+            f"size of interest is {judged.least:.2g} N."
         )
 
 
@@ -49,13 +49,13 @@ def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[Candidate
     best = max(bars, key=lambda bar: bar.fall)
     taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.fall, default=None)
     if taken is None:
-        title = f"Round {number}, beside {beside}: no candidate is taken, {best.name} comes nearest"
+        title = f"Round {number}, beside {beside}: no candidate is accepted, {best.name} has the most evidence"
     else:
         title = f"Round {number}, beside {beside}: the evidence for {taken.name} is {taken.fall:,.0f} nats"
     page.figure(
         evidence_bars(bars, MIN_EVIDENCE, title, None if taken is None else taken.fall),
-        "Each candidate refitted with all parameters: half the fall of the BIC on the fitted records. What lies in the shaded "
-        "band fits as well as the one that was taken.",
+        "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records. Candidates in the shaded "
+        "band fit as well as the accepted one.",
     )
     return bars
 
@@ -65,19 +65,19 @@ def _bar(found: Diagnosis, tried: CandidateFit) -> Bar:
     if why is None:
         return Bar(label, tried.evidence, TAKEN, "in the final set")
     name = tried.candidate.name
-    stands = tried.evidence > MIN_EVIDENCE and name not in found.selection.refused
-    return Bar(label, tried.evidence, PASSED if stands else FAILED, _short(why))
+    passed = tried.evidence > MIN_EVIDENCE and name not in found.selection.refused
+    return Bar(label, tried.evidence, PASSED if passed else FAILED, _short(why))
 
 
 def _short(reasons: str) -> str:
-    """The head of the first reason, and how many more there are."""
+    """The start of the first reason, and the number of further ones."""
     first, *more = reasons.split("; ")
     head = first.partition(":")[0].partition(" from ")[0]
     return head if not more else f"{head}, and {len(more)} more"
 
 
 def add_shift(page: Page, found: Diagnosis) -> None:
-    """What the base parameters had bent to without the effects."""
+    """The bias of the base parameters without the effects."""
     shift = summary(found)["base_parameters"]
     names = list(shift)
     before, after = ({n: shift[n][k] for n in names} for k in ("before", "after"))
@@ -87,30 +87,32 @@ def add_shift(page: Page, found: Diagnosis) -> None:
     before, after = (np.array(list(values.values())) for values in (before, after))
     reach = 1.96 * np.array([shift[n]["std"] or np.nan for n in names], float)
     k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
-    title = f"Without the effect {names[k]} had bent to {digits(before[k])}; with it, it is {digits(after[k])}"
+    title = f"Without the effect {names[k]} is biased to {digits(before[k])}; with it, it is {digits(after[k])}"
     figure = parameter_change(names, before, after, after - reach, after + reach, title)
-    caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the latter's order."
+    caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
     page.figure(figure, caption)
 
 
 def add_apart(page: Page, found: Diagnosis) -> None:
-    """Which effects these commands can tell apart, and which they can't show."""
-    apart = found.distinguishability
-    visible = [i for i, v in enumerate(apart.visibility) if v >= VISIBLE]
-    names = np.array([label.split(" ")[0] for label in apart.labels])
-    close = np.where(names[:, None] != names, apart.overlap, 0.0)[:, visible].max(axis=1, initial=0.0)
+    """The effects that these commands distinguish, and those that they do not show."""
+    similarity = found.distinguishability
+    visible = [i for i, v in enumerate(similarity.visibility) if v >= VISIBLE]
+    names = np.array([label.split(" ")[0] for label in similarity.labels])
+    close = np.where(names[:, None] != names, similarity.overlap, 0.0)[:, visible].max(axis=1, initial=0.0)
     own = set(found.final.effects)
     chosen = [i for i in visible if close[i] >= CLOSE or names[i] in own]
     chosen = sorted(sorted(chosen, key=lambda i: (names[i] not in own, -close[i]))[:MOST])
     if len(chosen) > 1:
-        pairs = apart.alike()
-        title = "These commands tell every visible effect from every other"
+        pairs = similarity.alike()
+        title = "These commands distinguish all visible effects"
         if pairs:
             one, other, _ = pairs[0]
-            title = f"{len(pairs)} pairs of effects pass for each other under these commands, {one} and {other} first"
-        labels = [apart.labels[i] for i in chosen]
-        figure = overlap_heatmap(labels, apart.overlap[np.ix_(chosen, chosen)], title)
-        caption = "Squared cosine of what the base parameters can't follow of each effect's trace; 1: one passes for the other."
-        page.figure(figure, f"{caption} Effects that are close to another, and those found.")
-    unseen = ", ".join(apart.invisible()) or "none"
-    page.note(f"Would not show at a plausible size under these commands: {unseen}.")
+            title = f"These commands do not distinguish {len(pairs)} pairs of effects; the most similar are {one} and {other}"
+        labels = [similarity.labels[i] for i in chosen]
+        figure = overlap_heatmap(labels, similarity.overlap[np.ix_(chosen, chosen)], title)
+        caption = (
+            "Squared cosine of the responses to two effects, orthogonal to the base parameters' sensitivities; 1: the same."
+        )
+        page.figure(figure, f"{caption} Similar effects, and those found.")
+    unseen = ", ".join(similarity.invisible()) or "none"
+    page.note(f"Not visible at a plausible size under these commands: {unseen}.")

@@ -1,4 +1,4 @@
-"""Of several campaigns: one line each, as a table and as a page, with what was found over the days they were measured on."""
+"""Diagnoses of several campaigns: a table with one line each, and a page with the effects found over the dates."""
 
 import csv
 import io
@@ -14,17 +14,17 @@ from vpp_fmu.digits import number
 from vpp_fmu.report import Page, style
 
 WIDE = 20.0
-"""Largest error over the least from which on they are drawn by their logarithm: rigs of several sizes."""
+"""Ratio of the largest to the smallest error from which the axis is logarithmic."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What a fleet's table tells of one campaign.
+    """One campaign in the table of a fleet.
 
-    `date`: ISO 8601 or "" where nothing tells it. `error_before`, `error_after`, `noise` [N]: thrust error of the base and of
-    the model that ships, where neither was fitted, and the noise of one reading. `sizes`: (value, standard deviation or None,
-    unit) of each parameter found, by full name; none of a learned term, which is another one in each campaign. `refused`: why
-    there is no diagnosis, else "".
+    `date`: ISO 8601, "" if unknown. `error_before`, `error_after`, `noise` [N]: held-out thrust error of the base and of the
+    exported model, and the noise of one reading. `sizes`: (value, standard error or None, unit) of each parameter found, by
+    full name, without those of learned terms, which differ from campaign to campaign. `refused`: why there is no diagnosis,
+    else "".
     """
 
     name: str
@@ -42,17 +42,17 @@ class Entry:
 
     @property
     def line(self) -> str:
-        """As the command prints it."""
+        """The line that the command prints."""
         return f"{self.name}: refused: {self.refused}" if self.refused else f"{self.name}: {self.verdict}. {self.said}"
 
 
 def entry(name: str, found: Diagnosis) -> Entry:
     """The line of a diagnosis."""
-    told, folder = summary(found), found.campaign.folder
+    content, folder = summary(found), found.campaign.folder
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     sizes = {
         f"{effect['name']}.{parameter}": (p["value"], p["std"], p["unit"])
-        for effect in told["effects"]
+        for effect in content["effects"]
         for parameter, p in effect["parameters"].items()
         if parameter != "form" and not (found.learned and effect["name"] == found.learned.term.effect.name)
     }
@@ -72,12 +72,12 @@ def entry(name: str, found: Diagnosis) -> Entry:
 
 
 def refusal(name: str, campaign: str, why: str) -> Entry:
-    """The line of a campaign that can't be diagnosed."""
+    """The line of a campaign that cannot be diagnosed."""
     return Entry(name, campaign, measured_on(Path(campaign)), refused=why)
 
 
 def columns(entries: Sequence[Entry]) -> dict[str, list]:
-    """The table, column by column: what all have, then each parameter that any has, and its standard deviation."""
+    """The table by column: the common ones, then each parameter that any campaign has, with its standard error."""
     found = {
         "name": [e.name for e in entries],
         "campaign": [e.campaign for e in entries],
@@ -102,7 +102,7 @@ def parameters(entries: Sequence[Entry]) -> list[str]:
 
 
 def as_csv(entries: Sequence[Entry]) -> str:
-    """The table as CSV; what a campaign has not is an empty cell."""
+    """The table as CSV; a cell without value is empty."""
     text, table = io.StringIO(), columns(entries)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
@@ -111,7 +111,7 @@ def as_csv(entries: Sequence[Entry]) -> str:
 
 
 def as_parquet(entries: Sequence[Entry]) -> bytes | None:
-    """The table as Parquet; None where the extra `import` is not installed."""
+    """The table as Parquet; None if the extra `import` is not installed."""
     try:
         import pyarrow as pa  # noqa: PLC0415  (an extra)
         from pyarrow import parquet  # noqa: PLC0415
@@ -131,17 +131,17 @@ def fleet_page(entries: Sequence[Entry]) -> Page:
     verdicts = {word: sum(e.verdict == word for e in done) for word in dict.fromkeys(e.verdict for e in done)}
     page = Page(
         f"Diagnosis of {len(entries)} campaigns",
-        "Each campaign was diagnosed by itself; its own report stands in the folder of its name beside this page.",
+        "Each campaign was diagnosed alone; its report is in the folder of its name beside this page.",
     )
     page.tiles([("verdict", f"{word}: {count}", f"of {len(entries)} campaigns") for word, count in verdicts.items()])
     if len(done) < len(entries):
         page.tiles([("refused", len(entries) - len(done), "the table says why")])
     if done:
-        page.section("Errors", "Thrust error of the base and of the model that ships, on records that neither was fitted to.")
-        page.figure(_errors(done), "Where the two are one, nothing was added to the model.")
+        page.section("Errors", "Held-out thrust error of the base and of the exported model.")
+        page.figure(_errors(done), "If the two are equal, nothing was added to the model.")
     several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
     if several:
-        page.section("Sizes", "What was found in more than one campaign.")
+        page.section("Sizes", "Parameters found in more than one campaign.")
     for name, own in several.items():
         _add_size(page, name, own)
     page.section("All campaigns")
@@ -149,7 +149,7 @@ def fleet_page(entries: Sequence[Entry]) -> Page:
         (e.name, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings) for e in entries
     ]
     heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
-    page.table(heads, rows, "One line a campaign, thrust error before and after; fleet.csv has the parameters too.")
+    page.table(heads, rows, "One line per campaign, with the thrust error before and after; fleet.csv has the parameters, too.")
     return page
 
 
@@ -158,8 +158,8 @@ def _shown(e: Entry) -> tuple[str, ...]:
 
 
 def _errors(done: Sequence[Entry]):
-    gained = sum(bool(e.effects) for e in done)
-    fig = style.figure(f"The thrust error falls in {gained} of {len(done)} campaigns", 380)
+    improved = sum(bool(e.effects) for e in done)
+    fig = style.figure(f"The thrust error decreases in {improved} of {len(done)} campaigns", 380)
     names = [style.escaped(e.name) for e in done]
     marks = (
         ("before", [e.error_before for e in done], style.BEFORE, "circle"),
@@ -178,7 +178,7 @@ def _errors(done: Sequence[Entry]):
 
 
 def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
-    """A parameter over the dates it was measured on, or over the campaigns where not all dates are known."""
+    """A parameter over the dates, or over the campaigns if a date is unknown."""
     unit = having[0].sizes[name][2]
     dated = all(e.date for e in having) and len({e.date for e in having}) > 1
     own = sorted(having, key=lambda e: e.date) if dated else list(having)

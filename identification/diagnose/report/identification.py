@@ -1,5 +1,4 @@
-"""The identification.json of a model that a diagnosis fitted: what `vpp identify` says of its own, as far as this fit tells
-it."""
+"""The identification.json of a model that a diagnosis fitted, with the same content as that of `vpp identify`."""
 
 from identification.assessment.model_error import model_error
 from identification.diagnose.diagnose import Diagnosis
@@ -8,9 +7,9 @@ from identification.fit.uncertainty import NORMAL_95
 
 
 def identification_of(found: Diagnosis, fit: Fit) -> dict:
-    """For the model whose parameters `found.parameters(fit)` are: the same values under the same names.
+    """Values and names are those of `found.parameters(fit)`.
 
-    Where the campaign was identified first, with what that told of the static map and the steps.
+    If the campaign was identified first, the results of the static map and the steps are included.
     """
     uncertainty = fit.uncertainty.renamed(found.renamed(fit))
     first = found.identification.summary() if found.identification is not None else {}
@@ -41,7 +40,7 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "condition_number": condition,
         "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
         "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
-        "not_identifiable": dict.fromkeys(uncertainty.left_open, "the records leave open where it is"),
+        "not_identifiable": dict.fromkeys(uncertainty.left_open, "not identifiable from the records"),
         **found.reading_noise.summary(),
         "model_error": error and error.summary(),
         "fitted": [one.name for one in found.fitted],

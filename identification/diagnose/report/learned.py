@@ -1,5 +1,4 @@
-"""Of the report: the curve that was learned, over its driver, with the data below it; the laws tried, and what it could also
-be."""
+"""Report section: the learned curve over its driver, with a histogram of the data; the laws, and rival terms."""
 
 import numpy as np
 
@@ -15,17 +14,17 @@ from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.report import Page, learned_curve
 
 POINTS = 200
-"""Of a law's line."""
+"""Points of a law's line."""
 
 MOST_TRIED = 6
-"""Terms of which a page says why they do not stand."""
+"""Rejected terms that a page lists with reasons."""
 
 
 def add_learned(page: Page, found: Diagnosis) -> None:
-    """The curve, the laws, the rivals."""
+    """Add the curve, the laws and the rivals."""
     learned, stds = found.learned, found.std
     term, curve = learned.term, learned.curve
-    page.note(f"A term of no list {sentence(term)}. It is in {FILE}, which --effects-from takes, and in the FMU.")
+    page.note(f"A term outside the library {sentence(term)}. It is in the FMU, and in {FILE} for --effects-from.")
     if curve.lead.shape == "curve":
         driver, port = DRIVERS[term.lead.driver], PORTS[term.lead.port]
         at, f, std = curve_of(curve)
@@ -34,26 +33,26 @@ def add_learned(page: Page, found: Diagnosis) -> None:
         if term is not curve:
             level = np.interp(at[0], at, f) - law(term, at[:1])[0] if _free(curve) else 0.0
             lines[f"law: {term.lead.shape}"] = fine, law(term, fine) + level
-        title = f"The term at {port.words} over {driver.words}, as it was learned"
+        title = f"The term at {port.words} over {driver.words}, as learned"
         figure = learned_curve(
             at, f, 1.96 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
         )
-        page.figure(figure, "Band: 95 %, knot by knot. Below: how long the fitted records were where. Flat beyond both ends.")
+        page.figure(figure, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
     rows = [
         (n, "fitted" if term.effect.full(n) in term.fit.free else "fixed", number(v), number(stds.get(term.effect.full(n)), 2))
         for n, v in term.values.items()
     ]
     page.table(("parameter", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")
     if learned.laws:
-        told = [(name, SHAPES[name].equation, f"{evidence:.1f}") for name, evidence in learned.laws]
-        page.table(("law", "f over the driver v", "evidence over the table [nat]"), told, "Simple laws in the curve's place.")
+        laws = [(name, SHAPES[name].equation, f"{evidence:.1f}") for name, evidence in learned.laws]
+        page.table(("law", "f over the driver v", "evidence over the table [nat]"), laws, "Simple laws in place of the curve.")
     if learned.rivals:
         others = ", ".join(dict.fromkeys(rival_words(t) for t in learned.rivals))
-        page.note(f"These records hardly tell it from: {others}. next_experiment.csv holds commands that would.")
+        page.note(f"These records hardly distinguish it from: {others}. The commands of next_experiment.csv do.")
 
 
 def add_attempt(page: Page, found: Diagnosis) -> None:
-    """What was looked for and does not ship: where the best of it enters says where to look, though it is not it."""
+    """Add the rejected terms: the port of the best one suggests where to look."""
     attempt = found.attempt
     if attempt.learned or not attempt.tried:
         return
@@ -61,17 +60,17 @@ def add_attempt(page: Page, found: Diagnosis) -> None:
         (sentence(term), number(judged.evidence), why_not_term(found, term, judged))
         for term, judged in attempt.tried[:MOST_TRIED]
     ]
-    caption = f"Terms of no list, of {attempt.comparisons} looked at those that predict most of what was left out. None ships."
-    page.table(("the term", "evidence [nat]", "why it does not ship"), rows, caption)
+    caption = f"Terms outside the library: the best of {attempt.comparisons} by cross-validated gain. None is accepted."
+    page.table(("the term", "evidence [nat]", "why it is rejected"), rows, caption)
 
 
 def _free(curve) -> bool:
-    """Whether no knot is pinned: a level is then the base's, or the curve's, as it comes."""
+    """Whether no knot is pinned: then a constant may be in the base or in the curve."""
     return not any(n.startswith("value_") for n in curve.lead.pinned)
 
 
 def law(term, v: np.ndarray) -> np.ndarray:
-    """A term's f at values v (n,) of its driver; NaN where it has a memory."""
+    """A term's f at values v (n,) of its driver; NaN if it has memory."""
     shape = SHAPES[term.lead.shape]
     if term.lead.shape not in LAWS or shape.memory:
         return np.full(len(v), np.nan)
@@ -80,7 +79,7 @@ def law(term, v: np.ndarray) -> np.ndarray:
 
 
 def data(found: Diagnosis) -> np.ndarray:
-    """The driver as the fitted records go through it."""
+    """Values of the driver over the fitted records."""
     term, fit = found.learned.term, found.final
     lead, parts = term.lead, []
     for e in fit.problem.experiments:

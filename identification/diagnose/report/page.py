@@ -1,4 +1,4 @@
-"""The report of a diagnosis: its first screen says which effect, how large, the error before and after, and how sure."""
+"""The report of a diagnosis. The first screen names the effect, its size with interval, and the error before and after."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,22 +19,22 @@ from vpp_fmu.record import Record
 from vpp_fmu.report import Page, measured_against_predicted, residual_by_section, thinning
 
 SURE = {
-    "attributed": "one set of effects explains it",
-    "family": "these data can't tell the named effects from others",
-    "partly": "the named effect explains a part of it, or something near it does",
-    "learned": "an effect of no list, learned from these data",
-    "unexplained": "no effect to choose from explains it",
-    "none": "nothing above the noise is missing",
+    "attributed": "exactly one set of effects explains the lack of fit",
+    "family": "the records do not distinguish the named effects from others",
+    "partly": "the named effect, or a similar one, explains a part of the lack of fit",
+    "learned": "an effect outside the library, learned from these records",
+    "unexplained": "no effect of the library explains the lack of fit",
+    "none": "the model explains all that exceeds the noise",
 }
 
-UNIDENTIFIABLE = "not told by these records"
+UNIDENTIFIABLE = "not identifiable from these records"
 
 ZOOM, SMOOTHED = 3.0, 0.2
-"""s to both sides of a worst moment; it is the worst mean over so many s."""
+"""Seconds shown to both sides of a worst moment, and seconds over which the error is averaged to find it."""
 
 
 def headline(found: Diagnosis) -> str:
-    """The finding in one or two sentences, and the best guess where something stays unexplained."""
+    """The finding in one or two sentences, and the best guess if the lack of fit is not explained."""
     return f"{_finding(found)} {_guessed(found.best_guess)}" if found.best_guess else _finding(found)
 
 
@@ -61,34 +61,37 @@ def _sized(guess: Guess) -> str:
 
 
 def _guess(guess: Guess) -> tuple[str, str, str]:
-    """What speaks for and against the best guess, and what the next experiment tells it from."""
+    """Evidence for and against the best guess, and the model from which the next experiment distinguishes it."""
     share = f"would explain {100.0 * guess.explains:.0f} % of the lack of fit; ± is one standard error"
     rival = guess.rival or "the model without it"
-    told = f"{NEXT} tells it from {rival}: thrusts {number(guess.there, 2)} N rms apart there, {number(guess.here, 2)} N so far"
-    value = _sized(guess) if guess.near else f"none near; most likely {_sized(guess)}"
-    return "best guess", value, f"{share}; against it: {'; '.join(guess.against)}; {told}"
+    plan = f"{NEXT} distinguishes it from {rival}: their thrusts differ by {number(guess.there, 2)} N rms there, by"
+    plan += f" {number(guess.here, 2)} N so far"
+    value = _sized(guess) if guess.near else f"none is close; the most likely is {_sized(guess)}"
+    return "best guess", value, f"{share}; against it: {'; '.join(guess.against)}; {plan}"
 
 
 def _finding(found: Diagnosis) -> str:
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
     noise, where = f"the noise is {number(found.noise.floor)} N", _where_judged(found)
     if found.refuted:
-        return f"What fits these records best is refuted and does not ship: {found.refuted}. The base model stands, {noise}."
+        return f"The best set of effects is refuted and not used: {found.refuted}. The base model is kept, {noise}."
     if found.verdict == "none":
         return f"Nothing is missing: the thrust error {where} is {number(before)} N, {noise}."
     if found.learned:
         named = f"beside {' and '.join(found.learned.beside.effects)} " if found.learned.beside.effects else ""
-        told = f"Something of no list {named}{sentence(found.learned.term)}"
-        return f"{told}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
+        text = f"A term outside the library {named}{sentence(found.learned.term)}"
+        return f"{text}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
     if found.verdict == "unexplained" and not found.before.significant:
-        told = f"The rotor shakes the reading once a revolution, by {number(found.before.turning.size)} N rms"
-        return f"{told}: most of what passes for noise ({number(found.noise.floor)} N). Nothing else is missing."
+        text = f"The thrust reading has a line at the rotor frequency of {number(found.before.turning.size)} N rms"
+        return f"{text}: most of the noise power ({number(found.noise.floor)} N). Nothing else is missing."
     if found.verdict == "unexplained" and found.before.only_speed:
-        told = f"The measured speed is {number(found.before.speed_rpm)} rpm rms off its model, and no effect to choose from"
-        told += f" explains it; the thrust shows nothing of it: its error {where} is {number(before)} N, {noise}"
-        return f"{told}. Look at the speed sensor first."
+        text = f"The measured speed deviates from the model by {number(found.before.speed_rpm)} rpm rms, and no effect of the"
+        text += f" library explains it. The thrust does not show it: its error {where} is {number(before)} N, {noise}"
+        return f"{text}. Check the speed sensor first."
     if found.verdict == "unexplained":
-        return f"Something is missing that no effect to choose from explains: {number(before)} N {where.rstrip(',')}, {noise}."
+        return (
+            f"No effect of the library explains the lack of fit: thrust error {number(before)} N {where.rstrip(',')}, {noise}."
+        )
     described = {e.name: e.description for e in found.selection.final.problem.model.effects}
     named = [f"{name} ({described[name]})" for name in found.final.effects]
     effects = " and ".join([*named, *(f"{name} ({described[name]}; {LEFT_OUT})" for name in found.left_out)])
@@ -102,11 +105,11 @@ def _where_judged(found: Diagnosis) -> str:
 
 
 def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """(label, value, note) of what a reader must know first."""
+    """(label, value, note) of the figures of the first screen."""
     figures = []
     for effect in summary(found)["effects"]:
         if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
-            figures.append(("learned", "a curve", f"{sentence(found.learned.term)}; it stands below, with its band"))
+            figures.append(("learned", "a curve", f"{sentence(found.learned.term)}; shown below with its 95 % band"))
             continue
         for name, p in effect["parameters"].items():
             if name == "form":
@@ -130,8 +133,8 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
             ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
         )
     rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.selection.family.items() if others]
-    said = found.refuted or "; ".join(rivals) or SURE[found.verdict]
-    figures.append(("verdict", found.verdict, said))
+    note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
+    figures.append(("verdict", found.verdict, note))
     figures.append(_lack(found))
     figures += [quality_tile(found.quality)] if found.quality else []
     figures += [_where(found)] if found.verdict in UNEXPLAINED else []
@@ -139,14 +142,14 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _lack(found: Diagnosis) -> tuple[str, str, str]:
-    """What the tests of lack of fit say."""
+    """Result of the tests of lack of fit."""
     lack = found.after
-    said = f"p {chance(lack.p, '= ')}; from {number(lack.least, 2)} N below 10 Hz on it is of interest"
-    return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "none seen", said
+    note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
+    return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note
 
 
 def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
-    """How well a parameter is known: its interval where that was searched, else from its standard deviation, in its unit."""
+    """The 95 % interval of a parameter, scanned or from its standard error, in its unit."""
     unit = "" if parameter["unit"] == "1" else parameter["unit"]
     if ends is not None:
         return f"95 %: {interval(*ends, unit)}"
@@ -159,13 +162,13 @@ def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
 
 
 def _where(found: Diagnosis) -> tuple[str, str, str]:
-    """Where the error lives that nothing explains."""
-    where = found.location
-    band, section = (max(where[k], key=where[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
-    strongest, largest = where["strongest_correlate"], where["largest"]
-    note = f"most where {_commanded(section)}; goes with {strongest['signal']} ({strongest['correlation']:+.2f}); "
-    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {where['input']}"
-    return "what is left", f"{band} Hz", note
+    """Location of the unexplained error."""
+    location = found.location
+    band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
+    strongest, largest = location["strongest_correlate"], location["largest"]
+    note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f}); "
+    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
+    return "residual", f"{band} Hz", note
 
 
 def diagnosis_page(found: Diagnosis) -> Page:
@@ -189,46 +192,45 @@ def diagnosis_page(found: Diagnosis) -> Page:
 
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
-    """Figures and tables of a diagnosis, onto a page that shows the unseen record already."""
+    """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
     page.section("The worst moments")
     _add_worst(page, found)
     if found.final.effects:
         _add_sections(page, found)
-        page.section("What the effect does")
+        page.section("The effect")
         if found.learned:
             add_learned(page, found)
         add_effects(page, found)
         add_shift(page, found)
-    page.section("Why this, and not something else")
+    page.section("Candidates")
     add_evidence(page, found)
-    page.section("What is left")
+    page.section("Residual")
     _add_lack(page, found)
     add_attempt(page, found)
     add_residual(page, found)
     _add_location(page, found)
-    page.section("What these commands can show")
+    page.section("Which effects these commands distinguish")
     add_apart(page, found)
     if found.verdict not in ("none", "attributed"):
-        range_told = ", ".join(found.rig.command_lines())
+        ranges = ", ".join(found.rig.command_lines())
         page.note(
-            "next_experiment.csv holds a record of commands that separates what these could not, within "
-            f"{range_told}. Run it twice."
+            f"next_experiment.csv has commands that distinguish effects that these do not, within {ranges}. Run it twice."
         )
 
 
 def _add_whole(page: Page, found: Diagnosis) -> None:
     record = found.shown
     shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
-    left = [f"{number(p.rmse_thrust)} N" for p in shown.values()]
-    erred = f"{left[0]} before, by {left[1]} after" if len(left) > 1 else left[0]
+    errors_shown = [f"{number(p.rmse_thrust)} N" for p in shown.values()]
+    error = f"{errors_shown[0]} before and {errors_shown[1]} after" if len(errors_shown) > 1 else errors_shown[0]
     seen = "no fit saw" if found.unseen is not None else "was fitted"
-    title = f"On a record that {seen} the model errs by {erred}; the noise alone is {number(found.noise.floor)} N"
+    title = f"On a record that {seen} the thrust error is {error}; the noise alone is {number(found.noise.floor)} N"
     lines = {name: p.thrust for name, p in shown.items()}
     page.figure(_figure(found, record, lines, title), f"{found.shown_name}.csv. {thinning(len(record))}")
 
 
 def _add_worst(page: Page, found: Diagnosis) -> None:
-    """Where the model before was worst, and where the one after is, if that is elsewhere."""
+    """The largest error of the model before, and of the model after if it is elsewhere."""
     record = found.shown
     lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
     at = blocks(record, SMOOTHED)
@@ -256,53 +258,55 @@ def _add_sections(page: Page, found: Diagnosis) -> None:
     names = list(before)
     values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
     k = int(np.argmax(values[0] - values[1]))
-    title = f"The error fell most where {_commanded(names[k])}: from {number(values[0][k])} to {number(values[1][k])} N"
+    title = f"The error decreases most while {_moving(names[k])}: from {number(values[0][k])} to {number(values[1][k])} N"
     figure = residual_by_section(names, *values, found.noise.floor, title)
-    page.figure(figure, f"Thrust error by what is commanded, {_where_judged(found).rstrip(',')}.")
+    page.figure(figure, f"Thrust error by moving command, {_where_judged(found).rstrip(',')}.")
 
 
 def _add_lack(page: Page, found: Diagnosis) -> None:
-    """Pure error by band, before and after, where a repeat tells it; and the score test."""
+    """The tests of lack of fit, before and after."""
     before, after = found.before, found.after
     old, new = before.score, after.score
-    tests = [("generic shapes of the commands", "-", old.gain, old.p, new.gain, new.p)]
+    tests = [("score test on the commands and time", "-", old.gain, old.p, new.gain, new.p)]
     for one, other in zip(before.bands, after.bands, strict=True):
         tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
     if before.speed or after.speed:
-        tests.append(("share of the speed's error that is no noise", "-", before.speed, None, after.speed, None))
+        tests.append(("structured share of the speed residual", "-", before.speed, None, after.speed, None))
     if before.transient_size or after.transient_size:
-        tests.append(("share of the thrust's error that rest has not", "-", before.moving, None, after.moving, None))
+        tests.append(("share of the thrust residual absent at rest", "-", before.moving, None, after.moving, None))
     one, other = before.turning, after.turning
-    tests.append(("a line at once a revolution", "N", one.size, one.p, other.size, other.p))
+    tests.append(("line at the rotor frequency", "N", one.size, one.p, other.size, other.p))
     rows = [(what, unit, first, _chance(p), last, _chance(now)) for what, unit, first, p, last, now in tests]
     columns = ("test", "unit", "before", "p", "after", "p ")
     page.table(
         columns,
         rows,
-        "Lack of fit: the score test's log-likelihood, what two records of the same commands share by band, and a vibration.",
+        "Tests of lack of fit: log-likelihood of the score test, pure error of repeated records by band, structured residuals.",
     )
 
 
 def _chance(p: float | None) -> str:
-    """Of a test; nothing of what is none."""
+    """p-value of a test; empty if there is none."""
     return "" if p is None else chance(p)
 
 
-def _commanded(section: str) -> str:
-    return {"both": "both are commanded", "steady": "nothing is commanded"}.get(section, f"{section} is commanded")
+def _moving(section: str) -> str:
+    return {"both": "both commands move", "steady": "no command moves"}.get(
+        section, f"only the {section.removesuffix(' only')} command moves"
+    )
 
 
 def _add_location(page: Page, found: Diagnosis) -> None:
-    where, what = found.location, "error of the base model" if not found.final.effects else "error that is left"
-    strongest, largest = where["strongest_correlate"], where["largest"]
+    location, what = found.location, "error of the base model" if not found.final.effects else "residual"
+    strongest, largest = location["strongest_correlate"], location["largest"]
     page.table(
-        ("what", "value"),
+        ("quantity", "value"),
         [
-            ("goes most with", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
-            ("input", where["input"]),
+            ("strongest correlation", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
+            ("input", location["input"]),
             ("largest", f"{signed(largest['thrust'], 3)} N at {largest['time']:.1f} s"),
-            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in where["share_by_band_hz"].items()),
-            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in where["mean_square_by_section"].items()),
+            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in location["share_by_band_hz"].items()),
+            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in location["mean_square_by_section"].items()),
         ],
-        f"Where the {what} lives, so far as it repeats.",
+        f"Location of the {what}, its repeatable part.",
     )

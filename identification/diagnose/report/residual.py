@@ -1,4 +1,4 @@
-"""Of the report: what the residual still goes with, before the effects were added and after."""
+"""Report section: correlations, spectrum and transients of the residual, before and after the effects are added."""
 
 import numpy as np
 from scipy.signal import csd
@@ -12,19 +12,20 @@ from vpp_fmu.record import Record
 from vpp_fmu.report import Page, correlations, residual_by_move, residual_spectrum
 
 LAGS = 100
-"""Lags of RATE seconds that are looked at, at most: a quarter of a record that is shorter."""
+"""Maximum number of lags of RATE seconds; at most a quarter of the record."""
 
 BINS = np.geomspace(0.1, 25.0, 25)
 """Edges of the frequency bins of a spectrum, Hz."""
 
 TOGETHER, LONGEST, SHORTEST, FEWEST = 0.1, 1.5, 0.15, 8
-"""s between changes of a command that are one move; s after a move that count, at most and at least; moves worth a figure."""
+"""Seconds between changes of a command that form one move; maximum and minimum seconds after a move that are averaged; minimum
+number of moves for a figure."""
 
 WORDS = {"omega_ref": ("speed", "rpm"), "beta_ref": ("pitch", "deg")}
 
 
 def add_residual(page: Page, found: Diagnosis) -> None:
-    """Correlations, spectrum, and what follows each move, onto a page."""
+    """Add correlations, spectrum, and the residual after each move to a page."""
     _add_correlations(page, found)
     _add_spectrum(page, found)
     for name in WORDS:
@@ -32,12 +33,12 @@ def add_residual(page: Page, found: Diagnosis) -> None:
 
 
 def _records(found: Diagnosis) -> list[Record]:
-    """The fitted records of the first one's commands."""
+    """The fitted records that have the commands of the first one."""
     return [one.record for one in found.base.problem.experiments[0].records]
 
 
 def _residuals(found: Diagnosis, record: Record) -> dict[str, np.ndarray]:
-    """Measured less predicted thrust (rows,) N of the open-loop commands, by fit."""
+    """Measured minus predicted thrust (rows,) N, by fit."""
     return {name: record["thrust"] - found.prediction(fit, record).thrust for name, fit in found.fits.items()}
 
 
@@ -57,15 +58,15 @@ def _add_correlations(page: Page, found: Diagnosis) -> None:
     outside = {row: [100.0 * np.mean(np.abs(v) > band) for v in lines.values()] for row, lines in rows.items()}
     worst = max(outside, key=lambda row: outside[row][0])
     first, last = outside[worst][0], outside[worst][-1]
-    now = f", now at {last:.0f} %" if len(errors) > 1 else ""
-    what = "remembered itself" if worst == "itself" else f"went with the {worst}"
-    title = f"The residual {what} at {first:.0f} % of the lags{now}; chance gives 5 %"
-    caption = f"Thrust residual of the open-loop record against what was before it, means over {1000 * RATE:.0f} ms."
+    now = f", after the effects at {last:.0f} %" if len(errors) > 1 else ""
+    what = "itself" if worst == "itself" else f"the {worst}"
+    title = f"The residual correlates with {what} at {first:.0f} % of the lags{now}; chance gives 5 %"
+    caption = f"Correlation of the open-loop thrust residual with earlier values, means over {1000 * RATE:.0f} ms."
     page.figure(correlations(lags, rows, band, title), caption)
 
 
 def _correlated(error: np.ndarray, signal: np.ndarray, count: int) -> np.ndarray:
-    """Correlation (count,) of an error (n,) with a signal (n,) that many blocks earlier, NaN left out; 0 without any pair."""
+    """Correlation (count,) of an error (n,) with a signal (n,) 1 to `count` blocks earlier, without NaN; 0 without pairs."""
     found = []
     for k in range(1, count + 1):
         late, early = error[k:], signal[:-k]
@@ -86,15 +87,15 @@ def _add_spectrum(page: Page, found: Diagnosis) -> None:
     power = {name: _binned(at.mean(first[name]), at.mean(second[name]), float(np.median(np.diff(at.time)))) for name in first}
     centres = np.sqrt(BINS[1:] * BINS[:-1])
     before, after = found.before, found.after
-    now = f", now of {number(after.size, 2)} N (p {chance(after.p, '= ')})" if len(first) > 1 else ""
-    title = f"Below 10 Hz the model lacked {number(before.size, 2)} N rms (p {chance(before.p, '= ')}){now}"
+    now = f", after the effects {number(after.size, 2)} N (p {chance(after.p, '= ')})" if len(first) > 1 else ""
+    title = f"Lack of fit below 10 Hz: {number(before.size, 2)} N rms (p {chance(before.p, '= ')}){now}"
     how = "Cross-spectrum of both records' residuals" if repeat is not None else "Spectrum of the residual, noise included"
     noise = _noise_density(found.noise, centres, float(np.median(np.diff(blocks(record, found.noise.block).time))))
-    page.figure(residual_spectrum(centres, power, noise, title), f"{how}, averaged over bins; gaps: nothing there.")
+    page.figure(residual_spectrum(centres, power, noise, title), f"{how}, averaged over bins; gaps: no positive power.")
 
 
 def _binned(one: np.ndarray, other: np.ndarray, step: float) -> np.ndarray:
-    """Shared power density (bins,) N^2/Hz of two errors (n,) N."""
+    """Real cross-spectral density (bins,) N^2/Hz of two errors (n,) N."""
     both = np.isfinite(one) & np.isfinite(other)
     one, other = (np.where(both, e, 0.0) for e in (one, other))
     frequency, shared = csd(one, other, fs=1.0 / step, nperseg=min(1024, len(one)), detrend=False)
@@ -104,7 +105,7 @@ def _binned(one: np.ndarray, other: np.ndarray, step: float) -> np.ndarray:
 
 
 def _noise_density(noise: Noise, frequency: np.ndarray, step: float) -> np.ndarray:
-    """Power density [N^2/Hz] of the noise's autoregression at frequencies [Hz], its blocks being `step` s long."""
+    """Power density [N^2/Hz] of the noise autoregression, on blocks of `step` s, at frequencies [Hz]."""
     colour = noise.colour
     turns = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(colour.weights))) * step)
     return 2.0 * step * colour.innovation**2 / np.abs(turns @ colour.weights) ** 2
@@ -128,23 +129,23 @@ def _add_moves(page: Page, found: Diagnosis, command: str) -> None:
     word, unit = WORDS[command]
     title = _worst_moves(sizes[kept], means, word, unit)
     figure = residual_by_move(sizes[kept], turned, means, title, f"move of the {word} command [{unit}]", noise)
-    page.figure(figure, f"Mean of measured less predicted up to {LONGEST:g} s after each move, or until the next.")
+    page.figure(figure, f"Mean of measured minus predicted thrust up to {LONGEST:g} s after each move, or until the next.")
 
 
 def moves(time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(first row, size) of each move of a command: changes the same way, at most TOGETHER s apart, are one."""
+    """(first row, size) of each move of a command: changes of the same sign, at most TOGETHER s apart, form one."""
     change = np.diff(command)
     at = np.flatnonzero(change) + 1
     if not len(at):
         return at, np.array([])
-    apart = (np.diff(time[at]) > TOGETHER) | (np.sign(change[at[1:] - 1]) != np.sign(change[at[:-1] - 1]))
-    group = np.append(0, np.cumsum(apart))
-    first = at[np.append(True, apart)]
+    separate = (np.diff(time[at]) > TOGETHER) | (np.sign(change[at[1:] - 1]) != np.sign(change[at[:-1] - 1]))
+    group = np.append(0, np.cumsum(separate))
+    first = at[np.append(True, separate)]
     return first, np.bincount(group, change[at - 1])
 
 
 def _spans(time: np.ndarray, starts: np.ndarray) -> list[tuple[int, int]]:
-    """Rows from each move to the next, at most LONGEST s; empty where that is less than SHORTEST s."""
+    """Rows from each move to the next, at most LONGEST s; empty if less than SHORTEST s."""
     ends = [*starts, len(time)][1:]
     reach = np.searchsorted(time, time[starts] + LONGEST)
     found = [(int(a), int(min(b, c))) for a, b, c in zip(starts, ends, reach, strict=True)]
@@ -156,7 +157,7 @@ def _after(error: np.ndarray, spans: list[tuple[int, int]]) -> np.ndarray:
 
 
 def _worst_moves(size: np.ndarray, means, word: str, unit: str) -> str:
-    """The kind of move, small or large, up or down, that was followed by the largest mean residual before."""
+    """Title: the kind of move (small or large, up or down) with the largest mean residual before."""
     middle = float(np.median(np.abs(size)))
     kinds = {}
     for large, extent in ((False, f"less than {number(middle, 3)} {unit}"), (True, f"{number(middle, 3)} {unit} or more")):
@@ -166,5 +167,5 @@ def _worst_moves(size: np.ndarray, means, word: str, unit: str) -> str:
                 kinds[f"{word} moves {way} of {extent}"] = [float(np.nanmean(values[chosen])) for values in means.values()]
     worst = max(kinds, key=lambda kind: abs(kinds[kind][0]))
     before, after = kinds[worst][0], kinds[worst][-1]
-    now = f", now it is {signed(after, 3)} N" if len(means) > 1 else ""
-    return f"After {worst} the thrust was {signed(before, 3)} N off on average{now}"
+    now = f", after the effects {signed(after, 3)} N" if len(means) > 1 else ""
+    return f"Mean thrust residual after {worst}: {signed(before, 3)} N{now}"

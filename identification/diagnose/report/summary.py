@@ -31,11 +31,11 @@ UNITS = {
     "explains": "1",
     "most_explained": "1",
 }
-"""Of the numbers that do not stand beside their unit."""
+"""Units of the numbers that have none beside them."""
 
 
 def summary(found: Diagnosis) -> dict:
-    """As CONTRACT.md names it."""
+    """The content, with the names of CONTRACT.md."""
     return {
         "format": FORMAT,
         "units": UNITS,
@@ -67,7 +67,7 @@ def summary(found: Diagnosis) -> dict:
 
 
 def _best_guess(found: Diagnosis) -> dict | None:
-    """The best candidate where something stays unexplained."""
+    """The best candidate, if the lack of fit is not explained."""
     guess = found.best_guess
     if guess is None:
         return None
@@ -92,7 +92,7 @@ def _best_guess(found: Diagnosis) -> dict | None:
 
 
 def _learning(found: Diagnosis) -> dict | None:
-    """What was tried to learn, where no effect of the list explains all."""
+    """Terms that were tried, if the library does not explain the lack of fit."""
     attempt = found.attempt
     if not attempt.comparisons:
         return None
@@ -112,29 +112,29 @@ def _learning(found: Diagnosis) -> dict | None:
 
 
 def why_not_term(found: Diagnosis, term: Term, judged: Judgement) -> str | None:
-    """Why a term of no list does not ship, in words; None where it does. The table and the JSON say the same."""
+    """Why a learned term is rejected, for table and JSON; None if it is accepted."""
     if found.learned and term is found.learned.curve:
         return None
-    return "; ".join(judged.refused) or "another predicts more of what was left out"
+    return "; ".join(judged.refused) or "another term has a larger cross-validated gain"
 
 
 def errors(found: Diagnosis, fit: Fit) -> dict:
-    """Errors of the base or of the final model where it was not fitted: on the validation record, else cross-validated."""
+    """Errors of the base or final model on the validation record, else cross-validated."""
     if found.unseen is not None:
         return {"record": found.unseen.name, "from": "validation", **found.prediction(fit, found.unseen.record).summary()}
-    held = found.held_out_before if fit is found.base else found.held_out_after
-    record, left = found.fitted[0].record, held.thrust[0]
-    parts = {name: mask & np.isfinite(left) for name, mask in sections(record).items()}
+    held_out = found.held_out_before if fit is found.base else found.held_out_after
+    record, residual = found.fitted[0].record, held_out.thrust[0]
+    parts = {name: mask & np.isfinite(residual) for name, mask in sections(record).items()}
     return {
         "record": found.fitted[0].name,
         "from": "cross-validation",
-        "rmse_thrust": rmse(left),
-        "rmse_omega": held.rmse_omega,
-        "fit_thrust": fit_percent(record["thrust"], record["thrust"] + left),
+        "rmse_thrust": rmse(residual),
+        "rmse_omega": held_out.rmse_omega,
+        "fit_thrust": fit_percent(record["thrust"], record["thrust"] + residual),
         "sections": {
             name: {
-                "rmse_thrust": rmse(left[mask]),
-                "fit_thrust": fit_percent(record["thrust"][mask], (record["thrust"] + left)[mask]),
+                "rmse_thrust": rmse(residual[mask]),
+                "fit_thrust": fit_percent(record["thrust"][mask], (record["thrust"] + residual)[mask]),
             }
             for name, mask in parts.items()
             if mask.any()
@@ -143,8 +143,8 @@ def errors(found: Diagnosis, fit: Fit) -> dict:
 
 
 def _effect(found: Diagnosis, name: str) -> dict:
-    ships, judged = name not in found.left_out, found.selection.judgements[name]
-    fit, std = (found.final, found.std) if ships else (found.selection.final, found.selection.final.std())
+    exported, judged = name not in found.left_out, found.selection.judgements[name]
+    fit, std = (found.final, found.std) if exported else (found.selection.final, found.selection.final.std())
     units = {p.name: p.unit for p in fit.problem.model.parameters}
     own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
     values = {n.partition(".")[2]: {"value": fit.values[n], "std": std.get(n), "unit": units[n]} for n in own}
@@ -152,14 +152,14 @@ def _effect(found: Diagnosis, name: str) -> dict:
     for parameter, (seconds, times) in reached(fit, name).items():
         values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
     found_in = {"artefact": text} if (text := artefact(found, name)) else {}
-    found_in |= {} if ships else {"left_out": LEFT_OUT}
+    found_in |= {} if exported else {"left_out": LEFT_OUT}
     return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence(found, judged), **found_in}
 
 
 def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
     """(seconds, times) for which each limit of an effect changes the response to the fitted commands.
 
-    A limit that is hardly reached is known from those moments alone; what it does beyond them is an extrapolation.
+    The estimate of a limit rests on these moments alone; beyond them it extrapolates.
     """
     effect, simulator, found = next(e for e in fit.problem.model.effects if e.name == name), fit.problem.simulator, {}
     for p in effect.parameters:
@@ -177,7 +177,7 @@ def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
 
 
 def evidence(found: Diagnosis, judged: Judgement) -> dict:
-    """What an effect rests on."""
+    """Statistics of an effect."""
     return {
         "delta_bic": 2.0 * judged.evidence,
         "evidence": judged.evidence,
@@ -190,36 +190,36 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
     }
 
 
-LEFT_OUT = "it starts anywhere in another record: not in the model that ships"
+LEFT_OUT = "its start value differs from record to record: not in the exported model"
 
 ACTS = 1e-3
-"""Share of a response's range from which a limit counts as acting, in how long it did so."""
+"""Share of a response's range from which a limit counts as active."""
 
 HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
 
 
 def artefact(found: Diagnosis, name: str) -> str:
-    """In words, why an effect is no physics of the rotor but of how it is measured; empty where it is not.
+    """In words, why an effect belongs to the measurement and not to the rotor; empty if it does not.
 
-    What delays or bends the speed must show in the measured speed too; where that gets worse, it is the thrust's reading
-    that is late.
+    A delay of the rotor's speed also shows in the measured speed. If the measured speed is predicted worse, the thrust reading
+    is late instead.
     """
     fit = found.selection.final
     effect = next(e for e in fit.problem.model.effects if e.name == name)
     if effect.reading:
-        told = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
+        words = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
         if any(u.clock for u in effect.inputs):
             (rows,) = (fit.values[effect.full(n)] for n in effect.off)
             late = number(1e3 * rows * found.fitted[0].record.period, 2)
-            told += f"; {number(rows, 2)} rows are {late} ms of dead time of both, where rows are even"
-        return told
+            words += f"; {number(rows, 2)} rows are {late} ms of dead time of both, if rows are equidistant"
+        return words
     if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -MIN_EVIDENCE:
         return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
     return ""
 
 
 def _given(found: Diagnosis) -> dict:
-    """The errors of a model that was brought, as it was brought."""
+    """Errors of a given model, before any fit."""
     return {"record": found.shown_name, **predict(found.given.model, found.given.values, found.shown).summary()}
 
 
@@ -240,10 +240,10 @@ def _tried(found: Diagnosis, tried: CandidateFit) -> dict:
 
 
 def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
-    """Why a candidate was not taken, in words; None where it was. The figure, the table and the JSON say the same."""
+    """Why a candidate is rejected, for figure, table and JSON; None if it is accepted."""
     name, final = tried.candidate.name, found.selection.final
     if tried.fit is None:
-        return "promised less than the candidates that were refitted"
+        return "not refitted: screening predicts less gain than for the refitted candidates"
     if name in final.effects:
         if any(final.forms.get(n) != v for n, v in tried.candidate.form.items()):
             return "another form of it explains more"
@@ -253,7 +253,7 @@ def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
             return found.refuted or "removes less than half of the lack of fit"
         return None
     if any(name in others for others in found.selection.family.values()):
-        return "these data do not tell it from the one that was taken"
+        return "these data do not distinguish it from the accepted one"
     if name in found.selection.refused:
         return "; ".join(found.selection.refused[name].refused)
     if tried.evidence <= MIN_EVIDENCE:

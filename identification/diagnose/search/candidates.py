@@ -1,4 +1,4 @@
-"""What might be missing: every effect of the library that the data could show, in each of its forms."""
+"""Candidates: every effect of the library that the records could identify, in each of its forms."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -10,24 +10,23 @@ from vpp_fmu.kernel.types import Effect
 from vpp_fmu.record import Record
 
 SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Multiples of an effect's plausible size that a search looks at first."""
+"""Multiples of an effect's plausible size in the first grid of a search."""
 
 SHAPES = (0.3, 1.0, 3.0)
-"""Multiples of what is not a size: time constants, frequencies."""
+"""Multiples of shape parameters, such as time constants and frequencies."""
 
 TOPS = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1)
-"""Multiples of the highest speed commanded for what limits speed: above it, a limit that gives way binds in one corner only."""
-
+"""Multiples of the highest commanded speed, for speed limits. A soft limit above it acts in one corner only."""
 
 DECADE, CYCLES = 12, 2.0
-"""Frequencies a decade to look at, from that which a record has so many cycles of up to half its rows' rate."""
+"""Grid frequencies per decade, and the cycles per record at the lowest. The highest is half the sampling rate."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect in one form. `form`: values of its `choices` parameters; `free`: names of the others. All full names.
 
-    `levels`: of free parameters that go by what was commanded or measured (a top speed, a nominal voltage), values to try.
+    `levels`: grid values of free parameters that depend on the records (a top speed, a nominal voltage).
     """
 
     effect: Effect
@@ -42,7 +41,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name, and the form's numbers where there is more than one."""
+        """Name, and the form's numbers if there are several forms."""
         return self.name + "".join(f" ({value:g})" for value in self.form.values())
 
     @property
@@ -53,7 +52,7 @@ class Candidate:
 
     @property
     def off(self) -> dict[str, float]:
-        """Sizes at which the effect is not there, by full name."""
+        """Sizes that switch the effect off, by full name."""
         return {self.effect.full(n): v for n, v in self.effect.off.items()}
 
     @property
@@ -63,19 +62,19 @@ class Candidate:
         return {n: plausible.get(n, self.off[n]) for n in self.sizes}
 
     def within(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values of free parameters, by full name, held within their bounds."""
+        """Values of free parameters, by full name, clipped to their bounds."""
         bounds = {self.effect.full(p.name): (p.minimum, p.maximum) for p in self.effect.parameters}
         return {n: min(max(v, bounds[n][0]), bounds[n][1]) for n, v in values.items()}
 
     def shapes(self) -> list[dict[str, float]]:
-        """Points to look at first of what is no size: time constants, frequencies, all of them combined."""
+        """First grid of the shape parameters (time constants, frequencies), in all combinations."""
         axes = [[(n, v) for v in self.axis(n)] for n in self.free if n not in self.sizes]
         return [dict(point) for point in product(*axes)]
 
     def axis(self, name: str) -> list[float]:
-        """Values of a free parameter to look at first, around the probe; a size's of both signs where both are allowed.
+        """First grid of a free parameter, around the probe. Sizes take both signs if both are allowed.
 
-        What is no size may also have no part in it, where that is a form of its own.
+        A shape parameter may also take its limit, if the limit is a form by design.
         """
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
         size = p.name in self.effect.off
@@ -90,7 +89,7 @@ class Candidate:
         return inside or [probe]
 
     def fine_axis(self, name: str, count: int = 24) -> list[float]:
-        """Values of a size all over its range, for a search that must meet the right one; levels that are as many are such."""
+        """Grid over the whole range of a size, for a sharp optimum. The levels are returned if they are at least `count`."""
         if len(self.levels.get(name, ())) >= count:
             return list(self.levels[name])
         p = next(p for p in self.effect.parameters if self.effect.full(p.name) == name)
@@ -99,8 +98,8 @@ class Candidate:
 
 
 def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Candidate]:
-    """Candidates for records; left out are effects that need a measured input which a record lacks, and those that round a
-    command which never changes."""
+    """Candidates for records. Effects that need a measured input absent from a record are excluded; so are those that round a
+    constant command."""
     records, found = tuple(records), []
     for effect in library:
         if effect.off is None or any(u.name not in r for u in effect.inputs if not u.clock for r in records):
@@ -116,8 +115,10 @@ def candidates(library: Iterable[Effect], records: Iterable[Record]) -> list[Can
 
 
 def _levels(effect: Effect, records: tuple[Record, ...]) -> dict[str, tuple[float, ...]]:
-    """Values to look at first of what goes by the records: about the top speed commanded for what limits speed; every frequency
-    that they could show; for what stands for a level of a measured input the least, middle and greatest that it had."""
+    """First grid of parameters that depend on the records, by full name.
+
+    Speed limits: about the highest commanded speed. Frequencies: all that the records resolve. Levels of a measured input: its
+    minimum, median and maximum."""
     top = max(float(np.nanmax(r["omega_ref"])) for r in records)
     limits = [p for p in effect.parameters if p.unit == "rpm" and effect.off.get(p.name) == p.maximum]
     found = {effect.full(p.name): tuple(v for k in TOPS if (v := k * top) > p.minimum) or (p.minimum,) for p in limits}

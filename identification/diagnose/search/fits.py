@@ -1,7 +1,7 @@
 """Fits of a model with effects, all parameters free.
 
-Freezing the base while an effect is fitted to its residual finds the wrong effect in a third of the cases, for the base has
-already biased towards what is missing.
+The base parameters are refitted together with each effect. The base alone is biased by the missing effect: an effect fitted to
+its residual is the wrong one in a third of the cases.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,23 +30,22 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 NOTHING = 1e-9
-"""Share of the thrust's scale: as far as numbers go."""
+"""Share of the thrust's scale below which a change is a rounding error."""
 
 BIASED = 0.15
-"""Log-likelihood a row that generic shapes gain beside the base from which its fit counts as biased: they then take up more
-than a quarter of the residual's power, 1 - exp(-2 BIASED)."""
+"""Log-likelihood gain per row of generic regressors above which the base counts as biased. They then explain more than a
+quarter of the residual's power, 1 - exp(-2 BIASED)."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model: effects, forms and values, its solution and its score on the records it was fitted to.
+    """A fitted model: effects, forms and values, its solution and its score on the fitted records.
 
-    A search keeps dozens of fits, and residual and Jacobian of one are as long as the records: they are left out of `solution`,
-    and `tangent` makes them anew.
+    To save memory, `solution` omits residual and Jacobian; `tangent` computes them.
 
-    `thresholds`: parameters with a piecewise constant cost, found by scanning, with the interval in which the cost stays
-    within the 95 % level. `idle`: some of the effects' parameters said nothing, so that a simpler effect would do the same.
-    `estimate`: the uncertainty of values that are an identification's estimates; None where they are those of most evidence.
+    `thresholds`: parameters with a piecewise constant cost, found by scanning, with their 95 % interval. `idle`: some of the
+    effects' parameters had no influence, so that a simpler effect would do the same. `estimate`: the uncertainty of values
+    estimated as in an identification; None for values of maximum likelihood.
     """
 
     effects: tuple[str, ...]
@@ -62,25 +61,25 @@ class Fit:
     estimate: Uncertainty | None = None
 
     def estimated(self, found: Refinement, uncertainty: Uncertainty) -> "Fit":
-        """The same effects with a refinement's values, as it estimates them. The score stays that of the evidence."""
+        """The same effects with the estimates of a refinement. The score is unchanged."""
         values = {**self.values, **found.values}
         return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=uncertainty)
 
     def told(self, knowledge: Knowledge | None) -> Prior | None:
-        """What is known beforehand of what is free here."""
+        """Prior of the free parameters."""
         return knowledge and knowledge(self.problem.model, self.values, self.problem.coordinates.names)
 
     def as_identified(self, knowledge: Knowledge | None) -> "Fit":
-        """The same effects, the smooth parameters estimated as an identification does: of readings taken for independent, and
-        with `knowledge` as it stands."""
+        """The same effects, their smooth parameters estimated as in an identification: with independent noise, and `knowledge`
+        as the prior."""
         scale = self.values["thrust_scale"]
         again = self._anew([e.of_noise(independent(scale)) for e in self.problem.experiments], self.told(knowledge))
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
     def with_map_of(self, other: "Fit") -> "Fit":
-        """The same effects, they and the lags estimated as an identification does, the thrust map as another fit has it.
+        """The same effects, with the thrust map of another fit; effects and lags are estimated as in an identification.
 
-        Records may tell little of the map beside effects that show on the way, and it need not be another one for these."""
+        Beside effects that act only during transients, the records may not identify the map; these effects do not change it."""
         scale, c = self.values["thrust_scale"], self.problem.coordinates
         names, held = [n for n in c.names if n not in TERMS], {n: other.values[n] for n in c.names if n in TERMS}
         experiments = [e.of_noise(independent(scale)) for e in self.problem.experiments]
@@ -90,21 +89,22 @@ class Fit:
         return replace(again, estimate=again.uncertainty.beside(other.uncertainty, held))
 
     def agreed(self, knowledge: Knowledge) -> "Fit":
-        """The same effects, with `knowledge` of the thrust at rest made as wide as the records disagree with it beside these
-        effects: beside fewer they may have disagreed for what was missing. Effects that show on the way alone have bent no
-        point at rest: beside them it is made no wider than it was."""
-        told = self.told(knowledge)
-        if told is None:
+        """The same effects, with the prior of the static thrust as wide as its disagreement with the records requires.
+
+        With fewer effects, the disagreement may come from a missing one. Effects that act only during transients bias no static
+        point: with them the prior gets no wider."""
+        nominal = self.told(knowledge)
+        if nominal is None:
             return self
-        loose = self._with_prior(told.loosened(WIDEST))
-        factor, prior = disagreement(told, loose.uncertainty), self.problem.prior
-        if prior is not None and factor >= prior.wider_than(told) and not self.at_rest:
+        loose = self._with_prior(nominal.loosened(WIDEST))
+        factor, prior = disagreement(nominal, loose.uncertainty), self.problem.prior
+        if prior is not None and factor >= prior.wider_than(nominal) and not self.at_rest:
             return self
-        return loose if factor == WIDEST else loose._with_prior(told.loosened(factor))
+        return loose if factor == WIDEST else loose._with_prior(nominal.loosened(factor))
 
     @property
     def at_rest(self) -> bool:
-        """Whether the effects change what any of the records' commands settle at."""
+        """Whether the effects change the settled thrust at any corner of the records' commands."""
         model, off = self.problem.model, {}
         for e in model.effects:
             if e.name in self.effects:
@@ -131,18 +131,18 @@ class Fit:
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
-        """What the records tell of the smooth parameters, and which of them they leave open."""
+        """Uncertainty of the smooth parameters, and those that are not identifiable."""
         return self.estimate or uncertainty(self.problem, self.problem.with_rows(self.solution))
 
     def std(self) -> dict[str, float | None]:
-        """Of all fitted parameters; a threshold's from its interval; None where the records leave open where a parameter is."""
+        """Standard errors of all fitted parameters; None if not identifiable. A threshold's follows from its interval."""
         found = dict(zip(self.uncertainty.names, self.uncertainty.std.tolist(), strict=True)) | dict.fromkeys(
             self.uncertainty.left_open
         )
         return found | {n: (high - low) / (2.0 * NORMAL_95) for n, (low, high) in self.thresholds.items()}
 
     def leaves_open(self, effect: Effect) -> bool:
-        """Whether the records leave open how large any of an effect's fitted parameters is."""
+        """Whether any of an effect's parameters is not identifiable."""
         return any(effect.full(p.name) in self.uncertainty.left_open for p in effect.parameters)
 
     def tangent(self) -> tuple[np.ndarray, np.ndarray]:
@@ -150,7 +150,7 @@ class Fit:
         return self.problem.evaluate(self.solution.value)
 
     def linearised(self) -> Linearised:
-        """The model whose smooth parameters may move from the solution along straight lines."""
+        """The model, linear in its smooth parameters about the solution."""
         return Linearised(self.problem, self.solution.value, *self.tangent())
 
     @property
@@ -161,13 +161,13 @@ class Fit:
 
     @property
     def at_bound(self) -> tuple[str, ...]:
-        """Of these, those whose bound is no form of its own."""
+        """The same without parameters whose bound is a form by design."""
         meant = {p.name for p in self.problem.model.parameters if p.limit_form}
         return tuple(n for n in self.at_limit if n not in meant)
 
     @property
     def deviance(self) -> float:
-        """-2 log-likelihood, noise variances unknown, up to a constant."""
+        """-2 log-likelihood with unknown noise variances, up to a constant."""
         return self.score.deviance
 
     def bic(self) -> float:
@@ -176,8 +176,8 @@ class Fit:
 
 
 class Searcher:
-    """Fits on given experiments with given knowledge, its standard deviations made `factor` times as wide; `names` are the base
-    parameters that the data can tell, `start` where they stood before any fit."""
+    """Fits models to given experiments. `knowledge`: the prior, its standard deviations multiplied by `factor`; `names`: the
+    identifiable base parameters; `start`: their values before any fit."""
 
     def __init__(
         self,
@@ -193,8 +193,8 @@ class Searcher:
         self.start = {n: start[n] for n in names}
         self.screened: dict[tuple, dict] = {}
         self._fits: dict[tuple, Fit] = {}
-        self.base_score_gain = 0.0  # log-likelihood that generic shapes would gain beside the base
-        self.points = 0  # that the round with the most of them has looked at
+        self.base_score_gain = 0.0  # log-likelihood gain of generic regressors beside the base
+        self.points = 0  # the largest number of points screened in one round
         self._off = {effect.full(name): value for effect in self.library for name, value in (effect.off or {}).items()}
 
     def fit(
@@ -208,8 +208,7 @@ class Searcher:
     ) -> Fit:
         """Fit base parameters and `free` of a model with `effects`, from the values `start`.
 
-        `thorough`: scan the whole range of a threshold, not only about where it stands. Some fits are asked for more than once,
-        and each is made once.
+        `thorough`: scan the whole range of a threshold, not only about its start value. Results are cached.
         """
         asked = tuple(effects), frozenset(forms.items()), tuple(free), frozenset(start.items()), thorough
         known = (*asked, frozenset((slow_first or {}).items()))
@@ -222,14 +221,14 @@ class Searcher:
         values = model.values({k: v for k, v in start.items() if k in model.values()} | dict(forms))
         smooth, stuck = self._kinds(model, values, free) if free else ([], [])
         idle = [n for n in free if n not in smooth and n not in stuck]
-        # What these data don't reach, where a look left it, others might: it is off.
+        # A parameter without influence on these records may have one on others: it is switched off.
         values |= {n: self._off[n] for n in idle if n in self._off and self._unreached(model, values, n)}
         values = regular_start(model, values, [*self.names, *smooth])
         prior = self.known(model, values, [*self.names, *smooth])
         problem = Problem(model, self.experiments, values, [*self.names, *smooth], prior, slow_first)
         solution, intervals = problem.fit(values), {}
         rounding = {e.full(p): e for e in model.effects for p in e.rounds.values()}
-        for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each stands on where the other was
+        for name in stuck if len(stuck) < 2 else stuck * 2:  # of two, each is scanned with the other's previous value: twice
             if name in rounding:
                 solution, intervals[name] = settle(problem, solution, rounding[name])
             else:
@@ -237,36 +236,36 @@ class Searcher:
                 solution, intervals[name] = scan(problem, solution, name, self._off.get(name, 0.0), grids)
         found = problem.values | problem.coordinates.values(solution.value)
         score = problem.score_of(solution.residual)
-        told = tuple(n for n in free if n in smooth or n in stuck)
+        fitted = tuple(n for n in free if n in smooth or n in stuck)
         return Fit(
-            tuple(effects), dict(forms), told, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
+            tuple(effects), dict(forms), fitted, slow_first or {}, found, problem, solution.slim(), score, intervals, bool(idle)
         )
 
     def again(self, fit: Fit) -> Fit:
-        """A fit of other experiments, or of the same with other noise, on these."""
+        """Refit, on these experiments, a fit of other experiments or with another noise model."""
         found = self.fit(fit.effects, fit.forms, fit.free, fit.values, fit.slow_first, thorough=False)
         return replace(found, idle=fit.idle or found.idle)
 
     def known(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Prior | None:
-        """What is known beforehand of what is free in a model, as wide as it is taken."""
-        told = self.knowledge and self.knowledge(model, values, names)
-        return told and told.loosened(self.factor)
+        """Prior of the free parameters of a model, widened by the factor."""
+        prior = self.knowledge and self.knowledge(model, values, names)
+        return prior and prior.loosened(self.factor)
 
     def biased(self, fit: Fit) -> bool:
-        """Whether what is missing is so large that the base, fitted without it, is biased by it."""
+        """Whether the missing effect is so large that the base, fitted without it, is biased."""
         return not fit.effects and self.base_score_gain > BIASED * fit.score.counts["thrust"]
 
     def _unreached(self, model, values, name) -> bool:
-        """Whether the fitted records come out the same to the bit with the parameter at off."""
+        """Whether the simulated records are the same to the bit with the parameter switched off."""
         simulator, off = Simulator(model), {**values, name: self._off[name]}
         records = [e.record for e in self.experiments]
         runs = [[simulator.simulate(v, *r.run) for v in (values, off)] for r in records]
         return all(np.array_equal(*pair) for pair in runs)
 
     def _kinds(self, model, values, free) -> tuple[list[str], list[str]]:
-        """Free parameters (with a tangent, to be scanned: the response is piecewise constant in them, or jumps); any other is
-        idle here, and stays."""
-        simulator = Simulator(model, [*self.names, *free])  # the fit's own, where all are smooth
+        """Free parameters (with sensitivities; to be scanned, because the response is piecewise constant in them or jumps). The
+        others have no influence, and keep their values."""
+        simulator = Simulator(model, [*self.names, *free])  # if all are smooth, the fit uses the same one
         moved = np.zeros(len(free), bool)
         for e in self.experiments:
             for _, _, tangents in simulator.pieces(values, *e.record.run):
@@ -281,13 +280,13 @@ class Searcher:
 
 
 def _corners(record: Record) -> Iterable[dict[str, float]]:
-    """The least and the largest of each command of a record, by name, in every combination."""
+    """Minimum and maximum of each command of a record, by name, in all combinations."""
     spans = {u: (float(record[u].min()), float(record[u].max())) for u in (OMEGA_REF.name, BETA_REF.name) if u in record}
     return (dict(zip(spans, at, strict=True)) for at in product(*spans.values()))
 
 
 def _settled(model: Model, values: Mapping[str, float], at: Mapping[str, float]) -> float:
-    """Thrust [N] that commands settle at."""
+    """Settled thrust [N] at given commands."""
     return float(
         start(model, NUMBERS, {u.name: u.start for u in model.inputs} | model.measured_inputs | at, values)[0]["thrust"]
     )

@@ -1,4 +1,4 @@
-"""One round: all candidates beside a fit looked at, those that promise most refitted, the best of these as well as can be."""
+"""One round of the search: screen all candidates beside a fit, refit the most promising, and improve the best of these."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,23 +13,22 @@ from identification.diagnose.search.screening import Screening, ScreeningResult
 from vpp_fmu.native.memory import give_back
 
 REFITTED = (6, 3)
-"""Effects that are refitted in the first round and in later ones, the most promising first: seconds against rank. Where none
-of them stands and a lack of fit says that something is missing, as many again are."""
+"""Effects to refit in the first round and in later ones, the most promising first. As many again are refitted if none is
+accepted and a lack of fit remains."""
 
 SAME_RESPONSE = 1e-6
-"""Standard deviations of noise by which two responses may differ by rounding."""
+"""Difference of two responses, in noise standard deviations, that counts as rounding."""
 
 REORDERED = 3
-"""Of these, the best, refitted with a channel's lags in the other order too: a double pole hides which comes first."""
-
+"""Best refits that are repeated with the lags of a channel in the other order: a double pole hides the order."""
 
 REACH = 0.5
-"""Share of the best one's evidence from which on another order, form, or special case, might still bring a candidate ahead."""
+"""Share of the best evidence that a candidate needs for a refit in another order of lags, form, or special case."""
 
 
 @dataclass(frozen=True)
 class CandidateFit:
-    """A candidate in one round: what the look promised and, where it was refitted, the fit and its evidence."""
+    """A candidate in one round: the gain that screening predicts and, once it is refitted, the fit and its evidence."""
 
     candidate: Candidate
     beside: tuple[str, ...]
@@ -39,7 +38,7 @@ class CandidateFit:
 
 
 def key(fit: Fit) -> tuple:
-    """What tells one set of effects from another: their names and forms."""
+    """Key of a set of effects: their names and forms."""
     return tuple(sorted(fit.effects)), tuple(sorted(fit.forms.items()))
 
 
@@ -49,26 +48,25 @@ def evidence_over(fit: Fit, other: Fit) -> float:
 
 
 def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[CandidateFit]:
-    """All candidates beside a fit, those that promise most refitted."""
+    """Screen all candidates beside a fit, and refit the most promising."""
     return deeper(
         searcher, fit, [CandidateFit(c, fit.effects, at.fall) for c, at in screened(searcher, fit, options, pool)], pool
     )
 
 
 def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) -> list[CandidateFit]:
-    """The same with some more of them refitted: the most promising that have not been, as far as they promise anything, and
-    what a look does not tell from the very best of them.
+    """Refit the most promising candidates that are not refitted yet, and those that screening cannot distinguish from the best.
 
-    An effect goes by the form that promises most; its forms that promise nearly as much are refitted with it.
+    An effect is ranked by its best form; its forms of nearly the same predicted gain are refitted, too.
     """
     count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
-    promised: dict[str, float] = {}
+    predicted: dict[str, float] = {}
     for t in tried:
         if t.fit is None and t.fall > MIN_EVIDENCE:
-            promised.setdefault(t.candidate.name, t.fall)
-    most = max(promised.values(), default=0.0)
-    first = {name: fall for k, (name, fall) in enumerate(promised.items()) if k < count or fall > most - MIN_EVIDENCE}
-    least = {name: max(MIN_EVIDENCE, REACH * fall) for name, fall in first.items()}
+            predicted.setdefault(t.candidate.name, t.fall)
+    most = max(predicted.values(), default=0.0)
+    first = {name: gain for k, (name, gain) in enumerate(predicted.items()) if k < count or gain > most - MIN_EVIDENCE}
+    least = {name: max(MIN_EVIDENCE, REACH * gain) for name, gain in first.items()}
     chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
     if not chosen:
         return list(tried)
@@ -77,7 +75,7 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
     refits = dict(zip(chosen, pool.map(lambda c: refitted(searcher, fit, c, at[c.label]), chosen), strict=True))
 
     def improve(starts: Iterable[tuple[Candidate, Start]], thorough: bool) -> None:
-        """Each candidate's refit, or a better one from another start; all of them side by side."""
+        """Refit candidates from other starts, in parallel, and keep the better refits."""
         starts = list(starts)
         fits = pool.map(lambda pair: added(searcher, fit, pair[0], *pair[1], thorough), starts)
         for (c, _), new in zip(starts, fits, strict=True):
@@ -105,10 +103,9 @@ Start = tuple[Mapping[str, float], Mapping[str, bool]]
 
 
 def _near(candidate: Candidate, leader: Candidate, there: Fit) -> list[Start]:
-    """Where another form, or a special case, of the effect that leads may be better: where that stands, in both orders of the
-    lags.
+    """Starts of another form, or of a special case, of the best effect: its estimates, in both orders of the lags.
 
-    In another form a large effect asks for other lags: where the base's stand, a look sees nothing of it.
+    Another form of a large effect may need other lags: with those of the base, screening predicts no gain.
     """
     shared = leader.effect.contains.get(candidate.name, {})
     same = {candidate.effect.full(its): there.values[leader.effect.full(own)] for own, its in shared.items()}
@@ -121,39 +118,39 @@ def _near(candidate: Candidate, leader: Candidate, there: Fit) -> list[Start]:
 
 
 def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -> list[tuple[Candidate, ScreeningResult]]:
-    """The candidates that are not in a fit, by what a look promises; one look a candidate and fit."""
+    """Candidates that are not in a fit, by predicted gain. Results are cached by fit."""
     fresh = [c for c in options if c.name not in fit.effects]
-    seen_there = searcher.screened.setdefault((key(fit), fit.deviance), {})
-    if new := [c for c in fresh if c.label not in seen_there]:
+    cached = searcher.screened.setdefault((key(fit), fit.deviance), {})
+    if new := [c for c in fresh if c.label not in cached]:
         at = Screening(fit, searcher.start, searcher.library, biased=searcher.biased(fit)).at
-        seen_there.update(zip((c.label for c in new), pool.map(at, new), strict=True))
-    searcher.points = max(searcher.points, sum(seen.points for seen in seen_there.values()))
-    return sorted(((c, seen_there[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
+        cached.update(zip((c.label for c in new), pool.map(at, new), strict=True))
+    searcher.points = max(searcher.points, sum(seen.points for seen in cached.values()))
+    return sorted(((c, cached[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
 
 
 def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit:
-    """The candidate beside what is there already."""
-    # A threshold that stands in the fit already is scanned nearby here, and over its whole range once this is among the best.
+    """Refit with the candidate added."""
+    # A threshold that the fit already has is scanned nearby; its whole range is scanned only for the best candidates.
     thorough = not fit.thresholds
     found = added(searcher, fit, candidate, {**fit.values, **at.values}, at.slow_first, thorough)
     if found.bic() < fit.bic():
         return found
-    # The fitted parameters can't have followed as far as a straight line would have it: from where they stand, then.
+    # The linear prediction of the fitted parameters was too far: start from their values in the fit.
     own = {n: at.values[n] for n in candidate.free}
     return min(found, added(searcher, fit, candidate, {**fit.values, **own}, fit.slow_first, thorough), key=Fit.bic)
 
 
 def _reordered(fit: Fit, candidate: Candidate, refit: Fit) -> list[Start]:
-    """Where a refit of a candidate may be better: with a channel's lags in the other order."""
+    """Starts from which a refit may improve: with a channel's lags in the other order."""
     orders = [{**refit.slow_first, u: not refit.slow_first.get(u, True)} for u in candidate.effect.channels]
     if _exchangeable(refit, candidate.effect.channels):
         orders = []
-    # Beside a threshold that stood already it was scanned nearby only.
+    # A threshold that the fit already had was scanned nearby only.
     return [(refit.values, order) for order in ([*orders, refit.slow_first] if fit.thresholds else orders)]
 
 
 def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
-    """Whether the two lags of each channel may change places: nothing stands between them that would tell."""
+    """Whether exchanging the two lags of each channel leaves the response unchanged."""
     swapped = dict(fit.values)
     for u in channels:
         swapped |= {f"tau_{u}_1": fit.values[f"tau_{u}_2"], f"tau_{u}_2": fit.values[f"tau_{u}_1"]}
@@ -162,7 +159,8 @@ def _exchangeable(fit: Fit, channels: Iterable[str]) -> bool:
 
 
 def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, others: Mapping[str, Fit]) -> Fit:
-    """The candidate's refit, or a better one from a special case's fit or with a size on that was left off; without idle sizes.
+    """The candidate's refit, or a better one: started from the fit of a special case, or with a size switched on. Superfluous
+    sizes are removed.
 
     `others`: fits of other effects in its place.
     """
@@ -175,7 +173,7 @@ def _widened(searcher: Searcher, fit: Fit, candidate: Candidate, refit: Fit, oth
 
 
 def _narrowed(candidate: Candidate, fit: Fit, special: Candidate) -> dict[str, float] | None:
-    """Where a special case of a candidate is the same as the candidate's fit; None where it isn't."""
+    """Values at which a special case equals the candidate's fit; None if there are none."""
     shared = candidate.effect.contains.get(special.name)
     if shared is None or not {n for n in candidate.free if n in fit.free} <= {candidate.effect.full(own) for own in shared}:
         return None
@@ -183,14 +181,14 @@ def _narrowed(candidate: Candidate, fit: Fit, special: Candidate) -> dict[str, f
 
 
 def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
-    """The fit, or a better one in which the last effect's sizes that it left off are on: off may be a minimum of its own."""
+    """The fit, or a better one with the last effect's switched-off sizes on: "off" may be a local minimum."""
     axes = {n: [candidate.off[n], *candidate.axis(n)] for n in candidate.sizes if fit.values[n] == candidate.off[n]}
     if not axes or len(candidate.sizes) == 1:
         return fit
     about, simulator = fit.linearised(), fit.problem.simulator
     points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
     costs = about.costs(simulator, points)
-    if costs[0] - min(costs) < 1.0:  # the first is the fit as it is
+    if costs[0] - min(costs) < 1.0:  # the first is the fit itself
         return fit
     start = {**fit.values, **points[int(np.argmin(costs))]}
     free = dict.fromkeys([*fit.free, *candidate.free])
@@ -199,7 +197,7 @@ def _revived(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
 
 
 def simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
-    """The fit less those sizes of the candidate, its last effect, that tell too little: they would spoil other commands."""
+    """The fit without those sizes of its last effect, the candidate, that the BIC rejects: they extrapolate badly."""
     while True:
         sizes = [n for n in candidate.sizes if n in fit.free]
         fewer = []
@@ -213,6 +211,6 @@ def simplified(searcher: Searcher, candidate: Candidate, fit: Fit) -> Fit:
 
 
 def added(searcher: Searcher, fit: Fit, candidate: Candidate, start, order, thorough: bool = True) -> Fit:
-    """The fit with a candidate more, from the values `start` and with the lags in this `order`."""
+    """Fit one more candidate, from the values `start` and with the lags in this `order`."""
     effects, forms = [*fit.effects, candidate.name], {**fit.forms, **candidate.form}
     return searcher.fit(effects, forms, [*fit.free, *candidate.free], start, order, thorough)

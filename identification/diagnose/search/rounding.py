@@ -1,9 +1,8 @@
-"""Steps in which a command may be executed, found from the levels that it takes.
+"""Estimate the step (quantum) in which a command is executed.
 
-The response jumps in a step wherever a level's nearest multiple changes: a step must be met to a small share of step / level,
-and a grid of whole simulations would need thousands of points. Instead the residual's response to each level is simulated once,
-alone. What a step moves the levels by is then a product away: thousands of steps cost less than ten simulations. Each response
-is taken for linear in its level, so a simulation of the best few steps decides.
+The cost jumps at each step at which the nearest multiple of a command level changes: a grid of simulations would need thousands
+of points. Instead, the response of the residual to each level is simulated once. The response to a step is their linear
+combination: thousands of steps cost less than ten simulations. A simulation of the best few steps decides.
 """
 
 from collections.abc import Sequence
@@ -20,39 +19,39 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 
 LEVELS = 128
-"""Levels that are looked at, those held longest; on a ramp each is held for a row, and tells nothing."""
+"""Levels that are used, those held longest. On a ramp each is held for one row, without information."""
 
 NUDGE = 0.01
-"""Share of the command's range by which a level is moved to see its response."""
+"""Share of the command's range by which a level is perturbed."""
 
 PHASE = 0.08
-"""Share of a step by which two neighbouring steps of a search may differ in the multiples of the highest level."""
+"""Grid spacing: share of a step by which two neighbours may differ in their multiples at the highest level."""
 
 FINER = 16
-"""Parts of the way from one step of the search to the next that are looked at about the best ones."""
+"""Fine grid points per interval of the grid, about its best points."""
 
 CLOSER = 256
-"""Steps of the search about which is looked more finely. Between two of them each level's multiple may change: a step may then
-explain half of what its neighbour does."""
+"""Best grid points about which the grid is refined. Multiples may change between two points: one may then explain half as much
+as its neighbour."""
 
 BEST, SPACED = 4, 20
-"""Steps that are simulated; how many steps of the finer search are between them at least."""
+"""Steps that are simulated; minimum number of fine grid points between them."""
 
 BETTER = 0.5
-"""Log-likelihood that another step must bring to take the place of the one that a fit has."""
+"""Log-likelihood gain that another step needs to replace that of a fit."""
 
 SMALLEST = 1.0 / 30.0
-"""Share of the largest step from which steps are looked at."""
+"""Smallest step of the grid, as a share of the largest."""
 
 JUDGED = 10.0
-"""Log-likelihood about which chance is judged."""
+"""Log-likelihood gain at which chance is compared with that of a free size."""
 
 
 class Rounding:
-    """What of the residual goes with the step of an effect that rounds a command, beside a fitted model.
+    """Cost of a fitted model as a function of the step of an effect that rounds a command.
 
     `about`: the fitted model, which has the effect with the step `step`, or does not have it (0). `simulator`: of the model
-    with the effect. `records`: that were fitted.
+    with the effect. `records`: the fitted records.
     """
 
     def __init__(self, about: Linearised, simulator: Simulator, effect: Effect, records: Sequence[Record], step: float = 0.0):
@@ -65,12 +64,12 @@ class Rounding:
         self._levels, self._from = levels[kept], rounded(levels[kept], step)
         nudge, held = NUDGE * max(float(np.ptp(levels)), self._largest), {self.name: 0.0}
         executed = [r.columns | {command: rounded(r[command], step)} for r in records]
-        quiet = about.rerun(simulator, held, executed)
+        baseline = about.rerun(simulator, held, executed)
         responses = []
         for level in self._levels:
             moved = [c | {command: c[command] + nudge * (r[command] == level)} for c, r in zip(executed, records, strict=True)]
             shown = about.rerun(simulator, held, moved)
-            responses.append(about.change([(y - z) / nudge for y, z in zip(shown, quiet, strict=True)]))
+            responses.append(about.change([(y - z) / nudge for y, z in zip(shown, baseline, strict=True)]))
         response = about.orthogonal_part(np.column_stack(responses))
         self._cost = 0.5 * float(about.residual @ about.residual)
         self._slope, self._power = response.T @ about.residual, response.T @ response
@@ -81,17 +80,17 @@ class Rounding:
         return self._cost + moves @ self._slope + powers
 
     def _moves(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(by how much each level is executed elsewhere (n, levels), half the power (n,) of what that does to the residual)."""
+        """(rounding of each level (n, levels), half the power (n,) of the residual's response)."""
         moves = rounded(self._levels, steps[:, None]) - self._from
         return moves, 0.5 * np.einsum("ij,ij->i", moves @ self._power, moves)
 
     @property
     def points(self) -> int:
-        """Points of a candidate with one free size that chance finds as much with as with all the steps.
+        """Equivalent number of comparisons: points of a candidate with one free size of the same chance of a false gain.
 
-        A step has no free size. Half the power L of what it does is what it gains on average if it is there, and loses if it
-        is not, with a variance of 2 L: it reaches x by chance with the probability Q((x + L) / sqrt(2 L)), where a free size
-        reaches it with that of a chi-square of 2 x.
+        A step has no free size. Let L be half the power of its response. Its gain has the mean L if it is real, else -L; the
+        variance is 2 L. By chance it reaches x with probability Q((x + L) / sqrt(2 L)); a free size does with that of a
+        chi-square of 2 x.
         """
         _, powers = self._moves(self.steps)
         powers = powers[powers > 0.0]
@@ -100,7 +99,7 @@ class Rounding:
 
     @property
     def steps(self) -> np.ndarray:
-        """Steps to look at, the smallest first: so many that two neighbours' multiples agree to PHASE at the highest level."""
+        """Grid of steps, ascending: multiples of two neighbours agree to PHASE at the highest level."""
         ends = 1.0 / self._largest, 1.0 / (SMALLEST * self._largest)
         count = int(np.ceil((ends[1] - ends[0]) * np.abs(self._levels).max() / PHASE)) + 1
         return 1.0 / np.linspace(*ends[::-1], max(2, count))
@@ -119,35 +118,35 @@ class Rounding:
         return fine[found].tolist()
 
     def about(self, step: float, reach: float = 1.0) -> np.ndarray:
-        """Steps about one, FINER as close as those of a search, over so many of their distances to both sides."""
+        """Fine grid about a step, FINER points per grid interval, over `reach` intervals to both sides."""
         distance = PHASE / np.abs(self._levels).max()
         parts = np.arange(-round(reach * FINER), round(reach * FINER) + 1) / FINER
         return np.minimum(1.0 / np.maximum(1.0 / step + distance * parts, 1.0 / self._largest), self._largest)
 
     def interval(self, step: float, above: float) -> tuple[float, float]:
-        """The first steps to both sides of one from which on the cost is more than so much `above` its own."""
+        """The first steps to both sides beyond which the cost exceeds that of `step` by more than `above`."""
         near = np.unique(self.about(step, 1.0 / PHASE))
         inside = np.flatnonzero(self.costs(near) <= self.costs(np.array([step]))[0] + above)
         return float(near[max(inside[0] - 1, 0)]), float(near[min(inside[-1] + 1, len(near) - 1)])
 
 
 def settle(problem: Problem, solution: Solution, effect: Effect) -> tuple[Solution, tuple[float, float]]:
-    """Close in on the step of an effect: (solution at its best value, which the problem then holds; 95 % interval)."""
+    """Estimate the step of an effect: (solution at its best value, which the problem then holds; 95 % interval)."""
     records = [e.record for e in problem.experiments]
     while True:
         about = Linearised.of(problem, solution)
         ((_, parameter),) = effect.rounds.items()
         name = effect.full(parameter)
-        look = Rounding(about, problem.simulator, effect, records, problem.values[name])
-        steps = [problem.values[name], *look.best()]
+        rounding = Rounding(about, problem.simulator, effect, records, problem.values[name])
+        steps = [problem.values[name], *rounding.best()]
         costs = about.costs(problem.simulator, [{name: step} for step in steps])
         best = int(np.argmin(costs))
         if costs[0] - costs[best] < BETTER:
-            return solution, look.interval(steps[0], 0.5 * CHI2_95)
+            return solution, rounding.interval(steps[0], 0.5 * CHI2_95)
         problem.values[name] = steps[best]
         solution = problem.refit(solution.value)
 
 
 def rounded(values: np.ndarray, step: float | np.ndarray) -> np.ndarray:
-    """What is executed of command values in steps; 0: they are."""
+    """Command values rounded to multiples of `step`; 0: unchanged."""
     return np.where(step > 0.0, step * np.rint(values / np.where(step > 0.0, step, 1.0)), values)

@@ -1,10 +1,10 @@
-"""A cheap look at what each candidate could explain beside a fitted model, to choose which are worth a full refit.
+"""Screening: predict the gain of each candidate beside a fitted model, to choose the candidates for a refit.
 
-The fitted parameters may move along their sensitivities. Where an effect's trace is proportional to its sizes, one run with
-tangents tells the best ones; elsewhere a grid of sizes is tried, all combinations of two, or one after the other of more.
+The fitted parameters are linearised. If an effect's response is proportional to its sizes, one simulation with sensitivities
+gives the best sizes. Else a grid is searched: all combinations of two sizes, or one size after the other.
 
-A large missing effect bends the fit so far that nothing can be seen from there. Then the same look is taken from a second
-place too: the start of the fit, where the static map and the steps had put the parameters, in both orders of the pitch lags.
+A large missing effect biases the fit so much that linearisation about it fails. Then the model is linearised about the start
+values, from the static map and the step responses, too, in both orders of the pitch lags.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,30 +25,29 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.tracer import LANES
 
 STRETCH = (0.7, 1.4)
-"""How far a trace may be scaled between the sizes of the grid, which are a factor of 2 apart."""
+"""Range of scaling a response between the sizes of the grid, whose ratio is 2."""
 
 PROPORTIONAL = 0.03
-"""Share of an effect's trace by which it may depart from its tangent and still pass for proportional."""
+"""Relative deviation of a response from its tangent up to which it counts as proportional."""
 
 SHARP = 0.7
-"""Squared cosine of the traces of two sizes a factor of 2 apart below which a grid of such steps may miss the right one."""
+"""Squared cosine of the responses to two sizes of ratio 2 below which such a grid is too coarse."""
 
 ROUNDING = 1e-9
-"""Share of the speed by which it may change and still be the same: it is compiled another way, and rounds another way."""
+"""Relative difference of speeds that counts as equal: two compiled models round differently."""
 
 COMPARED = slice(2)
-"""Of a model's outputs, thrust and speed."""
+"""Outputs of a model that are compared: thrust and speed."""
 
 CLOSER = 3
-"""Steps along the tangents from the best point of a grid of several sizes: what binds in one corner only is between points."""
+"""Gauss-Newton steps from the best point of a grid of several sizes. The optimum of an effect that acts in one corner only lies
+between points."""
 
 
 @dataclass(frozen=True)
 class ScreeningResult:
-    """What a candidate promises: fall of the half sum of squares, and where: `values` of all that is free, `slow_first`.
-
-    `points`: how many were looked at for it.
-    """
+    """Predicted gain of a candidate: decrease `fall` of half the sum of squares, at `values` of all free parameters and the
+    order of lags `slow_first`; `points`: number of computed points."""
 
     fall: float
     values: Mapping[str, float]
@@ -57,130 +56,130 @@ class ScreeningResult:
 
 
 class Screening:
-    """The looks beside one fit. `start`: where the parameters stood before any fit; `biased`: look from there, too."""
+    """Screens candidates beside one fit. `start`: parameters before any fit; `biased`: linearise about them, too."""
 
     def __init__(self, fit: Fit, start: Mapping[str, float], library: Iterable[Effect], biased: bool):
         library, problem = tuple(library), fit.problem
         about = fit.linearised()
         cost = 0.5 * float(about.residual @ about.residual)
-        self._screened = [(_Screened(about, cost, fit.effects, library), fit.slow_first)]
+        self._models = [(_LinearScreening(about, cost, fit.effects, library), fit.slow_first)]
         if biased:
             for order in (True, False):
                 slow_first = {**fit.slow_first, "beta": order}
                 there = Problem(problem.model, problem.experiments, fit.values, problem.coordinates.names, None, slow_first)
                 there.scale = problem.scale
                 x = there.coordinates.vector({**fit.values, **start})
-                self._screened.append(
-                    (_Screened(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first)
+                self._models.append(
+                    (_LinearScreening(Linearised(there, x, *there.evaluate(x)), cost, fit.effects, library), slow_first)
                 )
 
     def at(self, candidate: Candidate) -> ScreeningResult:
-        """The best of the looks at a candidate."""
-        found = [ScreeningResult(*look.at(candidate), order) for look, order in self._screened]
-        return replace(max(found, key=lambda seen: seen.fall), points=sum(seen.points for seen in found))
+        """The best result for a candidate, over the points of linearisation."""
+        found = [ScreeningResult(*model.at(candidate), order) for model, order in self._models]
+        return replace(max(found, key=lambda each: each.fall), points=sum(each.points for each in found))
 
 
-class _Screened:
-    """The look from one place. `cost`: half sum of squares of the fit that is to be improved on."""
+class _LinearScreening:
+    """Screens about one point of linearisation. `cost`: half the sum of squares of the fit to improve."""
 
     def __init__(self, about: Linearised, cost: float, effects: Iterable[str], library: tuple[Effect, ...]):
         self._about, self._cost, self._effects, self._library = about, cost, tuple(effects), library
-        self._nothing = cost - 0.5 * float(about.residual @ about.residual)  # the fall where a candidate adds nothing
+        self._offset = cost - 0.5 * float(about.residual @ about.residual)  # the gain of linearisation alone
 
     def at(self, candidate: Candidate) -> tuple[float, dict[str, float], int]:
-        """Fall of the half sum of squares at the best point found; the values there, the fitted ones having followed;
-        points."""
+        """(decrease of half the sum of squares at the best point; values there, with the fitted parameters re-estimated; number
+        of points)."""
         simulator = Simulator(plant([*self._effects, candidate.name], self._library), candidate.sizes)
-        trace = _Trace(self._about, simulator, candidate)
-        found = [self._proportional(trace, shape) or self._grid(trace, shape) for shape in candidate.shapes()]
-        fall, point = max(found, key=lambda pair: pair[0])
-        return fall, trace.followed(point) | point, trace.points
+        response = _Response(self._about, simulator, candidate)
+        found = [self._proportional(response, shape) or self._grid(response, shape) for shape in candidate.shapes()]
+        gain, point = max(found, key=lambda pair: pair[0])
+        return gain, response.re_estimated(point) | point, response.points
 
-    def _proportional(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]] | None:
-        """The best sizes of a trace that goes with them; None where it does not."""
-        candidate, columns = trace.candidate, trace.tangents(shape | trace.candidate.off)
-        (shown,), off = trace.at([shape | candidate.probe]).T, candidate.off
+    def _proportional(self, response: "_Response", shape) -> tuple[float, dict[str, float]] | None:
+        """The best sizes of a proportional response; None if it is not proportional."""
+        candidate, columns = response.candidate, response.tangents(shape | response.candidate.off)
+        (shown,), off = response.at([shape | candidate.probe]).T, candidate.off
         straight = columns @ np.array([candidate.probe[n] - off[n] for n in candidate.sizes])
         if not np.any(shown) or np.linalg.norm(shown - straight) > PROPORTIONAL * np.linalg.norm(shown):
             return None
         free, *_ = np.linalg.lstsq(columns, -self._about.residual, rcond=1e-9)
         sizes = candidate.within({n: off[n] + v for n, v in zip(candidate.sizes, free, strict=True)})
-        return self._fall(columns @ np.array([sizes[n] - off[n] for n in candidate.sizes])), shape | sizes
+        return self._gain(columns @ np.array([sizes[n] - off[n] for n in candidate.sizes])), shape | sizes
 
-    def _grid(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
-        candidate = trace.candidate
+    def _grid(self, response: "_Response", shape) -> tuple[float, dict[str, float]]:
+        candidate = response.candidate
         if candidate.effect.rounds:
-            return self._rounded(trace)
+            return self._rounded(response)
         axes = {n: candidate.axis(n) for n in candidate.sizes}
-        if len(axes) == 1 and trace.sharp(shape, axes):
-            if trace.stepwise(shape):
-                return self._divided(trace, shape)
+        if len(axes) == 1 and response.sharp(shape, axes):
+            if response.stepwise(shape):
+                return self._divided(response, shape)
             axes = {n: candidate.fine_axis(n) for n in axes}
-        if len(axes) == 2:  # a limit on speed is sharp, for speed is measured well
-            axes |= {n: candidate.fine_axis(n) for n in axes if trace.limited(shape, n)}
+        if len(axes) == 2:  # a speed limit is sharp: the speed is measured precisely
+            axes |= {n: candidate.fine_axis(n) for n in axes if response.limited(shape, n)}
         if len(axes) <= 2:
             points = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
-            best = self._best(trace, [shape | point for point in points])
-            return best if len(axes) == 1 else self._closer(trace, best)
+            best = self._best(response, [shape | point for point in points])
+            return best if len(axes) == 1 else self._closer(response, best)
         best = -np.inf, shape | candidate.off
         for _ in range(2):
             for name, values in axes.items():
-                best = max(best, self._best(trace, [best[1] | {name: v} for v in values]), key=lambda pair: pair[0])
-        return self._closer(trace, best)
+                best = max(best, self._best(response, [best[1] | {name: v} for v in values]), key=lambda pair: pair[0])
+        return self._closer(response, best)
 
-    def _rounded(self, trace: "_Trace") -> tuple[float, dict[str, float]]:
+    def _rounded(self, response: "_Response") -> tuple[float, dict[str, float]]:
         """The best step of an effect that rounds a command."""
-        look = trace.rounding()
-        points = [{look.name: step} for step in look.best()]
-        return max(((self._fall(trace.at([point])[:, 0]), point) for point in points), key=lambda pair: pair[0])
+        rounding = response.rounding()
+        points = [{rounding.name: step} for step in rounding.best()]
+        return max(((self._gain(response.at([point])[:, 0]), point) for point in points), key=lambda pair: pair[0])
 
-    def _divided(self, trace: "_Trace", shape) -> tuple[float, dict[str, float]]:
+    def _divided(self, response: "_Response", shape) -> tuple[float, dict[str, float]]:
         """The best value of a threshold."""
-        (name,) = trace.candidate.sizes
+        (name,) = response.candidate.sizes
         residual = self._about.residual[:, None]
         costs = divided(
-            lambda values: residual + trace.at([shape | {name: v} for v in values]), trace.candidate.fine_axis(name)
+            lambda values: residual + response.at([shape | {name: v} for v in values]), response.candidate.fine_axis(name)
         )
         best = min(costs, key=costs.__getitem__)
         return self._cost - costs[best], shape | {name: best}
 
-    def _closer(self, trace: "_Trace", best: tuple[float, dict[str, float]]) -> tuple[float, dict[str, float]]:
-        """From the best point of a grid of several sizes, some way down along their tangents."""
-        candidate, (fall, point) = trace.candidate, best
+    def _closer(self, response: "_Response", best: tuple[float, dict[str, float]]) -> tuple[float, dict[str, float]]:
+        """A few Gauss-Newton steps from the best point of a grid of several sizes."""
+        candidate, (gain, point) = response.candidate, best
         for _ in range(CLOSER):
-            left = self._about.residual + trace.at([point])[:, 0]
-            step, *_ = np.linalg.lstsq(trace.tangents(point), -left, rcond=1e-9)
-            there = point | candidate.within({n: point[n] + d for n, d in zip(candidate.sizes, step, strict=True)})
-            if (gained := self._fall(trace.at([there])[:, 0])) <= fall:
+            residual = self._about.residual + response.at([point])[:, 0]
+            step, *_ = np.linalg.lstsq(response.tangents(point), -residual, rcond=1e-9)
+            new = point | candidate.within({n: point[n] + d for n, d in zip(candidate.sizes, step, strict=True)})
+            if (new_gain := self._gain(response.at([new])[:, 0])) <= gain:
                 break
-            fall, point = gained, there
-        return fall, point
+            gain, point = new_gain, new
+        return gain, point
 
-    def _best(self, trace: "_Trace", points: Sequence) -> tuple[float, dict[str, float]]:
-        """The best of the points and the fall there, the sizes stretched a little where that helps."""
+    def _best(self, response: "_Response", points: Sequence) -> tuple[float, dict[str, float]]:
+        """(gain, point) of the best point, its sizes scaled within STRETCH."""
         best = -np.inf, {}
-        for point, (along, power) in zip(points, trace.products(points), strict=True):
+        for point, (along, power) in zip(points, response.products(points), strict=True):
             stretch = float(np.clip(-along / power, *STRETCH)) if power else 1.0
-            fall = self._nothing - stretch * (along + 0.5 * stretch * power)
-            if fall > best[0]:
-                sizes = {n: point[n] * stretch for n, v in trace.candidate.off.items() if v == 0.0}
-                best = fall, point | trace.candidate.within(sizes)
+            gain = self._offset - stretch * (along + 0.5 * stretch * power)
+            if gain > best[0]:
+                sizes = {n: point[n] * stretch for n, v in response.candidate.off.items() if v == 0.0}
+                best = gain, point | response.candidate.within(sizes)
         return best
 
-    def _fall(self, shown: np.ndarray) -> float:
-        left = self._about.residual + shown
-        return self._cost - 0.5 * float(left @ left)
+    def _gain(self, shown: np.ndarray) -> float:
+        residual = self._about.residual + shown
+        return self._cost - 0.5 * float(residual @ residual)
 
 
-class _Trace:
-    """What a candidate adds to the residual that the fitted parameters can't follow, as a function of its parameters."""
+class _Response:
+    """Response of the residual to a candidate's parameters, orthogonal to the sensitivities of the fitted parameters."""
 
     def __init__(self, about: Linearised, simulator: Simulator, candidate: Candidate):
         self.candidate, self._about, self._simulator = candidate, about, simulator
-        quiet = about.outputs(simulator, [{**candidate.form, **candidate.off}])
-        self._quiet = [shown[:, COMPARED] for shown in quiet]
-        self._speed = [np.abs(shown[:, 1]).max() for shown in quiet]
-        self._known: dict[tuple[float, ...], np.ndarray] = {}
+        baseline = about.outputs(simulator, [{**candidate.form, **candidate.off}])
+        self._baseline = [shown[:, COMPARED] for shown in baseline]
+        self._speed = [np.abs(shown[:, 1]).max() for shown in baseline]
+        self._cached: dict[tuple[float, ...], np.ndarray] = {}
         self.points = 0
 
     def at(self, points: Sequence) -> np.ndarray:
@@ -188,67 +187,67 @@ class _Trace:
         return np.hstack([self._about.orthogonal_part(changed) for changed in self._changed(points)])
 
     def products(self, points: Sequence) -> list[tuple[float, float]]:
-        """Of what is added at each point, with the residual and with itself."""
+        """Inner products of the response at each point with the residual and with itself."""
         pairs = [self._about.products(changed) for changed in self._changed(points)]
         return [pair for along, power in pairs for pair in zip(along.tolist(), power.tolist(), strict=True)]
 
     def _changed(self, points: Sequence) -> Iterator[np.ndarray]:
-        """(rows, LANES at most): the scaled residual's change from where the candidate is off; it is linear in the outputs'."""
+        """(rows, up to LANES): change of the scaled residual against the candidate switched off."""
         for first in range(0, len(points), LANES):
             part = points[first : first + LANES]
-            new = [point for point in part if tuple(point.values()) not in self._known]
+            new = [point for point in part if tuple(point.values()) not in self._cached]
             run = self._run(new) if new else None
             if len(new) == len(part):
                 yield run
                 continue
-            found = dict(zip((tuple(point.values()) for point in new), run.T if new else (), strict=True)) | self._known
+            found = dict(zip((tuple(point.values()) for point in new), run.T if new else (), strict=True)) | self._cached
             yield np.column_stack([found[tuple(point.values())] for point in part])
 
     def _run(self, points: Sequence) -> np.ndarray:
         self.points += len(points)
         shown = self._about.outputs(self._simulator, [{**self.candidate.form, **point} for point in points])
-        changes = [y[:, COMPARED] - quiet for y, quiet in zip(shown, self._quiet, strict=True)]
+        changes = [y[:, COMPARED] - baseline for y, baseline in zip(shown, self._baseline, strict=True)]
         for change, speed in zip(changes, self._speed, strict=True):
             change[:, 1, np.abs(change[:, 1]).max(axis=0) <= ROUNDING * speed] = 0.0
         return self._about.change(changes)
 
     def sharp(self, shape, axes: Mapping[str, list[float]]) -> bool:
-        """Whether neighbours on the axis of the only size look different: a resonance, or a threshold, shows where it is.
+        """Whether responses of neighbours on the axis of the only size differ in shape, as those of a resonance or a threshold.
 
-        What they change is kept until the next shape's: the grid is of the same points.
+        The responses are cached for the grid of the same points.
         """
         ((name, values),) = axes.items()
         points = [shape | {name: v} for v in sorted(values) if v * self.candidate.probe[name] > 0.0]
-        self._known = {}
-        places = (tuple(point.values()) for point in points)
+        self._cached = {}
+        keys = (tuple(point.values()) for point in points)
         rows = (row for changed in self._changed(points) for row in np.ascontiguousarray(changed.T))
-        self._known = dict(zip(places, rows, strict=True))
+        self._cached = dict(zip(keys, rows, strict=True))
         traces = list(self.at(points).T.copy())
         powers = [float(t @ t) for t in traces]
         alike = [(t @ u) ** 2 > SHARP * p * q for t, u, p, q in zip(traces, traces[1:], powers, powers[1:], strict=False)]
         return not all(alike)
 
     def stepwise(self, shape) -> bool:
-        """Whether what is shown has no tangent in the sizes, wherever they stand: a threshold."""
+        """Whether the response has no sensitivity to the sizes at any value: a threshold."""
         return not any(self.tangents(shape | {n: v}).any() for n in self.candidate.sizes for v in self.candidate.axis(n))
 
     def limited(self, shape, name: str) -> bool:
-        """Whether a size is a level that these records reach, in this form."""
+        """Whether a size is a limit that these records reach, in this form."""
         levels, others, off = self.candidate.levels.get(name), shape | self.candidate.probe, self.candidate.off[name]
         if levels is None:
             return False
         least, none = self.at([others | {name: min(levels)}, others | {name: off}]).T
         return not np.array_equal(least, none)
 
-    def followed(self, point) -> dict[str, float]:
-        """Where the fitted parameters go with the candidate at `point`."""
+    def re_estimated(self, point) -> dict[str, float]:
+        """Fitted parameters, re-estimated with the candidate at `point`."""
         return self._about.followed(self._about.rows(self._simulator, [{**self.candidate.form, **point}])[:, 0])
 
     def rounding(self) -> Rounding:
-        """What goes with the step of a candidate that rounds a command."""
-        look = Rounding(self._about, self._simulator, self.candidate.effect, self._about.records)
-        self.points += look.points
-        return look
+        """Cost as a function of the step, of a candidate that rounds a command."""
+        rounding = Rounding(self._about, self._simulator, self.candidate.effect, self._about.records)
+        self.points += rounding.points
+        return rounding
 
     def tangents(self, point) -> np.ndarray:
         """(rows, sizes)"""
