@@ -1,5 +1,6 @@
 """The native FMU: what holds for the Python flavour holds for it; the archive, its bits, what it is built by and for."""
 
+import ctypes
 import io
 import os
 import re
@@ -179,6 +180,25 @@ def test_the_reference_files_are_what_fmpy_gets(fmu_files, tmp_path):
             scale = np.abs(exact[output.name]).max()
             assert np.ptp(exact[output.name]) > 0.01 * scale
             np.testing.assert_allclose(result[output.name], exact[output.name], rtol=1e-9, atol=1e-9 * scale)
+
+
+@test_fmu.each_way
+def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
+    test_fmu.keeps_the_last_numbers(native_fmu, test_fmu.WAYS[way], tmp_path)
+
+
+def test_without_callbacks_there_is_no_instance(fmus):
+    """The standard wants them: the struct, and the logger in it. What allocates memory is not used, and not asked for."""
+    fmu = fmus["plain"]
+    library = ctypes.CDLL(str(fmu.library))
+    library.fmi2Instantiate.restype = ctypes.c_void_p
+    logger = ctypes.CFUNCTYPE(None)(lambda: None)
+    some, none = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p).value), (ctypes.c_void_p * 5)()
+    made = [
+        library.fmi2Instantiate(b"a", 1, fmu.description.guid.encode(), None, given, 0, 0) for given in (None, none, some)
+    ]
+    assert [at is not None for at in made] == [False, False, True]
+    library.fmi2FreeInstance(ctypes.c_void_p(made[-1]))
 
 
 @zig
