@@ -3,6 +3,7 @@
 import ctypes
 import io
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -21,6 +22,7 @@ import pytest
 import test_fmu
 from builders import ALL_ON, PROBES, Slave, random_steps, reference
 from fmpy.build import build_platform_binary
+from fmpy.model_description import read_build_description
 
 from vpp_fmu.cli import main
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
@@ -154,6 +156,30 @@ def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkey
     fmu.close()
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@each_fmu
+def test_its_build_description_is_valid(name, version):
+    """After FMI 3.0's schema, and after its table of a SourceFileSet: options are those of a compiler that is named."""
+    fmu = io.BytesIO(native_fmu(*MODELS[name], version=version))
+    (build,) = read_build_description(fmu)
+    assert build.modelIdentifier == MODELS[name][0].name
+    with zipfile.ZipFile(fmu) as packed:
+        assert [f"sources/{file}" in packed.namelist() for file in build.sourceFileSets[0].sourceFiles] == [True]
+        root = ElementTree.fromstring(packed.read("sources/buildDescription.xml"))
+    assert all(
+        "compiler" in sources.attrib or "compilerOptions" not in sources.attrib for sources in root.iter("SourceFileSet")
+    )
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the flag is x86-64's")
+def test_its_source_allows_no_fused_multiply_add(tmp_path):
+    """Whatever the compiler is told: the build description names no options."""
+    (tmp_path / "plant.c").write_text(c_text(BASE, BASE.values(), "{}"))
+    command = [CC, "-std=gnu99", "-O3", "-w", "-mfma", "-S", "-o", "plant.s", "plant.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    assert not re.search(r"\tvfn?m(add|sub)", (tmp_path / "plant.s").read_text())
+
+
 def test_its_source_draws_no_warning(tmp_path):
     for name, (model, values) in MODELS.items():
         (tmp_path / f"{name}.c").write_text(c_text(model, values | model.values(values), "{}"))
@@ -194,9 +220,7 @@ def test_without_callbacks_there_is_no_instance(fmus):
     library.fmi2Instantiate.restype = ctypes.c_void_p
     logger = ctypes.CFUNCTYPE(None)(lambda: None)
     some, none = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p).value), (ctypes.c_void_p * 5)()
-    made = [
-        library.fmi2Instantiate(b"a", 1, fmu.description.guid.encode(), None, given, 0, 0) for given in (None, none, some)
-    ]
+    made = [library.fmi2Instantiate(b"a", 1, fmu.description.guid.encode(), None, given, 0, 0) for given in (None, none, some)]
     assert [at is not None for at in made] == [False, False, True]
     library.fmi2FreeInstance(ctypes.c_void_p(made[-1]))
 

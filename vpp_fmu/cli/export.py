@@ -76,6 +76,10 @@ def run(options):
     for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
+    if flavours == ("python",):
+        print(
+            "the Python FMUs need a host that runs in Python, such as fmpy; for any other: --flavour native (fmu_src/README.md)"
+        )
     if wanted := oldest_glibc(files):
         better = (
             ""
