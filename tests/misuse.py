@@ -4,9 +4,10 @@
 
 What must come back is the standard's (FMI 2.0.4, sections 2.1.3, 2.1.7 and 4.2.4). A refusal is fmi2Error from the native
 flavour and fmi2Fatal from the Python one, since pythonfmu's binary has no other answer to an exception; the instance must
-live on in both: values can be read, and a reset makes a fresh one. What pythonfmu's binary answers without asking the slave
-is not in the table: null pointers and callbacks (it reads them), a wrong GUID (it takes any), set-up at the wrong time (it notes the start
-time and hands it over later), log categories that are unknown, derivatives and pending steps (fmi2Error, as natively).
+live on in both: values can be read, and are finite; a reset makes a fresh one. What pythonfmu's binary answers without asking
+the slave is not in the table: null pointers and callbacks (it reads them), a wrong GUID (it takes any), set-up at the wrong
+time (it notes the start time and hands it over later), log categories that are unknown, derivatives and pending steps
+(fmi2Error, as natively).
 """
 
 import ctypes

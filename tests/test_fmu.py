@@ -427,11 +427,8 @@ def keeps_the_last_numbers(make, model, folder):
     slave = Slave(fmu)
     for _ in range(5):
         last = slave.step({given.name: 0.5 * given.nominal}, 0.004, *kept)
-    slave.set(**{given.name: 1.7e308})
-    with pytest.raises(FMICallException):
-        for _ in range(5):
-            slave.fmi.doStep(slave.time, 0.004)
-            slave.time, last = slave.time + 0.004, slave.get(*kept)
+    with pytest.raises(FMICallException):  # the first steps may still give numbers
+        last = [slave.step({given.name: 1.7e308}, 0.004, *kept) for _ in range(5)][-1]
     assert "no finite numbers come of" in slave.messages[-1]
     assert slave.get(*kept) == last
     assert any(last)
