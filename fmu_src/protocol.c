@@ -124,34 +124,6 @@ static void show_chosen(Slave *s) {
   s->m.dt = NAN;
 }
 
-/* During initialisation what is read must follow what was set; from then on steps alone move outputs and states. */
-static void settle(Slave *s) {
-  double set[N_STATES_OR_1];
-  bool any = false;
-  if (s->state != INITIALISING || s->settled) return;
-  memcpy(set, s->m.v + FIRST_STATE, N_STATES * sizeof *set);
-  start(s->m.v, s->m.d);
-  for (int i = 0; i < N_STATES; i++)
-    if (s->chosen[i]) s->m.v[FIRST_STATE + i] = set[i], any = true;
-  if (any) show_chosen(s);
-  s->settled = true;
-}
-
-/* By how much outputs and states move, at the start, with what `along` holds. */
-static void settle_along(Slave *s, double *along) {
-  bool any = false;
-  settle(s);
-  start_along(s->m.v, along);
-  for (int i = 0; i < N_STATES; i++)
-    if (s->chosen[i]) along[FIRST_STATE + i] = 0.0, any = true;
-  if (any && !SAMPLED) {
-    double kept[N_STATES_OR_1];
-    memcpy(kept, along + FIRST_STATE, N_STATES * sizeof *kept);
-    step_along(s->m.v, NOW, 0.0, along);
-    memcpy(along + FIRST_STATE, kept, N_STATES * sizeof *kept);
-  }
-}
-
 /* In two sums, since one waits for itself at each number. */
 static double sum(const double *v, int first, int last) {
   double even = 0.0, odd = 0.0;
@@ -176,6 +148,38 @@ static Status no_numbers(Slave *s, double time) {
   return refuse(s, MODEL_NAME ": no finite numbers come of %s at %s s", text, number(at, time));
 }
 
+/* During initialisation what is read must follow what was set; from then on steps alone move outputs and states. Refused
+ * where no finite numbers come of it: the values are those from before, then. */
+static bool settle(Slave *s) {
+  double kept[N_VALUES];
+  bool any = false;
+  if (s->state != INITIALISING || s->settled) return true;
+  memcpy(kept, s->m.v, sizeof kept);
+  start(s->m.v, s->m.d);
+  for (int i = FIRST_STATE; i < N_VALUES; i++)
+    if (s->chosen[i - FIRST_STATE]) s->m.v[i] = kept[i], any = true;
+  if (any) show_chosen(s);
+  s->settled = has_numbers(s);
+  if (s->settled) return true;
+  no_numbers(s, s->time);
+  memcpy(s->m.v, kept, sizeof kept);
+  return false;
+}
+
+/* By how much outputs and states that are settled move, at the start, with what `along` holds. */
+static void settle_along(Slave *s, double *along) {
+  bool any = false;
+  start_along(s->m.v, along);
+  for (int i = 0; i < N_STATES; i++)
+    if (s->chosen[i]) along[FIRST_STATE + i] = 0.0, any = true;
+  if (any && !SAMPLED) {
+    double kept[N_STATES_OR_1];
+    memcpy(kept, along + FIRST_STATE, N_STATES * sizeof *kept);
+    step_along(s->m.v, NOW, 0.0, along);
+    memcpy(along + FIRST_STATE, kept, N_STATES * sizeof *kept);
+  }
+}
+
 /* What can be computed of a slave that may have been told `time` as its start. */
 static Status setup(Slave *s, const char *call, int states, double time) {
   char text[32];
@@ -197,8 +201,7 @@ static Status leave_initialisation(Slave *s, const char *call) {
   if (!allowed(s, call, EXIT_STATES)) return REFUSED;
   for (int i = 0; i < N_PARAMETERS; i++)
     if (!in_range(s, i)) return REFUSED;
-  settle(s);
-  if (!has_numbers(s)) return no_numbers(s, s->time);
+  if (!settle(s)) return REFUSED;
   start_schedule(s);
   if (s->carried) start_sensitivities(s);
   s->state = STEPPING;
@@ -222,21 +225,23 @@ static Status reset(Slave *s, const char *call) {
 
 /* The longest communication step that is taken, s. */
 static double longest(const Slave *s) {
-  if (EXACT) return INFINITY;
+  if (EXACT) return LONGEST_EXACT;
   return PIECES * (SAMPLED ? s->m.v[SAMPLE_TIME] : largest_step(s->m.v));
 }
 
 static Status do_step(Slave *s, const char *call, double time, double size) {
   char one[32], other[32];
+  double kept[N_VALUES];
   if (!s || s->state != STEPPING) return allowed(s, call, STEP_STATES), REFUSED;
   if (!(size > 0.0 && is_finite(size)))
     return refuse(s, MODEL_NAME ": communication step is %s s, a positive number is needed", number(one, size));
-  if (!EXACT && size > longest(s))
+  if (size > longest(s))
     return refuse(s, MODEL_NAME ": communication step is %s s, allowed is up to %s s", number(one, size),
                   number(other, longest(s)));
   if (time != s->time && !(fabs(time - s->time) <= SLACK * size + NOW * fabs(time)))
     return refuse(s, MODEL_NAME ": the step is to begin at %s s, the instance is at %s s", number(one, time),
                   number(other, s->time));
+  memcpy(kept, s->m.v, sizeof kept);
 #if EXACT
   take_step(&s->m, size, NULL); /* one step of the chain is one communication step */
 #elif SAMPLED
@@ -245,15 +250,18 @@ static Status do_step(Slave *s, const char *call, double time, double size) {
   if (!run_held(&s->m, size))
     return refuse(s, MODEL_NAME ": more than %d command changes wait in one delay: take longer communication steps", SLOTS);
 #endif
-  if (!has_numbers(s)) return no_numbers(s, time);
+  if (!has_numbers(s)) {
+    no_numbers(s, time);
+    memcpy(s->m.v, kept, sizeof kept); /* what can be read after a failed step are the values from before it */
+    return REFUSED;
+  }
   s->time = time + size;
   return OK;
 }
 
 static Status get_values(Slave *s, const char *call, const unsigned *references, size_t n, const void *values) {
   if (!allowed(s, call, GET_STATES) || !given(s, call, n, references, values)) return REFUSED;
-  settle(s);
-  return OK;
+  return settle(s) ? OK : REFUSED;
 }
 
 /* The standard's functions differ in the type of a value alone. */
@@ -301,6 +309,7 @@ static Status derivative(Slave *s, const char *call, const unsigned unknowns[], 
       !given(s, call, n_known, knowns, moved))
     return REFUSED;
   const bool starting = s->state == INITIALISING;
+  if (!settle(s)) return REFUSED;
   for (size_t j = 0; j < n_known; j++) {
     const unsigned r = knowns[j];
     if (r >= N_VALUES && unknown(s, r)) return REFUSED;

@@ -8,8 +8,9 @@ FMI(fmi2Component, Instantiate)
 (fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources, const fmi2CallbackFunctions *functions,
  fmi2Boolean visible, fmi2Boolean logging) {
   (void)resources, (void)visible;
-  return new_slave(functions ? functions->logger : NULL, functions ? functions->componentEnvironment : NULL, name, guid,
-                   logging != 0, type == fmi2CoSimulation ? NULL : "is for co-simulation only");
+  if (!functions || !functions->logger) return NULL; /* the standard wants both, and without them nobody can be told so */
+  return new_slave(functions->logger, functions->componentEnvironment, name, guid, logging != 0,
+                   type == fmi2CoSimulation ? NULL : "is for co-simulation only");
 }
 
 FMI(void, FreeInstance)(fmi2Component c) { free_slave(c); }

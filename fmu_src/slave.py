@@ -9,12 +9,19 @@ All values live in one list `v`, in the order of the value references: inputs, o
 pythonfmu's binary answers an exception with fmi2Fatal, and gives up what it holds of the instance without owning it: its
 references to the instance, its class and its messages are dropped once for each exception, and used and dropped again
 afterwards (`upstream/` beside this file mends it there). `_kept` takes as many more before an exception leaves.
+
+As the process ends the binary releases the interpreter twice, the second time through memory that is freed by then
+(`upstream/` mends that, too). `_release_at_exit` has it released once, before.
 """
 
+import atexit
 import ctypes
+import glob
 import json
+import os
 import weakref
 import zlib
+from contextlib import suppress
 from functools import wraps
 from math import isfinite
 
@@ -37,7 +44,7 @@ from vpp_fmu.kernel.calls import (
     TERMINATE_STATES,
     TERMINATED,
 )
-from vpp_fmu.kernel.schedule import NOW, PIECES, DelayFull, DelayLine, run_held, run_sampled
+from vpp_fmu.kernel.schedule import LONGEST_EXACT, NOW, PIECES, DelayFull, DelayLine, run_held, run_sampled
 
 TYPE_NAMES = ("Real", "Integer", "Boolean")
 REAL, INTEGER, BOOLEAN = TYPE_NAMES
@@ -46,6 +53,24 @@ SAVED = ("time", "state", "settled", "scheduled", "wait")
 
 ALIVE = weakref.WeakSet()
 """All instances of this FMU."""
+
+
+RELEASED = set()
+"""Folders of resources beside which the binary is released at exit."""
+
+
+def _release_at_exit(resources):
+    """Have pythonfmu's binary release the interpreter when Python ends, which is before the process does.
+
+    What it does by itself at the end of the process then finds nothing to release. Only ELF and Mach-O systems run it in the
+    wrong order, and only they have RTLD_NOLOAD: the library that is loaded is meant, no second one.
+    """
+    if resources in RELEASED or not hasattr(os, "RTLD_NOLOAD"):
+        return
+    RELEASED.add(resources)
+    for path in glob.glob(os.path.join(glob.escape(resources), os.pardir, "binaries", "*", "*")):
+        with suppress(OSError, AttributeError):  # another system's library, or none of pythonfmu's
+            atexit.register(ctypes.CDLL(path, os.RTLD_NOLOAD).finalizePythonInterpreter)
 
 
 class Refused(ValueError):
@@ -105,6 +130,8 @@ class TracedSlave(Fmi2Slave):
         self.prepared_for = self.constants = None
         self.lines, self.wait, self.longest = [], 0.0, 0.0
         ALIVE.add(self)
+        if self.resources is not None:
+            _release_at_exit(self.resources)
 
     @call
     def setup_experiment(self, start_time, *_):
@@ -126,8 +153,6 @@ class TracedSlave(Fmi2Slave):
         for k in range(self.N_PARAMETERS):
             self._check_range(k)
         self._settle()
-        if not self._has_numbers():
-            raise self._no_numbers(self.time)
         self._schedule()
         self.state, self.scheduled = STEPPING, True
         self._report(f"initialised at {self.time} s")
@@ -170,6 +195,7 @@ class TracedSlave(Fmi2Slave):
             raise
 
     def do_step(self, current_time, step_size):
+        kept = self.v[:]
         try:
             if self.state != STEPPING:
                 self._allow("fmi2DoStep", STEP_STATES)
@@ -181,6 +207,7 @@ class TracedSlave(Fmi2Slave):
             self.time = current_time + step_size
             return True
         except BaseException:
+            self.v[:] = kept  # what can be read after a failed step are the values from before it
             self._fail()
             raise
 
@@ -309,12 +336,16 @@ class TracedSlave(Fmi2Slave):
         """During initialisation what is read must follow what was set; from then on steps alone move outputs and states."""
         if self.state != INITIALISING or self.settled:
             return
+        kept = self.v[:]
         try:
             self.start(self.v, None)
             self._show_chosen()
+            self.settled = self._has_numbers()
         except (ArithmeticError, ValueError):
-            raise self._no_numbers(self.time) from None
-        self.settled = True
+            pass  # not settled, then
+        if not self.settled:
+            self.v[:] = kept
+            raise self._no_numbers(self.time)
 
     def _show_chosen(self):
         """Where states were chosen, the outputs must follow them: they are what an instant of a step from there gives. A
@@ -372,7 +403,7 @@ class Exact:
     """Steps of a model that is exact for held inputs: one step of the chain is one communication step."""
 
     def _retune(self):
-        self.longest = float("inf")
+        self.longest = LONGEST_EXACT
 
     def _take(self, time, step_size):
         v = self.v

@@ -17,8 +17,13 @@ from vpp_fmu.kernel.types import Model
 LIBRARY = Path("/usr/aarch64-linux-gnu")
 
 DRIVER = """
+static void print_message(void *environment, fmi2String name, fmi2Status status, fmi2String category, fmi2String text, ...) {
+  fprintf(stderr, "%s\\n", text);
+}
+
 int main(void) {
-  fmi2Component c = fmi2Instantiate("a", fmi2CoSimulation, MODEL_GUID, NULL, NULL, 0, 0);
+  const fmi2CallbackFunctions functions = {print_message};
+  fmi2Component c = fmi2Instantiate("a", fmi2CoSimulation, MODEL_GUID, NULL, &functions, 0, 0);
   fmi2ValueReference r[N_INPUTS + N_OUTPUTS];
   double u[N_INPUTS], y[N_OUTPUTS], dt;
   for (int i = 0; i < N_INPUTS + N_OUTPUTS; i++) r[i] = i;
@@ -27,7 +32,7 @@ int main(void) {
     if (k == 0) fmi2EnterInitializationMode(c);
     fmi2SetReal(c, r, N_INPUTS, u);
     if (k == 0) fmi2ExitInitializationMode(c);
-    fmi2DoStep(c, 0, dt, 1);
+    if (fmi2DoStep(c, k * dt, dt, 1)) return 2;
     fmi2GetReal(c, r + N_INPUTS, N_OUTPUTS, y);
     fwrite(y, sizeof y, 1, stdout);
   }

@@ -4,9 +4,10 @@
 
 What must come back is the standard's (FMI 2.0.4, sections 2.1.3, 2.1.7 and 4.2.4). A refusal is fmi2Error from the native
 flavour and fmi2Fatal from the Python one, since pythonfmu's binary has no other answer to an exception; the instance must
-live on in both: values can be read, and a reset makes a fresh one. What pythonfmu's binary answers without asking the slave
-is not in the table: null pointers (it reads them), a wrong GUID (it takes any), set-up at the wrong time (it notes the start
-time and hands it over later), log categories that are unknown, derivatives and pending steps (fmi2Error, as natively).
+live on in both: values can be read, and are finite; a reset makes a fresh one. What pythonfmu's binary answers without asking
+the slave is not in the table: null pointers and callbacks (it reads them), a wrong GUID (it takes any), set-up at the wrong
+time (it notes the start time and hands it over later), log categories that are unknown, derivatives and pending steps
+(fmi2Error, as natively).
 """
 
 import ctypes
@@ -18,7 +19,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isnan
+from math import isfinite
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -36,6 +37,7 @@ class Host:
         root = ElementTree.parse(folder / "modelDescription.xml").getroot()
         name = root.find("CoSimulation").get("modelIdentifier")
         self.vr = {v.get("name"): int(v.get("valueReference")) for v in root.iter("ScalarVariable")}
+        self.reals = [v.get("name") for v in root.iter("ScalarVariable") if v.find("Real") is not None]
         self.library = ctypes.CDLL(str(folder / "binaries" / "linux64" / f"{name}.so"))
         self.said: list[str] = []
         self._log = self.LOGGER(lambda _env, _name, _status, _category, text: self.said.append(text.decode()))
@@ -213,6 +215,7 @@ CASES = (
     Case("a negative step", RUN, lambda h: h.step(0.0, -0.004), REFUSED, "communication step is -0.004 s"),
     Case("NaN as a step", RUN, lambda h: h.step(0.0, NAN), REFUSED, "communication step is nan s"),
     Case("an infinite step", RUN, lambda h: h.step(0.0, INF), REFUSED, "communication step is inf s"),
+    Case("the plain plant's step of 30 years", RUN, lambda h: h.step(0.0, 1e9), REFUSED, "allowed is up to 100000.0 s"),
     Case("a step of 30 years", RUN, lambda h: h.step(0.0, 1e9), REFUSED, "allowed is up to 100.0 s", "all_on"),
     Case("a controller's step of 30 years", RUN, lambda h: h.step(0.0, 1e9), REFUSED, "allowed is up to 400.0 s", "controller"),
     Case("a step at another time", RUN, lambda h: h.step(777.0), REFUSED, "to begin at 777.0 s, the instance is at 0.0 s"),
@@ -232,6 +235,13 @@ CASES = (
         "no numbers at the start",
         (*INIT, lambda h: h.set("Real", omega_ref=1e300)),
         LEAVE,
+        REFUSED,
+        "no finite numbers come of",
+    ),
+    Case(
+        "no numbers to read at the start",
+        (*INIT, lambda h: h.set("Real", omega_ref=1e300)),
+        READ,
         REFUSED,
         "no finite numbers come of",
     ),
@@ -288,10 +298,13 @@ def run(case: Case, folder: Path) -> dict:
     host.said.clear()
     status = case.call(host)
     said = host.said[-1].strip().splitlines()[-1] if host.said else ""
+    lost = [] if host.get("Real", *host.reals) else [n for n, x in zip(host.reals, host.got, strict=True) if not isfinite(x)]
     first = (lambda h: h.set("Real", (0, 1.0))), STEP, (lambda h: h.get("Real", 2))  # an input, an output
     restarted = [call(host) for call in (RESET, *RUN, *first, TERMINATE)]
     host.free()
-    lived = not problem and not any(restarted) and not any(map(isnan, host.got))
+    lived = not problem and not any(restarted) and all(map(isfinite, host.got))
+    if lost:
+        problem = f"afterwards no number is read of {', '.join(lost)}"
     said = re.sub(r"\d+ bytes", "these bytes", said) if status else ""
     return {"case": case.name, "status": status, "said": said, "lived": lived, "problem": problem}
 

@@ -67,7 +67,7 @@ def test_what_is_zero_by_structure_costs_nothing():
 
 @pytest.mark.parametrize("call", [bool, float, lambda x: x**2, lambda x: x == 1.0])
 def test_what_has_no_derivative_is_refused(call):
-    with pytest.raises(TypeError, match="derivative"):
+    with pytest.raises(TypeError, match="can't be traced or differentiated"):
         call(Dual(1.0, (1.0,)))
 
 

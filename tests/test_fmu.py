@@ -24,7 +24,7 @@ from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import Fmu, FmuInstance
 from vpp_fmu.kernel.controller import CONTROLLER, SPEED_ONLY
-from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.record import Record, read_record, write_record
 
@@ -408,6 +408,31 @@ def test_what_is_refused_is_said(fmus, what, name):
     said = slave.messages[-1].strip().splitlines()[-1]
     for word in ("VppPlant", *words):
         assert word in said
+
+
+WAYS = {"Exact": BASE, "Sampled": CONTROLLER, "Scheduled": plant(["pitch_delay"])}
+each_way = pytest.mark.parametrize("way", WAYS)
+
+
+@each_way
+def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
+    keeps_the_last_numbers(python_fmu, WAYS[way], tmp_path)
+
+
+def keeps_the_last_numbers(make, model, folder):
+    """Outputs and states after a step that gave no numbers are those from before it, whatever way steps are taken."""
+    (folder / "model.fmu").write_bytes(make(model))
+    fmu, given = Fmu(folder / "model.fmu"), model.inputs[0]
+    kept = [n for n, v in fmu.variables.items() if v.causality in ("output", "local")]
+    slave = Slave(fmu)
+    for _ in range(5):
+        last = slave.step({given.name: 0.5 * given.nominal}, 0.004, *kept)
+    with pytest.raises(FMICallException):  # the first steps may still give numbers
+        last = [slave.step({given.name: 1.7e308}, 0.004, *kept) for _ in range(5)][-1]
+    assert "no finite numbers come of" in slave.messages[-1]
+    assert slave.get(*kept) == last
+    assert any(last)
+    assert np.isfinite(last).all()
 
 
 @pytest.mark.parametrize("value", [35.0, 0.0, -1.0])

@@ -1,7 +1,9 @@
 """The native FMU: what holds for the Python flavour holds for it; the archive, its bits, what it is built by and for."""
 
+import ctypes
 import io
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -20,6 +22,7 @@ import pytest
 import test_fmu
 from builders import ALL_ON, PROBES, Slave, random_steps, reference
 from fmpy.build import build_platform_binary
+from fmpy.model_description import read_build_description
 
 from vpp_fmu.cli import main
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
@@ -153,6 +156,29 @@ def test_fmpy_compiles_it_from_its_sources(fmu_files, long_run, tmp_path, monkey
     fmu.close()
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@each_fmu
+def test_its_build_description_is_valid(name, version):
+    """After FMI 3.0's schema, and after its table of a SourceFileSet: options are those of a compiler that is named."""
+    fmu = io.BytesIO(native_fmu(*MODELS[name], version=version))
+    (build,) = read_build_description(fmu)
+    assert build.modelIdentifier == MODELS[name][0].name
+    with zipfile.ZipFile(fmu) as packed:
+        assert [f"sources/{file}" in packed.namelist() for file in build.sourceFileSets[0].sourceFiles] == [True]
+        root = ElementTree.fromstring(packed.read("sources/buildDescription.xml"))
+    sets = [set(sources.attrib) for sources in root.iter("SourceFileSet")]
+    assert all("compiler" in given or "compilerOptions" not in given for given in sets)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the flag is x86-64's")
+def test_its_source_allows_no_fused_multiply_add(tmp_path):
+    """Whatever the compiler is told: the build description names no options."""
+    (tmp_path / "plant.c").write_text(c_text(BASE, BASE.values(), "{}"))
+    command = [CC, "-std=gnu99", "-O3", "-w", "-mfma", "-S", "-o", "plant.s", "plant.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    assert not re.search(r"\tvfn?m(add|sub)", (tmp_path / "plant.s").read_text())
+
+
 def test_its_source_draws_no_warning(tmp_path):
     for name, (model, values) in MODELS.items():
         (tmp_path / f"{name}.c").write_text(c_text(model, values | model.values(values), "{}"))
@@ -179,6 +205,23 @@ def test_the_reference_files_are_what_fmpy_gets(fmu_files, tmp_path):
             scale = np.abs(exact[output.name]).max()
             assert np.ptp(exact[output.name]) > 0.01 * scale
             np.testing.assert_allclose(result[output.name], exact[output.name], rtol=1e-9, atol=1e-9 * scale)
+
+
+@test_fmu.each_way
+def test_after_a_step_without_numbers_the_last_ones_can_be_read(way, tmp_path):
+    test_fmu.keeps_the_last_numbers(native_fmu, test_fmu.WAYS[way], tmp_path)
+
+
+def test_without_callbacks_there_is_no_instance(fmus):
+    """The standard wants them: the struct, and the logger in it. What allocates memory is not used, and not asked for."""
+    fmu = fmus["plain"]
+    library = ctypes.CDLL(str(fmu.library))
+    library.fmi2Instantiate.restype = ctypes.c_void_p
+    logger = ctypes.CFUNCTYPE(None)(lambda: None)
+    some, none = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p).value), (ctypes.c_void_p * 5)()
+    made = [library.fmi2Instantiate(b"a", 1, fmu.description.guid.encode(), None, given, 0, 0) for given in (None, none, some)]
+    assert [at is not None for at in made] == [False, False, True]
+    library.fmi2FreeInstance(ctypes.c_void_p(made[-1]))
 
 
 @zig

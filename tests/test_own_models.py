@@ -125,6 +125,21 @@ BROKEN = {
     ),
     "range upside down": ("50.0, 0.0, 1e4", "50.0, 1e4, 0.0", ["parameter k, range", "10000.0 to 0.0", "below"]),
     "if": ("    v2 = x.v2", "    if f > 0.0:\n        f = 0.0\n    v2 = x.v2", ["effect masses, step", "line 24", "ops.where"]),
+    "effects without their comma": (
+        "effects=(MASSES, GATE)",
+        "effects=(MASSES)",
+        ["effects", "found one Effect", "ends in a comma"],
+    ),
+    "inputs without their comma": (
+        "inputs=(FORCE, BRAKE)",
+        "inputs=(FORCE)",
+        ["inputs", "found one Signal", "ends in a comma"],
+    ),
+    "a parameter without its comma": (
+        "tunable=True),),",
+        "tunable=True)),",
+        ["effect gate, parameters", "found one Parameter", "ends in a comma"],
+    ),
     "numpy": ("f = p.k", "import numpy\n    f = numpy.exp(x.v1) * p.k", ["effect masses, step", "can't be traced", "numpy"]),
     "math": ("f = p.k", "import math\n    f = math.exp(x.v1) * p.k", ["effect masses, step", "can't be traced", "ops.exp"]),
     "name with a space": ('"TwoMasses"', '"Two Masses"', ["name: found 'Two Masses'", "letters, digits and _"]),
@@ -153,11 +168,102 @@ BROKEN = {
     ),
     "step that returns no pair": ("return seen, seen", "return seen", ["effect gate, step", "a dict returned", "a pair"]),
     "division by zero": ("dt * f / p.m2", "dt * f / (x.x1 - x.x2)", ["effect masses, step", "ZeroDivisionError", "line 24"]),
+    "a Boolean that is no truth value": (
+        "ops.where(s.x2 > p.gate, 1.0, 0.0)",
+        "ops.where(s.x2 > p.gate, 2.0, 0.5)",
+        ["output beyond", "found 0.5 after step", "0 or 1, since it is a Boolean"],
+    ),
+    "an Integer that is not whole": ("x.passes + ops", "0.3 + x.passes + ops", ["output passes", "found 1.2", "whole numbers"]),
     "no numbers later on": ("x.passes + ops", "2e200 + x.passes * 1e200 + ops", ["the first 100 steps", "passes = inf"]),
     "start of other arguments": ("def _rest(ops, s, p)", "def _rest(ops, s)", ["state x1, start", "(ops, s, p)"]),
     "no Python": ("def _rest(ops, s, p):", "def _rest(ops, s, p)", ["--model", "package.module:NAME"]),
     "not there": ("MODEL = Model(", "MODELL = Model(", ["--model", "MODEL", "package.module:NAME"]),
 }
+
+
+SPELLED = {
+    "if": ("v2 = 0.0 if f > 0.0 else 1.0", "ops.where(condition, yes, no)"),
+    "and": ("v2 = ops.where(f > 0.0 and x.v1 > 0.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
+    "or": ("v2 = 1.0 if (f > 0.0 or x.v1 > 0.0) else 0.0", "ops.where(condition, yes, no)"),
+    "not": ("v2 = ops.where(not f > 0.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
+    "while": ("\n    while f > 0.0:\n        f = f - 1.0\n    v2 = f", "ops.where(condition, yes, no)"),
+    "a chain of comparisons": ("v2 = ops.where(0.0 < f < 1.0, 1.0, 0.0)", "ops.where(condition, yes, no)"),
+    "max()": ("v2 = max(f, 0.0)", "ops.where(condition, yes, no)"),
+    ">=": ("v2 = ops.where(f >= 0.0, 1.0, 0.0)", "ops.where(x < y, no, yes)"),
+    "<=": ("v2 = ops.where(f <= 0.0, 1.0, 0.0)", "ops.where(x > y, no, yes)"),
+    "==": ("v2 = ops.where(f == 0.0, 1.0, 0.0)", "< or >"),
+    "**": ("v2 = f**2", "x * x"),
+    "float()": ("v2 = float(f)", "the value as it is"),
+    "math.exp()": ("import math; v2 = math.exp(-f * f)", "ops.exp"),
+    "int()": ("v2 = int(f)", "ops.whole(x)"),
+    "abs()": ("v2 = abs(f)", "ops.abs(x)"),
+    "%": ("v2 = f % 2.0", "ops.whole"),
+}
+
+
+@pytest.mark.parametrize("name", SPELLED)
+def test_what_the_tracer_cant_see_is_named_as_it_is_written_with_what_to_write_instead(folder, capsys, name):
+    line, instead = SPELLED[name]
+    module = f"spelled_{list(SPELLED).index(name)}"
+    (folder / f"{module}.py").write_text(EXAMPLE.replace("v2 = x.v2 - dt * f / p.m2", line))
+    assert main(["export", "--model", f"{module}:MODEL", "-o", "out"]) == 2
+    said = capsys.readouterr().err
+    assert f"{module}.py line" in said
+    assert f"found {name}, which can't be traced, allowed is " in said
+    assert instead in said.split("allowed is ")[1]
+    assert len(said.splitlines()) == 1
+
+
+def test_a_verb_is_named_once(folder, capsys):
+    """In each verb, where no file is at fault but its own options."""
+    for command in (["export", "--adapt", "c20"], ["export", "--model", "none:MODEL"], ["hil", "run", "--profile", "none.csv"]):
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert said.count(f"vpp {command[0]}") == 1, said
+
+
+COOLING = """
+from vpp_fmu.kernel.types import Effect, Model, Parameter, Signal, State
+
+
+def step(ops, s, x, p, dt):
+    temperature = {step}
+    return {{"temperature": temperature}}, {{"temperature": temperature}}
+
+
+COOLING = Effect(
+    "cooling",
+    "loses heat",
+    step,
+    parameters=(Parameter("tau", "s", 30.0, 0.1, 1e4, "time constant", nominal=30.0),),
+    states=(State("temperature", "degC", "temperature of the body", lambda ops, s, p: 80.0),),
+    {more}
+)
+AMBIENT = Signal("ambient", "degC", "around it", -50.0, 50.0, nominal=20.0, start=20.0)
+BODY = Signal("temperature", "degC", "of the body", -1e9, 1e9, nominal=100.0)
+MODEL = Model("Cooling", "A body that cools", (AMBIENT,), (BODY,), (COOLING,))
+"""
+EULER = "x.temperature + dt / p.tau * (s.ambient - x.temperature)"
+STEPS = {
+    "exact": ("ops.lag(x.temperature, s.ambient, p.tau, dt)", "", False),
+    "Euler": (EULER, "", True),
+    "Euler that says its step": (EULER, "largest_step=0.01,", False),
+}
+
+
+@pytest.mark.parametrize("kind", STEPS)
+def test_a_model_that_depends_on_the_communication_step_is_warned_of(folder, capsys, kind):
+    step, more, warned = STEPS[kind]
+    module = f"steps_{list(STEPS).index(kind)}"
+    (folder / f"{module}.py").write_text(COOLING.format(step=step, more=more))
+    assert main(["export", "--model", f"{module}:MODEL", "-o", "out"]) == 0
+    said = capsys.readouterr().out
+    assert (f"note: {module}:MODEL depends on the communication step: temperature is " in said) == warned
+    if warned:  # 80 to 20 degC by Euler: 60 (1 - h / tau) a step
+        whole, half = (20.0 + 60.0 * share for share in (1.0 - 0.004 / 30.0, (1.0 - 0.002 / 30.0) ** 2))
+        assert abs(whole - half) < 1e-6 * 100.0  # of this step's size it does not show
+        assert "by one step of 0.4 s" in said
+        assert "largest_step" in said
 
 
 @pytest.mark.parametrize("what", BROKEN)

@@ -4,21 +4,29 @@ An importer that is missing is skipped: `make interop` installs what can be had.
 project needs has an environment of its own, in a folder of its name beside this one's `bin`.
 """
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import zipfile
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
+from hil.twin.adaptive import adaptable, adaptive
+from hil.twin.band import Band
+from tests.interop import hosts
 from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS
 from vpp_fmu.cli.export import exported
 from vpp_fmu.errors import CompilerMissing
+from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.simulation import Simulation
@@ -27,6 +35,8 @@ from vpp_fmu.parameters import ParameterSet
 sys.path.append(str(Path(__file__).parents[1]))
 from initial_graph import initial_graph
 
+BAND = Band(white=0.12, slow=0.04, slow_time=1.0, steady=0.1)
+"""Of the twin, whose numbers are none of a rig's."""
 REST = dict.fromkeys(COMMANDS, 0.0)
 
 
@@ -112,6 +122,45 @@ def row(importer: str, flavour: str, folder: Path, expected: dict) -> tuple[list
     return cells, shown
 
 
+def not_python(flavours: list[str]) -> None:
+    """Plant, controller and twin in the host in C and in every checker that is here."""
+    parts = {"plant": ParameterSet(BASE), "controller": ParameterSet(CONTROLLER)}
+    parts["twin"] = adaptive(adaptable(parts["plant"], "interop"), BAND)
+    print("| host or checker | FMU | exit code: what it printed last |\n|---|---|---|")
+    with tempfile.TemporaryDirectory() as name:
+        folder, fmus = Path(name), {}
+        makers = [("Python", "2.0", python_fmu)] + [
+            ("native", version, partial(native_fmu, version=version)) for version in ("2.0", "3.0") if "native" in flavours
+        ]
+        for (what, part), (flavour, version, make) in product(parts.items(), makers):
+            fmus[what, flavour, version] = folder / f"{what}.{flavour}.{version}.fmu"
+            fmus[what, flavour, version].write_bytes(make(part.model, part.values))
+        in_c(folder, {key: path for key, path in fmus.items() if key[2] == "2.0"})
+        print("\n".join(hosts.checked(fmus)), flush=True)
+
+
+def in_c(folder: Path, fmus: dict) -> None:
+    """A line for each FMU of the host in C, Python FMUs without and with the README's three lines."""
+    try:
+        host = hosts.built(folder)
+    except CompilerMissing as missing:
+        print(f"| host in C | | not run here: {missing} |")
+        return
+    shown = {}
+    for (what, flavour, version), path in fmus.items():
+        with contextlib.closing(Fmu(path)) as fmu:
+            ways = {"": ""} | ({" after the three lines": hosts.three_lines()} if flavour == "Python" else {})
+            if flavour == "Python" and (lacks := hosts.no_libpython()):
+                ways = {"": ""}
+                print(f"| host in C, after the three lines | {what}, {flavour} | not run here: {lacks} |")
+            for way, lines in ways.items():
+                done = hosts.in_c(host, fmu, lines)
+                last = done.stderr.strip().split(": ", 1)[-1]
+                if done.returncode == 0:
+                    last = "same bits" if shown.setdefault(what, done.stdout) == done.stdout else "OTHER BITS"
+                print(f"| host in C{way} | {what}, {flavour}, FMI {version} | {done.returncode}: {last} |", flush=True)
+
+
 def main():
     parts = [ParameterSet(BASE), ParameterSet(CONTROLLER)]
     right = alone()
@@ -141,6 +190,8 @@ def main():
         for flavour in flavours:
             suffix = "" if flavour == "python" else ".native"
             print(f"start as OMSimulator orders it, {flavour}: {start(folder / f'VppLoop{suffix}.ssp')}")
+    print()
+    not_python(flavours)
     print()
     for importer, kind in IMPORTERS.items():
         print(f"{importer}: {kind.__doc__}")

@@ -248,7 +248,6 @@ NOT_RUN = {
     "OMSimulator": "its package fetches the program from elsewhere; how it orders the start is tried above",
     "OMEdit, Dymola, Simulink, Simcenter Amesim": "not in the package registries",
     "PyFMI": "its package is source that needs FMI Library and Assimulo built before",
-    "FMU Compliance Checker, VDMCheck": "not in the package registries",
 }
 
 

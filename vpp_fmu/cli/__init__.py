@@ -83,7 +83,8 @@ def main(arguments: list[str] | None = None) -> int:
     except BadCall as error:
         return _refused(str(error))
     except VppError as error:
-        return _refused(f"{verb}: {error}", error.code)
+        words = str(error)  # which begin with the verb where no file is at fault
+        return _refused(words if words.startswith((f"{verb}:", f"{verb} ")) else f"{verb}: {words}", error.code)
     except BrokenPipeError:
         _give_up_output()
         return READER_GONE

@@ -24,7 +24,7 @@ from vpp_fmu.export.checks import at_line, check_model
 from vpp_fmu.export.cross_check import cross_check_folder, reference_files
 from vpp_fmu.export.description import AUTHOR
 from vpp_fmu.export.toolchain import host, needs_glibc
-from vpp_fmu.export.trial import expected, try_fmu
+from vpp_fmu.export.trial import expected, step_dependence, try_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import LIBRARY, plant
 from vpp_fmu.kernel.types import Effect, Model
@@ -78,11 +78,15 @@ def run(options):
         for flavour in flavours:
             fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
             try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
+        if found := step_dependence(parts[0].model, parts[0].values):
+            print(f"note: {options.model} depends on the communication step: {found}. Give its effects a largest_step [s]")
     if options.cross_check:
         files["cross_check.zip"] = _cross_check(parts, files)
     for name, content in files.items():
         folder.write(name, content)
     say_written(folder, parts[0])
+    if flavours == ("python",):
+        print("the Python FMUs need a host that runs in Python, such as fmpy; any other runs those of --flavour native")
     if wanted := oldest_glibc(files):
         better = (
             ""

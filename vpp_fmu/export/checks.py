@@ -1,5 +1,6 @@
 """Whether a model that somebody wrote on the kernel can become an FMU; if not, which declaration is at fault, in one line."""
 
+import ast
 import inspect
 import itertools
 import keyword
@@ -13,7 +14,7 @@ from types import SimpleNamespace
 
 import vpp_fmu
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.kernel.ops import NUMBERS, Unseen
 from vpp_fmu.kernel.types import BOOLEAN, INSTANT, INTEGER, REAL, Effect, Model, Parameter, Signal, State, no_step
 from vpp_fmu.tracer.graph import Graph
 from vpp_fmu.units import TRIED, UnknownUnit, base_unit
@@ -35,10 +36,60 @@ def check_model(where: str, model: Model) -> None:
 
 def at_line(field: str, error: Exception) -> str:
     """The field, with the line of the user's own code that the error came from."""
+    own = _own_frame(error)
+    return f"{field}, {Path(own.filename).name} line {own.lineno}" if own else field
+
+
+def _own_frame(error: Exception) -> traceback.FrameSummary | None:
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if not Path(f.filename).is_relative_to(HERE) and Path(f.filename).suffix == ".py"]
     own = [f for f in own if "site-packages" not in f.filename and not f.filename.startswith(STANDARD)]
-    return f"{field}, {Path(own[-1].filename).name} line {own[-1].lineno}" if own else field
+    return own[-1] if own else None
+
+
+def _spelled(error: Unseen) -> str:
+    """What the error came from, as it is written in the user's own line: Python asks `if` and `and` for the same thing."""
+    own = _own_frame(error)
+    try:
+        tree = ast.parse(Path(own.filename).read_text(encoding="utf-8")) if own else ast.Module([], [])
+    except (OSError, ValueError, SyntaxError):
+        return error.what
+    found = []
+    for node in ast.walk(tree):
+        name, place = _asking(node, error.method)
+        if name and place.lineno <= own.lineno <= place.end_lineno and _holds(place, own):
+            size = place.end_lineno - place.lineno, place.end_col_offset - place.col_offset
+            found.append((*size, name in ("if", "while", "assert"), name))  # of `if a and b`, the and asks first
+    return min(found)[-1] if found else error.what
+
+
+def _asking(node: ast.AST, method: str) -> tuple[str, ast.AST]:
+    """How a piece of Python that asks a value for `method` is written, if this is one, and where it asks."""
+    if method in ("__bool__", "__float__", "__int__", "__abs__", "__round__") and isinstance(node, ast.Call):
+        name = ast.unparse(node.func)
+        return ("" if name.startswith("ops.") else f"{name}()"), node
+    if method != "__bool__":
+        return "", node
+    match node:
+        case ast.If() | ast.IfExp():
+            return "if", node.test
+        case ast.While():
+            return "while", node.test
+        case ast.Assert():
+            return "assert", node.test
+        case ast.BoolOp():
+            return ("and" if isinstance(node.op, ast.And) else "or"), node
+        case ast.UnaryOp(op=ast.Not()):
+            return "not", node
+        case ast.Compare() if len(node.ops) > 1:
+            return "a chain of comparisons", node
+    return "", node
+
+
+def _holds(place: ast.AST, frame: traceback.FrameSummary) -> bool:
+    """Whether the instruction that failed lies there; Python 3.10 knows its line alone."""
+    at = getattr(frame, "colno", None)
+    return at is None or (place.lineno, place.col_offset) <= (frame.lineno, at) <= (place.end_lineno, place.end_col_offset)
 
 
 class _Missing(AttributeError):
@@ -62,13 +113,17 @@ class _Given(SimpleNamespace):
 class _Check:
     def __init__(self, where: str, model: Model):
         self.where, self.model = where, model
-        self.unused = itertools.count(len(model.inputs) + len(model.parameters)).__next__
 
     def refuse(self, field: str, found: str, allowed: str):
         raise BadInput(self.where, field, found, allowed)
 
     def all(self) -> None:
         model = self.model
+        self.tuples("", model, ("inputs", "outputs", "effects"))
+        for effect in model.effects:
+            if isinstance(effect, Effect):
+                self.tuples(f"effect {effect.name}, ", effect, ("parameters", "states", "inputs"))
+        self.unused = itertools.count(len(model.inputs) + len(model.parameters)).__next__
         self.names()
         for signal in (*model.inputs, *model.outputs):
             self.number(f"signal {signal.name}", signal, "start", signal.start)
@@ -77,6 +132,17 @@ class _Check:
         self.schedule()
         for graph in (False, True):
             self.chain(graph)
+
+    def tuples(self, where: str, declared: Model | Effect, fields: Iterable[str]) -> None:
+        """A comma that lacks, as in effects=(ROOM), leaves no tuple."""
+        for name in fields:
+            value = getattr(declared, name)
+            if not isinstance(value, tuple | list):
+                self.refuse(
+                    f"{where}{name}",
+                    f"one {type(value).__name__}",
+                    "a tuple, which ends in a comma where it has one member: (A,)",
+                )
 
     def names(self) -> None:
         model = self.model
@@ -198,6 +264,10 @@ class _Check:
             return function(*arguments)
         except _Missing as missing:
             raise BadInput(self.where, at_line(field, missing), f"no {missing.args[0]}", missing.args[1]) from missing
+        except Unseen as error:
+            raise BadInput(
+                self.where, at_line(field, error), f"{_spelled(error)}, which can't be traced", error.instead
+            ) from error
         except TypeError as error:
             found = f"what can't be traced ({' '.join(str(error).split())[:120]})"
             allowed = "+ - * / < > and ops.where, ops.exp ... in place of if, and, ==, max, math or numpy"

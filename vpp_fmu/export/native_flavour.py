@@ -47,10 +47,11 @@ def native_fmu(
 
 
 def _build_description(name: str, source: str) -> bytes:
-    """What FMI 3.0 tools read to compile the sources; those for FMI 2.0 look into the model description."""
+    """What FMI 3.0 tools read to compile the sources; those for FMI 2.0 look into the model description. No compiler's options:
+    they may not be given for all compilers alike, and what matters of them (no fused multiply-add) the source says itself."""
     root = Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    files = SubElement(configuration, "SourceFileSet", language="C99", compilerOptions="-O2 -ffp-contract=off")
+    files = SubElement(configuration, "SourceFileSet", language="C99")
     SubElement(files, "SourceFile", name=source)
     SubElement(configuration, "Library", name="m", external="true", description="C's mathematical functions")
     indent(root)

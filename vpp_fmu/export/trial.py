@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from vpp_fmu.errors import BadInput, SimulationFailed
-from vpp_fmu.export.cross_check import course
+from vpp_fmu.export.cross_check import LEVELS, TOLERANCE, course
 from vpp_fmu.export.description import Experiment
 from vpp_fmu.fmu import Fmu, FmuInstance, problems, steps_in_fmpy
 from vpp_fmu.kernel.schedule import DelayFull
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.kernel.types import Model
+from vpp_fmu.kernel.types import BOOLEAN, INTEGER, Model
 from vpp_fmu.scratch import Scratch
 
 STEPS = 100
@@ -31,11 +31,40 @@ def expected(where: str, model: Model, values: Mapping[str, float], experiment: 
         found = f"{type(error).__name__} ({error}) in step {len(shown)} with {_words(inputs)}"
         raise BadInput(where, "the first 100 steps", found, "numbers") from error
     for k, row in enumerate(shown):
-        for name, value in zip((s.name for s in model.outputs), row, strict=True):
+        for output, value in zip(model.outputs, row, strict=True):
+            found = f"{value} after step {k} with {_words(held[max(k - 1, 0)])}"
             if value - value != 0.0:
-                found = f"{name} = {value} after step {k} with {_words(held[max(k - 1, 0)])}"
-                raise BadInput(where, "the first 100 steps", found, "finite numbers")
+                raise BadInput(where, "the first 100 steps", f"{output.name} = {found}", "finite numbers")
+            if output.kind == BOOLEAN and value not in (0.0, 1.0):
+                raise BadInput(where, f"output {output.name}", found, "0 or 1, since it is a Boolean")
+            if output.kind == INTEGER and value != round(value):
+                raise BadInput(where, f"output {output.name}", found, "whole numbers, since it is an Integer")
     return shown
+
+
+COMMUNICATION_STEPS = (0.004, 0.4, 40.0)
+"""s; of loops with rigs, of vehicles, of buildings."""
+
+
+def step_dependence(model: Model, values: Mapping[str, float]) -> str:
+    """How a model that says it takes any communication step at once answers one step other than two halves of it, in words;
+    nothing where both are the same to TOLERANCE of an output's nominal value, or where the model names its steps itself."""
+    if model.sample_time is not None or any(e.largest_step is not None for e in model.effects):
+        return ""
+    for step in COMMUNICATION_STEPS:
+        simulations = [Simulation(model, values), Simulation(model, values)]
+        for inputs in course(model, 2 * len(LEVELS)):
+            try:
+                whole = simulations[0].advance(inputs, step)
+                halves = [simulations[1].advance(inputs, 0.5 * step) for _ in range(2)][-1]
+            except (ArithmeticError, ValueError, DelayFull):
+                break  # steps that long give no numbers at all
+            for s in model.outputs:
+                one, two = whole[s.name], halves[s.name]
+                if abs(one - two) > TOLERANCE * max(s.nominal, abs(two)):
+                    unit = "" if s.unit == "1" else f" {s.unit}"
+                    return f"{s.name} is {one:.6g}{unit} by one step of {step:g} s, {two:.6g}{unit} by two of {0.5 * step:g} s"
+    return ""
 
 
 def try_fmu(where: str, model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, fmi: str) -> None:

@@ -9,10 +9,10 @@ depends on the model alone, not on the numbers, and so floats and trace do the s
 
 from typing import Any
 
-from vpp_fmu.kernel.ops import Ops
+from vpp_fmu.kernel.ops import Ops, Symbolic
 
 
-class Dual:
+class Dual(Symbolic):
     """A value and its `tangents`, one for each direction; None where it does not depend on it."""
 
     __slots__ = ("tangents", "value")
@@ -57,12 +57,6 @@ class Dual:
 
     def __gt__(self, other):
         return self.value > _dual(other, self).value
-
-    def _unseen(self, *_):
-        raise TypeError("a derivative can't pass this: write it with ops.where, ops.exp and the like, not with Python's own")
-
-    __bool__ = __eq__ = __ne__ = __le__ = __ge__ = __pow__ = __rpow__ = __float__ = __int__ = __index__ = _unseen
-    __hash__ = object.__hash__
 
 
 class Duals(Ops):

@@ -17,6 +17,54 @@ WHOLE = 1.5 * 2.0**52
 """Added and subtracted again it leaves a whole number: doubles of this size have no other digits."""
 
 
+INSTEAD = {
+    "__bool__": ("a condition of Python's", "ops.where(condition, yes, no)"),
+    "__eq__": ("==", "< or >, which tell numbers apart"),
+    "__ne__": ("!=", "< or >, which tell numbers apart"),
+    "__le__": ("<=", "< or ops.where(x > y, no, yes)"),
+    "__ge__": (">=", "> or ops.where(x < y, no, yes)"),
+    "__pow__": ("**", "products such as x * x, ops.sqrt, ops.exp"),
+    "__rpow__": ("**", "products such as x * x, ops.sqrt, ops.exp"),
+    "__float__": ("float()", "the value as it is, and ops.exp, ops.sqrt ... in place of functions of math"),
+    "__int__": ("int()", "ops.whole(x), which rounds to the nearest"),
+    "__index__": ("a value as an index or a count", "a plain number"),
+    "__mod__": ("%", "x - n * ops.whole(x / n)"),
+    "__rmod__": ("%", "x - n * ops.whole(x / n)"),
+    "__floordiv__": ("//", "ops.whole(x / y - 0.5)"),
+    "__rfloordiv__": ("//", "ops.whole(x / y - 0.5)"),
+    "__abs__": ("abs()", "ops.abs(x)"),
+    "__round__": ("round()", "ops.whole(x)"),
+    "__iter__": ("a loop over a value", "loops over plain numbers"),
+}
+"""What Python does by itself with a number, and what is written for it where the number may be a symbol."""
+
+
+class Unseen(TypeError):
+    """Something was done with a value that only `Ops` and + - * / < > may be done with: what, and what to write `instead`."""
+
+    def __init__(self, method: str):
+        self.method = method
+        self.what, self.instead = INSTEAD[method]
+        super().__init__(f"{self.what} can't be traced or differentiated: write {self.instead}")
+
+
+class Symbolic:
+    """A value that refuses whatever would go unseen."""
+
+    __slots__ = ()
+
+
+def _refusing(method: str):
+    def refuse(self, *_):
+        raise Unseen(method)
+
+    return refuse
+
+
+for _method in INSTEAD:
+    setattr(Symbolic, _method, _refusing(_method))
+
+
 class Ops:
     """What every arithmetic has; subclasses bring `exp expm1 sqrt sin cos tanh whole where`."""
 

@@ -9,6 +9,7 @@
 #define NOW 1e-9
 #define SLOTS 4096
 #define PIECES 100000
+#define LONGEST_EXACT 1e5
 #define NUDGE 1e-7 /* s; short enough for a derivative at an instant, long enough to keep its digits */
 
 typedef struct {

@@ -12,6 +12,7 @@ NOW = 1e-9  # s; what is due within a nanosecond is due now: rounding must not c
 NUDGE = 1e-7  # s; short enough for a derivative at an instant, long enough to keep its digits
 SLOTS = 4096  # commands that may wait in one delay; C needs the bound, so Python has it too
 PIECES = 100_000  # of the model's own steps in one communication step of an FMU: seconds of work, where 1e9 s would not return
+LONGEST_EXACT = 1e5  # s; of an FMU that takes any communication step in one: beyond a day the number is a mistake
 
 
 class DelayFull(OverflowError):

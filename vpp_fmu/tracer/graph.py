@@ -1,17 +1,17 @@
 """The arithmetic that records: what a kernel function computes on symbols becomes a graph of operations.
 
-What can't be recorded raises TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
+What can't be recorded raises Unseen, a TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
 """
 
 from collections.abc import Iterable
 
-from vpp_fmu.kernel.ops import NUMBERS, Ops
+from vpp_fmu.kernel.ops import NUMBERS, Ops, Symbolic
 
 CALLS = ("exp", "expm1", "sqrt", "sin", "cos", "tanh")
 COMPARE = ("<", ">")
 
 
-class Node:
+class Node(Symbolic):
     """One operation of a graph on `args`: nodes and numbers.
 
     Leaves have whole numbers for arguments: `v` a value by its position, `d` a tangent, `c` a prepared constant, `dt` the
@@ -56,13 +56,6 @@ class Node:
 
     def __gt__(self, other):
         return self.graph.node(">", self, other)
-
-    def _unseen(self, *_):
-        raise TypeError("the tracer can't see this: write it with ops.where, ops.exp and the like, not with Python's own")
-
-    __bool__ = __eq__ = __ne__ = __le__ = __ge__ = __pow__ = __rpow__ = __float__ = __int__ = __index__ = _unseen
-    __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __abs__ = __round__ = __iter__ = _unseen
-    __hash__ = object.__hash__
 
 
 class Graph(Ops):

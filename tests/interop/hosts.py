@@ -1,0 +1,114 @@
+"""Hosts and checkers that are no Python: a small one in C (`host.c`), and those that may be installed here.
+
+A Python FMU needs an interpreter in its host's process: the three lines of fmu_src/README.md bring it there.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmu_src
+from vpp_fmu.fmu import Fmu
+from vpp_fmu.native.compiler import compiler
+
+STEPS, STEP, SHARE = 250, 0.004, 0.6
+"""Communication steps, s; the first input as a share of its nominal value."""
+
+
+def three_lines() -> str:
+    """What the README tells a user to type before a host that is no Python."""
+    page = (Path(fmu_src.__file__).parent / "README.md").read_text()
+    lines = re.findall(r"^    (export (?:LD_PRELOAD|PYTHONHOME|PYTHONPATH)=.*)$", page, re.MULTILINE)
+    return "\n".join(lines)
+
+
+def no_libpython() -> str:
+    """Why this Python can't be brought into another process; empty: it can."""
+    shared = Path(sysconfig.get_config_var("LIBDIR") or "", sysconfig.get_config_var("INSTSONAME") or "none")
+    if sys.platform != "linux":
+        return "LD_PRELOAD is Linux's"
+    return "" if shared.suffix != ".a" and shared.is_file() else "this Python has no shared library (libpython)"
+
+
+def built(folder: Path) -> Path:
+    """`host.c`, compiled. CompilerMissing."""
+    source = Path(__file__).with_name("host.c")
+    subprocess.run([compiler(), "-std=gnu99", "-O1", "-w", str(source), "-o", "host", "-ldl"], cwd=folder, check=True)
+    return folder / "host"
+
+
+def started(command: Sequence[str | Path], lines: str = "", folder: Path | None = None) -> subprocess.CompletedProcess:
+    """A command after these lines of shell, with this Python as `python3`."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    clean = {name: text for name, text in os.environ.items() if not name.startswith("PYTHON")}
+    shell = ["sh", "-c", f'{lines}\nexec "$@"', "sh", *map(str, command)]
+    return subprocess.run(
+        shell, cwd=folder, env=clean | {"PATH": path}, check=False, capture_output=True, text=True, timeout=300
+    )
+
+
+def in_c(host: Path, fmu: Fmu, lines: str = "") -> subprocess.CompletedProcess:
+    """An FMU in the host in C: its Real outputs, a line each."""
+    given = next(v for v in fmu.variables.values() if v.causality == "input")
+    shown = [v.valueReference for v in fmu.variables.values() if v.causality == "output" and v.type == "Real"]
+    value = SHARE * float(given.nominal or 1.0)
+    resources = Path(fmu.folder, "resources").as_uri()
+    return started([host, fmu.library, fmu.description.guid, resources, value, STEPS, STEP, *shown], lines)
+
+
+@dataclass(frozen=True)
+class Checker:
+    """A program that may be installed: `variable` of the environment names it, else it is found on PATH by one of `names`.
+
+    `versions`: of FMI that it knows. `options`: before the FMU's name.
+    """
+
+    name: str
+    variable: str
+    names: tuple[str, ...]
+    versions: tuple[str, ...]
+    options: tuple[str, ...] = ()
+
+    def program(self) -> list[str]:
+        """The words that start it; none where it is not there. A .jar needs java."""
+        found = os.environ.get(self.variable) or next(filter(None, map(shutil.which, self.names)), None)
+        if found and found.endswith(".jar"):
+            java = shutil.which("java")
+            return [java, "-jar", found] if java else []
+        return [found] if found else []
+
+
+STOP = str(STEPS * STEP)
+CHECKERS = (
+    Checker("VDMCheck2", "VDMCHECK2", ("VDMCheck2.sh",), ("2.0",)),
+    Checker("VDMCheck3", "VDMCHECK3", ("VDMCheck3.sh",), ("3.0",)),
+    Checker("fmusim", "FMUSIM", ("fmusim",), ("2.0", "3.0"), ("--interface-type", "cs", "--stop-time", STOP)),
+    Checker("fmuCheck", "FMUCHECK", ("fmuCheck", "fmuCheck.linux64"), ("2.0",), ("-h", str(STEP), "-s", STOP, "-l", "3")),
+)
+
+
+def checked(fmus: Mapping[tuple[str, str, str], Path]) -> list[str]:
+    """A table's line for each checker and FMU, by (model, flavour, version of FMI): exit code, and the last line printed; one
+    line for a checker that is not here. Python FMUs are run after the README's three lines."""
+    rows = []
+    for checker in CHECKERS:
+        program = checker.program()
+        if not program:
+            rows.append(f"| {checker.name} | | not run here: neither {checker.variable} nor {checker.names[0]} is there |")
+            continue
+        for (model, flavour, version), path in fmus.items():
+            if version not in checker.versions:
+                continue
+            with tempfile.TemporaryDirectory() as work:
+                lines = three_lines() if flavour == "Python" else ""
+                done = started([*program, *checker.options, path.resolve()], lines, Path(work))
+            said = (done.stdout.strip() or done.stderr.strip()).splitlines()[-1:]
+            rows.append(f"| {checker.name} | {model}, {flavour}, FMI {version} | {done.returncode}: {''.join(said)} |")
+    return rows

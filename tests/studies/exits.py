@@ -1,0 +1,62 @@
+"""python -m tests.studies exits [--runs N] [--minutes M]: how plain scripts end that ran the Python plant FMU in fmpy.
+
+Three kinds in turn: a script as anybody writes it; one in which memory that was freed is used again as the process ends
+(`fmu_src/upstream`), where a second release of the interpreter dies at once; and, as the control, one run in twenty of the
+latter with the FMU's mend out of action. Run it beside other work: a machine that is idle hides more.
+"""
+
+import argparse
+import runpy
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import fmu_src
+from vpp_fmu.export import python_fmu
+from vpp_fmu.kernel.plant import BASE
+
+PATCH = Path(fmu_src.__file__).parent / "upstream" / "pythonfmu-0.7.0-exit.patch"
+PLAIN = "import sys, fmpy\nfmpy.simulate_fmu(sys.argv[2], stop_time=0.1, output_interval=0.01, validate=False)\n"
+IDLE = "import os\ndel os.RTLD_NOLOAD\n"
+"""Before a script: the FMU's slave then takes this for a system without the fault."""
+CONTROL = 20
+
+
+def main(arguments: list[str]) -> None:
+    """`python -m tests.studies exits`."""
+    parser = argparse.ArgumentParser(prog="python -m tests.studies exits", description=__doc__)
+    parser.add_argument("--runs", type=int, default=3000, metavar="N", help="runs of each kind (default: %(default)s)")
+    parser.add_argument("--minutes", type=float, default=60.0, metavar="M", help="end after this (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        counts = ended(Path(folder), options.runs, 60.0 * options.minutes)
+    for kind, codes in counts.items():
+        said = ", ".join(f"{n} ended with {words(code)}" for code, n in sorted(codes.items(), reverse=True))
+        print(f"{kind}: {codes.total()} runs: {said}")
+
+
+def ended(folder: Path, runs: int, seconds: float) -> dict[str, Counter]:
+    """Exit codes by kind, after `runs` rounds or `seconds`."""
+    text = PATCH.read_text().split("+++ b/pythonfmu/tests/test_exit.py\n")[1]
+    (folder / "offered.py").write_text("".join(f"{line[1:]}\n" for line in text.splitlines() if line.startswith("+")))
+    offered = runpy.run_path(str(folder / "offered.py"))
+    (folder / "plant.fmu").write_bytes(python_fmu(BASE))
+    given = [str(offered["reuse"](folder)), str(folder / "plant.fmu")]
+    scripts = {"a plain script": PLAIN, "freed memory used again": offered["HOST"], "control": IDLE + offered["HOST"]}
+    counts: dict[str, Counter] = {kind: Counter() for kind in scripts}
+    end = time.monotonic() + seconds
+    for k in range(runs):
+        for kind, script in scripts.items():
+            if time.monotonic() < end and (kind != "control" or k % CONTROL == 0):
+                done = subprocess.run([sys.executable, "-c", script, *given], check=False, capture_output=True)
+                counts[kind][done.returncode] += 1
+    return counts
+
+
+def words(code: int) -> str:
+    """An exit code as people call it."""
+    return signal.Signals(-code).name if code < 0 else str(code)
