@@ -158,6 +158,20 @@ def test_a_rig_json_goes_before_what_was_measured_and_leaves_the_models_scales(t
     assert rig.origin == {"speed": DECLARED, "pitch": "the campaign"}
 
 
+def test_a_rig_json_tells_the_time_scale_of_a_rig_that_was_measured(tmp_path):
+    path = declared(tmp_path / "rig.json", scales={"time_scale": 2.0, "omega_scale": 30000})
+    assert declared_rig(path, Rig()).scales == replace(Rig().scales, time_scale=2.0)
+
+
+@pytest.mark.parametrize(("name", "unit", "own"), [("speed", "rad/s", "rpm"), ("pitch", "rad", "deg"), ("thrust", "kgf", "N")])
+def test_a_range_in_another_unit_is_refused(tmp_path, name, unit, own):
+    right = {**RANGES, name: RANGES[name] | {"unit": own}}
+    assert getattr(declared_rig(declared(tmp_path / "rig.json", **right)), name) == tuple(RANGES[name].values())
+    wrong = {**RANGES, name: RANGES[name] | {"unit": unit}}
+    with pytest.raises(BadInput, match=f'{name}, unit: found "{unit}", allowed is "{own}"'):
+        declared_rig(declared(tmp_path / "rig.json", **wrong))
+
+
 def test_what_only_the_models_scales_span_is_not_known():
     assert Rig().unknown == ("speed", "pitch")
     assert replace(Rig(), origin={"speed": DECLARED}).unknown == ("pitch",)
