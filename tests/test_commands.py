@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from vpp_fmu.commands import commanded, idle
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.scales import Scales
 from vpp_fmu.record import Record
-from vpp_fmu.rig import DECLARED, Rig, declared_rig
+from vpp_fmu.rig import DECLARED, Rig, declared_rig, infer_rig, read_rig, rig_of, rounded, rounded_up
 
 
 def test_no_command_leaves_its_range_or_slew_on_random_rigs():
@@ -156,6 +157,116 @@ def test_a_rig_json_goes_before_what_was_measured_and_leaves_the_models_scales(t
     rig = declared_rig(declared(tmp_path / "rig.json", speed=RANGES["speed"], scales={"omega_scale": 30000}), measured)
     assert (rig.speed, rig.pitch, rig.scales) == ((6660.0, 20000.0), measured.pitch, measured.scales)
     assert rig.origin == {"speed": DECLARED, "pitch": "the campaign"}
+
+
+def test_a_rig_json_tells_the_time_scale_of_a_rig_that_was_measured(tmp_path):
+    path = declared(tmp_path / "rig.json", scales={"time_scale": 2.0, "omega_scale": 30000})
+    assert declared_rig(path, Rig()).scales == replace(Rig().scales, time_scale=2.0)
+
+
+@pytest.mark.parametrize(("name", "unit", "own"), [("speed", "rad/s", "rpm"), ("pitch", "rad", "deg"), ("thrust", "kgf", "N")])
+def test_a_range_in_another_unit_is_refused(tmp_path, name, unit, own):
+    right = {**RANGES, name: RANGES[name] | {"unit": own}}
+    assert getattr(declared_rig(declared(tmp_path / "rig.json", **right)), name) == tuple(RANGES[name].values())
+    wrong = {**RANGES, name: RANGES[name] | {"unit": unit}}
+    with pytest.raises(BadInput, match=f'{name}, unit: found "{unit}", allowed is "{own}"'):
+        declared_rig(declared(tmp_path / "rig.json", **wrong))
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ({"speed": {"min": 3000, "max": 2999}}, "speed, max: found 2999, allowed is at least its min, 3000 rpm"),
+        ({"slew": {"pitch": 0}}, "slew, pitch: found 0"),
+        ({"scales": {"omega_scale": 0}}, "scales, omega_scale: found 0"),
+        ({"scales": {"beta_offset": -1001}}, "scales, beta_offset: found -1001, allowed is a number from -1000 to 1000"),
+        ({"mass": 3}, "mass: found a field that is not known"),
+        ({"speed": {"min": 0, "max": 1, "mean": 1}}, "speed, mean: found a field that is not known"),
+    ],
+)
+def test_what_no_rig_has_is_refused_with_its_field(tmp_path, entries, said):
+    with pytest.raises(BadInput, match=said):
+        read_rig(declared(tmp_path / "rig.json", **entries))
+
+
+def test_a_range_of_one_value_and_a_negative_offset_are_a_rigs(tmp_path):
+    found = read_rig(declared(tmp_path / "rig.json", pitch={"min": 4, "max": 4}, scales={"beta_offset": -1000}))
+    assert found == {"pitch": (4.0, 4.0), "scales": {"beta_offset": -1000.0}}
+
+
+LEADING = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+
+
+@pytest.mark.parametrize("power", [1e-3, 1.0, 1e4])
+def test_round_numbers_are_the_next_up_and_the_nearest_by_ratio(power):
+    for low, high in pairwise(float(f"{digit * power:.6g}") for digit in LEADING):
+        assert rounded_up(low) == low
+        assert rounded_up(low * 1.001) == rounded_up(high * 0.999) == high
+        middle = (low * high) ** 0.5
+        assert (rounded(0.999 * middle), rounded(1.001 * middle)) == (low, high)
+
+
+def grid(speed, pitch, thrust):
+    """Steady points at the ends of these ranges, each often enough to be no outlier."""
+    columns = {"omega_ref": speed, "beta_ref": pitch, "thrust": thrust}
+    return {name: np.repeat(np.array(ends, float), 50) for name, ends in columns.items()}
+
+
+PAPERS_RANGES = (2000.0, 6000.0), (-10.0, 10.0), (0.0, 14.0)
+
+
+@pytest.mark.parametrize(
+    ("k", "inside", "beyond"),
+    [
+        (0, (2000.0, 12000.0), (2000.0, 12001.0)),
+        (0, (500.0, 3000.0), (500.0, 2999.0)),
+        (1, (-12.5, 17.5), (-12.6, 17.5)),
+        (1, (-12.5, 17.5), (-12.5, 17.6)),
+        (2, (0.0, 30.0), (0.0, 30.1)),
+        (2, (-7.5, 0.0), (-7.4, 0.0)),
+    ],
+)
+def test_a_rig_keeps_the_papers_scales_up_to_twice_its_size_and_down_to_half(k, inside, beyond):
+    """Speed 6000 rpm, thrust 15 N of either sign; pitch half of its 15 deg beyond the scale's ends of -5 and 10 deg."""
+    ranges = [[*PAPERS_RANGES[:k], ends, *PAPERS_RANGES[k + 1 :]] for ends in (inside, beyond)]
+    near, far = (infer_rig([], grid(*own), {}) for own in ranges)
+    assert (near.scales, near.origin["scales"]) == (Scales(), "the paper's, whose size it has")
+    assert far.scales != Scales()
+    assert far.origin["scales"] == "round numbers for what was measured"
+
+
+def test_the_scales_of_another_size_are_round_and_0_a_quarter_up_the_pitch():
+    rig = infer_rig([], grid((5000.0, 21000.0), (-12.0, 16.0), (-0.3, 1.1)), {})
+    assert (rig.speed, rig.pitch, rig.thrust) == ((5000.0, 21000.0), (-12.0, 16.0), (-0.3, 1.1))
+    assert rig.scales == Scales(25000.0, 25.0, 5.0, 1.2)  # 0.75 x 28 = 21 deg; -12 + 28 / 4 = -5 deg
+    narrow = infer_rig([], grid((5000.0, 21000.0), (3.0, 6.0), (0.0, 1.0)), {})
+    assert (narrow.scales.beta_scale, narrow.scales.beta_offset) == (2.5, -3.75)
+    fixed = infer_rig([], grid((5000.0, 21000.0), (30.0, 30.0), (0.0, 1.0)), {})
+    assert (fixed.scales.beta_scale, fixed.scales.beta_offset) == (15.0, -22.5)
+
+
+def test_what_is_declared_goes_before_what_records_and_points_show():
+    record = Record({"time": np.arange(3.0), "omega_ref": np.array([0.0, 7000.0, 0.0]), "beta_ref": np.zeros(3)}, "a record")
+    points = grid(*PAPERS_RANGES)
+    both = infer_rig([record], points, {"pitch": (-9.0, 9.0), "scales": {"thrust_scale": 20.0}})
+    assert (both.speed, both.pitch, both.thrust) == ((0.0, 7000.0), (-9.0, 9.0), (0.0, 14.0))
+    assert both.scales == replace(Scales(), thrust_scale=20.0)
+    papers = "the paper's, whose size it has"
+    assert both.origin == {
+        "speed": "the campaign",
+        "pitch": DECLARED,
+        "thrust": "the campaign",
+        "scales": f"thrust_scale: rig.json; {papers}",
+    }
+    whole = {"omega_scale": 6000.0, "beta_scale": 15.0, "beta_offset": 5.0, "thrust_scale": 15.0}
+    assert infer_rig([], points, {"scales": whole}).origin["scales"] == f"{', '.join(whole)}: rig.json"
+    assert infer_rig([], points, {}).origin["scales"] == papers
+
+
+def test_a_parameter_file_without_a_rig_speaks_of_what_its_scales_span():
+    rig = rig_of(Scales(9000.0, 20.0, -4.0, 3.0), {})
+    assert (rig.speed, rig.pitch, rig.thrust) == ((3000.0, 9000.0), (4.0, 24.0), (0.0, 3.0))
+    assert rig.unknown == ("speed", "pitch")
 
 
 def test_what_only_the_models_scales_span_is_not_known():

@@ -90,6 +90,9 @@ def stand(rows=6000, step=0.01, hold=1.5, lag=0.12, seed=5):
         ("voltage", "mV", 1e-3),
         ("signal", "us", 1.0),
         ("signal", "%", 0.01),
+        ("samples", "1", 1.0),
+        ("run", " - ", 1.0),
+        ("ct", "", 1.0),
     ],
 )
 def test_units_by_their_definitions(quantity, unit, factor):
@@ -108,6 +111,8 @@ def test_units_by_their_definitions(quantity, unit, factor):
         ("omega", "erpm"),
         ("omega", "erpm/0"),
         ("thrust", ")("),
+        ("samples", "rpm"),
+        ("ct", "%"),
     ],
 )
 def test_a_unit_of_something_else_is_none(quantity, unit):

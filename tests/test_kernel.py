@@ -108,6 +108,22 @@ def test_step_response_of_the_plant_is_the_closed_form():
     np.testing.assert_allclose(shown, np.column_stack([paper_map(omega, beta), omega, beta]), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("channel", ["omega", "beta"])
+def test_an_inner_lag_off_its_level_tells_the_two_lags(channel):
+    """From rest their order does not show. With x and u the deviations of the inner and the outer lag from the command:
+
+    u(t) = u_0 exp(-t / tau_1) + x_0 tau_2 (exp(-t / tau_1) - exp(-t / tau_2)) / (tau_1 - tau_2)
+    """
+    rest, tau_1, tau_2 = {"omega_ref": 3000.0, "beta_ref": 2.0}, 0.2, 0.05
+    simulation = Simulation(BASE, {f"tau_{channel}_1": tau_1, f"tau_{channel}_2": tau_2})
+    level, x_0, u_0 = rest[f"{channel}_ref"], 1.5, -0.5
+    simulation.start(rest, {f"{channel}_inner": level + x_0, f"{channel}_outer": level + u_0})
+    for t in np.arange(1, 60) * 0.01:
+        shown = simulation.advance(rest, 0.01)[channel] - level
+        slow, fast = np.exp(-t / tau_1), np.exp(-t / tau_2)
+        assert shown == pytest.approx(u_0 * slow + x_0 * tau_2 * (slow - fast) / (tau_1 - tau_2), abs=1e-11)
+
+
 @pytest.mark.parametrize(
     "taus", [{}, {"tau_beta_2": 0.207}, {"tau_omega_2": 0.172 + 1e-9}, {"tau_omega_1": 3, "tau_omega_2": 0.001}]
 )

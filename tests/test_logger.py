@@ -138,9 +138,21 @@ def test_rig_json_declares_the_sensor_and_refuses_what_it_does_not_know(tmp_path
         "kind": "mark",
         "marks_per_revolution": 2,
     }
-    for speed, field in (({"kind": "radar"}, "kind"), ({"marks_per_revolution": 0}, "marks"), ({"filter": -1}, "filter")):
-        with pytest.raises(BadInput, match=field):
-            read_rig(written(speed))
+    widest = {"marks_per_revolution": 1, "filter": 0.0, "refresh": 10.0, "delay": -1.0}
+    assert read_rig(written(widest))["sensor"] == widest
+    assert read_rig(written({"marks_per_revolution": 1000}))["sensor"] == {"marks_per_revolution": 1000}
+    wrong = {
+        "kind": ["radar"],
+        "marks_per_revolution": [0, 1001, True, 1.5],
+        "filter": [-0.001, 10.001],
+        "refresh": [-0.001, 10.001],
+        "delay": [-1.001, 10.001],
+        "teeth": [1],
+    }
+    for field, values in wrong.items():
+        for value in values:
+            with pytest.raises(BadInput, match=field):
+                read_rig(written({field: value}))
 
 
 def test_a_declared_sensor_is_the_only_one_that_is_tried():

@@ -3,15 +3,18 @@ import re
 
 import numpy as np
 import pytest
+from studies.paper import numbers
 
+from tests.tables import stored, table, written
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli import main
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, normalised_map, plant
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.paper.control import Merit, profile
-from vpp_fmu.paper.counterpart import shown
+from vpp_fmu.paper.counterpart import of_setup, shown
 from vpp_fmu.paper.published import ASSUMED, COST_END, COST_START, FIGURES, NUMBERS, STATIC_MAP
+from vpp_fmu.paper.rows import KEY
 from vpp_fmu.paper.static import paper_thrust
 from vpp_fmu.parameters import read_parameters
 from vpp_fmu.plants import KernelController, KernelPlant
@@ -161,6 +164,59 @@ def test_the_step_test_of_the_papers_model_is_the_kernels_own_loop(quick, contro
         assert told[way]["settling"] == pytest.approx(0.004 * (len(outside) - np.argmax(outside[::-1])), abs=0.005)
         error = np.sum((done["thrust_set"] - done["thrust"])[rows] ** 2) / 15.0**2 * 0.004
         assert told[way]["squared_error"] == pytest.approx(error, rel=1e-3)
+
+
+def test_the_lag_beside_the_assumed_one_is_the_rigs_own_of_that_name(quick):
+    """The paper assumes its slower pitch lag to be 0.05 s; a fit writes the slower one first."""
+    lags = sorted(quick.rows[f"fine_tuned.tau_beta_{k}"]["rig"] for k in (1, 2))
+    found = read_parameters(quick.out / "parameters.json", plant).values
+    assert lags == sorted(found[f"tau_beta_{k}"] for k in (1, 2))
+    assert quick.rows["assumed"]["rig"] == lags[1] == quick.rows["fine_tuned.tau_beta_2"]["rig"]
+    assert quick.rows["assumed"]["model"] == 0.05
+
+
+def test_a_row_of_the_setup_says_as_the_paper_only_where_the_rig_has_the_papers_value(quick):
+    files = quick.campaign
+    at = np.argmax(np.diff(files.steps[0]["omega_ref"]) != 0.0) + 1
+    read = {
+        "grid": f"{len(set(files.static.omega_ref))} x {len(set(files.static.beta_ref))}",
+        "speeds": f"{files.static.omega_ref.min():g} to {files.static.omega_ref.max():g}",
+        "samples": float(np.median(files.static.samples)),
+        "rate": 1.0 / files.open_loop.period,
+        "before": files.steps[0].time[at],
+        "order": 4.0,
+        "adc": 16.0,
+    }
+    for name, value in read.items():
+        row = quick.rows[name]
+        assert row["rig"] == (value if isinstance(value, str) else pytest.approx(value)), name
+        assert row["why"].startswith("as the paper" if shown(row["value"]) == shown(row["rig"]) else "not as the paper"), name
+    assert [quick.rows[n]["why"][:3] for n in ("grid", "samples", "before")] == ["not"] * 3, "a quick study"
+    assert of_setup("kv", 560.0).why == "not as the paper"
+    assert of_setup("kv", 550.0, note="the same part").why == "as the paper; the same part"
+
+
+def test_a_cost_that_agrees_by_construction_says_so_first(quick):
+    assert quick.rows["cost_end"]["why"].startswith("agrees by construction on the paper's model")
+
+
+def test_the_pages_table_is_what_the_study_prints(quick):
+    """Of a full study. What does not depend on the size of the campaign must be today's: the paper's column, and what the
+    paper's gains do on the paper's model. The rig's column takes minutes: `python -m tests.studies paper --write`."""
+    today, page = ([line.split(" | ") for line in text.splitlines()] for text in (numbers(quick.told), stored("paper")))
+    assert [line[:2] for line in page] == [line[:2] for line in today]
+    names = ("reached", "overshoot", "up", "down")
+    places = [KEY.index(name) + 2 for name in names]
+    assert [page[k][3] for k in places] == [today[k][3] for k in places]
+
+
+def test_a_table_goes_between_its_comments_and_nowhere_else():
+    page = "# A\n<!-- table x: by y -->\n| old |\n<!-- end of x -->\n<!-- table z: by y -->\n<!-- end of z -->\nend\n"
+    made = written("x", table(("a", "b"), [(1, None)]), page)
+    assert made == page.replace("| old |\n", "| a | b |\n| --- | --- |\n| 1 | - |\n")
+    assert stored("z", made) == ""
+    with pytest.raises(KeyError, match="w"):
+        written("w", "", page)
 
 
 def test_the_verdict_is_what_the_step_tests_say(quick):

@@ -13,7 +13,7 @@ from vpp_fmu.kernel.plant import FINE_TUNED, LIBRARY, plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import BOOLEAN, REAL
 from vpp_fmu.parameters import Estimate, ParameterSet, read_parameters, to_json, to_ssv
-from vpp_fmu.units import UnknownUnit, base_unit
+from vpp_fmu.units import UnknownUnit, base_unit, display_units
 
 SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
@@ -268,6 +268,23 @@ def test_base_units(unit, expected):
     found = base_unit(unit)
     assert float(found.pop("factor", 1.0)) == pytest.approx(expected.pop("factor", 1.0), rel=1e-15)
     assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "factor"),
+    [
+        ("s", "ms", 1e3),
+        ("rpm", "rad/s", np.pi / 30.0),
+        ("rad/s", "rpm", 30.0 / np.pi),
+        ("deg", "rad", np.pi / 180.0),
+        ("rad", "deg", 180.0 / np.pi),
+        ("N", "gf", 1e3 / 9.80665),
+        ("N", "kgf", 1.0 / 9.80665),
+    ],
+)
+def test_what_is_shown_is_the_factor_times_the_value(unit, shown, factor):
+    """FMI 2.0, section 2.2.2: display value = factor * value in the unit."""
+    assert float(display_units(unit)[shown]["factor"]) == pytest.approx(factor, rel=1e-14)
 
 
 @pytest.mark.parametrize("value", [0.37, -1, 2])

@@ -316,6 +316,12 @@ def test_the_command_depends_on_the_signal_alone(log):
     assert found.omega_ref(np.array([1000.0]))[0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_the_map_is_0_below_the_signal_that_turns_the_motor_whatever_the_cubic_says():
+    found = SpeedMap((500.0, 10000.0, 0.0, 0.0), NOMINAL, RANGES["PWM"], 1200.0, 1900.0, 0.0, 6, "log.csv")
+    np.testing.assert_allclose(found.omega_ref(np.array([1000.0, 1199.9, 1200.0, 1500.0])), [0.0, 0.0, 2500.0, 5500.0])
+    assert found.speed(np.array([1500.0]), NOMINAL / 2.0)[0] == pytest.approx(3000.0)
+
+
 def test_parts_that_are_short_or_unsteady_make_no_point():
     """A motor that stutters is at rest half of the time; one that is held shortly turns."""
     time = np.arange(0.0, 6.0, 0.01)

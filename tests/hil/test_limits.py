@@ -11,6 +11,7 @@ from hil.commands import PAPERS
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Cut, Limiter, Limits, limits_of, read_limits
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import DECLARED, Rig
 
 DT = 0.004
@@ -73,6 +74,14 @@ def test_another_rigs_limits_are_its_ranges_and_trips_beyond_them(speed, pitch, 
     assert (slow.omega_slew, slow.beta_slew) == (500.0, 3.0)
     assert slow.omega_ramp <= 500.0
     assert slow.beta_ramp <= 3.0
+
+
+@pytest.mark.parametrize(("time_scale", "longer"), [(0.5, 1.0), (2.0, 4.0), (0.1, 1.0)])
+def test_a_slower_rig_ramps_longer_and_a_faster_one_no_quicker(time_scale, longer):
+    """The paper's rig has a time scale of 0.5 s and takes 1.5 s to its highest speed and 1 s over its pitch."""
+    own = limits_of(Rig(speed=(0.0, 3000.0), pitch=(-10.0, 20.0), scales=dataclasses.replace(PAPER, time_scale=time_scale)))
+    assert own.omega_ramp == pytest.approx(3000.0 / (1.5 * longer))
+    assert own.beta_ramp == pytest.approx(30.0 / longer)
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,18 @@ def test_one_less_is_none(change):
     assert first_fault(change) == (None, None)
 
 
+@pytest.mark.parametrize("omega", [1500.0, 5000.0])
+def test_a_rotor_that_turns_at_the_first_reading_is_believed(omega):
+    """Whoever takes a turning rotor over has no history: the first speed is where the bounds begin."""
+    checks = Plausibility(Limits(), DT)
+    for k in range(100):
+        turned = omega / 60.0 * k * DT
+        mark = {"pulses": 1 + math.floor(turned), "mark_age": math.fmod(turned, 1.0) * 60.0 / omega}
+        reading = quiet(k)._replace(omega=omega, throttle=omega / 13200.0, **mark)
+        assert checks.check(reading) is None
+        assert checks.speed_trusted
+
+
 def test_over_speed_is_idle_at_once():
     """A motor that follows a throttle which opens and opens: no reading is odd, the speed is too high."""
     limits = Limits(omega_max=3000.0, omega_trip=3300.0)

@@ -1,13 +1,16 @@
 """The supervisor against real processes that are killed, stopped, hung, and against its own death."""
 
 import contextlib
+import mmap
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from hil.safety import watchdog
@@ -163,6 +166,78 @@ def test_goodbye_leaves_the_idle_pulse_and_no_report(tmp_path, duty):
     assert (tmp_path / "supervisor.log").read_bytes() == b""
     with pytest.raises(ProcessLookupError):
         os.kill(supervisor.pid, 0)
+
+
+class Watched:
+    """`watchdog.main` in this process, in a time of its own: a clock that only its pauses move, and a loop that is a script.
+
+    `beats`: whether the loop beats at a time [s]; `gone`: when it ends [s]; `late`: when, after that, a child of it opens the
+    throttle once more [s]. `killed`: the times at which the loop was killed; `written`: those of all idle pulses.
+    """
+
+    def __init__(self, folder, patch, beats, gone, late=()):
+        self.now, self.beats, self.gone, self.late = 100.0, beats, gone, list(late)
+        self.begun, self.killed, self.written = self.now, [], []
+        self.duty, self.report = folder / "duty_cycle", folder / "supervisor.log"
+        self.duty.write_bytes(OPEN)
+        self._duty, self._report = os.open(self.duty, os.O_WRONLY), os.open(self.report, os.O_WRONLY | os.O_CREAT)
+        self._page = os.memfd_create("page")
+        os.truncate(self._page, 8 * len(watchdog.SLOTS))
+        self.numbers = memoryview(mmap.mmap(self._page, 8 * len(watchdog.SLOTS))).cast("d")
+        plain = watchdog.write_idle
+        fakes = {
+            "time": SimpleNamespace(monotonic=lambda: self.now, sleep=self.move),
+            "select": SimpleNamespace(select=self.select),
+            "write_idle": lambda outputs: self.written.append(self.now - self.begun) or plain(outputs),
+            "_not_for_the_oom_killer": lambda: None,
+            "_real_time": lambda: False,
+        }
+        for name, fake in fakes.items():
+            patch.setattr(watchdog, name, fake)
+        patch.setattr(watchdog.os, "read", lambda *_: b"")
+        patch.setattr(watchdog.os, "kill", lambda *_: self.killed.append(self.now - self.begun))
+
+    def main(self, silence, grace):
+        code = watchdog.main(self._page, self._report, silence, grace, [""], [(self._duty, IDLE)])
+        for descriptor in (self._duty, self._report, self._page):
+            os.close(descriptor)
+        return code
+
+    def move(self, seconds):
+        self.now += seconds
+        elapsed = self.now - self.begun
+        if self.beats(elapsed):
+            self.numbers[watchdog.BEAT] = self.now
+        if self.late and elapsed >= self.late[0]:
+            self.late.pop(0)
+            os.pwrite(self._duty, OPEN, 0)
+
+    def select(self, *arguments):
+        self.move(min(arguments[-1], 0.001))
+        return ([0] if self.now - self.begun >= self.gone else [], [], [])
+
+
+def test_a_loop_that_beats_again_is_killed_a_grace_after_its_last_beat_not_after_the_trip(tmp_path, monkeypatch):
+    """It beats for 0.1 s, is silent for 0.2 s, ramps down for 1 s, and hangs: the trip is 0.15 s in, the last beat 1.3 s."""
+    watched = Watched(tmp_path, monkeypatch, lambda t: t < 0.1 or 0.3 < t < 1.3, gone=3.0)
+    assert watched.main(silence=0.05, grace=0.5) == 1
+    assert watched.killed == [pytest.approx(1.8, abs=0.005)]
+
+
+def test_a_loop_that_never_beats_again_is_killed_a_grace_after_the_trip(tmp_path, monkeypatch):
+    watched = Watched(tmp_path, monkeypatch, lambda t: t < 0.1, gone=3.0)
+    watched.main(silence=0.05, grace=0.5)
+    assert watched.written[1] == pytest.approx(0.15, abs=0.005)
+    assert watched.killed == [pytest.approx(0.65, abs=0.005)]
+
+
+def test_what_a_child_writes_after_the_loops_end_does_not_stand(tmp_path, monkeypatch):
+    watched = Watched(tmp_path, monkeypatch, lambda t: t < 0.1, gone=0.1, late=[0.13, 0.3])
+    assert watched.main(silence=0.05, grace=0.5) == 1
+    assert not watched.late
+    assert watched.duty.read_bytes() == IDLE
+    assert max(np.diff([t for t in watched.written if t > 0.1])) == pytest.approx(watchdog.CALM)
+    assert watched.written[-1] - 0.1 == pytest.approx(watchdog.AFTER_END, abs=2.0 * watchdog.CALM)
 
 
 @pytest.fixture

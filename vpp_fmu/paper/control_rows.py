@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
+from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.paper.control import LIMITED, MODEL, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, Merit, judged
-from vpp_fmu.paper.counterpart import Counterpart
+from vpp_fmu.paper.counterpart import Counterpart, of_setup
 from vpp_fmu.paper.study import Study
 from vpp_fmu.response import steps
 
@@ -46,16 +46,16 @@ def without_noise(study: Study) -> Merit:
 
 
 def _test(study: Study) -> dict[str, Counterpart]:
-    run = study.control.runs[Loop(MODEL, PUBLISHED, PID)]
-    first, scale = steps(run)[0], study.found.parameters.values["thrust_scale"]
-    values = CONTROLLER.values()
-    same = "as the paper"
+    runs, scale = study.control.runs, study.found.parameters.values["thrust_scale"]
+    both, alone = ([Loop(RIG, TUNED, name), Loop(MODEL, PUBLISHED, name)] for name in (PID, SPEED))
+    first = [steps(runs[loop])[0] for loop in both]
+    fixed = [float(np.median(runs[loop]["beta_ref"])) for loop in alone]
     return {
-        "t_filter": Counterpart(values["t_filter"], values["t_filter"], same),
-        "step_from": Counterpart(first.before / scale, first.before / scale, same),
-        "step_to": Counterpart(first.after / scale, first.after / scale, same),
-        "step_at": Counterpart(first.time, first.time, "the next sample of the controller"),
-        "beta_fixed": Counterpart(SPEED_ONLY["beta_fixed"], SPEED_ONLY["beta_fixed"], same),
+        "t_filter": of_setup("t_filter", *(study.control.settings[loop]["t_filter"] for loop in both)),
+        "step_from": of_setup("step_from", *(step.before / scale for step in first)),
+        "step_to": of_setup("step_to", *(step.after / scale for step in first)),
+        "step_at": of_setup("step_at", *(step.time for step in first), "the next sample of the controller"),
+        "beta_fixed": of_setup("beta_fixed", *fixed),
     }
 
 
@@ -80,12 +80,11 @@ def _steps(study: Study) -> dict[str, Counterpart]:
 
 def _way(study: Study, way: int, why: str) -> Counterpart:
     """Both actuators against speed alone, and what the second one brings by the squared error."""
-    changes = []
+    told = []
     for plant, gains in ((RIG, TUNED), (MODEL, PUBLISHED)):
         dual, alone = (study.control.merits[Loop(plant, gains, name)][way].squared_error for name in (PID, SPEED))
-        changes.append(f"{100.0 * (dual / alone - 1.0):+.0f} %")
-    text = f"squared error of both over speed alone's {changes[0]} on the rig, {changes[1]} on the model: {why}"
-    return Counterpart(against(study, RIG, TUNED, way), against(study, MODEL, PUBLISHED, way), text)
+        told.append(f"{against(study, plant, gains, way)}, squared error {100.0 * (dual / alone - 1.0):+.0f} %")
+    return Counterpart(*told, f"squared error: of both over speed alone's. {why}")
 
 
 def _reached(study: Study) -> str:

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from vpp_fmu.paper.published import NUMBERS
+
 
 @dataclass(frozen=True)
 class Counterpart:
@@ -22,3 +24,9 @@ class Counterpart:
 def shown(value: float | str | None) -> str | None:
     """A value as a cell: exact numbers stay short, others get four digits."""
     return value if value is None or isinstance(value, str) else f"{value:.4g}"
+
+
+def of_setup(name: str, rig: float | str, model: float | str | None = None, note: str = "") -> Counterpart:
+    """Of the set-up, where nothing is estimated: what the rig has and, in words, whether the paper has the same."""
+    same = "as the paper" if shown(rig) == shown(NUMBERS[name].value) else "not as the paper"
+    return Counterpart(rig, model, f"{same}; {note}" if note else same)

@@ -16,7 +16,7 @@ KEY = (
     "r2_adjusted",
     *(f"averaged.tau_{lag}" for lag in ("omega_1", "omega_2", "beta_1", "beta_2")),
     *(f"fine_tuned.tau_{lag}" for lag in ("omega_1", "omega_2", "beta_1", "beta_2")),
-    *("cost_fall", "improved", "reached", "overshoot", "up", "down"),
+    *("overshoots", "cost_fall", "improved", "reached", "overshoot", "up", "down"),
 )
 """What a reader wants to know first."""
 
