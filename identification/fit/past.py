@@ -41,10 +41,10 @@ def by_numpy(values: np.ndarray, order: int, spans, factors, scale: float) -> np
 def _compiled() -> Callable | None:
     """The same by C; None where there is no compiler."""
     try:
-        path = compiled((files("identification.fit") / "past.c").read_text())
+        library = compiled((files("identification.fit") / "past.c").read_text())
     except CompilerMissing:
         return None
-    run, count, array = ctypes.CDLL(str(path)).less_past, ctypes.c_long, ctypes.c_void_p
+    run, count, array = library.less_past, ctypes.c_long, ctypes.c_void_p
     run.argtypes = [array, count, count, count, count, array, array, ctypes.c_double, array, array]
     run.restype = None
 

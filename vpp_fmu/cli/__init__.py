@@ -29,6 +29,7 @@ VERBS = {
     "check-effect": "what holds for an effect of one's own",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "twin": "a rig's day: model and controller improve each other, round by round",
+    "cache": "the compiled models that are kept, and their end",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 

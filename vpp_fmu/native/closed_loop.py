@@ -120,7 +120,7 @@ class _Profile(ctypes.Structure):
 
 def _compiled(models: Sequence[Model]):
     parts = [_part(model) for model in models]
-    run_loops = ctypes.CDLL(str(compiled((files("vpp_fmu.native") / "loop.c").read_text()))).run_loops
+    run_loops = compiled((files("vpp_fmu.native") / "loop.c").read_text()).run_loops
     pointers, longs, vector = ctypes.c_void_p * 3, ctypes.c_long * 3, ctypes.c_void_p
     run_loops.argtypes = [vector, pointers, longs, ctypes.c_long, ctypes.POINTER(_Profile), vector, vector]
     table = (ctypes.c_void_p * 9)(*(address for part in parts for address in part.addresses))
