@@ -38,7 +38,7 @@ def run(options):
     with (
         closing(FmuPlant(options.plant, dt=options.step)) as plant,
         closing(FmuController(options.controller, dt=options.step)) as controller,
-        closing(FmuTwin(options.twin)) if options.twin else nullcontext() as twin,
+        closing(FmuTwin(options.twin, options.step)) if options.twin else nullcontext() as twin,
         tqdm(total=100, unit="%", disable=None, leave=False) as bar,
     ):
         done = run_loop(plant, controller, profile, progress=lambda share: bar.update(round(100 * share) - bar.n))

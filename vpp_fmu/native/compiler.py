@@ -165,9 +165,11 @@ def cache_folder() -> Path:
     try:
         base = Path(os.environ.get("XDG_CACHE_HOME", ""))
         folder = (base if base.is_absolute() else Path.home() / ".cache") / "vpp-fmu"
+        if not folder.is_absolute():
+            return private_folder()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         status = folder.stat()
-        if not folder.is_absolute() or not _is_own(status):
+        if not _is_own(status):
             return private_folder()
         if status.st_mode & OTHERS:  # who may write into the folder may exchange a library after its check
             folder.chmod(0o700)
