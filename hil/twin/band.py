@@ -1,6 +1,5 @@
 """What the thrust residual of an identified model is made of while nothing new happens: noise, and the model's own error."""
 
-import json
 import os
 from dataclasses import dataclass
 from math import exp, inf, sqrt
@@ -9,7 +8,7 @@ import numpy as np
 from scipy.stats import t
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.structured import read_object
 
 SLOW_SHARE, SLOW_TIME = 0.37, 0.15
 """Slow noise where only its sum with the fast is known: its share of the standard deviation, and its correlation time [s].
@@ -50,8 +49,8 @@ class Band:
 def read_band(path: str | os.PathLike) -> Band:
     """The band from what `vpp identify` and `vpp diagnose` write (identification.json). BadInput names what is missing."""
     allowed = "noise_floor_thrust and model_error, as vpp identify writes them"
+    content = read_object(path, allowed=allowed)
     try:
-        content = json.loads(read_text(path))
         floor, error = float(content["noise_floor_thrust"]), content["model_error"]
         steady, moving, freedom = (float(error[name]) for name in ("steady", "moving", "freedom"))
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -49,9 +49,7 @@ def run(options):
         done = Record({**done.columns, **watched}, done.source)
     write_record(folder, "run.csv", done)
     folder.write("report.html", page.html())
-    for step in steps(done):
-        print(told(step))
-    say_written(folder)
+    say_written(folder, lines=map(told, steps(done)))
 
 
 def add_twin(page: Page, time: np.ndarray, told: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def add_effects_from(parser) -> None:
 
 def as_json(content: dict) -> str:
     """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
@@ -41,10 +42,14 @@ def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, Param
     return replace(parameters, source={**parameters.source, **own, **came})
 
 
-def say_written(folder: OutputFolder, parameters: ParameterSet | None = None) -> None:
-    """Put a set into its place, and say what it took the place of. `parameters`: those that the results speak of."""
+def say_written(folder: OutputFolder, parameters: ParameterSet | None = None, lines: Iterable[str] = ()) -> None:
+    """Put a set into its place, then print the results' `lines`, and what the set took the place of: standard output may fail.
+    `parameters`: those that the results speak of."""
     if isinstance(folder, OutputSet):
         folder.finish(parameters and parameters.identity)
+    for line in lines:
+        print(line)
+    if isinstance(folder, OutputSet):
         told = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
         told["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
         for what, names in told.items():

@@ -2,13 +2,12 @@
 
 They stay within the range that the parameters' campaign was measured over, or that its rig.json declares."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.assessment.information import read_knowledge
+from identification.assessment.information import read_knowledge, read_noise
 from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.fit.uncertainty import NORMAL_95
@@ -18,7 +17,7 @@ from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
@@ -115,13 +114,8 @@ def run(options):
     )
     remarks = remarks_on(found, inflation)
     write_plan(folder, found, basis.lines(), remarks, parameters.label)
-    for line in basis.lines():
-        print(line)
-    for label, value, note in key_figures(found):
-        print(f"{label}: {value} ({note})")
-    for remark in remarks:
-        print(f"note: {remark}")
-    say_written(folder, parameters)
+    lines = [*basis.lines(), *(f"{label}: {value} ({note})" for label, value, note in key_figures(found))]
+    say_written(folder, parameters, [*lines, *(f"note: {remark}" for remark in remarks)])
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
@@ -195,9 +189,9 @@ def _noise(options, campaign: Campaign | None, parameters: ParameterSet) -> tupl
     if options.noise is not None:
         return options.noise, ASKED
     if options.knowledge:
-        told = json.loads(read_text(options.knowledge))  # read_knowledge found it sound
-        if told.get("noise_floor_thrust"):
-            return float(told["noise_floor_thrust"]), told.get("noise_floor_thrust_from", options.knowledge)
+        found = read_noise(options.knowledge)
+        if found and found[0] > 0.0:
+            return found
     if campaign is not None:
         records = [record for record in (campaign.open_loop, campaign.repeat) if record is not None]
         shown = [predict(parameters.model, parameters.values, record) for record in records]
