@@ -139,7 +139,7 @@ def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str 
     effects, entries = content.get("effects", list(parameters.model.optional)), content.get("parameters", {})
     if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
         raise BadInput(path, "effects", shown(effects), "a list of effects' names")
-    fitted = {
+    fitted: dict[str, Any] = {
         name: _mapping(path, f"parameters, {shown(name)}", entry).get("value")
         for name, entry in _mapping(path, "parameters", entries).items()
     }

@@ -23,7 +23,7 @@ import traceback
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,11 +32,11 @@ import numpy as np
 from identification.demo import example_folder
 from identification.logs.speed_map import FORMAT as SPEED_MAP_FORMAT
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli import VERBS, parser_of
 from vpp_fmu.cli import main as vpp
+from vpp_fmu.cli import parser_of
 from vpp_fmu.cli.hil_options import EMULATED
 from vpp_fmu.files import OutputFolder
-from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.record import write_record
 
 LIMIT, LONGEST = 60, 300.0
 """s that a case may take: of a processor, and on the clock of a machine that others use, too."""
@@ -48,14 +48,28 @@ ROOT = Path(__file__).parents[2]
 
 COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
     "check": [("{campaign}", "-o", "{out}")],
-    "identify": [("{campaign}", "--starts", "1", "-o", "{out}"), ("{plain}", "--record", "{record}", "--starts", "1", "-o", "{out}")],
+    "identify": [
+        ("{campaign}", "--starts", "1", "-o", "{out}"),
+        ("{plain}", "--record", "{record}", "--starts", "1", "-o", "{out}"),
+    ],
     "diagnose": [
         ("{campaign}", "--effects", "pitch_command_deadband", "--workers", "1", "-o", "{out}"),
         ("{plain}", "--parameters", "{parameters}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
         ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
     ],
     "tune": [
-        ("--parameters", "{parameters}", "--profile", "{profile}", "--knowledge", "{knowledge}", "--gains", "{gains}", "-o", "{out}")
+        (
+            "--parameters",
+            "{parameters}",
+            "--profile",
+            "{profile}",
+            "--knowledge",
+            "{knowledge}",
+            "--gains",
+            "{gains}",
+            "-o",
+            "{out}",
+        )
     ],
     "export": [
         ("--parameters", "{parameters}", "--gains", "{gains}", "-o", "{out}"),
@@ -81,24 +95,74 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
         ("csv", "{log}", "--yes", "-o", "{out}"),
         ("csv", "{log}", "--map", "{mapping}", "--as", "open_loop", "-o", "{out}"),
         ("csv", "{log}", "--propose", "{out}/mine.toml", "-o", "{out}"),
-        ("csv", "{esc_log}", "--map", "signal=esc:us", "--fixed", "beta_ref=0:deg", "--speed-map", "{speed_map}", "-o", "{out}"),
+        (
+            "csv",
+            "{esc_log}",
+            "--map",
+            "signal=esc:us",
+            "--fixed",
+            "beta_ref=0:deg",
+            "--speed-map",
+            "{speed_map}",
+            "-o",
+            "{out}",
+        ),
         ("rcbenchmark", "{stand}", "--speed-map", "{speed_map}", "-o", "{out}"),
     ],
     "effects": [("--effects-from", "{effect}")],
     "check-effect": [("{effect}",)],
-    "twin": [("{out}", "--virtual", "--rounds", "1", "--rig", "emulated", "{rig}", "--calibration", "{calibration}", "--parameters", "{parameters}")],
+    "twin": [
+        (
+            "{out}",
+            "--virtual",
+            "--rounds",
+            "1",
+            "--rig",
+            "emulated",
+            "{rig}",
+            "--calibration",
+            "{calibration}",
+            "--parameters",
+            "{parameters}",
+        )
+    ],
     "hil": [
         ("run", "--virtual", "--calibration", "{calibration}", "--limits", "{limits}", "--profile", "{profile}", "-o", "{out}"),
-        ("run", "--virtual", "--rig", "emulated", "{rig}", "--parameters", "{parameters}", "--gains", "{gains}", "--profile", "{profile}", "-o", "{out}"),
+        (
+            "run",
+            "--virtual",
+            "--rig",
+            "emulated",
+            "{rig}",
+            "--parameters",
+            "{parameters}",
+            "--gains",
+            "{gains}",
+            "--profile",
+            "{profile}",
+            "-o",
+            "{out}",
+        ),
         ("run", "--virtual", "--controller", "{controller}", "--profile", "{profile}", "-o", "{out}"),
         ("run", "--rig", "fmu", "{native_plant}", "--profile", "{profile}", "-o", "{out}"),
         ("campaign", "--virtual", "--commands", "{record}", "--rig", "emulated", "{rig}", "-o", "{out}"),
         ("replay", "{run}", "{controller}", "-o", "{out}"),
         ("report", "{run_folder}"),
-        ("calibrate", "--virtual", "--answers", "{answers}", "--calibration", "{calibration}", "-o", "{out}"),
+        (
+            "calibrate",
+            "--virtual",
+            "--parts",
+            "load_cell",
+            "--answers",
+            "{answers}",
+            "--calibration",
+            "{calibration}",
+            "-o",
+            "{out}",
+        ),
     ],
 }
-"""By verb, words in which {NAME} is a file of `materials`, or a folder of them. A verb without files of the user's is not here."""
+"""By verb, words in which {NAME} is a file or folder of `materials`. A verb that takes no file is not here."""
 
 RARE = {"tune": 0.25, "twin": 0.1, "diagnose": 0.5}
 """Verbs that take long where the damage did none: the share of the others' cases that they get."""
@@ -148,7 +212,7 @@ def materials(home: Path) -> dict[str, Path]:
         "effect": ("cell_lag.py", EFFECT),
         "calibration": ("calibration.json", EMULATED.read_text(encoding="utf-8")),
         "limits": ("limits.json", json.dumps({"format": "vpp-limits/1", "limits": {"run_time": {"value": 60, "unit": "s"}}})),
-        "answers": ("answers.txt", "\n" * 60),
+        "answers": ("answers.txt", "\n\nwith\n" + "\n" * 60),
     }
     n = np.arange(1500)
     esc = 1100.0 + 100.0 * (n // 250)
@@ -157,25 +221,31 @@ def materials(home: Path) -> dict[str, Path]:
     rows = zip(1e3 * stamp, speed, 2.0 + n // 300, thrust + 0.01 * np.sin(n), strict=True)
     own = np.column_stack([stamp, esc, speed, thrust])
     texts |= {
-        "log": ("log.csv", "t [ms],rpm cmd [rpm],pitch [deg],Fz [N]\n" + "\n".join("%.6g,%.6g,%.6g,%.6g" % r for r in rows) + "\n"),
-        "esc_log": ("esc_log.csv", "time [s],esc,rpm,thrust [N]\n" + "\n".join("%.6g,%.6g,%.6g,%.6g" % tuple(r) for r in own) + "\n"),
+        "log": (
+            "log.csv",
+            "t [ms],rpm cmd [rpm],pitch cmd [deg],Fz [N]\n" + _lines(rows),
+        ),
+        "esc_log": (
+            "esc_log.csv",
+            "time [s],esc,rpm,thrust [N]\n" + _lines(own),
+        ),
         "stand": (
             "stand.csv",
-            "Time (s),ESC signal (µs),Thrust (N),Voltage (V),Current (A),Motor Electrical Speed (RPM),Motor Optical Speed (RPM)\n"
-            + "\n".join("%.6g,%.6g,%.6g,12,1,0,%.6g" % (t, e, f, w) for t, e, w, f in own)
-            + "\n",
+            "Time (s),ESC signal (µs),Thrust (N),Voltage (V),Current (A),"
+            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)\n"
+            + _lines((t, e, f, 12.0, 1.0, 0.0, w) for t, e, w, f in own),
         ),
         "mapping": (
             "mapping.toml",
             'format = "vpp-mapping/1"\n\n[open_loop]\nlog = "log.csv"\n\n[open_loop.columns]\ntime = "t [ms]:ms"\n'
-            'omega_ref = "rpm cmd [rpm]:rpm"\nbeta_ref = "pitch [deg]:deg"\nthrust = "Fz [N]:N"\n',
+            'omega_ref = "rpm cmd [rpm]:rpm"\nbeta_ref = "pitch cmd [deg]:deg"\nthrust = "Fz [N]:N"\n',
         ),
         "speed_map": (
             "speed_map.json",
             json.dumps(
                 {
                     "format": SPEED_MAP_FORMAT,
-                    "signal": {"kind": "us", "minimum": 1000, "maximum": 2000, "turns_from": 1100, "fitted_to": 1700},
+                    "signal": {"kind": "PWM", "minimum": 1000, "maximum": 2000, "turns_from": 1100, "fitted_to": 1700},
                     "coefficients": [0.0, 4000.0, 0.0, 0.0],
                     "nominal_voltage": 12.0,
                     "rms": 1.0,
@@ -188,8 +258,10 @@ def materials(home: Path) -> dict[str, Path]:
     for name, (file, content) in texts.items():
         found[name] = home / file
         found[name].write_text(content, encoding="utf-8")
-    write_record(OutputFolder(home), "record.csv", cuts["open_loop"].part(slice(0, 300)))
-    write_record(OutputFolder(home), "record.csv.gz", cuts["open_loop"].part(slice(0, 300)))
+    other = whole.open_loop.part(slice(8000, 9200, 4))
+    other = other.with_columns(time=other.time - other.time[0])
+    write_record(OutputFolder(home), "record.csv", other)
+    write_record(OutputFolder(home), "record.csv.gz", other)
     found |= {"record": home / "record.csv", "packed": home / "record.csv.gz"}
     _must("identify", found["campaign"], "--starts", "1", "-o", home / "known")
     found |= {"parameters": home / "known" / "parameters.json", "knowledge": home / "known" / "identification.json"}
@@ -206,6 +278,10 @@ def materials(home: Path) -> dict[str, Path]:
     return found | {"gains": gains, "run": run / "run.csv", "run_folder": run}
 
 
+def _lines(rows: Iterable[Iterable[float]]) -> str:
+    return "".join(",".join(f"{x:.6g}" for x in row) + "\n" for row in rows)
+
+
 def _must(*words: object) -> None:
     said = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
@@ -213,10 +289,38 @@ def _must(*words: object) -> None:
             raise RuntimeError(f"the study's own files: {said.getvalue()}")
 
 
-CELLS = ("nan", "inf", "-inf", "1e999", "-1e300", "1e-320", "", '"', "1,5", "é", "\0", "0x10", "1_000", "=1+1", "١٢", "x" * 3000, "-")
+CELLS = (
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "-1e300",
+    "1e-320",
+    "",
+    '"',
+    "1,5",
+    "é",
+    "\0",
+    "0x10",
+    "1_000",
+    "=1+1",
+    "١٢",
+    "x" * 3000,
+    "-",
+)
 HEADS = ("", "time", "thrust", "\ufefftime", "TIME", "omega_ref", "a\tb", "\x1b[31m", "x" * 300, "thrust (N)", '"', "nan")
 VALUES = (None, True, [], {}, "x", "", -1, 0, 1e308, 1e-320, 10**290, [[]], {"value": []}, "\u2028", "../../x", [1.0] * 5)
-TEXTS = ("NaN", "-Infinity", "1e999", "9" * 5000, "[" * 100_000, '{"a":' * 500 + "1" + "}" * 500, '"\\ud800"', '"' + "y" * 10**6 + '"', "")
+TEXTS = (
+    "NaN",
+    "-Infinity",
+    "1e999",
+    "9" * 5000,
+    "[" * 100_000,
+    '{"a":' * 500 + "1" + "}" * 500,
+    '"\\ud800"',
+    '"' + "y" * 10**6 + '"',
+    "",
+)
 
 
 def table(rng: random.Random, data: bytes) -> tuple[str, bytes]:
@@ -224,7 +328,9 @@ def table(rng: random.Random, data: bytes) -> tuple[str, bytes]:
     lines = data.decode().split("\n")
     grid = [line.split(",") for line in lines if line]
     row, column = rng.randrange(1, len(grid)), rng.randrange(len(grid[0]))
-    what = rng.choice(("cell", "cells", "head", "row gone", "row twice", "rows swapped", "column", "order", "few rows", "marks", "text"))
+    what = rng.choice(
+        ("cell", "cells", "head", "row gone", "row twice", "rows swapped", "column", "order", "few rows", "marks", "text")
+    )
     if what == "cell":
         grid[row][column] = rng.choice(CELLS)
     elif what == "cells":
@@ -269,7 +375,9 @@ def encoding(rng: random.Random, data: bytes) -> tuple[str, bytes]:
         "carriage returns": lambda: data.replace(b"\n", b"\r\r\n"),
         "one line": lambda: data.replace(b"\n", b" "),
         "twice": lambda: data + data,
-        "a bit": lambda: data[:half] + bytes([data[half] ^ 1 << rng.randrange(8)]) + data[half + 1 :] if half < len(data) else b"",
+        "a bit": lambda: (
+            data[:half] + bytes([data[half] ^ 1 << rng.randrange(8)]) + data[half + 1 :] if half < len(data) else b""
+        ),
     }
     what = rng.choice(list(ways))
     return "bytes: " + what, ways[what]()
@@ -339,9 +447,21 @@ def toml(rng: random.Random, data: bytes) -> tuple[str, bytes]:
     at = rng.randrange(len(lines))
     new = rng.choice(
         (
-            *("x = " + "[" * 3000, "x" + ".x" * 1500 + " = 1", "[" + "x." * 1500 + "x]", "x = inf", "x = nan", "x = 2026-99-99"),
+            *(
+                "x = " + "[" * 3000,
+                "x" + ".x" * 1500 + " = 1",
+                "[" + "x." * 1500 + "x]",
+                "x = inf",
+                "x = nan",
+                "x = 2026-99-99",
+            ),
             *("[open_loop]", "[open_loop.columns]", 'columns = "x"', "[[open_loop]]", 'time = ""', 'time = "::"', "time = []"),
-            *('omega_ref = "no such column:rpm"', 'omega_ref = "t [ms]:furlong"', "x = " + "9" * 4000, 'x = "' + "y" * 200_000 + '"'),
+            *(
+                'omega_ref = "no such column:rpm"',
+                'omega_ref = "t [ms]:furlong"',
+                "x = " + "9" * 4000,
+                'x = "' + "y" * 200_000 + '"',
+            ),
             *('"" = 1', "= 1", "\0", 'read = "x"', "[open_loop.read]\ndelimiter = 1", '[open_loop.fixed]\nbeta_ref = "x"'),
         )
     )
@@ -422,7 +542,16 @@ def _attribute(rng: random.Random, content: bytes) -> bytes:
     return content[: at.start(1)] + new + content[at.end(1) :]
 
 
-DAMAGES = {".csv": table, ".gz": packed, ".json": objects, ".toml": toml, ".fmu": fmu, ".py": python, ".txt": encoding, ".jsonl": encoding}
+DAMAGES = {
+    ".csv": table,
+    ".gz": packed,
+    ".json": objects,
+    ".toml": toml,
+    ".fmu": fmu,
+    ".py": python,
+    ".txt": encoding,
+    ".jsonl": encoding,
+}
 
 
 @dataclass(frozen=True)
@@ -441,6 +570,17 @@ class Case:
 
 
 FAULTS = ("exit code", "traceback", "over 60 s", "NaN in JSON", "half-written", "not one line")
+
+
+def undamaged(verbs: Sequence[str], good: Mapping[str, Path], home: Path) -> Iterator[tuple[str, int | None, str]]:
+    """(verb, exit code, standard error) of each of their commands on good files: a case must be refused for its damage."""
+    for verb in verbs:
+        for words in COMMANDS[verb]:
+            place = home / "case"
+            place.mkdir()
+            code = _forked([verb, *(word.format(**{**good, "out": place / "out"}) for word in words)], place)
+            yield verb, code, (place / "stderr").read_text(errors="replace")
+            remove(place)
 
 
 def run_case(seed: int, good: Mapping[str, Path], home: Path, verbs: Sequence[str]) -> Case:
@@ -586,7 +726,11 @@ def remove(folder: Path) -> None:
 
 def shown(found: Sequence[Case]) -> Iterator[str]:
     """The table in lines: how each verb ended, what of it was at fault, and an example of each."""
-    yield f"{'verb':13} {'cases':>6} {'exit 0':>7} {'exit 2':>7} " + " ".join(f"{fault:>12}" for fault in FAULTS) + f" {'slowest':>9}"
+    yield (
+        f"{'verb':13} {'cases':>6} {'exit 0':>7} {'exit 2':>7} "
+        + " ".join(f"{fault:>12}" for fault in FAULTS)
+        + f" {'slowest':>9}"
+    )
     for verb in [*dict.fromkeys(case.verb for case in found), None]:
         own = [case for case in found if verb in (None, case.verb)]
         counts = Counter(fault for case in own for fault in set(case.faults))

@@ -1,4 +1,6 @@
-"""Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set)."""
+"""Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set).
+
+An FMU runs its author's code, with your rights."""
 
 from collections.abc import Mapping
 from contextlib import closing, nullcontext

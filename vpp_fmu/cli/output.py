@@ -26,7 +26,8 @@ def add_accept(parser) -> None:
 
 def add_effects_from(parser) -> None:
     """The option that adds effects of one's own to the library."""
-    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; may be repeated"
+    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; "
+    text += "it runs its author's code; may be repeated"
     parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
 
 
