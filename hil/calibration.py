@@ -10,8 +10,9 @@ from itertools import pairwise
 
 from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
 from hil.devices.supply import NAMES, Input
-from hil.entries import Entries, Number, read_json, shown
+from hil.entries import Entries, Number
 from vpp_fmu.errors import BadInput
+from vpp_fmu.structured import read_json, shown
 
 FORMAT = "vpp-calibration/1"
 

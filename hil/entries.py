@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.structured import shown
 
 
 class Number(NamedTuple):
@@ -79,34 +79,6 @@ class Entries:
 
     def _place(self, key: str) -> str:
         return f"{self._name}, {key}" if self._name else key
-
-
-def read_json(path: str | os.PathLike) -> object:
-    """What the file holds; each name once, no NaN, no infinity. Or BadInput."""
-
-    def once(pairs: list[tuple[str, object]]) -> dict:
-        names = [name for name, _ in pairs]
-        for k, name in enumerate(names):
-            if name in names[:k]:
-                raise BadInput(path, shown(name), "this name more than once", "each name once")
-        return dict(pairs)
-
-    def refused(constant: str) -> float:
-        raise BadInput(path, "file", constant, "finite numbers")
-
-    try:
-        return json.loads(read_text(path), object_pairs_hook=once, parse_constant=refused)
-    except json.JSONDecodeError as error:
-        found = f"no JSON from column {error.colno} on ({error.msg})"
-        raise BadInput(path, f"line {error.lineno}", found, "JSON") from error
-    except (ValueError, RecursionError) as error:
-        raise BadInput(path, "file", "a number too long, or lists too deep, to read", "JSON") from error
-
-
-def shown(found: object) -> str:
-    """A value as a message shows it: on one line, not too long."""
-    text = json.dumps(found)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _checked(entry: Entries, key: str, value: object, number: Number) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 DESCRIPTION = "modelDescription.xml"
+SLAVE = "resources/slavemodule.txt"
 FMI_1 = """<fmiModelDescription fmiVersion="1.0" modelName="M" modelIdentifier="M" guid="g"
 numberOfContinuousStates="0" numberOfEventIndicators="0"/>"""
 FMI_3 = """<fmiModelDescription fmiVersion="3.0" modelName="M" instantiationToken="t"><CoSimulation modelIdentifier="M"/>
@@ -44,6 +45,11 @@ def _library(content: bytes) -> Callable[[Files], Files]:
     return lambda files: {k: content if k.startswith("binaries/") else v for k, v in files.items()}
 
 
+def _module(change: Callable[[bytes], bytes | None]) -> Callable[[Files], Files]:
+    """The good FMU's files with another name of its module."""
+    return lambda files: _with(**{SLAVE: change(files[SLAVE])})(files)
+
+
 CHANGED: Mapping[str, tuple[Callable[[Files], Files], tuple[str, ...]]] = {
     "FMI 3.0": (_with(**{DESCRIPTION: FMI_3}), ("found FMI 3.0", "FMI 2.0 co-simulation, which is what this reads")),
     "FMI 1.0": (_with(**{DESCRIPTION: FMI_1}), ("found FMI 1.0", "FMI 2.0 co-simulation, which is what this reads")),
@@ -54,6 +60,10 @@ CHANGED: Mapping[str, tuple[Callable[[Files], Files], tuple[str, ...]]] = {
     "for another machine": (_only("linux64", "win64"), ("binaries for win64 only",)),
     "no binaries": (lambda files: {k: v for k, v in files.items() if "binaries/" not in k}, ("no binaries",)),
     "library no library": (_library(b"\x7fELF not really"), ("a library that can't be loaded",)),
+    "no slavemodule.txt": (_module(lambda name: None), ("no slavemodule.txt that names a module",)),
+    "slavemodule.txt empty": (_module(lambda name: b""), ("no slavemodule.txt that names a module",)),
+    "slavemodule.txt of bytes": (_module(lambda name: b"\xff\0"), ("no slavemodule.txt that names a module",)),
+    "no module": (_module(lambda name: name + b"x"), ("no module vppplant_", "which slavemodule.txt names")),
     "path above": (_with(**{"../evil.txt": "x"}), ("../evil.txt", "within the FMU's folder")),
     "path above, inside": (_with(**{"resources/../../evil.txt": "x"}), ("resources/../../evil.txt", "within")),
     "absolute path": (_with(**{"/tmp/evil.txt": "x"}), ("/tmp/evil.txt", "within the FMU's folder")),

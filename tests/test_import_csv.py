@@ -11,7 +11,7 @@ from studies.gate import SIZES
 
 from identification.logs.clock import guessed_unit, mended, read_clock
 from identification.logs.commands import fitted_map
-from identification.logs.mapping import read_toml
+from identification.logs.mapping import read_sections
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.sampling import between, said_of_gaps, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
@@ -219,7 +219,7 @@ def test_a_proposal_writes_nothing_and_what_it_saves_imports_the_same(tmp_path, 
     assert not (tmp_path / "out").exists()
     assert vpp(path, "--propose", tmp_path / "mine.toml")[0] == 0
     assert vpp(path, "--propose", tmp_path / "mine.toml")[0] == 2  # it is there
-    told = read_toml(tmp_path / "mine.toml")
+    told = read_sections(tmp_path / "mine.toml")
     assert told["open_loop"]["columns"] == {
         "time": "Time (s):s",
         "omega": "RPM:rpm",
@@ -495,7 +495,7 @@ def test_another_log_is_not_written_over_and_sections_of_the_mapping_stay(tmp_pa
     code, out, _ = vpp(second, "-o", tmp_path / "mine", "--as", "validation")
     assert code == 0
     assert "taken over from a.csv" in out
-    assert set(read_toml(tmp_path / "mine" / "import.toml")) == {"open_loop", "validation"}
+    assert set(read_sections(tmp_path / "mine" / "import.toml")) == {"open_loop", "validation"}
     assert vpp(second, "-o", tmp_path / "mine", "--replace")[0] == 0
     assert (tmp_path / "mine" / "open_loop.csv").read_bytes() != before
     campaign = read_campaign(tmp_path / "mine")

@@ -79,8 +79,6 @@ def test_the_ends_of_the_range_are_allowed(tmp_path):
 BAD = {
     "no JSON": ('{\n"format": "vpp-parameters/1",\n}', "line 3: found no JSON from column 1 on"),
     "empty": ("", "line 1: found no JSON from column 1 on"),
-    "too deep": ("[" * 100_000, "file: found a number too long, or lists too deep, to read"),
-    "too long": (f'{{"format": {"1" * 5000}}}', "file: found a number too long, or lists too deep, to read"),
     "a list": ("[]", "file: found [], allowed is an object in braces"),
     "no format": ({"parameters": {}}, 'format: found null, allowed is "vpp-parameters/1"'),
     "other format": (content(format="vpp-parameters/2"), 'format: found "vpp-parameters/2", allowed is "vpp-parameters/1"'),
@@ -91,7 +89,7 @@ BAD = {
     ),
     "parameters no object": (content(parameters=[1]), "parameters: found [1], allowed is an object in braces"),
     "source no object": (content(source="me"), 'source: found "me", allowed is an object in braces'),
-    "NaN in source": (content(source={"rmse": float("nan")}), "source: found NaN or an infinite number, allowed is finite"),
+    "NaN in source": (content(source={"rmse": float("nan")}), "source, rmse: found NaN, allowed is finite numbers"),
     "effects no list": (content(effects="pitch_delay"), 'effects: found "pitch_delay", allowed is a list of effects'),
     "effects no names": (content(effects=[1]), "effects: found [1], allowed is a list of effects"),
     "unknown effect": (content(effects=["pitch_dellay"]), 'effects: found "pitch_dellay", allowed is pitch_delay'),
@@ -113,9 +111,9 @@ BAD = {
     "text": (entry(value="0.3"), 'parameters, c20, value: found "0.3", allowed is a number from -10 to 10'),
     "truth": (entry(value=True), "parameters, c20, value: found true, allowed is a number from -10 to 10"),
     "nothing": (entry(value=None), "parameters, c20, value: found null, allowed is a number from -10 to 10"),
-    "NaN": (entry(value=float("nan")), "parameters, c20, value: found NaN, allowed is a number from -10 to 10"),
-    "infinite": (entry(value=float("inf")), "parameters, c20, value: found Infinity, allowed is a number from -10 to 10"),
-    "no float": (entry(value=10**400), "parameters, c20, value: found 1000"),
+    "NaN": (entry(value=float("nan")), "parameters, c20, value: found NaN, allowed is finite numbers"),
+    "infinite": (entry(value=float("inf")), "parameters, c20, value: found Infinity, allowed is finite numbers"),
+    "no float": (entry(value=10**400), "parameters, c20, value: found Infinity, allowed is finite numbers"),
     "too small": (
         entry("tau_beta_2", value=0.0, unit="s"),
         "parameters, tau_beta_2, value: found 0.0, allowed is a number from 0.001 to 30 s",
@@ -123,7 +121,7 @@ BAD = {
     "too large": (entry(value=10.5), "parameters, c20, value: found 10.5, allowed is a number from -10 to 10"),
     "std negative": (entry(std=-0.1), "parameters, c20, std: found -0.1, allowed is a number from 0, or null"),
     "std text": (entry(std="small"), 'parameters, c20, std: found "small", allowed is a number from 0, or null'),
-    "std NaN": (entry(std=float("nan")), "parameters, c20, std: found NaN, allowed is a number from 0, or null"),
+    "std NaN": (entry(std=float("nan")), "parameters, c20, std: found NaN, allowed is finite numbers"),
 }
 
 

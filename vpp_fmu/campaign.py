@@ -1,6 +1,5 @@
 """A campaign: the folder of files that one rig was measured with."""
 
-import json
 import os
 import re
 import warnings
@@ -16,6 +15,7 @@ from vpp_fmu.files import OutputFolder, Table, read_table, reason
 from vpp_fmu.notebook import table_html
 from vpp_fmu.record import COMMANDS, Record, RecordWarning, check_time, checked_columns, read_record, write_record
 from vpp_fmu.rig import FILE, Rig, infer_rig, read_rig
+from vpp_fmu.structured import read_object
 
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
 _FILES = ", ".join(f"{name}.csv" for name in NAMES)
@@ -154,9 +154,9 @@ def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
 def measured_on(folder: Path) -> str:
     """When a campaign was measured, ISO 8601: as its hil.json says, else the date in its folder's name, else ""."""
     try:
-        said = json.loads((folder / "hil.json").read_bytes())["begun"]
+        said = read_object(folder / "hil.json")["begun"]
         return datetime.fromisoformat(said).isoformat()
-    except (OSError, ValueError, KeyError, TypeError):
+    except (BadInput, ValueError, KeyError, TypeError):
         pass
     for year, month, day in re.findall(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?!\d)", folder.resolve().name):
         try:

@@ -44,7 +44,7 @@ class OutputFolder:
 
         What stood there stays whole until the new file is. BadInput where the system refuses.
         """
-        target, content = self.path / name, data.encode() if isinstance(data, str) else data
+        target, content = self.path / name, as_bytes(data)
         other = holds_other(target, content)
         write_whole(target, content, target)
         self._others.setdefault(name, other)  # a second write in the same job replaces nothing of the user's
@@ -52,6 +52,11 @@ class OutputFolder:
 
     def _refused(self, found: str) -> BadInput:
         return BadInput(self.path, "output folder", found, "a folder that can be written")
+
+
+def as_bytes(data: str | bytes) -> bytes:
+    """What is written of `data`: text as UTF-8, with "?" for each byte of a file's name that is no UTF-8."""
+    return data.encode(errors="replace") if isinstance(data, str) else data
 
 
 def write_whole(path: Path, content: bytes, shown: Path) -> None:
@@ -83,13 +88,22 @@ def reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
+LARGEST = 500 * 2**20
+"""Bytes of a file that is read whole: some 10 million rows of a record."""
+
+RATIO = 200
+"""Unpacked over packed, beyond the first megabyte: tables shrink 3 to 50 times, a bomb 1000 times."""
+
+
 def read_bytes(path: str | os.PathLike) -> bytes:
     """What a file holds, unpacked if its name ends in .gz. Or BadInput."""
     path = Path(path)
+    packed = path.suffix.lower() == ".gz"
     try:
-        data = path.read_bytes()
-        if path.suffix.lower() == ".gz":
-            data = gzip.decompress(data)
+        size = path.stat().st_size
+        most = min(LARGEST, RATIO * size + 2**20) if packed else LARGEST
+        with gzip.open(path) if packed else open(path, "rb") as file:
+            data = file.read(most + 1)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise BadInput(path, "file", "no such file", "a file that exists") from error
     except IsADirectoryError as error:
@@ -98,6 +112,10 @@ def read_bytes(path: str | os.PathLike) -> bytes:
         raise BadInput(path, "file", "broken or cut off gzip data", "a whole gzip file") from error
     except OSError as error:
         raise BadInput(path, "file", f"not readable ({reason(error)})", "a file that can be read") from error
+    if len(data) > most:
+        bomb = packed and most < LARGEST
+        allowed = f"{RATIO} times its size and 1 MB at most, unpacked" if bomb else f"{LARGEST / 2**20:.0f} MB at most"
+        raise BadInput(path, "file", f"more than {most / 2**20:.0f} MB{' unpacked' * packed}", allowed)
     return data
 
 

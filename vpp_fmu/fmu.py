@@ -6,8 +6,12 @@ fmpy's own wrapper converts every argument of every call; here the buffers are m
 import contextlib
 import ctypes
 import itertools
+import json
 import os
 import platform
+import signal
+import subprocess
+import sys
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,12 +26,19 @@ from fmpy.validation import validate_fmu
 
 from vpp_fmu.archive import DESCRIPTION, unpacked
 from vpp_fmu.errors import BadInput, SimulationFailed, VppError
+from vpp_fmu.first_step import ALIVE
 from vpp_fmu.native.master import Entry
 from vpp_fmu.record import Record
 from vpp_fmu.stopping import act, foreign
 
 WARNING = 1
 TYPES = {"Real": (ctypes.c_double, float), "Integer": (ctypes.c_int, round), "Boolean": (ctypes.c_int, bool)}
+NAMES_MODULE = "slavemodule.txt"
+"""The file by which pythonfmu's library finds the module to import."""
+
+PATIENCE = 60.0
+"""s that another process may take to load an FMU and make one step."""
+
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
@@ -47,6 +58,7 @@ class Fmu:
                 others = sorted(folder.name for folder in (self.folder / "binaries").glob("*/"))
                 found = f"binaries for {', '.join(others)} only" if others else "no binaries"
                 raise BadInput(path, "FMU", found, f"{self.library.relative_to(self.folder)} for this machine")
+            self._check_module()
         except BaseException:
             self.close()
             raise
@@ -76,6 +88,36 @@ class Fmu:
                 instanceName=self.description.modelName,
                 libraryPath=str(self.library),
             )
+
+    def _check_module(self) -> None:
+        """BadInput where the FMU is pythonfmu's and lacks its module: pythonfmu's library would end the process."""
+        if NAMES_MODULE.encode() not in self.library.read_bytes():
+            return
+        resources = self.folder / "resources"
+        named = resources / NAMES_MODULE
+        name = named.read_text(encoding="utf-8", errors="replace").strip() if named.is_file() else ""
+        if not name or not name.isprintable():
+            found = f"no {NAMES_MODULE} that names a module"
+            raise BadInput(self.path, "FMU", found, f"resources/{NAMES_MODULE}, as pythonfmu writes it")
+        if not (resources / f"{name}.py").is_file():
+            raise BadInput(self.path, "FMU", f"no module {name[:80]}", f"resources/{name[:80]}.py, which {NAMES_MODULE} names")
+
+    def check_first_step(self, dt: float) -> None:
+        """Load, start and step (`dt` s) the FMU in another process. BadInput where that ends or hangs: this one goes on."""
+        given = {"library": str(self.library), "guid": self.description.guid, "dt": dt}
+        given |= {"name": self.description.modelName, "resources": (self.folder / "resources").as_uri()}
+        command = [sys.executable, "-m", "vpp_fmu.first_step", json.dumps(given)]
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        same_modules = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        allowed = "an FMU that can be loaded, started and stepped"
+        try:
+            done = subprocess.run(command, check=False, timeout=PATIENCE, encoding="ascii", env=same_modules, **pipes)
+        except subprocess.TimeoutExpired as error:
+            raise BadInput(self.path, "FMU", f"no end of its first step within {PATIENCE:g} s", allowed) from error
+        *_, stage = done.stdout.splitlines() or ["it was tried"]
+        if stage != ALIVE:
+            ended = signal.Signals(-done.returncode).name if done.returncode < 0 else f"exit code {done.returncode}"
+            raise BadInput(self.path, "FMU", f"the end of the process ({ended}) as {stage}", allowed)
 
     def close(self) -> None:
         """Remove the unpacked files."""

@@ -8,7 +8,7 @@ import numpy as np
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.native.master import CHUNK, Failed, run_together
 from vpp_fmu.plants import COMMANDS, Controller, FmuController, FmuPlant, Plant, Sample
-from vpp_fmu.record import Record
+from vpp_fmu.record import Record, held
 
 STANDSTILL = (0.0, 0.0)
 
@@ -27,11 +27,7 @@ def run(
     Returns a record (rows = steps + 1) of `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, and what else the
     plant's samples hold, one row a communication point: what is measured stands before the row's commands act.
     """
-    dt = plant.dt
-    count = round((references.time[-1] - references.time[0]) / dt) + 1
-    time = np.arange(count) * dt
-    held = np.searchsorted(references.time - references.time[0], time + 1e-9, side="right") - 1
-    wanted = references["thrust_set"][held]
+    time, wanted = held(references, plant.dt)
     sample = plant.start(*start)
     controller.start(float(wanted[0]), sample.thrust)
     columns = dict(zip((*COMMANDS, *sample._fields), _rows(plant, controller, sample, wanted, progress).T, strict=True))

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, holds_other, reason, write_whole
+from vpp_fmu.files import OutputFolder, as_bytes, holds_other, reason, write_whole
 from vpp_fmu.scratch import Scratch
 from vpp_fmu.stopping import unbroken
+from vpp_fmu.structured import read_object
 
 WRITTEN = ".vpp-written.json"
 FORMAT = "vpp-written/1"
@@ -52,7 +53,7 @@ class OutputSet(OutputFolder):
     def write(self, name: str, data: str | bytes) -> Path:
         """Write the file `name` beside the folder's own; returns the path where it stands until `finish`. BadInput."""
         self._scratch = self._scratch or self._beside()
-        content = data.encode() if isinstance(data, str) else data
+        content = as_bytes(data)
         write_whole(self._scratch.path / name, content, self.path / name)
         self._hashes[name] = _hash(content)
         self._others[name] = holds_other(self.path / name, content)
@@ -116,10 +117,8 @@ def _hash_of(path: Path) -> str | None:
 def _read(folder: Path) -> dict[str, _Entry]:
     """Who wrote what in a folder; nothing where nobody has told, or what was told is no longer legible."""
     try:
-        content = json.loads((folder / WRITTEN).read_bytes())
-        if content["format"] != FORMAT:
-            return {}
+        content = read_object(folder / WRITTEN, FORMAT)
         entries = {name: _Entry(e["by"], e["sha256"], e["parameters"]) for name, e in content["files"].items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (BadInput, KeyError, TypeError, AttributeError):
         return {}
     return {name: entry for name, entry in entries.items() if Path(name).name == name}  # nothing outside of the folder

@@ -12,17 +12,21 @@ from typing import Any
 from xml.etree import ElementTree
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Parameter
 from vpp_fmu.notebook import table_html
 from vpp_fmu.rig import Rig, rig_of
+from vpp_fmu.structured import read_object, shown
 from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
 
 FILE, KNOWLEDGE = "parameters.json", "identification.json"
+
+LONGEST = 1e6
+"""s that a record, or the time from row to row, may have: eleven days."""
 
 _SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -140,8 +144,8 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
         if name not in known:
             owner, dot, _ = name.partition(".")
             near = _near(name, known)
-            allowed = f"{near}, or {_shown(owner)} among the effects" if dot and owner not in model.optional else near
-            raise BadInput(path, f"parameters, {_shown(name)}", f"a name that {model.name} does not have", allowed)
+            allowed = f"{near}, or {shown(owner)} among the effects" if dot and owner not in model.optional else near
+            raise BadInput(path, f"parameters, {shown(name)}", f"a name that {model.name} does not have", allowed)
         estimates[name] = _estimate(path, known[name], entry)
     return ParameterSet(model, estimates, source)
 
@@ -149,19 +153,21 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
 def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str | os.PathLike) -> None:
     """BadInput where the identification.json at `path` speaks of another model than the parameters that were read from `of`:
     its covariance belongs to the values and effects that it names. What it doesn't name it can't contradict."""
-    try:
-        content = json.loads(read_text(path))
-        effects = content.get("effects", list(parameters.model.optional))
-        fitted = {name: entry["value"] for name, entry in content.get("parameters", {}).items()}
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise BadInput(path, "parameters", f"{type(error).__name__} {error}", "an identification.json") from error
+    content = read_object(path, allowed="an identification.json")
+    effects, entries = content.get("effects", list(parameters.model.optional)), content.get("parameters", {})
+    if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
+        raise BadInput(path, "effects", shown(effects), "a list of effects' names")
+    fitted: dict[str, Any] = {
+        name: _mapping(path, f"parameters, {shown(name)}", entry).get("value")
+        for name, entry in _mapping(path, "parameters", entries).items()
+    }
     if set(effects) != set(parameters.model.optional):
         raise BadInput(path, "effects", _listed(effects), f"{_listed(parameters.model.optional)}, the model of {of}")
     for name, value in fitted.items():
         known = parameters.values.get(name)
         if known is None or not _is_number(value) or not math.isclose(value, known, rel_tol=1e-9, abs_tol=1e-12):
             allowed = f"a name in {of}" if known is None else f"{known!r}, the value in {of}"
-            raise BadInput(path, f"parameters, {_shown(name)}", _shown(value), f"{allowed}: both must be of one model")
+            raise BadInput(path, f"parameters, {shown(name)}", shown(value), f"{allowed}: both must be of one model")
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -183,32 +189,16 @@ def _scales(source: Mapping, values: Mapping) -> Scales:
 
 
 def _content(path: str | os.PathLike) -> dict:
-    def once(pairs: list[tuple[str, object]]) -> dict:
-        names = [name for name, _ in pairs]
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                raise BadInput(path, _shown(name), "this name more than once", "each name once")
-        return dict(pairs)
-
-    try:
-        content = json.loads(read_text(path), object_pairs_hook=once)
-    except json.JSONDecodeError as error:
-        found = f"no JSON from column {error.colno} on ({error.msg})"
-        raise BadInput(path, f"line {error.lineno}", found, "a parameter file in JSON") from error
-    except (ValueError, RecursionError) as error:
-        raise BadInput(path, "file", "a number too long, or lists too deep, to read", "a parameter file in JSON") from error
-    content = _mapping(path, "file", content)
-    if content.get("format") != FORMAT:
-        raise BadInput(path, "format", json.dumps(content.get("format")), json.dumps(FORMAT))
+    content = read_object(path, FORMAT, "a parameter file in JSON")
     for name in content:
         if name not in ("format", "parameters", "effects", "source"):
-            raise BadInput(path, _shown(name), "a field that is not known", "format, parameters, effects, source")
+            raise BadInput(path, shown(name), "a field that is not known", "format, parameters, effects, source")
     return content
 
 
 def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str, ...]], Model]) -> Model:
     if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
-        raise BadInput(path, "effects", _shown(effects), "a list of effects' names")
+        raise BadInput(path, "effects", shown(effects), "a list of effects' names")
     try:
         model = build(tuple(effects))
     except KeyError as error:
@@ -216,10 +206,10 @@ def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str,
         if name not in effects:
             raise
         library = [effect.name for effect in LIBRARY if effect.off is not None]
-        raise BadInput(path, "effects", _shown(name), f"{_near(name, library)}, or what --effects-from FILE.py adds") from error
+        raise BadInput(path, "effects", shown(name), f"{_near(name, library)}, or what --effects-from FILE.py adds") from error
     for name in effects:
         if name not in model.optional:
-            raise BadInput(path, "effects", _shown(name), f"none, {model.name} has no effects to choose")
+            raise BadInput(path, "effects", shown(name), f"none, {model.name} has no effects to choose")
     return model
 
 
@@ -228,36 +218,39 @@ def _estimate(path: str | os.PathLike, parameter: Parameter, entry: object) -> E
     entry = _mapping(path, name, entry)
     for key in entry:
         if key not in ("value", "std", "unit"):
-            raise BadInput(path, f"{name}, {_shown(key)}", "a field that is not known", "value, std, unit")
+            raise BadInput(path, f"{name}, {shown(key)}", "a field that is not known", "value, std, unit")
     for key in ("value", "unit"):
         if key not in entry:
             raise BadInput(path, f"{name}, {key}", "nothing", "a value and its unit for each parameter")
     if entry["unit"] != parameter.unit:
-        raise BadInput(path, f"{name}, unit", _shown(entry["unit"]), f'"{parameter.unit}"')
+        raise BadInput(path, f"{name}, unit", shown(entry["unit"]), f'"{parameter.unit}"')
     value, std = entry["value"], entry.get("std")
     allowed = f"a number from {parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}".removesuffix(" 1")
     if parameter.kind != REAL:
         allowed = "0 or 1" if parameter.kind == BOOLEAN else allowed.replace("a number", "a whole number")
     in_range = _is_number(value) and parameter.minimum <= value <= parameter.maximum
     if not in_range or (parameter.kind != REAL and value != round(value)):
-        raise BadInput(path, f"{name}, value", _shown(value), allowed)
+        raise BadInput(path, f"{name}, value", shown(value), allowed)
     if std is not None and (not _is_number(std) or std < 0.0):
-        raise BadInput(path, f"{name}, std", _shown(std), "a number from 0, or null")
+        raise BadInput(path, f"{name}, std", shown(std), "a number from 0, or null")
     return Estimate(float(value), None if std is None else float(std), parameter.unit)
 
 
 def _source(path: str | os.PathLike, found: object) -> dict:
+    """BadInput where an entry that some verb takes is not of its kind."""
     source = _mapping(path, "source", found)
-    try:
-        json.dumps(source, allow_nan=False)
-    except ValueError as error:
-        raise BadInput(path, "source", "NaN or an infinite number", "finite numbers") from error
+    for name in ("record_seconds", "sample_period"):
+        if name in source and not (_is_number(source[name]) and 0.0 < source[name] <= LONGEST):
+            raise BadInput(path, f"source, {name}", shown(source[name]), f"a number of seconds, above 0 and up to {LONGEST:g}")
+    if "rig" in source:
+        _mapping(path, "source, rig", source["rig"])
+        rig_of(PAPER, source, f"{path}: source, rig")
     return source
 
 
 def _mapping(path: str | os.PathLike, name: str, found: object) -> dict:
     if not isinstance(found, dict):
-        raise BadInput(path, name, _shown(found), "an object in braces { }")
+        raise BadInput(path, name, shown(found), "an object in braces { }")
     return found
 
 
@@ -265,11 +258,6 @@ def _is_number(found: object) -> bool:
     if isinstance(found, bool) or not isinstance(found, int | float):
         return False
     return -1e300 < found < 1e300  # false for NaN, and for whole numbers too large for a float
-
-
-def _shown(found: object) -> str:
-    text = json.dumps(found)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _near(name: str, known: Iterable[str]) -> str:

@@ -116,6 +116,7 @@ class _FmuRole:
         try:
             for names, causality in ((self.inputs, "input"), (self.outputs, "output"), (self._parameters, "parameter")):
                 self._fmu.references(names, causality)
+            self._fmu.check_first_step(dt)
         except BadInput:
             self._fmu.close()
             raise
@@ -202,11 +203,12 @@ class FmuTwin:
     inputs = (*COMMANDS, "thrust", "omega")
     needed = ("predicted_thrust", "predicted_speed", "residual", "band", "alarm", "direction", "changes")
 
-    def __init__(self, path: str | Path):
+    def __init__(self, path: str | Path, dt: float = 0.004):
         self._fmu = Fmu(path)
         try:
             self._fmu.references(self.inputs, "input")
             self._fmu.references(self.needed, "output")
+            self._fmu.check_first_step(dt)
         except BadInput:
             self._fmu.close()
             raise

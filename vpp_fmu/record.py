@@ -16,7 +16,7 @@ import numpy as np
 
 from vpp_fmu import frames
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, Table, read_table
+from vpp_fmu.files import OutputFolder, Table, as_bytes, read_table
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
 from vpp_fmu.kernel.types import Signal
@@ -30,6 +30,9 @@ QUANTITIES = {s.name: s for s in (OMEGA_REF, BETA_REF, *MEASURED, *CONTROLLER.in
 """What a column may be, by name, with its unit and range; and `time`."""
 
 COMMANDS = ("time", "omega_ref", "beta_ref")
+
+MOST_POINTS = 2_000_000
+"""Communication points of a closed loop, 8000 s in steps of 4 ms: a run then takes about 1 GB of memory."""
 
 
 class RecordWarning(UserWarning):
@@ -183,6 +186,17 @@ def read_profile(path: str | os.PathLike[str]) -> Record:
     return read_record(path, ("time", "thrust_set"))
 
 
+def held(profile: Record, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """(time [s], wanted thrust [N]), each (points,), at the communication points of a profile, `dt` s from one to the next.
+    BadInput where there are more than MOST_POINTS."""
+    first, last = float(profile.time[0]), float(profile.time[-1])
+    if (last - first) / dt > MOST_POINTS:
+        raise BadInput(profile.source, "time", f"{last:g} s", f"at most {MOST_POINTS * dt:g} s in steps of {dt:g} s")
+    time = np.arange(round((last - first) / dt) + 1) * dt
+    rows = np.searchsorted(profile.time - first, time + 1e-9, side="right") - 1
+    return time, np.ascontiguousarray(profile["thrust_set"][rows], float)
+
+
 def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """The table's columns, those that are known or needed as numbers within their range. BadInput, RecordWarning."""
     for name in need:
@@ -239,7 +253,7 @@ def write_record(folder: OutputFolder, name: str, record: Record) -> Path:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(record.columns)
     writer.writerows(zip(*(_cells(n, column) for n, column in record.columns.items()), strict=True))
-    data = text.getvalue().encode()
+    data = as_bytes(text.getvalue())
     return folder.write(name, _gzipped(data) if name.endswith(".gz") else data)
 
 

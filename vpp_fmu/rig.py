@@ -1,6 +1,5 @@
 """The rig: what it may do, and the scales of its normalised quantities; declared in `rig.json` or inferred from a campaign."""
 
-import json
 import math
 import os
 from collections.abc import Iterable, Mapping
@@ -10,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.record import Record
 from vpp_fmu.sensors import KINDS, SpeedSensor
+from vpp_fmu.structured import read_object, shown
 
 MOST_MARKS = 1000
 """Marks a revolution, at most."""
@@ -142,27 +141,23 @@ def declared_rig(path: str | os.PathLike, rest: Rig | None = None) -> Rig:
     return Rig(**entries, scales=replace(inferred, **scales), origin=origin)
 
 
-def rig_of(scales: Scales, source: Mapping) -> Rig:
-    """The rig that a parameter file speaks of: what its `source` tells of it, else what the model's scales span."""
+def rig_of(scales: Scales, source: Mapping, where: str = "parameters.json: source, rig") -> Rig:
+    """The rig that a parameter file speaks of: what its `source` tells of it, else what the model's scales span. BadInput,
+    naming `where`."""
     pitch = scales.absolute(0.0, "position"), scales.absolute(1.0, "position")
     spanned = Rig("", (scales.omega_scale / 3.0, scales.omega_scale), pitch, (0.0, scales.thrust_scale), scales=scales)
-    if isinstance(told := source.get("rig"), dict) and told.get("format") == FORMAT:
-        content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
-        declared = _entries("parameters.json, source, rig", content)
-        return replace(spanned, origin=dict(told.get("origin", {})), **declared)
-    return spanned
+    if not isinstance(told := source.get("rig"), dict) or told.get("format") != FORMAT:
+        return spanned
+    content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
+    declared, origin = _entries(where, content), told.get("origin", {})
+    if not isinstance(origin, dict) or not all(isinstance(text, str) for text in origin.values()):
+        raise BadInput(where, "origin", shown(origin), "an object in braces { } of texts")
+    return replace(spanned, origin=dict(origin), **declared)
 
 
 def read_rig(path: str | os.PathLike) -> dict:
     """The entries of a rig.json as fields of a `Rig`, those of its scales under `scales`. BadInput names the field."""
-    try:
-        content = json.loads(read_text(path))
-    except ValueError as error:
-        raise BadInput(path, "file", f"no JSON ({error})", "an object as the contract's rig.json") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = content.get("format") if isinstance(content, dict) else content
-        raise BadInput(path, "format", json.dumps(found), json.dumps(FORMAT))
-    return _entries(path, content)
+    return _entries(path, read_object(path, FORMAT, "a rig.json"))
 
 
 def _entries(path: str | os.PathLike, content: Mapping) -> dict:
@@ -177,7 +172,7 @@ def _entries(path: str | os.PathLike, content: Mapping) -> dict:
         if name in content:
             entry = _object(path, name, content[name], ("min", "max", "unit"))
             if entry.get("unit", signal.unit) != signal.unit:
-                raise BadInput(path, f"{name}, unit", json.dumps(entry["unit"]), f'"{signal.unit}"')
+                raise BadInput(path, f"{name}, unit", shown(entry["unit"]), f'"{signal.unit}"')
             ends = [_number(path, f"{name}, {end}", entry.get(end), signal.minimum, signal.maximum) for end in ("min", "max")]
             if ends[0] > ends[1]:
                 raise BadInput(path, f"{name}, max", f"{ends[1]:g}", f"at least its min, {ends[0]:g} {signal.unit}")
@@ -198,11 +193,9 @@ def _sensor(path: str | os.PathLike, found: object) -> dict:
     entry = _object(path, "sensors, speed", entry, tuple(asdict(SpeedSensor())))
     kind, marks = entry.get("kind"), entry.get("marks_per_revolution")
     if kind is not None and kind not in KINDS:
-        raise BadInput(path, "sensors, speed, kind", json.dumps(kind), " or ".join(json.dumps(k) for k in KINDS))
+        raise BadInput(path, "sensors, speed, kind", shown(kind), " or ".join(shown(k) for k in KINDS))
     if marks is not None and (isinstance(marks, bool) or not isinstance(marks, int) or not 1 <= marks <= MOST_MARKS):
-        raise BadInput(
-            path, "sensors, speed, marks_per_revolution", json.dumps(marks), f"a whole number from 1 to {MOST_MARKS}"
-        )
+        raise BadInput(path, "sensors, speed, marks_per_revolution", shown(marks), f"a whole number from 1 to {MOST_MARKS}")
     times = {n: (-1.0 if n == "delay" else 0.0, 10.0) for n in ("filter", "refresh", "delay")}
     numbers = {n: _number(path, f"sensors, speed, {n}", entry[n], *times[n]) for n in times if n in entry}
     return {n: v for n, v in (("kind", kind), ("marks_per_revolution", marks)) if v is not None} | numbers
@@ -210,7 +203,7 @@ def _sensor(path: str | os.PathLike, found: object) -> dict:
 
 def _object(path: str | os.PathLike, name: str, found: object, known: tuple[str, ...]) -> dict:
     if not isinstance(found, dict):
-        raise BadInput(path, name, json.dumps(found), "an object in braces { }")
+        raise BadInput(path, name, shown(found), "an object in braces { }")
     for key in found:
         if key not in known:
             raise BadInput(path, f"{name}, {key}", "a field that is not known", ", ".join(known))
@@ -219,7 +212,7 @@ def _object(path: str | os.PathLike, name: str, found: object, known: tuple[str,
 
 def _number(path: str | os.PathLike, name: str, found: object, low: float, high: float) -> float:
     if isinstance(found, bool) or not isinstance(found, int | float) or not low <= found <= high:
-        raise BadInput(path, name, json.dumps(found), f"a number from {low:g} to {high:g}")
+        raise BadInput(path, name, shown(found), f"a number from {low:g} to {high:g}")
     return float(found)
 
 

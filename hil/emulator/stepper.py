@@ -34,7 +34,7 @@ class Stepper:
 def _compiled(owner: Stepper, parameters: Mapping[str, float], inputs: Mapping[str, float]):
     model = owner.model
     text = c_source(trace(model)) + (files("vpp_fmu.kernel") / "schedule.c").read_text()
-    library = ctypes.CDLL(str(compiled(text + (files("hil.emulator") / "stepper.c").read_text())))
+    library = compiled(text + (files("hil.emulator") / "stepper.c").read_text())
     library.begin.restype, library.end.restype = ctypes.c_void_p, None
     n_in, n_out = len(model.inputs), len(model.outputs)
     values = list(model.values(parameters).values())

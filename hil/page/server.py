@@ -112,7 +112,7 @@ class Stop(Guarded):
 
 def application(story: Story, token: str, press) -> Application:
     """The page of a story; `press`: what STOP does."""
-    texts = {name: (files("hil.page") / name).read_text() for name in ("page.html", "page.css", "page.js")}
+    texts = {name: (files("hil.page") / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
     texts["plotly.js"] = get_plotlyjs()
     routes = [
         (r"/([^/]+)/stream", Stream, {"token": token, "story": story}),

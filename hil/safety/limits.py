@@ -7,11 +7,12 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from hil.commands import PAPERS
-from hil.entries import Entries, Number, read_json
+from hil.entries import Entries, Number
 from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import DECLARED, Rig
+from vpp_fmu.structured import read_json
 
 FORMAT = "vpp-limits/1"
 

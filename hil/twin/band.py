@@ -1,6 +1,5 @@
 """The thrust residual of an identified model in normal operation: standard deviations of the noise and of the model error."""
 
-import json
 import os
 from dataclasses import dataclass
 from math import exp, inf, sqrt
@@ -9,7 +8,7 @@ import numpy as np
 from scipy.stats import t
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.structured import read_object
 
 SLOW_SHARE, SLOW_TIME = 0.37, 0.15
 """Default share of slow noise in the standard deviation, and its correlation time [s]. Repeated runs of four rigs have 0.36 to
@@ -50,8 +49,8 @@ class Band:
 def read_band(path: str | os.PathLike) -> Band:
     """Read the band from identification.json of `vpp identify` or `vpp diagnose`. BadInput names a missing entry."""
     allowed = "noise_floor_thrust and model_error, as vpp identify writes them"
+    content = read_object(path, allowed=allowed)
     try:
-        content = json.loads(read_text(path))
         floor, error = float(content["noise_floor_thrust"]), content["model_error"]
         if error is None:
             found = "null: no static map and no repeat told it"

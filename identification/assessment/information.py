@@ -6,7 +6,6 @@ Exact for small errors under white noise (Cramer and Rao). It ignores model erro
 information. All matrices are in relative units: each parameter divided by its size.
 """
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -17,9 +16,9 @@ import numpy as np
 from identification.fit.problem import Prior
 from identification.fit.uncertainty import NORMAL_95
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
+from vpp_fmu.structured import read_object, shown
 
 SMALLEST = 0.05
 """Minimum size of a parameter, as a share of its nominal value: 0 has no relative error."""
@@ -145,16 +144,14 @@ def read_knowledge(path: str | os.PathLike) -> tuple[Prior, float]:
     """(prior, median inflation of the standard deviations by coloured residuals) from an `identification.json`. BadInput for
     another file."""
     allowed = "an identification.json, as vpp identify writes it"
+    content = read_object(path, allowed=allowed)
     try:
-        content = json.loads(read_text(path))
         names = content["correlation"]["names"]
         fitted = [content["parameters"][name] for name in names]
         mean, std = (np.array([float(entry[key]) for entry in fitted]) for key in ("value", "std"))
         correlation = np.array(content["correlation"]["matrix"], float).reshape(len(names), len(names))
         inflation = [float(x) for x in content.get("inflation_by_coloured_residuals", {}).values()] or [1.0]
-    except json.JSONDecodeError as error:
-        raise BadInput(path, f"line {error.lineno}", f"no JSON ({error.msg})", allowed) from error
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise BadInput(path, "parameters, correlation", f"{type(error).__name__} {error}", allowed) from error
     determined = np.flatnonzero(std > 0)
     covariance = correlation[np.ix_(determined, determined)] * np.outer(std[determined], std[determined])
@@ -165,3 +162,15 @@ def read_knowledge(path: str | os.PathLike) -> tuple[Prior, float]:
     ):
         raise BadInput(path, "correlation", "no covariance that can be inverted", allowed)
     return Prior(tuple(names[k] for k in determined), mean[determined], covariance), float(np.median(inflation))
+
+
+def read_noise(path: str | os.PathLike) -> tuple[float, str] | None:
+    """(standard deviation of a thrust reading [N], where it comes from) as an `identification.json` says; None where it says
+    nothing. BadInput."""
+    content = read_object(path, allowed="an identification.json, as vpp identify writes it")
+    noise = content.get("noise_floor_thrust")
+    if noise is None:
+        return None
+    if isinstance(noise, bool) or not isinstance(noise, int | float) or noise < 0.0:
+        raise BadInput(path, "noise_floor_thrust", shown(noise), "a number in N, from 0")
+    return float(noise), str(content.get("noise_floor_thrust_from", path))

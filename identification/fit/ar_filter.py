@@ -40,10 +40,10 @@ def by_numpy(values: np.ndarray, order: int, spans, factors, scale: float) -> np
 def _compiled() -> Callable | None:
     """The same in C; None without a compiler."""
     try:
-        path = compiled((files("identification.fit") / "ar_filter.c").read_text())
+        library = compiled((files("identification.fit") / "ar_filter.c").read_text())
     except CompilerMissing:
         return None
-    run, count, array = ctypes.CDLL(str(path)).ar_residuals, ctypes.c_long, ctypes.c_void_p
+    run, count, array = library.ar_residuals, ctypes.c_long, ctypes.c_void_p
     run.argtypes = [array, count, count, count, count, array, array, ctypes.c_double, array, array]
     run.restype = None
 

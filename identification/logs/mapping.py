@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import sys
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -13,12 +12,8 @@ from identification.logs.clock import CALENDAR, guessed_unit, is_calendar
 from identification.logs.raw_table import RawTable, plain, split_unit
 from identification.logs.units import QUANTITIES, contradicts, factor_of, is_rate, scale_of
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text, shown
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from vpp_fmu.files import shown
+from vpp_fmu.structured import read_toml
 
 FORMAT = "vpp-mapping/1"
 FILE = "import.toml"
@@ -372,7 +367,7 @@ def _alive(sheet: RawTable, name: str, quantity: str) -> tuple[bool, bool]:
 
 
 def to_toml(sections: Mapping[str, Mapping]) -> str:
-    """The file import.toml, of sections by kind as `Plan.section` makes and `read_toml` reads them. `--map` takes it."""
+    """The file import.toml, of sections by kind as `Plan.section` makes and `read_sections` reads them. `--map` takes it."""
     lines = [f"format = {json.dumps(FORMAT)}"]
     for kind, section in sections.items():
         lines += ["", f"[{kind}]", f"log = {_quoted(str(section.get('log', '')))}"]
@@ -386,14 +381,9 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def read_toml(path: str | os.PathLike) -> dict[str, dict]:
+def read_sections(path: str | os.PathLike) -> dict[str, dict]:
     """The sections of an import.toml by kind, each `log`, `columns`, `fixed`, `read` as text. BadInput names the field."""
-    try:
-        content = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(
-            path, "file", f"no TOML ({' '.join(str(error).split())[:120]})", "an import.toml that vpp import wrote"
-        ) from error
+    content = read_toml(path, "an import.toml that vpp import wrote")
     if content.get("format") != FORMAT:
         raise BadInput(path, "format", shown(str(content.get("format", ""))), FORMAT)
     sections = {kind: section for kind, section in content.items() if kind != "format"}
@@ -411,7 +401,7 @@ def read_toml(path: str | os.PathLike) -> dict[str, dict]:
 
 def section_of(path: str | os.PathLike, kind: str) -> dict:
     """The section of a kind, or another one if it says the same of the columns as all others. BadInput."""
-    sections = read_toml(path)
+    sections = read_sections(path)
     if kind in sections:
         return sections[kind]
     first, *others = sections.values()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import read_text
+from vpp_fmu.structured import read_object, shown
 
 FORMAT = "vpp-speed-map/1"
 
@@ -203,19 +203,13 @@ def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: floa
 
 def read_speed_map(path: str | os.PathLike) -> SpeedMap:
     """Read `speed_map.json`. BadInput names file and field."""
-    try:
-        content = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise BadInput(path, "file", "no JSON", "a speed map that vpp import wrote") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = content.get("format") if isinstance(content, dict) else content
-        raise BadInput(path, "format", json.dumps(found)[:60], json.dumps(FORMAT))
+    content = read_object(path, FORMAT, "a speed map that vpp import wrote")
     span = content.get("signal")
     if not isinstance(span, dict) or span.get("kind") not in RANGES:
-        raise BadInput(path, "signal", json.dumps(span)[:60], f"an object with kind, one of {', '.join(RANGES)}")
+        raise BadInput(path, "signal", shown(span), f"an object with kind, one of {', '.join(RANGES)}")
     coefficients = content.get("coefficients")
     if not isinstance(coefficients, list) or len(coefficients) != 4:
-        raise BadInput(path, "coefficients", json.dumps(coefficients)[:60], "a list of 4 numbers in rpm")
+        raise BadInput(path, "coefficients", shown(coefficients), "a list of 4 numbers in rpm")
     numbers = [_number(path, f"coefficients, {k}", value) for k, value in enumerate(coefficients, 1)]
     low, high = (_number(path, f"signal, {name}", span.get(name)) for name in ("minimum", "maximum"))
     ends = [_number(path, f"signal, {name}", span.get(name)) for name in ("turns_from", "fitted_to")]
@@ -235,7 +229,7 @@ def read_speed_map(path: str | os.PathLike) -> SpeedMap:
 
 def _number(path: str | os.PathLike, field: str, found: object, above: float = -1e300) -> float:
     if isinstance(found, bool) or not isinstance(found, int | float) or not above < found < 1e300:
-        raise BadInput(path, field, json.dumps(found)[:60], "a number" if above < 0.0 else f"a number above {above:g}")
+        raise BadInput(path, field, shown(found), "a number" if above < 0.0 else f"a number above {above:g}")
     return float(found)
 
 

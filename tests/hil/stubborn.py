@@ -34,5 +34,5 @@ def stubborn(folder: Path, how: str, after: int | Path) -> Path:
     made = folder / f"{how}.fmu"
     with zipfile.ZipFile(made, "w") as archive:
         for name, content in files.items():
-            archive.writestr(name, library.read_bytes() if name.startswith("binaries/") else content)
+            archive.writestr(name, Path(library._name).read_bytes() if name.startswith("binaries/") else content)
     return made

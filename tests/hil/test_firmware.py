@@ -50,10 +50,9 @@ def host():
     include = '#include "tachometer.h"'
     assert include in source
     try:
-        library = compiled(source.replace(include, (SKETCH / "tachometer.h").read_text()))
+        functions = compiled(source.replace(include, (SKETCH / "tachometer.h").read_text()))
     except CompilerMissing as error:
         pytest.skip(str(error))
-    functions = ctypes.CDLL(library)
     functions.extended.restype = ctypes.c_uint32
     return functions
 

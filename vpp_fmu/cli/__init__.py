@@ -2,10 +2,12 @@
 
 import argparse
 import importlib
+import io
 import os
 import sys
 import warnings
 from importlib.metadata import entry_points
+from typing import TextIO
 
 from vpp_fmu import __version__
 from vpp_fmu.cli.options import near
@@ -30,6 +32,7 @@ VERBS = {
     "check-effect": "what holds for an effect of one's own",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "twin": "a rig's day: model and controller improve each other, round by round",
+    "cache": "the compiled models that are kept, and their end",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 
@@ -72,6 +75,7 @@ class Parser(argparse.ArgumentParser):
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb; returns the exit code: 0, or 2 where the input is bad, after one line on standard error; 128 and its number
     where a signal ended it."""
+    _prepare_streams()
     arguments = sys.argv[1:] if arguments is None else arguments
     verb = f"vpp {arguments[0]}" if arguments and arguments[0] in known_verbs() else "vpp"
     try:
@@ -86,14 +90,14 @@ def main(arguments: list[str] | None = None) -> int:
         words = str(error)  # which begin with the verb where no file is at fault
         return _refused(words if words.startswith((f"{verb}:", f"{verb} ")) else f"{verb}: {words}", error.code)
     except BrokenPipeError:
-        _give_up_output()
+        _give_up(sys.stdout)
         return READER_GONE
     except OSError as error:  # what no reader or writer of a file has put into words of its own
-        _give_up_output()
+        _give_up(sys.stdout)
         where, field = (error.filename, "file or folder") if error.filename else ("the system", "output")
         return _refused(f"{verb}: {BadInput(where, field, f'not usable ({reason(error)})', 'what can be read and written')}")
     except Stopped as why:
-        print(said(verb, why), file=sys.stderr)
+        _complain(said(verb, why))
         return why.code
     return 0
 
@@ -138,18 +142,36 @@ def parser_of(verb: str):
     return parser, module
 
 
-def _give_up_output() -> None:
-    """Drop what standard output refuses, where it does: the interpreter would complain of it once more at its end."""
+def _prepare_streams() -> None:
+    """A stream that is closed is empty or swallows all; one that is not UTF-8 gets "?" for what it cannot show."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # in this order each gets the number that is free, which no file must
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def _give_up(stream: TextIO) -> None:
+    """Drop what a stream refuses, where it does: the interpreter would complain of it once more at its end."""
     try:
-        sys.stdout.flush()
+        stream.flush()
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _refused(line: str, code: int = VppError.code) -> int:
-    print(" ".join(line.split()), file=sys.stderr)
+    _complain(" ".join(line.split()))
     return code
 
 
 def _one_line(message, *_):
-    print(f"vpp: note: {message}", file=sys.stderr)
+    _complain(f"vpp: note: {message}")
+
+
+def _complain(line: str) -> None:
+    """On standard error, where that takes anything."""
+    try:
+        print(line, file=sys.stderr, flush=True)
+    except OSError:
+        _give_up(sys.stderr)

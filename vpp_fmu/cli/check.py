@@ -48,9 +48,10 @@ def run(options):
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         bar.set_description("read")
         found = checked(read_campaign(options.campaign), accept, bar.set_description)
-    _say(found)
     if folder is not None:
         write_check(folder, found)
+    _say(found)
+    if folder is not None:
         say_written(folder)
     errors = found.errors
     if errors:

@@ -10,7 +10,7 @@ EXAMPLE = "vpp check-effect my_effect.py"
 
 
 def configure(parser):
-    parser.add_argument("file", metavar="FILE.py", help="the file, as --effects-from takes it")
+    parser.add_argument("file", metavar="FILE.py", help="the file, as --effects-from takes it; it runs its author's code")
 
 
 def run(options):

@@ -21,15 +21,15 @@ def run(options):
     folder = OutputSet(options.output, "compare")
     summary = held.summary()
     page = Page("Two records", f"{options.second} beside {options.first}, at the times of the latter.")
-    rows = []
+    rows, titles = [], []
     for name, figures in summary["columns"].items():
         unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
         rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
         title = f"{name} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}"
         pair = (held.time, held.first[name], held.time, held.second[name])
         page.figure(two_records(*pair, options.first, options.second, title, name, unit), "Second less first below.")
-        print(title)
+        titles.append(title)
     page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
     folder.write("comparison.json", as_json(summary))
     folder.write("report.html", page.html())
-    say_written(folder)
+    say_written(folder, lines=titles)

@@ -1,4 +1,6 @@
-"""Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set)."""
+"""Run the closed loop of a plant FMU and a controller FMU over a profile of wanted thrust (CSV with time, thrust_set).
+
+An FMU runs its author's code, with your rights."""
 
 from collections.abc import Mapping
 from contextlib import closing, nullcontext
@@ -38,7 +40,7 @@ def run(options):
     with (
         closing(FmuPlant(options.plant)) as plant,
         closing(FmuController(options.controller, dt=options.step)) as controller,
-        closing(FmuTwin(options.twin)) if options.twin else nullcontext() as twin,
+        closing(FmuTwin(options.twin, options.step)) if options.twin else nullcontext() as twin,
         tqdm(total=100, unit="%", disable=None, leave=False) as bar,
     ):
         plant.dt = controller.dt
@@ -50,9 +52,7 @@ def run(options):
         done = Record({**done.columns, **watched}, done.source)
     write_record(folder, "run.csv", done)
     folder.write("report.html", page.html())
-    for step in steps(done, limits=controller.limits):
-        print(told(step))
-    say_written(folder)
+    say_written(folder, lines=map(told, steps(done, limits=controller.limits)))
 
 
 def add_twin(page: Page, time: np.ndarray, told: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:

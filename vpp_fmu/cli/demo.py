@@ -49,13 +49,10 @@ def run(options):
         )
         bar.set_description("report")
         _write(folder, done)
-    for label, value, note in key_figures(done):
-        print(f"{label}: {value} ({note})")
-    for name, loop in done.loops.items():
-        for step in steps(loop):
-            print(f"{name}: {told(step)}")
-    print(f"{time.perf_counter() - began:.1f} s")
-    say_written(folder, done.diagnosis.parameters(done.diagnosis.final))
+    lines = [f"{label}: {value} ({note})" for label, value, note in key_figures(done)]
+    lines += [f"{name}: {told(step)}" for name, loop in done.loops.items() for step in steps(loop)]
+    lines.append(f"{time.perf_counter() - began:.1f} s")
+    say_written(folder, done.diagnosis.parameters(done.diagnosis.final), lines)
 
 
 def _write(folder: OutputFolder, done: Demo) -> None:

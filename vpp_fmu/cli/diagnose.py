@@ -71,15 +71,12 @@ def _one(options, campaign: str) -> None:
         stage("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
-    for finding in found.quality:
-        print(finding.text)
-    for line in found.logger.lines:
-        print(f"your logger: {line}")
-    print(headline(found))
-    for label, value, note in key_figures(found):
-        print(f"{label}: {value} ({note})" if note else f"{label}: {value}")
-    print(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
-    say_written(folder, found.parameters(found.final))
+    lines = [finding.text for finding in found.quality]
+    lines += [f"your logger: {line}" for line in found.logger.lines]
+    lines.append(headline(found))
+    lines += [f"{label}: {value} ({note})" if note else f"{label}: {value}" for label, value, note in key_figures(found)]
+    lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
+    say_written(folder, found.parameters(found.final), lines)
 
 
 def _model(options) -> dict:
@@ -121,13 +118,11 @@ def _fleet(options) -> None:
         for name, own in zip(_names(there), there, strict=True)
     ]
     entries = spread(_of_fleet, jobs, options.workers, options.scheduler, "campaigns")
-    for one in entries:
-        print(one.line)
     folder.write("fleet.csv", as_csv(entries))
     if (packed := as_parquet(entries)) is not None:
         folder.write("fleet.parquet", packed)
     folder.write("report.html", fleet_page(entries).html())
-    say_written(folder)
+    say_written(folder, lines=[one.line for one in entries])
     if refused := [e.name for e in entries if e.refused]:
         raise BadInput("fleet", "campaigns", f"{len(refused)} refused: {', '.join(refused)}", "what can be diagnosed")
 

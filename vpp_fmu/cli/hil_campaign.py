@@ -13,7 +13,6 @@ from tqdm import tqdm
 from hil.campaign import PARTS, Plan, follow, measure, parts_for, plan_for, same_commands, seconds
 from hil.commands import grid, resampled, steps
 from hil.cycle import PERIOD
-from hil.entries import read_json
 from hil.resume import attempts, forget, log_name, measured_so_far, partial
 from hil.rig import ENDINGS
 from hil.session import Setup, session
@@ -28,6 +27,7 @@ from vpp_fmu.parameters import parameters_file
 from vpp_fmu.parquet import as_parquet, check_parquet
 from vpp_fmu.record import Record, read_record, write_record
 from vpp_fmu.rig import FILE, Rig
+from vpp_fmu.structured import read_object
 
 EXAMPLE = "vpp hil campaign --virtual --hide linkage_play=0.5 -o campaigns/emulated"
 
@@ -125,12 +125,12 @@ def _told(options, setup: Setup, plan: Plan, folder: OutputFolder) -> dict:
     """What hil.json says before the first part; with --resume what it said, if the campaign is the same. BadInput."""
     path = folder.path / "hil.json"
     now_told = json.loads(as_json(hil_options.begun(options, setup) | {"plan": asdict(plan), "parts": {}}))
-    before = read_json(path) if path.exists() else {}
+    before = read_object(path) if path.exists() else {}
     unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
     if not options.resume:
         if unfinished:
             allowed = "--resume, or another folder"
-            raise BadInput(folder.path, "campaign", f"one that did not come to its end, begun {before['begun']}", allowed)
+            raise BadInput(folder.path, "campaign", f"one that did not come to its end, begun {before.get('begun')}", allowed)
         for part in (*PARTS, "record"):
             forget(folder.path, part)
         return now_told

@@ -40,7 +40,7 @@ WORD = "spin"
 
 def add_rig(parser, fmu: bool = False) -> None:
     """The options that choose and describe the rig."""
-    kinds = "emulated (default) or real" + (", or fmu PLANT.fmu" if fmu else "")
+    kinds = "emulated (default) or real" + (", or fmu PLANT.fmu, which runs its author's code" if fmu else "")
     text = f"{kinds}; and the rig's rig.json, which declares what it may do (default: what --parameters tells of its campaign, "
     text += "the paper's rig for the emulated one; the real rig needs one of the two)"
     parser.add_argument("--rig", nargs="+", default=["emulated"], metavar=("KIND", "FILE"), help=text)
@@ -107,7 +107,7 @@ def add_controller(parser) -> None:
         "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
     )
     parser.add_argument("--gains", metavar="G", help=text)
-    parser.add_argument("--controller", metavar="FMU", help="a controller FMU instead")
+    parser.add_argument("--controller", metavar="FMU", help="a controller FMU instead; it runs its author's code")
 
 
 @dataclass(frozen=True)

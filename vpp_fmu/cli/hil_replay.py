@@ -1,4 +1,6 @@
-"""Feed what a controller saw in a recorded run to a controller FMU, and compare what it commands, to the bit."""
+"""Feed what a controller saw in a recorded run to a controller FMU, and compare what it commands, to the bit.
+
+An FMU runs its author's code, with your rights."""
 
 import warnings
 

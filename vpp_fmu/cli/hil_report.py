@@ -6,13 +6,13 @@ rows that reached the disk are given the log's name first."""
 import sys
 from pathlib import Path
 
-from hil.entries import read_json
 from hil.runs import told_by_files
 from hil.session import found_log, read_log
 from vpp_fmu.cli.hil_outcome import RUNNING, finish, kept_of
 from vpp_fmu.cli.output import say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.structured import read_object
 
 EXAMPLE = "vpp hil report out/runs/20260307T141500"
 
@@ -39,9 +39,7 @@ def _begun(path: Path) -> dict:
     """What hil.json says; nothing where there is none."""
     if not path.exists():
         return {"format": "vpp-hil/1"}
-    told = read_json(path)
-    if not isinstance(told, dict) or told.get("format") != "vpp-hil/1":
-        raise BadInput(path, "format", "not vpp-hil/1", "what vpp hil run has written")
+    told = read_object(path, "vpp-hil/1", "what vpp hil run has written")
     if "parts" in told:
         raise BadInput(path, "parts", "a campaign", "a run; a campaign goes on with vpp hil campaign --resume")
     return told

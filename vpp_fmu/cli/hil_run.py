@@ -85,7 +85,11 @@ def configure(parser):
     parser.add_argument("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     hil_options.add_watch(parser)
     hil_options.add_records(parser)
-    parser.add_argument("--beside", metavar="PLANT.fmu", help="the same loop with this plant too, and the difference in N")
+    parser.add_argument(
+        "--beside",
+        metavar="PLANT.fmu",
+        help="the same loop with this plant FMU too, which runs its author's code, and the difference in N",
+    )
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
     parser.add_argument("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
     add_output(parser)

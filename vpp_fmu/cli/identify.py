@@ -55,15 +55,11 @@ def run(options):
         )
         bar.set_description("report")
         write_identification(folder, found)
-    for finding in found.quality:
-        print(finding.text)
-    for line in found.logger.lines:
-        print(f"your logger: {line}")
-    for remark in (*remarks(found), *untold(found)):
-        print(remark)
-    for label, value, note in key_figures(found):
-        print(f"{label}: {value} ({note})")
-    say_written(folder, found.parameters)
+    lines = [finding.text for finding in found.quality]
+    lines += [f"your logger: {line}" for line in found.logger.lines]
+    lines += [*remarks(found), *untold(found)]
+    lines += [f"{label}: {value} ({note})" for label, value, note in key_figures(found)]
+    say_written(folder, found.parameters, lines)
 
 
 def write_identification(folder: OutputFolder, found: Identification) -> None:

@@ -31,7 +31,7 @@ from identification.logs.mapping import (
     parse_fixed,
     parse_pairs,
     propose,
-    read_toml,
+    read_sections,
     section_of,
     to_toml,
 )
@@ -107,10 +107,9 @@ def run(options):
     beside = map_beside(options.output, span, options.log) if span and given is None else None
     propeller = Propeller(options.diameter, options.density)
     taken = take_in(sheet, plan, options.kind, given or beside, propeller, options.force)
+    folder, said = _written(options, plan, taken)
     _say_columns(sheet, plan, taken)
-    for line in taken.said:
-        print(line)
-    _write(options, plan, taken)
+    say_written(folder, lines=[*taken.said, *said])
 
 
 def _section(options) -> dict:
@@ -200,16 +199,14 @@ def _say_columns(sheet: RawTable, plan: Plan, taken: Taken) -> None:
         print(f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed")
 
 
-def _write(options, plan: Plan, taken: Taken) -> None:
-    """The campaign's file, the mapping, the speed map: all of them or none."""
+def _written(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
+    """The campaign's file, the mapping, the speed map: all of them or none. Where they are, and what is said of them."""
     place = Path(options.output)
-    sections = read_toml(place / FILE) if (place / FILE).exists() else {}
+    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
     folder, said = placed(place, options.kind, taken, options.replace, options.mend)
     folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
     if taken.speed_map is not None and not (place / SPEED_MAP).exists():
         folder.write(SPEED_MAP, taken.speed_map.to_json())
     if taken.clock is not None and "run" not in taken.columns:
         said = said_of_gaps(taken.record()) + said
-    for line in said:
-        print(line)
-    say_written(folder)
+    return folder, said

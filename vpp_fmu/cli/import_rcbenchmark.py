@@ -62,8 +62,7 @@ def run(options):
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
     lines += said_of_map(figures["speed_map"], known) if known else ["omega_ref: the measured speed"]
     lines += said
-    print(*lines, sep="\n")
-    say_written(folder)
+    say_written(folder, lines=lines)
 
 
 def _pitch(options, log: Log) -> float:

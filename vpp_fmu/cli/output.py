@@ -5,7 +5,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,13 +31,14 @@ def add_accept(parser) -> None:
 
 def add_effects_from(parser) -> None:
     """The option that adds effects of one's own to the library."""
-    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; may be repeated"
+    text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; "
+    text += "it runs its author's code; may be repeated"
     parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
 
 
 def as_json(content: dict) -> str:
     """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
@@ -58,10 +59,14 @@ def stages(verb: str) -> Iterator[Callable[[str], None]]:
     yield lambda text: print(f"{verb}: {text} ({time.monotonic() - began:.0f} s)", file=sys.stderr, flush=True)
 
 
-def say_written(folder: OutputFolder, parameters: ParameterSet | None = None) -> None:
-    """Put a set into its place, and say what it took the place of. `parameters`: those that the results speak of."""
+def say_written(folder: OutputFolder, parameters: ParameterSet | None = None, lines: Iterable[str] = ()) -> None:
+    """Put a set into its place, then print the results' `lines`, and what the set took the place of: standard output may fail.
+    `parameters`: those that the results speak of."""
     if isinstance(folder, OutputSet):
         folder.finish(parameters and parameters.identity)
+    for line in lines:
+        print(line)
+    if isinstance(folder, OutputSet):
         told = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
         told["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
         for what, names in told.items():

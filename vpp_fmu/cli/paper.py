@@ -45,13 +45,10 @@ def run(options):
         bar.set_description("report")
         folder.write("paper.json", as_json(summary(done, total)))
         folder.write("report.html", page(done, total).html())
-    print(verdict(done))
-    for label, value, note in tiles(done, total):
-        print(f"{label}: {value} ({note})")
-    for name, seconds in done.seconds.items():
-        print(f"{name}: {seconds:.1f} s")
-    print(f"the whole study: {time.perf_counter() - began:.1f} s")
-    say_written(folder, done.found.parameters)
+    lines = [verdict(done), *(f"{label}: {value} ({note})" for label, value, note in tiles(done, total))]
+    lines += [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]
+    lines.append(f"the whole study: {time.perf_counter() - began:.1f} s")
+    say_written(folder, done.found.parameters, lines)
 
 
 def _write(folder: OutputFolder, done: Study) -> None:

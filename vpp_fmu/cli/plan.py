@@ -2,13 +2,13 @@
 
 They stay within the range that the parameters' campaign was measured over, or that its rig.json declares."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.assessment.information import read_noise
 from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.fit.uncertainty import NORMAL_95
@@ -20,7 +20,7 @@ from vpp_fmu.cli.options import SEED, Number
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written
 from vpp_fmu.cli.prompts import Prompts
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.outputs import OutputSet
@@ -120,13 +120,8 @@ def run(options):
     )
     remarks = remarks_on(found, inflation)
     write_plan(folder, found, basis.lines(), remarks, parameters.label)
-    for line in basis.lines():
-        print(line)
-    for label, value, note in key_figures(found):
-        print(f"{label}: {value} ({note})")
-    for remark in remarks:
-        print(f"note: {remark}")
-    say_written(folder, parameters)
+    lines = [*basis.lines(), *(f"{label}: {value} ({note})" for label, value, note in key_figures(found))]
+    say_written(folder, parameters, [*lines, *(f"note: {remark}" for remark in remarks)])
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
@@ -219,9 +214,9 @@ def _noise(options, campaign: Campaign | None, parameters: ParameterSet, told: s
     if options.noise is not None:
         return options.noise, ASKED
     if told and (options.knowledge or campaign is None):  # a campaign that was named goes before a file that was not
-        content = json.loads(read_text(told))  # read_knowledge found it sound
-        if content.get("noise_floor_thrust"):
-            return float(content["noise_floor_thrust"]), content.get("noise_floor_thrust_from", told)
+        found = read_noise(told)
+        if found and found[0] > 0.0:
+            return found
     if campaign is not None:
         records = [record for record in (campaign.open_loop, campaign.repeat) if record is not None]
         shown = [predict(parameters.model, parameters.values, record) for record in records]

@@ -28,6 +28,6 @@ def run(options):
     columns = {name: record[name] for name in ("time", "omega_ref", "beta_ref")}
     columns |= {"thrust": shown.thrust, "omega": shown.omega, "beta": shown.beta}
     write_record(folder, "prediction.csv", Record(columns, "vpp simulate"))
-    if "thrust" in record and shown.rmse_thrust is not None:
-        print(f"thrust: rmse {number(shown.rmse_thrust)} N against {options.record}")
-    say_written(folder, parameters)
+    measured = "thrust" in record and shown.rmse_thrust is not None
+    lines = [f"thrust: rmse {number(shown.rmse_thrust)} N against {options.record}"] if measured else []
+    say_written(folder, parameters, lines)

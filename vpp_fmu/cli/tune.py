@@ -5,10 +5,10 @@ handed out only if no step settles later, overshoots or rings more than under th
 The result is run again through both FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn
 from the parameters' uncertainty."""
 
-import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
+from identification.assessment.information import read_noise
 from identification.tune.controllers import controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
@@ -20,7 +20,7 @@ from vpp_fmu.cli.knowledge import knowledge_of
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.cli.output import add_effects_from, add_output, as_json, dated, say_written
 from vpp_fmu.errors import BadInput
-from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
@@ -105,16 +105,20 @@ def run(options):
         print(line)
     found = tune(task, starts, options.workers, options.scheduler)
     write_tuning(folder, found, **came)
+    say_written(folder, parameters, _results(found))
+
+
+def _results(found: Tuning) -> Iterator[str]:
+    """What was found, in lines."""
     for name, tuned in found.tuned.items():
         for which, verdict in tuned.verdicts.items():
-            print(f"{NAMES[name]}, {task.reference} → {which}")
+            yield f"{NAMES[name]}, {found.task.reference} → {which}"
             for step, *changes in change_rows(verdict):
-                print(f"  {step}: " + ", ".join(f"{n} {c}" for n, c in zip(UNITS, changes, strict=True)))
-            print("  " + ", ".join(f"{margin} {change}" for margin, change in margin_rows(verdict)))
+                yield f"  {step}: " + ", ".join(f"{n} {c}" for n, c in zip(UNITS, changes, strict=True))
+            yield "  " + ", ".join(f"{margin} {change}" for margin, change in margin_rows(verdict))
     for label, value, note in key_figures(found):
-        print(f"{label}: {value} ({note})")
-    print(f"tuned in {found.seconds:.1f} s")
-    say_written(folder, parameters)
+        yield f"{label}: {value} ({note})"
+    yield f"tuned in {found.seconds:.1f} s"
 
 
 def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.PathLike[str], ParameterSet]) -> None:
@@ -183,8 +187,8 @@ def _noise(options, told: str | None) -> float:
     """N: what is asked for, else what the identification in the file `told` found; 0 without either."""
     if options.noise is not None or not told:
         return options.noise or 0.0
-    floor = json.loads(read_text(told)).get("noise_floor_thrust")
-    return float(floor) if isinstance(floor, int | float) else 0.0
+    found = read_noise(told)
+    return found[0] if found else 0.0
 
 
 def _assumed(text: str, parameters: ParameterSet) -> tuple[str, float]:

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from textwrap import dedent
 
 from vpp_fmu.export.icon import icon
+from vpp_fmu.files import as_bytes
 from vpp_fmu.kernel.types import REAL, Effect, Model, Parameter, Signal, no_step
 
 EFFECTS = "vpp_fmu.kernel.effects"
@@ -49,7 +50,7 @@ def documents(
     """
     licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in packages}
     return {
-        "documentation/index.html": _page(model, values, origins or {}).encode(),
+        "documentation/index.html": as_bytes(_page(model, values, origins or {})),
         "documentation/licenses/license.txt": _licence("vpp-fmu").encode(),
         **licences,
         "model.png": icon(),

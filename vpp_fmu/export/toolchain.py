@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from vpp_fmu.errors import BadInput, CompilerMissing
-from vpp_fmu.native.compiler import cache_folder, compiler
+from vpp_fmu.native.compiler import ZIG, cache_folder, compiler
 from vpp_fmu.tracer.graph import CALLS
 
 TARGETS = {
@@ -142,7 +142,7 @@ def _link_for_windows(cc: list[str], zig: list[str], library: str, work: str) ->
 
 def _run(command: list[str], work: str) -> None:
     """In the folder `work`, with relative names only: a library must not depend on where it was made."""
-    cache = str(cache_folder() / "zig")
+    cache = str(cache_folder() / ZIG)
     environment: Mapping[str, str] = {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache, **os.environ}
     done = subprocess.run(command, cwd=work, env=environment, check=False, capture_output=True, text=True)
     if done.returncode:

@@ -92,7 +92,7 @@ def _compiled(model: Model):
     texts = [c_source(program), c_adjoints(program), "#define OBSERVED\n"]
     texts += [(files("vpp_fmu.kernel") / "schedule.c").read_text(), (files("vpp_fmu.native") / "adjoint.c").read_text()]
     try:
-        library = ctypes.CDLL(str(compiled("".join(texts))))
+        library = compiled("".join(texts))
     except CompilerMissing as missing:
         raise CompilerMissing(f"{missing}: the adjoint gradient needs one") from missing
     vector, whole = np.ctypeslib.ndpointer(float, flags="C"), np.ctypeslib.ndpointer(ctypes.c_long, flags="C")

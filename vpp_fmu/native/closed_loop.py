@@ -18,7 +18,7 @@ from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.compiler import compiled
 from vpp_fmu.native.part import CompiledPart, InterpretedPart
 from vpp_fmu.native.simulator import _say_once
-from vpp_fmu.record import Record
+from vpp_fmu.record import Record, held
 
 JUMP = 0.05
 """Changes of the wanted thrust that are smaller than this share of its span are no steps to be judged."""
@@ -48,10 +48,8 @@ class Course:
     @classmethod
     def of(cls, references: Record, dt: float, scale: float, noise: np.ndarray | None = None, **more) -> "Course":
         """The course of a profile (`time` [s], `thrust_set` [N], each held to the next row), as `vpp_fmu.loop.run` has it."""
-        count = round((references.time[-1] - references.time[0]) / dt) + 1
-        held = np.searchsorted(references.time - references.time[0], np.arange(count) * dt + 1e-9, side="right") - 1
-        wanted = np.ascontiguousarray(references["thrust_set"][held], float)
-        return cls(wanted, np.zeros(count) if noise is None else noise, dt, scale, **more)
+        _, wanted = held(references, dt)
+        return cls(wanted, np.zeros(len(wanted)) if noise is None else noise, dt, scale, **more)
 
 
 class ClosedLoop:
@@ -120,7 +118,7 @@ class _Profile(ctypes.Structure):
 
 def _compiled(models: Sequence[Model]):
     parts = [_part(model) for model in models]
-    run_loops = ctypes.CDLL(str(compiled((files("vpp_fmu.native") / "loop.c").read_text()))).run_loops
+    run_loops = compiled((files("vpp_fmu.native") / "loop.c").read_text()).run_loops
     pointers, longs, vector = ctypes.c_void_p * 3, ctypes.c_long * 3, ctypes.c_void_p
     run_loops.argtypes = [vector, pointers, longs, ctypes.c_long, ctypes.POINTER(_Profile), vector, vector]
     table = (ctypes.c_void_p * 9)(*(address for part in parts for address in part.addresses))

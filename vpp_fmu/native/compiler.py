@@ -1,11 +1,17 @@
-"""Finds a C compiler, compiles, and keeps what was compiled under a name made from its content."""
+"""Finds a C compiler, compiles, and keeps what was compiled under a name made from its source.
 
+A cut-off library ends the process with SIGBUS as it is loaded, and a foreign one may do anything. So a library ends with a hash
+of what precedes it, and none is loaded that fails this check, belongs to another user or may be written by others.
+"""
+
+import contextlib
+import ctypes
 import hashlib
 import os
 import platform
 import shutil
+import stat
 import subprocess
-import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -21,6 +27,15 @@ FLAGS = (
 contraction into fused multiply-adds: they round once where Python rounds twice, and the bits would differ. Nobody reads errno
 or the exception flags: without them roots are one instruction, and choices need no branch."""
 
+LARGEST = 100 * 2**20
+"""Bytes of all kept libraries: some 2000. A long diagnosis needs some hundred."""
+
+ZIG = "zig"
+"""Folder of the compiler for other platforms, which looks after it itself."""
+
+HASH = hashlib.sha256
+OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
 
 @cache
 def compiler() -> str:
@@ -32,38 +47,143 @@ def compiler() -> str:
     raise CompilerMissing(f"no C compiler found (looked for {', '.join(wanted)})")
 
 
-def compiled(source: str) -> Path:
-    """The shared library for a C source text; compiled at the first call, taken from the cache afterwards."""
+def compiled(source: str) -> ctypes.CDLL:
+    """The shared library of a C source text: compiled at the first call, loaded from the cache afterwards.
+
+    CompilerMissing: there is no compiler, or it fails.
+    """
     return compiled_as(source, lambda: source)
 
 
-def compiled_as(name: str, source: Callable[[], str]) -> Path:
-    """The same under a `name` that no other source text has, which need not be made where the library is there already."""
+def compiled_as(name: str, source: Callable[[], str]) -> ctypes.CDLL:
+    """The same under a `name` that no other source text has. `source` is only called where the library is not kept yet."""
     cc = compiler()
-    tag = hashlib.sha256("\0".join([name, cc, *FLAGS, platform.machine()]).encode()).hexdigest()[:24]
-    library = cache_folder() / f"{tag}.so"
-    if not library.exists():
-        with tempfile.TemporaryDirectory(dir=library.parent) as work:
-            text, built = Path(work, "model.c"), Path(work, "model.so")
-            text.write_text(source())
-            subprocess.run([cc, *FLAGS, str(text), "-o", str(built), "-lm"], check=True, capture_output=True, text=True)
-            os.replace(built, library)  # whole or not at all: several processes may compile the same
-    return library
+    tag = HASH("\0".join([name, cc, *FLAGS, platform.machine()]).encode()).hexdigest()[:24]
+    for folder in (cache_folder, private_folder):
+        library = folder() / f"{tag}.so"
+        if found := _loaded(library):
+            return found
+        with contextlib.suppress(OSError):  # no room, no permission
+            _build(cc, source(), library)
+        if found := _loaded(library):
+            return found
+    raise CompilerMissing(f"what {cc} compiles cannot be loaded")
+
+
+def _loaded(library: Path) -> ctypes.CDLL | None:
+    """A kept library, marked as used now; None, and the file deleted, where it cannot be trusted or loaded."""
+    try:
+        if not _is_sound(library):
+            raise OSError
+        found = ctypes.CDLL(str(library))
+    except FileNotFoundError:
+        return None
+    except OSError:
+        with contextlib.suppress(OSError):
+            library.unlink()
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(library)
+    return found
+
+
+def _is_sound(library: Path) -> bool:
+    """Whether the file is this user's alone and whole. OSError."""
+    with open(os.open(library, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as file:
+        status = os.fstat(file.fileno())
+        if not _is_own(status) or status.st_mode & OTHERS:
+            return False
+        content = file.read()
+    size = HASH().digest_size
+    return len(content) > size and HASH(content[:-size]).digest() == content[-size:]
+
+
+def _is_own(status: os.stat_result) -> bool:
+    return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
+
+
+def _build(cc: str, source: str, library: Path) -> None:
+    """Whole or not at all: several processes may compile the same, and a power cut may come. OSError, CompilerMissing."""
+    with contextlib.closing(Scratch(library.parent)) as work:
+        (work.path / "model.c").write_text(source, encoding="utf-8")
+        _run([cc, *FLAGS, "model.c", "-o", "model.so", "-lm"], work.path)
+        built = work.path / "model.so"
+        with open(built, "r+b") as file:
+            digest = HASH(file.read()).digest()
+            file.write(digest)
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut can leave the new name with no content
+        built.chmod(0o600)
+        os.replace(built, library)
+    _evict(library)
+
+
+def _run(command: list[str], work: Path) -> None:
+    """CompilerMissing where the compiler fails: a machine without the C library's headers has none that serves."""
+    try:
+        done = subprocess.run(command, cwd=work, check=False, capture_output=True, text=True, errors="replace")
+        errors = [line.partition("error: ")[2] for line in done.stderr.splitlines() if "error: " in line]
+        failure = (errors[0] if errors else f"exit code {done.returncode}") if done.returncode else ""
+    except OSError as error:
+        failure = str(error.strerror)
+    if failure or not (work / "model.so").is_file():
+        raise CompilerMissing(f"the C compiler {command[0]} fails ({failure or 'no output'})")
+
+
+def kept() -> list[tuple[Path, os.stat_result]]:
+    """The kept libraries with what the system says of them, the least recently used first."""
+    found = []
+    for path in cache_folder().glob("*.so"):
+        with contextlib.suppress(OSError):  # another process has just deleted it
+            found.append((path, path.lstat()))
+    return sorted(found, key=lambda each: each[1].st_mtime)
+
+
+def clear() -> None:
+    """Delete all kept libraries, and what the compiler for other platforms keeps beside them."""
+    for path, _ in kept():
+        path.unlink(missing_ok=True)
+    shutil.rmtree(cache_folder() / ZIG, ignore_errors=True)
+
+
+def _evict(newest: Path) -> None:
+    """Delete the least recently used until LARGEST holds the rest. A process that has loaded one keeps it."""
+    libraries = kept()
+    excess = sum(status.st_size for _, status in libraries) - LARGEST
+    for path, status in libraries:
+        if excess <= 0:
+            return
+        if path != newest:
+            path.unlink(missing_ok=True)
+            excess -= status.st_size
 
 
 @cache
 def cache_folder() -> Path:
-    """`$XDG_CACHE_HOME/vpp-fmu`, or a temporary folder where that can't be written."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "vpp-fmu")
+    """`$XDG_CACHE_HOME/vpp-fmu` where that is absolute, else `~/.cache/vpp-fmu`; a temporary folder where it is another user's
+    or cannot be written."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError:
-        return _own().path
+        base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        folder = (base if base.is_absolute() else Path.home() / ".cache") / "vpp-fmu"
+        if not folder.is_absolute():
+            return private_folder()
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        status = folder.stat()
+        if not _is_own(status):
+            return private_folder()
+        if status.st_mode & OTHERS:  # who may write into the folder may exchange a library after its check
+            folder.chmod(0o700)
+        Scratch(folder).close()
+    except (OSError, RuntimeError):  # RuntimeError: nobody knows where home is
+        return private_folder()
     return folder
+
+
+def private_folder() -> Path:
+    """A folder that goes with the process."""
+    return _own().path
 
 
 @cache
 def _own() -> Scratch:
-    """Goes with the process."""
     return Scratch()

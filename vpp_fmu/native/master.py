@@ -67,7 +67,7 @@ def run_together(
 
 @cache
 def _run_master():
-    function = ctypes.CDLL(str(compiled((files("vpp_fmu.native") / "master.c").read_text()))).run_master
+    function = compiled((files("vpp_fmu.native") / "master.c").read_text()).run_master
     pointer, number = ctypes.c_void_p, ctypes.c_long
     function.argtypes = [pointer, pointer, ctypes.c_double, number, number, number, pointer, pointer, pointer]
     return function

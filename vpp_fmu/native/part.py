@@ -16,7 +16,7 @@ class CompiledPart:
 
     def __init__(self, model: Model):
         source = c_source(trace(model)) + (files("vpp_fmu.kernel") / "schedule.c").read_text()
-        library = ctypes.CDLL(str(compiled(source + (files("vpp_fmu.native") / "part.c").read_text())))
+        library = compiled(source + (files("vpp_fmu.native") / "part.c").read_text())
         functions = library.part_size, library.part_begin, library.part_advance
         self.addresses = tuple(ctypes.cast(function, ctypes.c_void_p).value for function in functions)
 

@@ -217,7 +217,7 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
         return "".join((c_source(program), c_lanes(program), *(path.read_text() for path in after)))
 
     known = chain.text
-    library = ctypes.CDLL(str(compiled_as(f"{known} {wrt}", source) if known else compiled(source())))
+    library = compiled_as(f"{known} {wrt}", source) if known else compiled(source())
     vector = np.ctypeslib.ndpointer(float, flags="C")
     library.begin.argtypes, library.begin.restype = [vector, vector, ctypes.c_int], ctypes.c_void_p
     library.proceed.argtypes = [ctypes.c_void_p, vector, vector, ctypes.c_long, ctypes.c_int, vector, ctypes.c_void_p]

@@ -1,0 +1,55 @@
+"""The fuzz study (python -m tests.studies fuzz), short: verbs that take little time, other seeds than the study's own."""
+
+import os
+import random
+
+import pytest
+from studies import fuzz
+
+QUICK = ("compare", "simulate", "import", "export", "cosim", "plan", "effects")
+
+
+@pytest.fixture(scope="module")
+def found():
+    if not hasattr(os, "fork"):
+        pytest.skip("no fork on this system")
+    return list(fuzz.cases(10**6, 60, QUICK))
+
+
+def test_no_damaged_file_ends_in_anything_but_0_or_2(found):
+    assert len(found) == 60
+    assert {case.verb for case in found} == set(QUICK)
+    assert [line for line in fuzz.shown(found) if line.startswith(fuzz.FAULTS)] == []
+
+
+def test_good_files_are_no_reason_to_refuse(tmp_path):
+    good = fuzz.made_apart(tmp_path)
+    assert [
+        each for each in fuzz.undamaged(("compare", "simulate", "import", "export", "cosim"), good, tmp_path) if each[1]
+    ] == []
+
+
+def test_the_damage_is_told_from_no_damage(found):
+    """Most damaged files are refused, and some are not: a study of good files alone, or of nothing but noise, shows little."""
+    refused = sum(case.code == 2 for case in found)
+    assert 20 <= refused <= 58
+
+
+def test_a_seed_is_a_case():
+    data = b"time,thrust\n" + b"".join(b"%d,%d\n" % (k, 2 * k) for k in range(20))
+    for seed in range(50):
+        assert fuzz.table(random.Random(seed), data) == fuzz.table(random.Random(seed), data)
+
+
+def test_faults_are_seen(tmp_path):
+    """What the study looks for, each made on purpose."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a.json").write_text('{"x": NaN}')
+    (out / ".b.csv.12.part").write_text("")
+    faults = set(fuzz._faults("plan", (), 1, "Traceback (most recent call last):\nx\n", out))
+    assert faults == {"exit code", "traceback", "half-written", "NaN in JSON"}
+    assert set(fuzz._faults("plan", (), None, "", tmp_path / "none")) == {"over 60 s"}
+    assert set(fuzz._faults("plan", (), 2, "one\ntwo\n", tmp_path / "none")) == {"not one line"}
+    assert set(fuzz._faults("plan", (), -11, "", tmp_path / "none")) == {"exit code"}
+    assert not set(fuzz._faults("plan", (), 2, "vpp plan: x: found y, allowed is z\n", tmp_path / "none"))

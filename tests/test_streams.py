@@ -1,0 +1,122 @@
+"""Standard streams that are closed, full or not UTF-8, and folder names that are not: each verb ends as it should."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vpp_fmu.cli import main, parser_of
+
+ROOT = str(Path(__file__).parents[1])
+ASCII = {"PYTHONIOENCODING": "ascii"}
+C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+NAME = b"caf\xe9 \xe2\x86\x92"
+"""A folder name with a byte that is no UTF-8, and an arrow that is."""
+
+PARAMETERS = {"format": "vpp-parameters/1", "parameters": {}, "effects": [], "source": {"campaign": "Fläche → Süd"}}
+
+
+@pytest.fixture
+def here(tmp_path):
+    """A folder of that name with a record and parameters; the place's path in bytes."""
+    place = os.fsencode(tmp_path) + b"/" + NAME
+    os.mkdir(place)
+    for name, text in (
+        (b"record.csv", "time,omega_ref,beta_ref,thrust\n0,4000,5,5\n0.004,4000,5,5.1\n0.008,4100,5,5.2\n"),
+        (b"p.json", json.dumps(PARAMETERS)),
+    ):
+        with open(place + b"/" + name, "w", encoding="utf-8") as file:
+            file.write(text)
+    return place
+
+
+def run(words, redirected="", **environment):
+    """`vpp` in a shell, which can close streams: (exit code, bytes on standard output, on standard error)."""
+    quoted = [word if isinstance(word, bytes) else os.fsencode(word) for word in words]
+    command = [b"sh", b"-c", b'exec "$0" -m vpp_fmu "$@" ' + redirected.encode(), os.fsencode(sys.executable), *quoted]
+    done = subprocess.run(command, check=False, capture_output=True, env=os.environ | {"PYTHONPATH": ROOT} | environment)
+    assert b"Traceback" not in done.stderr
+    assert b"Error" not in done.stderr
+    return done.returncode, done.stdout, done.stderr
+
+
+def simulate(here, *more):
+    return ["simulate", here + b"/record.csv", "--parameters", here + b"/p.json", "-o", here + b"/out", *more]
+
+
+@pytest.mark.parametrize("environment", [ASCII, C_LOCALE, {}], ids=["ascii", "C locale", "as it is"])
+@pytest.mark.parametrize("redirected", ["", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirected, here):
+    code, out, said = run(simulate(here), redirected, **environment)
+    assert (code, said) == (0, b"")
+    assert (b"written to" in out) == (">&-" not in redirected.replace("2>&-", ""))
+    assert os.path.getsize(here + b"/out/prediction.csv") > 0
+    code, _, said = run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], redirected, **environment)
+    assert code == 2
+    assert said.count(b"\n") == (0 if "2>&-" in redirected else 1)
+
+
+def test_what_a_terminal_cannot_show_is_replaced(here):
+    """The page of an effect has arrows and Greek letters; so has the campaign's name."""
+    for words in (["check-effect", "none →.py"], ["export", "--parameters", here + b"/p.json", "-o", here + b"/fmus"]):
+        _, out, said = run(words, **ASCII)
+        (out + said).decode("ascii")
+        assert b"?" in out + said
+
+
+def test_a_full_standard_output_is_told_after_the_results_are_written(here):
+    code, _, said = run(simulate(here), ">/dev/full")
+    assert code == 2
+    assert said.count(b"\n") == 1
+    assert b"no space left" in said
+    assert os.path.getsize(here + b"/out/prediction.csv") > 0
+
+
+def test_a_full_standard_error_changes_no_exit_code(here):
+    assert run(simulate(here), "2>/dev/full")[0] == 0
+    assert run(["simulate", here + b"/none.csv", "--parameters", here + b"/p.json"], "2>/dev/full")[0] == 2
+
+
+def test_names_that_are_no_utf_8_stand_in_no_file_as_half_characters(here):
+    """Every file of a page's or FMU's verb can be read as UTF-8, JSON and all."""
+    assert run(["compare", here + b"/record.csv", here + b"/record.csv", "-o", here + b"/pair"])[0] == 0
+    assert run(simulate(here))[0] == 0
+    for folder in (b"/pair", b"/out"):
+        for name in os.listdir(here + folder):
+            with open(here + folder + b"/" + name, encoding="utf-8") as file:
+                text = file.read()
+            if name.endswith(b".json"):
+                json.dumps(json.loads(text), ensure_ascii=False).encode()
+
+
+def test_results_are_in_place_before_a_line_of_them_is_printed(here, monkeypatch, tmp_path):
+    """A standard output that fails at the first character."""
+
+    class Broken:
+        def write(self, text):
+            raise BrokenPipeError
+
+        def flush(self):
+            pass
+
+        def fileno(self):
+            return os.open(os.devnull, os.O_WRONLY)
+
+    monkeypatch.setattr(sys, "stdout", Broken())
+    assert main([os.fsdecode(word) for word in simulate(here)]) == 141
+    assert os.path.getsize(here + b"/out/prediction.csv") > 0
+
+
+@pytest.mark.parametrize("verb", ["cosim", "check-effect", "simulate", "diagnose", "plan", "tune", "export"])
+def test_help_says_whose_code_is_run(verb):
+    assert "its author's code" in " ".join(parser_of(verb)[0].format_help().split())
+
+
+def test_help_of_the_rig_says_so_too(capsys):
+    for word in ("run", "replay"):
+        with pytest.raises(SystemExit):
+            main(["hil", word, "--help"])
+        assert "its author's code" in " ".join(capsys.readouterr().out.split())

@@ -1,0 +1,180 @@
+"""The one reader of JSON and TOML, and every file that goes through it: damaged, nested, duplicated, huge, of wrong kinds."""
+
+import gzip
+import json
+import time
+import zlib
+
+import pytest
+
+from hil.calibration import read_calibration
+from hil.safety.limits import read_limits
+from hil.twin.band import read_band
+from identification.assessment.information import read_knowledge, read_noise
+from identification.logs.mapping import read_sections
+from identification.logs.speed_map import read_speed_map
+from vpp_fmu import files
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import read_bytes
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.parameters import ParameterSet, check_same_model, read_parameters
+from vpp_fmu.rig import read_rig
+from vpp_fmu.structured import DEEPEST, LARGEST_JSON, LARGEST_TOML, LONGEST_LINE, read_json, read_toml
+
+READERS = {
+    "parameters.json": lambda path: read_parameters(path, plant),
+    "identification.json, its covariance": read_knowledge,
+    "identification.json, its noise": read_noise,
+    "identification.json, its band": read_band,
+    "identification.json, its model": lambda path: check_same_model(path, ParameterSet(plant()), "parameters.json"),
+    "rig.json": read_rig,
+    "calibration.json": read_calibration,
+    "limits.json": read_limits,
+    "speed_map.json": read_speed_map,
+}
+JSON = {
+    "nested lists": ("[" * 100_000, f"more than {DEEPEST} deep"),
+    "nested objects": ('{"a":' * 60 + "1" + "}" * 60, f"more than {DEEPEST} deep"),
+    "in a list of wide lists": ("[" + "[1]," * 1000 + "[" * 60 + "]" * 61, f"more than {DEEPEST} deep"),
+    "twice": ('{"effects": [], "effects": []}', '"effects": found this name more than once'),
+    "twice, within": ('{"x": [{"a": 1, "b": 2, "a": 3}]}', '"a": found this name more than once'),
+    "NaN": ('{"x": NaN}', "x: found NaN, allowed is finite numbers"),
+    "infinite": ('{"x": -Infinity}', "x: found -Infinity, allowed is finite numbers"),
+    "beyond all floats": ('{"x": 1e999}', "x: found Infinity, allowed is finite numbers"),
+    "beyond all floats, whole": (f'{{"x": {"9" * 5000}}}', "allowed is finite numbers"),
+    "half a character": ('{"x": "\\ud800"}', "found half a character"),
+    "half a character, as a name": ('{"\\udfff": 1}', "found half a character"),
+    "cut off": ('{"x": [1, 2', "found no JSON from column"),
+    "empty": ("", "found no JSON from column"),
+    "no JSON": ("time,thrust", "found no JSON from column"),
+    "huge": ('{"x": "' + "y" * LARGEST_JSON + '"}', f"{LARGEST_JSON} at most"),
+}
+
+
+def refusal(read, path):
+    """The one line."""
+    with pytest.raises(BadInput) as refused:
+        read(path)
+    said = str(refused.value)
+    assert said.startswith(str(path))
+    assert "\n" not in said
+    assert len(said) < 500
+    return said
+
+
+@pytest.mark.parametrize("what", JSON)
+@pytest.mark.parametrize("reader", READERS)
+def test_every_reader_of_json_refuses_it_in_the_same_words(reader, what, tmp_path):
+    text, words = JSON[what]
+    (tmp_path / "x.json").write_text(text)
+    assert words in refusal(READERS[reader], tmp_path / "x.json")
+
+
+@pytest.mark.parametrize("found", [[], 3, "text", None, True])
+@pytest.mark.parametrize("reader", READERS)
+def test_every_reader_of_json_wants_an_object(reader, found, tmp_path):
+    (tmp_path / "x.json").write_text(json.dumps(found))
+    assert "an object in braces" in refusal(READERS[reader], tmp_path / "x.json")
+
+
+def test_what_is_within_bounds_is_read_as_it_is(tmp_path):
+    content = {"a": [1, -2.5, 10**15, 1e299, None, True, "\u00b5\U0001f600"], "": {}, "0": 0, "-0": -0.0}
+    for _ in range(DEEPEST - 4):
+        content = {"x": content}
+    (tmp_path / "x.json").write_text(json.dumps(content))
+    assert read_json(tmp_path / "x.json") == content
+
+
+SOURCES = [
+    ({"record_seconds": []}, "source, record_seconds"),
+    ({"record_seconds": "ten"}, "source, record_seconds"),
+    ({"record_seconds": 0}, "source, record_seconds"),
+    ({"record_seconds": 1e9}, "source, record_seconds"),
+    ({"sample_period": {}}, "source, sample_period"),
+    ({"sample_period": True}, "source, sample_period"),
+    ({"rig": []}, "source, rig: found []"),
+    ({"rig": {"format": "vpp-rig/1", "origin": ["a"]}}, "source, rig: origin"),
+    ({"rig": {"format": "vpp-rig/1", "origin": {"speed": 1}}}, "source, rig: origin"),
+    ({"rig": {"format": "vpp-rig/1", "speed": {"min": 5, "max": 1}}}, "source, rig: speed, max"),
+    ([], "source: found []"),
+]
+
+
+@pytest.mark.parametrize(("source", "words"), SOURCES)
+def test_entries_of_a_source_are_of_their_kind(source, words, tmp_path):
+    content = {"format": "vpp-parameters/1", "parameters": {}, "effects": [], "source": source}
+    (tmp_path / "x.json").write_text(json.dumps(content))
+    assert words in refusal(READERS["parameters.json"], tmp_path / "x.json")
+
+
+@pytest.mark.parametrize("noise", [[], "0.1", -1.0, True])
+def test_a_noise_that_is_none_is_refused(noise, tmp_path):
+    (tmp_path / "x.json").write_text(json.dumps({"noise_floor_thrust": noise}))
+    assert "noise_floor_thrust" in refusal(read_noise, tmp_path / "x.json")
+
+
+@pytest.mark.parametrize("effects", [[[]], {}, "pitch_delay", [1]])
+def test_effects_of_an_identification_are_names(effects, tmp_path):
+    (tmp_path / "x.json").write_text(json.dumps({"effects": effects, "parameters": {}}))
+    assert "effects" in refusal(READERS["identification.json, its model"], tmp_path / "x.json")
+
+
+TOML = {
+    "nested lists": ("x = " + "[" * 4000, f"more than {DEEPEST} deep"),
+    "nested tables": ("x" + ".x" * 60 + " = 1", f"more than {DEEPEST} deep"),
+    "nested by its header": ("[x" + ".x" * 60 + "]", f"more than {DEEPEST} deep"),
+    "a long key": ("x" + ".x" * LONGEST_LINE + " = 1", f"{LONGEST_LINE} at most"),
+    "many long keys": ("\n".join(f"[k{k}]\nx{'.x' * 2000} = 1" for k in range(31)), f"more than {DEEPEST} deep"),
+    "twice": ("x = 1\nx = 2", "no TOML (Cannot overwrite a value"),
+    "huge": ("x = 1\n" * LARGEST_TOML, f"{LARGEST_TOML} at most"),
+    "a whole number that is too long": (f"x = {'9' * 4090}\n", "allowed is finite numbers"),
+    "an infinite number": ("x = inf", "allowed is finite numbers"),
+    "no date": ("x = 2026-02-31", "no TOML"),
+    "cut off": ('x = "', "no TOML"),
+}
+
+
+@pytest.mark.parametrize("what", TOML)
+@pytest.mark.parametrize("read", [read_toml, read_sections], ids=["reader", "import.toml"])
+def test_toml_is_refused_soon(read, what, tmp_path):
+    text, words = TOML[what]
+    (tmp_path / "x.toml").write_text(text)
+    began = time.process_time()
+    assert words in refusal(read, tmp_path / "x.toml")
+    assert time.process_time() - began < 30.0
+
+
+def bomb(megabytes):
+    """A gzip file of zeros, made without holding them."""
+    pack = zlib.compressobj(9, wbits=31)
+    return b"".join([*(pack.compress(bytes(2**20)) for _ in range(megabytes)), pack.flush()])
+
+
+def test_a_gzip_file_that_grows_without_end_is_refused_and_not_held(tmp_path, monkeypatch):
+    path = tmp_path / "x.csv.gz"
+    path.write_bytes(bomb(300))
+    size = path.stat().st_size
+    assert size < 2**19
+    held = []
+    whole = gzip.GzipFile.read
+    monkeypatch.setattr(gzip.GzipFile, "read", lambda self, n=-1: held.append(n) or whole(self, n))
+    assert f"{files.RATIO} times its size and 1 MB at most" in refusal(read_bytes, path)
+    assert held == [files.RATIO * size + 2**20 + 1]
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.csv.gz"])
+def test_a_file_beyond_all_sizes_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "LARGEST", 2**20)
+    content = bytes(range(256)) * 4096
+    for extra in (b"", b"x"):
+        data = content + extra
+        (tmp_path / name).write_bytes(gzip.compress(data) if name.endswith("gz") else data)
+        if extra:
+            assert "allowed is 1 MB at most" in refusal(read_bytes, tmp_path / name)
+        else:
+            assert read_bytes(tmp_path / name) == data
+
+
+def test_several_gzip_files_in_one_are_one(tmp_path):
+    (tmp_path / "x.csv.gz").write_bytes(gzip.compress(b"a,b\n") + gzip.compress(b"1,2\n") + bytes(512))
+    assert read_bytes(tmp_path / "x.csv.gz") == b"a,b\n1,2\n"

@@ -1,0 +1,17 @@
+"""Show the compiled models that are kept for the next run, or delete them. The least recently used go by themselves."""
+
+from vpp_fmu.native.compiler import LARGEST, cache_folder, clear, kept
+
+EXAMPLE = "vpp cache --clear"
+
+
+def configure(parser):
+    parser.add_argument("--clear", action="store_true", help="delete them all; what is needed is compiled again")
+
+
+def run(options):
+    sizes = [status.st_size for _, status in kept()]
+    print(f"{cache_folder()}: {len(sizes)} libraries, {sum(sizes) / 2**20:.1f} MB, {LARGEST / 2**20:.0f} MB at most")
+    if options.clear:
+        clear()
+        print("deleted")

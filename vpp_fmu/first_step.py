@@ -1,0 +1,50 @@
+"""python -m vpp_fmu.first_step JSON: load an FMI 2.0 FMU, start it and make one step, in a process that may die of it.
+
+Prints each stage before it begins, and ALIVE after the last. The standard library only, so that it takes little time.
+"""
+
+import ctypes
+import json
+import os
+import sys
+
+ALIVE = "alive"
+
+
+def main(told: dict) -> None:
+    """`told`: `library`, `guid`, `resources` (URI), and the communication step `dt` [s]."""
+    stages = os.fdopen(os.dup(1), "w", encoding="ascii")
+    os.dup2(2, 1)  # what the FMU prints is no stage
+
+    def stage(text: str) -> None:
+        print(text, file=stages, flush=True)
+
+    logger = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 2, ctypes.c_int, *[ctypes.c_void_p] * 2)(lambda *_: None)
+    process = ctypes.CDLL(None) if os.name != "nt" else ctypes.CDLL("msvcrt")
+    functions = (ctypes.cast(f, ctypes.c_void_p).value for f in (logger, process.calloc, process.free))
+    callbacks = (ctypes.c_void_p * 5)(*functions)
+    stage("it was loaded")
+    os.chdir(os.path.dirname(told["library"]))  # as fmpy does
+    try:
+        library = ctypes.CDLL(told["library"])
+    except OSError:  # whoever loads it next says why
+        stage(ALIVE)
+        return
+    library.fmi2Instantiate.restype = ctypes.c_void_p
+    stage("it was instantiated")
+    names = told["name"].encode(), 1, told["guid"].encode(), told["resources"].encode()
+    instance = ctypes.c_void_p(library.fmi2Instantiate(*names, callbacks, 0, 1))
+    zero = ctypes.c_double(0.0)
+    if instance:
+        stage("it was started")
+        calls = (("SetupExperiment", 0, zero, zero, 0, zero), ("EnterInitializationMode",), ("ExitInitializationMode",))
+        failed = any(getattr(library, f"fmi2{name}")(instance, *given) > 1 for name, *given in calls)
+        stage("it made its first step")
+        if not failed:
+            library.fmi2DoStep(instance, zero, ctypes.c_double(told["dt"]), 1)
+    stage(ALIVE)
+    os._exit(0)  # not through the end of an interpreter that the FMU may hold
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))
