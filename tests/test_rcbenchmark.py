@@ -412,6 +412,7 @@ def test_points_beyond_a_map_do_not_judge_it():
         ({"coefficients": [1.0, 2.0, "x", 3.0]}, 'coefficients, 3: found "x", allowed is a number'),
         ({"nominal_voltage": 0}, "nominal_voltage: found 0, allowed is a number above 0"),
         ({"signal": {"kind": "OneShot"}}, "signal: found"),
+        ({"signal": {"kind": {}}}, "signal: found"),
         ({"signal": {"kind": "PWM", "minimum": 5, "maximum": 5, "turns_from": 1, "fitted_to": 2}}, "signal, maximum: found 5"),
         ({"rms": None}, "rms: found null"),
     ],

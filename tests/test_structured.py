@@ -119,6 +119,12 @@ def test_effects_of_an_identification_are_names(effects, tmp_path):
     assert "effects" in refusal(READERS["identification.json, its model"], tmp_path / "x.json")
 
 
+@pytest.mark.parametrize("kind", [{}, [], [[]], 3])
+def test_a_sensor_of_no_kind_is_refused(kind, tmp_path):
+    (tmp_path / "rig.json").write_text(json.dumps({"format": "vpp-rig/1", "sensors": {"speed": {"kind": kind}}}))
+    assert "sensors, speed, kind" in refusal(read_rig, tmp_path / "rig.json")
+
+
 TOML = {
     "nested lists": ("x = " + "[" * 4000, f"more than {DEEPEST} deep"),
     "nested tables": ("x" + ".x" * 60 + " = 1", f"more than {DEEPEST} deep"),

@@ -58,7 +58,7 @@ def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -
             raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
     port, before = told.get("PORT"), told.get("BEFORE")
     if port is not None:
-        if port not in PORTS:
+        if port not in tuple(PORTS):
             raise BadInput(path, "PORT", repr(port), f"one of {', '.join(PORTS)}")
         return placed(library, effect, PORTS[port])
     if before is not None and before not in names:

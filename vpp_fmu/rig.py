@@ -192,7 +192,7 @@ def _sensor(path: str | os.PathLike, found: object) -> dict:
     entry = _object(path, "sensors", found, ("speed",)).get("speed", {})
     entry = _object(path, "sensors, speed", entry, tuple(asdict(SpeedSensor())))
     kind, marks = entry.get("kind"), entry.get("marks_per_revolution")
-    if kind is not None and kind not in KINDS:
+    if kind is not None and kind not in tuple(KINDS):
         raise BadInput(path, "sensors, speed, kind", shown(kind), " or ".join(shown(k) for k in KINDS))
     if marks is not None and (isinstance(marks, bool) or not isinstance(marks, int) or not 1 <= marks <= MOST_MARKS):
         raise BadInput(path, "sensors, speed, marks_per_revolution", shown(marks), f"a whole number from 1 to {MOST_MARKS}")

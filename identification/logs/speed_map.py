@@ -205,7 +205,7 @@ def read_speed_map(path: str | os.PathLike) -> SpeedMap:
     """Read `speed_map.json`. BadInput names file and field."""
     content = read_object(path, FORMAT, "a speed map that vpp import wrote")
     span = content.get("signal")
-    if not isinstance(span, dict) or span.get("kind") not in RANGES:
+    if not isinstance(span, dict) or span.get("kind") not in tuple(RANGES):
         raise BadInput(path, "signal", shown(span), f"an object with kind, one of {', '.join(RANGES)}")
     coefficients = content.get("coefficients")
     if not isinstance(coefficients, list) or len(coefficients) != 4:

@@ -191,8 +191,8 @@ EFFECT = Effect(
 '''
 
 
-def materials(home: Path) -> dict[str, Path]:
-    """Good files by name, made in `home`: a short campaign of the example's, and what the verbs make of it."""
+def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
+    """Good files by name, made in `home`: a short campaign of the example's, and what other verbs make of it for `verbs`."""
     found = {"campaign": home / "campaign", "plain": home / "campaign", "out": home / "out"}
     whole, folder = read_campaign(example_folder()), OutputFolder(home / "campaign")
     cuts = {"open_loop": whole.open_loop.part(slice(0, 5000, 4)), "repeat": whole.repeat.part(slice(0, 5000, 4))}
@@ -206,12 +206,15 @@ def materials(home: Path) -> dict[str, Path]:
     ranges = {"speed": {"min": 2000, "max": 6000, "unit": "rpm"}, "pitch": {"min": -5, "max": 10, "unit": "deg"}}
     rig = {"format": "vpp-rig/1", "name": "fuzz", **ranges, "slew": {"speed": 20000, "pitch": 100}}
     folder.write("rig.json", json.dumps(rig))
+    gain = {"value": 0.5, "std": None, "unit": "1"}
+    gains = {"format": "vpp-parameters/1", "parameters": {"kp_omega": gain}, "effects": [], "source": {}}
     texts = {
         "rig": ("own_rig.json", json.dumps(rig)),
         "profile": ("profile.csv", "time,thrust_set\n0,1.5\n0.3,6\n0.6,6\n"),
         "effect": ("cell_lag.py", EFFECT),
         "calibration": ("calibration.json", EMULATED.read_text(encoding="utf-8")),
         "limits": ("limits.json", json.dumps({"format": "vpp-limits/1", "limits": {"run_time": {"value": 60, "unit": "s"}}})),
+        "gains": ("gains.json", json.dumps(gains)),
         "answers": ("answers.txt", "\n\nwith\n" + "\n" * 60),
     }
     n = np.arange(1500)
@@ -263,19 +266,21 @@ def materials(home: Path) -> dict[str, Path]:
     write_record(OutputFolder(home), "record.csv", other)
     write_record(OutputFolder(home), "record.csv.gz", other)
     found |= {"record": home / "record.csv", "packed": home / "record.csv.gz"}
-    _must("identify", found["campaign"], "--starts", "1", "-o", home / "known")
-    found |= {"parameters": home / "known" / "parameters.json", "knowledge": home / "known" / "identification.json"}
-    given = ("--parameters", found["parameters"], "--twin", found["knowledge"])
-    _must("export", *given, "--flavour", "both", "-o", home / "fmus")
+    needed = {word for verb in verbs for words in COMMANDS[verb] for word in re.findall(r"\{(\w+)\}", " ".join(words))}
+    if needed & {"parameters", "knowledge"}:
+        _must("identify", found["campaign"], "--starts", "1", "-o", home / "known")
+        found |= {"parameters": home / "known" / "parameters.json", "knowledge": home / "known" / "identification.json"}
     names = {"plant": "VppPlant", "controller": "VppController", "twin": "VppTwin"}
-    found |= {name: home / "fmus" / f"{file}.fmu" for name, file in names.items()}
-    found |= {f"native_{name}": home / "fmus" / f"{file}.native.fmu" for name, file in names.items()}
-    gains = home / "gains.json"
-    entry = {"value": 0.5, "std": None, "unit": "1"}
-    gains.write_text(json.dumps({"format": "vpp-parameters/1", "parameters": {"kp_omega": entry}, "effects": [], "source": {}}))
-    _must("hil", "run", "--virtual", "--profile", found["profile"], "-o", home / "runs")
-    run = next(path.parent for path in (home / "runs").rglob("log.csv*"))
-    return found | {"gains": gains, "run": run / "run.csv", "run_folder": run}
+    if needed & {*names, "native_plant"}:
+        given = ("--parameters", found["parameters"], "--twin", found["knowledge"])
+        _must("export", *given, "--flavour", "both", "-o", home / "fmus")
+        found |= {name: home / "fmus" / f"{file}.fmu" for name, file in names.items()}
+        found |= {f"native_{name}": home / "fmus" / f"{file}.native.fmu" for name, file in names.items()}
+    if needed & {"run", "run_folder"}:
+        _must("hil", "run", "--virtual", "--profile", found["profile"], "-o", home / "runs")
+        run = next(path.parent for path in (home / "runs").rglob("log.csv*"))
+        found |= {"run": run / "run.csv", "run_folder": run}
+    return found
 
 
 def _lines(rows: Iterable[Iterable[float]]) -> str:
@@ -626,6 +631,7 @@ def _forked(words: Sequence[str], place: Path) -> int | None:
             resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 5))
             for number, name in ((1, "stdout"), (2, "stderr")):
                 os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), number)
+                setattr(sys, name, open(number, "w", encoding="utf-8"))  # noqa: SIM115
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
             code = vpp(list(words))
         except SystemExit as ended:
@@ -691,7 +697,7 @@ def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes
         parser_of(verb)
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
-        good = made_apart(home)
+        good = made_apart(home, verbs)
         for seed in range(first, first + runs):
             if time.monotonic() > end:
                 return
@@ -699,13 +705,13 @@ def cases(first: int, runs: int, verbs: Sequence[str] = tuple(COMMANDS), minutes
             remove(home / "case")
 
 
-def made_apart(home: Path) -> dict[str, Path]:
+def made_apart(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
     """`materials`, made in a fork: this process loads no FMU, starts no thread."""
     (home / "good").mkdir()
     if not (child := os.fork()):
         code = 1
         try:
-            told = {name: str(path) for name, path in materials(home / "good").items()}
+            told = {name: str(path) for name, path in materials(home / "good", verbs).items()}
             (home / "good.json").write_text(json.dumps(told))
             code = 0
         except BaseException:
