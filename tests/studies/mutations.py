@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from tests.tables import ROOT, add_write, show, table
+from tests.tables import ROOT, table
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ PARTS = {
     ),
     "kernel": Part(
         ("vpp_fmu/kernel/*.py", "vpp_fmu/kernel/effects/*.py"),
-        ("test_controller", "test_duals", "test_effect_physics", "test_kernel"),
+        ("test_controller", "test_duals", "test_converter", "test_effect_physics", "test_kernel"),
     ),
     "export": Part(("vpp_fmu/export/*.py",), ("test_fmu", "test_own_models", "test_fmi3")),
 }
@@ -104,9 +104,9 @@ def mutations(file: str, source: str) -> list[Mutation]:
 
 
 def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes but those of f-strings, which have no place before Python 3.12."""
+    """All nodes but those of f-strings, which have no place before Python 3.12, and of decorators, as `frozen=True`."""
     for node in ast.iter_child_nodes(tree):
-        if not isinstance(node, ast.JoinedStr):
+        if not isinstance(node, ast.JoinedStr) and node not in getattr(tree, "decorator_list", ()):
             yield node
             yield from _nodes(node)
 
@@ -159,15 +159,15 @@ def passed(tree: Path, part: Part) -> bool:
 
 
 def tried(tree: Path, part: Part, chosen: Sequence[Mutation]) -> list[Mutation]:
-    """Those that survive, each printed as soon as it is known."""
+    """Those that survive; each is printed with what became of it."""
     if not passed(tree, part):
         raise SystemExit(f"{', '.join(part.tests)}: a test fails without a mutation")
     survivors = []
     for mutation in chosen:
         mutation.apply(tree)
-        if passed(tree, part):
-            survivors.append(mutation)
-            print(mutation, flush=True)
+        survives = passed(tree, part)
+        survivors += [mutation] if survives else []
+        print(f"{'SURVIVES' if survives else 'killed':8}  {mutation}", flush=True)
         shutil.copy2(ROOT / mutation.file, tree / mutation.file)
     return survivors
 
@@ -177,7 +177,6 @@ def main(arguments):
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="of the code (default: all)")
     parser.add_argument("--sample", type=int, default=12, metavar="N", help="mutations of each part (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the sample (default: %(default)s)")
-    add_write(parser)
     options = parser.parse_args(arguments)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -189,4 +188,4 @@ def main(arguments):
             chosen = random.Random(options.seed).sample(all_of_it, min(options.sample, len(all_of_it)))
             survivors = tried(tree, part, chosen)
             rows.append((name, len(all_of_it), len(chosen), len(chosen) - len(survivors), len(survivors)))
-    show("mutations", table(("part", "mutations", "tried", "killed", "survived"), rows), options.write)
+    print(f"\n{table(('part', 'mutations', 'tried', 'killed', 'survived'), rows)}", end="")
