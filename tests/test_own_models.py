@@ -144,6 +144,11 @@ BROKEN = {
     "math": ("f = p.k", "import math\n    f = math.exp(x.v1) * p.k", ["effect masses, step", "can't be traced", "ops.exp"]),
     "name with a space": ('"TwoMasses"', '"Two Masses"', ["name: found 'Two Masses'", "letters, digits and _"]),
     "variable no identifier": ('"m1", "kg"', '"m-1", "kg"', ["parameter of effect masses 'm-1'", "letters, digits and _"]),
+    "off of another's parameter": (
+        '"where the gate is", tunable=True),)',
+        '"where the gate is", tunable=True),), off={"m1": 0.0}',
+        ["effect gate, off", "found a parameter m1", "allowed is one of gate"],
+    ),
     "declared twice": ('"m2", "kg"', '"m1", "kg"', ["variable m1", "declared twice"]),
     "output that nothing sets": (
         '("beyond", "1", "whether the second',
