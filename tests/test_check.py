@@ -280,8 +280,8 @@ def test_identify_and_diagnose_refuse_in_the_same_line(short, tmp_path, capsys):
     told = []
     for verb in ("identify", "diagnose"):
         assert main([verb, str(tmp_path / "bad"), "-o", str(tmp_path / "out")]) == 2
-        line = capsys.readouterr().err
-        assert line.count("\n") == 1
+        *_, line = (printed := capsys.readouterr().err).splitlines(keepends=True)
+        assert printed.count("\n") == (1 if verb == "identify" else 2)  # in a pipe each stage of a diagnosis is a line
         told.append(line.removeprefix(f"vpp {verb}: "))
     assert told[0] == told[1]
     for word in ("open_loop.csv", "time", "time in ms", "--accept time_unit"):

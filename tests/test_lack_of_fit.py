@@ -247,4 +247,4 @@ def test_what_a_loop_swings_with_is_among_the_shapes():
 
 @pytest.mark.parametrize(("found", "turns", "word"), [(0, 0, "none"), (1, 0, "unexplained"), (0, 1, "unexplained")])
 def test_what_is_refuted_leaves_the_verdict_of_a_base_without_it(found, turns, word):
-    assert unnamed(SimpleNamespace(found=bool(found), turns=bool(turns))) == word
+    assert unnamed(SimpleNamespace(significant=bool(found), turns=bool(turns))) == word

@@ -212,7 +212,7 @@ def test_what_the_limits_would_cut_is_not_begun(tmp_path, capsys):
     assert "omega_ref, row 2 of the data: found 6500, allowed is 2000 to 6000 rpm" in capsys.readouterr().err
     far = declared(tmp_path / "far.json", pitch={"min": 12.0, "max": 25.0})
     assert main([*words, "--rig", str(far)]) == 2
-    assert "beta_min" in capsys.readouterr().err  # beyond what the calibration has a pulse for
+    assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in capsys.readouterr().err  # beyond what the rod reaches
 
 
 def test_a_slow_rig_is_given_time():

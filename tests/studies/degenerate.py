@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import io
 import json
+import re
 import tempfile
 import time
 import traceback
@@ -22,6 +23,9 @@ from vpp_fmu.cli import VERBS
 from vpp_fmu.cli import main as vpp
 
 from .crippled import CASES, LONG, SIZES, Case, scale_parameters
+
+STAGE = re.compile(r"vpp diagnose: .* \(\d+ s\)")
+"""What a diagnosis prints of each stage in a pipe."""
 
 FAR = 5.0
 """Standard deviations by which a parameter that counts as told may miss the truth: by chance one of two million does."""
@@ -82,7 +86,7 @@ def run(verb: str, arguments: Sequence[str], out: Path) -> tuple[int | None, lis
     except Exception as error:  # whatever it is, it is the finding
         where = traceback.extract_tb(error.__traceback__)[-1]
         return None, [], f"{type(error).__name__}: {error} ({Path(where.filename).name}, {where.name})"
-    lines = [line for line in said.getvalue().splitlines() if not line.startswith("vpp: note: ")]
+    lines = [line for line in said.getvalue().splitlines() if not line.startswith("vpp: note: ") and not STAGE.fullmatch(line)]
     return code, lines, ""
 
 

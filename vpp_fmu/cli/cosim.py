@@ -40,7 +40,7 @@ def run(options):
     with (
         closing(FmuPlant(options.plant)) as plant,
         closing(FmuController(options.controller, dt=options.step)) as controller,
-        closing(FmuTwin(options.twin, options.step)) if options.twin else nullcontext() as twin,
+        closing(FmuTwin(options.twin, controller.dt)) if options.twin else nullcontext() as twin,
         tqdm(total=100, unit="%", disable=None, leave=False) as bar,
     ):
         plant.dt = controller.dt
