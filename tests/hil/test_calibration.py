@@ -128,8 +128,8 @@ def test_every_number_is_checked(tmp_path, content, place, value):
     change(content, (*place, "value"), value)
     with pytest.raises(BadInput) as raised:
         read(tmp_path, content)
-    assert raised.value.field == f"{', '.join(place)}, value" or (isinstance(value, int) and value > 1e300)
-    assert "a number from" in raised.value.allowed or "JSON" in raised.value.allowed
+    assert raised.value.field == f"{', '.join(place)}, value"
+    assert "a number from" in raised.value.allowed or raised.value.allowed == "finite numbers"
     assert "\n" not in str(raised.value)
 
 
@@ -200,7 +200,7 @@ def test_what_is_missing_is_named(tmp_path, content, missing):
         ("[]", "an object in braces"),
         ('{"format": 1, "format": 2}', "more than once"),
         ('{"format": NaN}', "finite numbers"),
-        ("[" * 100_000, "too deep"),
+        pytest.param("[" * 100_000, "50 deep", id="nested"),
     ],
 )
 def test_what_is_no_calibration_at_all(tmp_path, text, says):
