@@ -74,13 +74,13 @@ def events_of(path: Path) -> Path:
 
 
 def read_events(path: Path) -> list[dict]:
-    """The events of a log's file; a line that a crash has cut off is left out."""
+    """The events of a log's file, objects all; a line that a crash has cut off is left out."""
     found = []
     with contextlib.suppress(FileNotFoundError):
         for line in path.read_bytes().splitlines():
             with contextlib.suppress(ValueError, RecursionError):
                 found.append(json.loads(line))
-    return found
+    return [event for event in found if isinstance(event, dict)]
 
 
 class MemoryLog:

@@ -70,7 +70,7 @@ def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
     supervisor = report.read_text().splitlines() if report.exists() else []
     rows = len(record) if record is not None else 0
     real_time = record is not None and begun.get("time") == "real"
-    states = [{key: event[key] for key in ("time", "state", "why")} for event in events if "state" in event]
+    states = [{key: event.get(key) for key in ("time", "state", "why")} for event in events if "state" in event]
     faults = [state["why"] for state in states if state["state"] in ("ramp down", "fault") and state["why"] != "end of the run"]
     acted = [line.partition(": ")[2] for line in supervisor]
     ended = "; ".join([*faults[:1], *acted]) or "the loop was gone without a word"

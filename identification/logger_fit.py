@@ -336,7 +336,8 @@ class _SensorFit:
         further, step = np.zeros((len(residual), len(self.free))), NUDGE * self._of._period
         for k, name in enumerate(self.free):
             moved = replace(sensor, **{name: getattr(sensor, name) + step})
-            other = [e.measured_by(moved).omega_residual(y[:, 1]) for e, y in zip(problem.experiments, outputs, strict=True)]
+            with_speed = [(e, y) for e, y in zip(problem.experiments, outputs, strict=True) if len(e.omega_time)]
+            other = [e.measured_by(moved).omega_residual(y[:, 1]) for e, y in with_speed]
             further[first:, k] = (np.concatenate(other) / problem.scale["omega"] - residual[first:]) / step
         return residual, np.column_stack([jacobian, further])
 

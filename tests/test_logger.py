@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from identification.demo import example_folder
+from identification.fit.experiment import Experiment
+from identification.fit.noise import independent
 from identification.fit.tachometer import Tachometer
 from identification.gate.gate import passed
 from identification.identify import identify
 from identification.logger_fit import as_logged, mended
+from identification.roles import Fitted
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE, plant
@@ -117,6 +120,17 @@ def test_the_filter_of_telemetry_is_found_and_not_taken_for_the_motors_lag():
     true = {p.name: p.default for p in BASE.parameters}
     lags = [sum(values[f"tau_omega_{k}"] for k in (1, 2)) for values in (found.parameters.values, true)]
     assert lags[0] == pytest.approx(lags[1], rel=0.02)
+
+
+def test_the_filter_is_found_beside_a_record_that_measures_no_speed():
+    other = logged(26, 0.0, rate=100.0)
+    silent = Record({name: other[name] for name in other.columns if name != "omega"}, "silent")
+    gate = passed(campaign(logged(25, 0.0, filter_=0.03, rate=100.0)), {"silent": silent})
+    sensor = as_logged(gate).logger.sensor
+    assert sensor.kind == "telemetry"
+    assert sensor.filter == pytest.approx(0.03, rel=0.1)
+    alone = Experiment([Fitted("silent", silent)], independent(10.0))
+    assert alone.omega_columns(np.ones((len(silent), 3))).shape == (0, 3)
 
 
 def test_a_late_log_is_mended_by_whole_rows():

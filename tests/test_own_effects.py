@@ -55,6 +55,23 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
     assert re.search(rf"  {name} +NO ", said.out)
 
 
+@pytest.mark.parametrize(
+    ("word", "other", "says"),
+    [
+        ("parameters=(Parameter", "parameters=(print, Parameter", "EFFECT, parameters: found (<built-in function print>"),
+        ("states=tuple(", "states=list(", "EFFECT, states: found [State("),
+        ('"tau", "s", 0.0, 0.0', '"tau", "s", "0.0", 0.0', "EFFECT, 'tau', default: found '0.0', allowed is float"),
+        ('State(n, "N"', "State(n, print", "EFFECT, 'reading', unit: found <built-in function print>, allowed is str"),
+    ],
+)
+def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
+    path = tmp_path / "wrong.py"
+    path.write_text(SOURCE.replace(word, other))
+    with pytest.raises(BadInput) as refused:
+        library_with([path])
+    assert str(refused.value).startswith(f"{path}: {says}")
+
+
 def test_the_readme_shows_the_file_that_is_tested():
     body = SOURCE.partition("\n\n")[2].strip()
     assert body in (FILE.parents[1] / "README.md").read_text()

@@ -92,9 +92,9 @@ def test_what_it_descends_from_is_named_with_its_identity():
         ({"parameters": {"c99": {"value": 0.35}}}, 'parameters, "c99": found 0.35, allowed is a name in p.json'),
         ({"parameters": {"c20": {"value": None}}}, 'parameters, "c20": found null'),
         ({"effects": ["pitch_offset"]}, "effects: found pitch_offset, allowed is no effects, the model of p.json"),
-        ({"parameters": [1]}, "an identification.json"),
-        ({"parameters": {"c20": 0.35}}, "an identification.json"),
-        ([], "an identification.json"),
+        ({"parameters": [1]}, "parameters: found [1], allowed is an object"),
+        ({"parameters": {"c20": 0.35}}, 'parameters, "c20": found 0.35, allowed is an object'),
+        ([], "file: found [], allowed is an object"),
     ],
 )
 def test_an_identification_of_another_model_is_refused(tmp_path, content, says):

@@ -9,6 +9,7 @@ writes such a file for a term that it has learned. An installed package brings e
 import importlib.util
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 
@@ -20,6 +21,9 @@ from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
 from vpp_fmu.units import base_unit
 
 GROUP = "vpp.effects"
+
+KINDS: Mapping[object, tuple[type, ...]] = {str: (str,), float: (float, int), bool: (bool,)}
+"""Of the fields of a parameter, state or signal, by their declared type."""
 
 
 def library_with(paths: Iterable[str | os.PathLike], library: Iterable[Effect] = LIBRARY) -> tuple[Effect, ...]:
@@ -50,8 +54,18 @@ def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -
         raise BadInput(path, "EFFECT", found, "a vpp_fmu.kernel.types.Effect with off and probe")
     if effect.name in names or not effect.name.isidentifier():
         raise BadInput(path, "EFFECT, name", repr(effect.name), "a name that no other effect has, of letters, digits and _")
+    for name, kind in (("parameters", Parameter), ("states", State), ("inputs", Signal)):
+        listed = getattr(effect, name)
+        if not isinstance(listed, tuple) or not all(isinstance(each, kind) for each in listed):
+            raise BadInput(path, f"EFFECT, {name}", _brief(listed), f"a tuple of vpp_fmu.kernel.types.{kind.__name__}")
     quantities: tuple[Parameter | State | Signal, ...] = (*effect.parameters, *effect.states, *effect.inputs)
     for quantity in quantities:
+        for field in fields(quantity):
+            given = getattr(quantity, field.name)
+            if field.type in KINDS and not isinstance(given, KINDS[field.type]):
+                raise BadInput(
+                    path, f"EFFECT, {_brief(quantity.name)}, {field.name}", _brief(given), KINDS[field.type][0].__name__
+                )
         try:
             base_unit(quantity.unit)
         except KeyError as error:
@@ -65,6 +79,11 @@ def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -
         raise BadInput(path, "BEFORE", repr(before), f"one of {', '.join(names)}")
     at = len(library) if before is None else names.index(before)
     return (*library[:at], effect, *library[at:])
+
+
+def _brief(found: object) -> str:
+    text = " ".join(repr(found).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _run(path: str | os.PathLike) -> dict:

@@ -80,6 +80,42 @@ def read_toml(path: str | os.PathLike, allowed: str = "TOML") -> dict:
     return found
 
 
+KINDS = {
+    str: "a text",
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    dict: "an object in braces { }",
+    list: "a list",
+}
+
+
+def check_kinds(path: str | os.PathLike, content: object, kinds: object, place: tuple = ()) -> None:
+    """BadInput where a part of what a file holds is missing or of another kind.
+
+    `kinds`: a type (None: anything); `[kinds]` for a list; `{name: kinds}` for an object, in which names that end in "?" may be
+    missing or null and "*" is every name.
+    """
+    if kinds is None:
+        return
+    kind = kinds if isinstance(kinds, type) else type(kinds)
+    whole = isinstance(content, int) and not isinstance(content, bool)
+    if not (whole if kind is int else whole or isinstance(content, float) if kind is float else isinstance(content, kind)):
+        raise BadInput(path, _field(place), shown(content), KINDS[kind])
+    if isinstance(kinds, list):
+        for k, each in enumerate(content, 1):
+            check_kinds(path, each, kinds[0], (place, k))
+    elif isinstance(kinds, dict):
+        for name, inner in kinds.items():
+            for key in content if name == "*" else [name.removesuffix("?")]:
+                if key not in content and not name.endswith("?"):
+                    raise BadInput(
+                        path, _field((place, key)), "nothing", KINDS[inner if isinstance(inner, type) else type(inner)]
+                    )
+                if key in content and not (name.endswith("?") and content[key] is None):
+                    check_kinds(path, content[key], inner, (place, key))
+
+
 def shown(found: object) -> str:
     """A value as a message shows it: on one line, not too long."""
     text = json.dumps(found, default=str)

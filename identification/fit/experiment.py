@@ -121,7 +121,7 @@ class Experiment:
 
     def omega_columns(self, tangents: np.ndarray) -> np.ndarray:
         """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the speed (rows, ...) rpm."""
-        if not tangents.any():
+        if not (len(self.omega_time) and tangents.any()):
             return np.zeros((len(self.omega_time), *tangents.shape[1:]))
         return self._white_readings([(t.shows(tangents).T / t.std).T for t in self.tachometers])
 

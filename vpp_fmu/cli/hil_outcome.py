@@ -37,7 +37,9 @@ def finish(folder: OutputFolder, told: dict, log: Record | None, beside: tuple[s
     real_time = log is not None and told.get("timing")
     found = timing(log["late"], log["busy"], log["missed"]) if real_time else None
     page = Page(
-        "Hardware in the loop", _summary(told), f"{told['rig']} rig, run of {told.get('begun', 'a date not known')[:10]}"
+        "Hardware in the loop",
+        _summary(told),
+        f"{told.get('rig') or 'unknown'} rig, run of {(told.get('begun') or 'a date not known')[:10]}",
     )
     _tiles(page, told, found)
     if told["ended"]:
