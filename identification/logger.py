@@ -42,13 +42,13 @@ class Logger:
 
     def agrees_with(self, other: "Logger") -> bool:
         """Whether both are equal within SIGNIFICANT standard errors."""
-        same = (self.sensor.kind, self.sensor.marks_per_revolution) == (other.sensor.kind, other.sensor.marks_per_revolution)
+        fixed = [(s.kind, s.marks_per_revolution, s.averaged) for s in (self.sensor, other.sensor)]
         pairs = [(self.rows, other.rows, max(self.std, other.std, FINEST))]
         pairs += [
             (getattr(self.sensor, n), getattr(other.sensor, n), max(s, FINEST * self.period))
             for n, s in self.sensor_std.items()
         ]
-        return same and all(abs(a - b) <= SIGNIFICANT * std for a, b, std in pairs)
+        return fixed[0] == fixed[1] and all(abs(a - b) <= SIGNIFICANT * std for a, b, std in pairs)
 
     @property
     def lines(self) -> list[str]:

@@ -55,8 +55,8 @@ FAST = 3.0
 LEAST_CHANGE = 0.05
 """Quantile of the changes between values that is taken as one digit."""
 
-STRAY = 0.01
-"""Share of renewal intervals (rows between two new values) that may have any length."""
+GROUPS = 10
+"""Groups of speed readings, by their uncertainty, that have a noise variance each where sensors are compared."""
 
 ROUGH, FULL = (3, 3), (6, 6, 6, 12)
 """Evaluations in each round of a fit that ranks sensors, and of one that estimates."""
@@ -76,7 +76,7 @@ LATEST = 0.3
 FILTER = 0.02
 """Start value of the filter time constant of telemetry, s."""
 
-STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: STRAY}
+STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: 0.01}
 """Share of renewal intervals that a kind need not explain: a rotor turns unevenly, a clock does not."""
 
 UNLIKELY = 0.01
@@ -160,7 +160,8 @@ class _Estimate:
 
     def logger(self) -> Logger:
         """The most likely logger. Each sensor is fitted roughly with one offset of all readings, the best ones in full. Of
-        sensors that are not distinguishable, that with the offset nearest to whole rows is taken."""
+        sensors that are not distinguishable, one that reads samples is taken, and then that with the offset nearest to whole
+        rows."""
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
             return self._logger_of(start)
@@ -169,7 +170,7 @@ class _Estimate:
         near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         scores = _scores(near)
         likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - EVIDENCE]
-        return self._logger_of(min(likely, key=_SensorFit.from_whole_rows))
+        return self._logger_of(min(likely, key=lambda fit: (fit.sensor.averaged, fit.from_whole_rows())))
 
     def _logger_of(self, fit: "_SensorFit") -> Logger:
         """The logger of a fit with one offset, unless further parameters have very strong evidence."""
@@ -177,31 +178,31 @@ class _Estimate:
             return Logger(sensor=fit.sensor, period=self._period)
         shared = fit.late(self._delays[0])
         freer = fit.tied or fit.with_delay != fit.free
-        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
+        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit).solved(FULL) if freer else fit
         delayed = fit.worse_than(loose)
         if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
         rows, std = shared.value / self._period, shared.std / self._period
         for value in (0.0, float(round(rows))):
-            simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
+            simpler = _SensorFit(self, fit.sensor, fit.free, fit, held=value).solved(FULL)
             if abs(rows - value) < FINEST or not simpler.worse_than(fit):
                 rows, fit = value, simpler
                 break
         else:
-            fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
+            fit = _SensorFit(self, fit.sensor, fit.free, fit, held=rows).solved(FULL)
         own = (
             delayed
             and "speed_delay.delay" in self._delays
             and loose.late("speed_delay.delay").differs_from(rows * self._period)
         )
         if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
-            other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
+            other = _SensorFit(self, fit.sensor, fit.with_delay, fit, held=rows).solved(FULL)
             fit = other if fit.worse_than(other) else fit
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
-    def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
-        """(sensor, its free parameters, log-likelihood of its renewal intervals). Marks and encoders have no delay without very
-        strong evidence."""
+    def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...]]]:
+        """(sensor, its free parameters) of those that explain the renewal intervals; all, if none does. Marks and encoders have
+        no delay without very strong evidence."""
         declared = self._declared
         rows, turn = renewals(self._first)
         mean_interval = float(rows.mean()) if len(rows) else 1.0
@@ -209,29 +210,26 @@ class _Estimate:
         renewed = {1.0, mean_interval} if mean_interval > FRESH else {1.0}
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
         marks = [declared["marks_per_revolution"]] if "marks_per_revolution" in declared else MARKS
+        ways = [declared["averaged"]] if "averaged" in declared else [False, True]
         every = [(SpeedSensor(kind), 1.0) for kind in kinds if kind == ENCODER]
-        every += [(SpeedSensor(MARK, n), turn / n) for n in marks if MARK in kinds]
+        every += [(SpeedSensor(MARK, n, averaged=mean), turn / n) for n in marks for mean in ways if MARK in kinds]
         every += [
             (SpeedSensor(TELEMETRY, filter=FILTER, refresh=float(n > 1.0) * n * self._period), n)
             for n in renewed
             if TELEMETRY in kinds
         ]
         known = {k: v for k, v in declared.items() if k in ("filter", "refresh", "delay")}
-        found = []
-        for sensor, expected in every:
-            free = {"delay", "filter"} if sensor.kind == TELEMETRY else set()
-            found.append((replace(sensor, **known), tuple(sorted(free - set(known))), renewal_score(rows, expected)))
-        ((likeliest, expected), (*_, best)) = max(zip(every, found, strict=True), key=lambda pair: pair[1][-1])
-        if unexplained(likeliest.kind, rows, expected):  # no kind has such intervals: means over rows, for example
-            return [(sensor, free, 0.0) for sensor, free, _ in found]
-        return [one for one in found if one[-1] > best - NEAR]
+        explained = [sensor for sensor, expected in every if not unexplained(sensor, rows, expected)]
+        return [
+            (replace(sensor, **known), tuple(sorted({"delay", "filter"} - set(known))) if sensor.kind == TELEMETRY else ())
+            for sensor in explained or [sensor for sensor, _ in every]
+        ]
 
 
 class _SensorFit:
     """The base model with delays of its commands, fitted with one kind of sensor, whose `free` parameters are fitted, too.
 
     `sensor` None: fitted to the thrust alone. `tied`: both commands have the same delay. `held`: its fixed value, in rows.
-    `renewed`: log-likelihood of the renewal intervals of the sensor.
     """
 
     def __init__(
@@ -239,12 +237,11 @@ class _SensorFit:
         of: _Estimate,
         sensor: SpeedSensor | None,
         free: tuple[str, ...],
-        renewed: float = 0.0,
         start: "_SensorFit | None" = None,
         tied: bool = False,
         held: float | None = None,
     ):
-        self._of, self.free, self.sensor, self.renewed = of, free, sensor or UNKNOWN, renewed
+        self._of, self.free, self.sensor = of, free, sensor or UNKNOWN
         self._experiments = of._thrust_alone
         if self.sensor.kind:
             self._experiments = [e.measured_by(self.sensor) for e in of._experiments]
@@ -341,15 +338,16 @@ class _SensorFit:
             further[first:, k] = (np.concatenate(other) / problem.scale["omega"] - residual[first:]) / step
         return residual, np.column_stack([jacobian, further])
 
-    def score(self, rows: Sequence[tuple[int, int]]) -> float:
-        """Penalised log-likelihood with unknown noise variances; that of the speed is on `rows` (record, row)."""
+    def score(self, rows: Sequence[tuple[int, int]], groups: np.ndarray) -> float:
+        """Penalised log-likelihood with unknown noise variances; that of the speed is on `rows` (record, row), which have a
+        variance in each of their `groups`: uncertainties of a sensor are right up to a factor that depends on acceleration."""
         count = len(self._x) * 0.5 * float(np.log(max(len(rows), len(self._problem.blocks[0].time))))
-        total = self._thrust + self.renewed - count
+        total = self._thrust - count
         if not rows:
             return total
         error, std = np.array([self.speed[row] for row in rows]).T
-        scale = float(np.sqrt(np.mean((error / std) ** 2)))
-        return total - float(np.sum(np.log(std * scale)))
+        sizes, squares = np.bincount(groups), np.bincount(groups, (error / std) ** 2)
+        return total - float(np.sum(np.log(std)) + 0.5 * np.sum(sizes * np.log(squares / sizes)))
 
     @property
     def rows(self) -> float:
@@ -442,7 +440,10 @@ def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str) -> 
 def _scores(fits: Sequence[_SensorFit]) -> list[float]:
     """Score of each fit, on the rows at which all of them have a reading."""
     rows = sorted(set.intersection(*(set(f.speed) for f in fits)))
-    return [f.score(rows) for f in fits]
+    spread = np.array([np.sum([np.log(f.speed[row][1]) for f in fits]) for row in rows])
+    groups = np.searchsorted(np.quantile(spread, np.arange(1, GROUPS) / GROUPS), spread) if rows else np.zeros(0, int)
+    _, groups = np.unique(groups, return_inverse=True)
+    return [f.score(rows, groups) for f in fits]
 
 
 def _as_modelled(record: Record) -> Record:
@@ -466,17 +467,11 @@ def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(new)[kept], 60.0 / (shown[new[1:]][kept] * record.period)
 
 
-def renewal_score(rows: np.ndarray, expected: np.ndarray | float) -> float:
-    """Log-likelihood of renewal intervals (n,) in whole rows, for an `expected` interval in rows at unknown phase."""
-    return float(np.sum(np.log(np.maximum(1.0 - _difference(rows, expected), STRAY))))
-
-
-def _difference(rows: np.ndarray, expected: np.ndarray | float) -> np.ndarray:
-    """Differences (n,) of intervals from the expected ones, in rows: no phase explains a difference of 1 or more."""
-    return np.abs(rows - np.maximum(expected, 1.0))
-
-
-def unexplained(kind: str, rows: np.ndarray, expected: np.ndarray | float) -> bool:
-    """Whether more renewal intervals than STRAYS of a kind differ from the `expected` ones, by a binomial test."""
-    strays = np.sum(_difference(rows, expected) >= 1.0)
-    return bool(len(rows)) and float(binom.sf(strays - 1, len(rows), STRAYS[kind])) < UNLIKELY
+def unexplained(sensor: SpeedSensor, rows: np.ndarray, expected: np.ndarray | float) -> bool:
+    """Whether more renewal intervals (n,), in whole rows, than STRAYS of a kind differ from the `expected` ones, by a binomial
+    test. No phase explains a difference of one row. Where readings are averaged over rows, that of a pulse is mixed: intervals
+    of one row and of the rest alternate."""
+    strays = np.abs(rows - np.maximum(expected - sensor.averaged, 1.0)) >= 1.0
+    if sensor.averaged:
+        strays &= rows != 1
+    return bool(len(rows)) and float(binom.sf(np.sum(strays) - 1, len(rows), STRAYS[sensor.kind])) < UNLIKELY

@@ -1,6 +1,7 @@
 """The logger and the speed sensor: simulated, read, estimated, declared and mended."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,41 @@ def test_a_mark_reads_the_mean_of_the_last_part_of_a_revolution(marks):
     sensor = Tachometer(Record(columns, "ramp", sensor=SpeedSensor("mark", marks)))
     error = sensor.shows(omega) - sensor.measured
     assert abs(np.mean(error[10:])) < 300.0 * 0.0005  # half a millisecond of the ramp
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 500.0])
+def test_a_mean_over_the_row_reads_a_ramp_late_by_the_mean_age_of_a_held_value(rate):
+    """A mark's value is the mean of one revolution, and held for the next: on a ramp it is late by two halves."""
+    ramp, fine = 100.0, 40  # rpm/s; instants of a row
+    at = (np.arange(int(8.0 * rate) * fine) + 0.5) / (rate * fine)
+    turn = (3000.0 * at + 0.5 * ramp * at**2) / 60.0
+    pulse = (-3000.0 + np.sqrt(3000.0**2 + 120.0 * ramp * np.arange(int(turn[-1])))) / ramp
+    last = np.searchsorted(pulse, at, side="right") - 1
+    speed = 60.0 / np.diff(pulse, prepend=pulse[0] - 0.02)[last]
+    rows = np.arange(int(8.0 * rate))
+    time, shown = (rows + 0.5) / rate, speed.reshape(-1, fine).mean(axis=1)
+    record = Record(
+        {"time": time - time[0], "omega": shown, "omega_ref": shown, "beta_ref": shown * 0.0, "thrust": shown}, "ramp"
+    )
+    sensor = Tachometer(replace(record, sensor=SpeedSensor("mark", averaged=True)))
+    error = sensor.shows(3000.0 + ramp * time) - sensor.measured
+    assert abs(error.mean()) < ramp * 0.05 / 50.0  # a twentieth of a revolution
+    assert np.sqrt(np.mean(error**2)) < ramp * 0.5 / 50.0
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+def test_means_over_the_row_are_told_from_samples(averaged):
+    """Three marks, 200 Hz: a value is held for one and a half to four rows."""
+    sent, fine = commands(27, rate=200.0), 20
+    held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
+    thrust, omega, _ = Simulator(BASE).simulate({}, held, np.full(len(sent) * fine - 1, 1.0 / (200.0 * fine))).T
+    time, turn = np.arange(len(omega)) / (200.0 * fine), np.cumsum(3.0 * omega / 60.0) / (200.0 * fine)
+    pulses = np.interp(np.arange(1.0, turn[-1]), turn, time)
+    last = np.maximum(np.searchsorted(pulses, time, side="right") - 1, 1)
+    read = {"omega": np.round(20.0 / (pulses[last] - pulses[last - 1])), "thrust": thrust}
+    read = {n: c.reshape(-1, fine).mean(axis=1) if averaged else c[::fine] for n, c in read.items()}
+    read["thrust"] += np.random.default_rng(28).normal(0.0, 0.05, len(sent))
+    assert as_logged(passed(campaign(sent.with_columns(**read)))).logger.sensor == SpeedSensor("mark", 3, averaged=averaged)
 
 
 def test_telemetry_reads_a_ramp_late_by_filter_delay_and_half_a_renewal():

@@ -191,14 +191,17 @@ def _sensor(path: str | os.PathLike, found: object) -> dict:
     """What is declared of the speed sensor, as fields of a `SpeedSensor`."""
     entry = _object(path, "sensors", found, ("speed",)).get("speed", {})
     entry = _object(path, "sensors, speed", entry, tuple(asdict(SpeedSensor())))
-    kind, marks = entry.get("kind"), entry.get("marks_per_revolution")
+    kind, marks, averaged = (entry.get(n) for n in ("kind", "marks_per_revolution", "averaged"))
     if kind is not None and kind not in tuple(KINDS):
         raise BadInput(path, "sensors, speed, kind", shown(kind), " or ".join(shown(k) for k in KINDS))
     if marks is not None and (isinstance(marks, bool) or not isinstance(marks, int) or not 1 <= marks <= MOST_MARKS):
         raise BadInput(path, "sensors, speed, marks_per_revolution", shown(marks), f"a whole number from 1 to {MOST_MARKS}")
+    if not isinstance(averaged, bool | None):
+        raise BadInput(path, "sensors, speed, averaged", shown(averaged), "true or false")
     times = {n: (-1.0 if n == "delay" else 0.0, 10.0) for n in ("filter", "refresh", "delay")}
     numbers = {n: _number(path, f"sensors, speed, {n}", entry[n], *times[n]) for n in times if n in entry}
-    return {n: v for n, v in (("kind", kind), ("marks_per_revolution", marks)) if v is not None} | numbers
+    named = {"kind": kind, "marks_per_revolution": marks, "averaged": averaged}
+    return {n: v for n, v in named.items() if v is not None} | numbers
 
 
 def _object(path: str | os.PathLike, name: str, found: object, known: tuple[str, ...]) -> dict:

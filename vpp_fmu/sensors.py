@@ -18,7 +18,7 @@ class SpeedSensor:
 
     `marks_per_revolution`: pulses of a mark sensor. `filter` [s]: time constant of a first-order low-pass. `refresh` [s]:
     interval between two values, 0: a new value in every row. `delay` [s]: time by which a reading is later than the thrust
-    reading of its row, negative where it is earlier.
+    reading of its row, negative where it is earlier. `averaged`: a reading is the mean over its row, whose middle is its time.
     """
 
     kind: str = ""
@@ -26,6 +26,7 @@ class SpeedSensor:
     filter: float = 0.0
     refresh: float = 0.0
     delay: float = 0.0
+    averaged: bool = False
 
     def summary(self) -> dict:
         """The entry of a rig.json, without what is not known."""
@@ -42,7 +43,7 @@ class SpeedSensor:
         marks = f", {self.marks_per_revolution} per revolution" if self.kind == MARK else ""
         times = {"filter": self.filter, "new value every": self.refresh, "delay": self.delay}
         parts = [f"{name} {1e3 * value:.3g} ms" for name, value in times.items() if value]
-        return ", ".join([f"{self.kind}{marks} ({KINDS[self.kind]})", *parts])
+        return ", ".join([f"{self.kind}{marks} ({KINDS[self.kind]})", *parts, *["mean over the row"] * self.averaged])
 
 
 UNKNOWN = SpeedSensor()

@@ -40,25 +40,29 @@ class Tachometer:
         self.sensor = record.sensor if record.sensor.kind else SpeedSensor(_guess(shown, step, new))
         kind = self.sensor.kind
         if kind == MARK:
-            period = 60.0 / (np.where(new, shown, 1.0) * self.sensor.marks_per_revolution)
-            since = np.minimum(step, period)  # the last pulse came at an unknown instant within this time before the row
-            new &= time - 0.5 * since - period >= time[0]
+            period = 60.0 / (np.where(shown > 0.0, shown, 1.0) * self.sensor.marks_per_revolution)
+            # The last pulse came at an unknown instant within `since` before the row.
+            since = np.minimum(step, period)
+            middle, width = time - 0.5 * (since + period), period
+            if self.sensor.averaged:
+                since, middle, width = _of_means(time, step, new, period)
+            new &= middle - 0.5 * width >= time[0]
         else:
-            period = np.zeros(len(time))
             since = np.minimum(step, self.sensor.refresh) if kind == TELEMETRY else np.zeros(len(time))
+            middle, width = time - 0.5 * since, np.zeros(len(time))
         self.rows = np.flatnonzero(new)
         self.measured, since = shown[self.rows], since[self.rows]
         self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
-        end = time[self.rows] - 0.5 * since - self.sensor.delay
-        self.std = self._uncertainty(end, since)
+        middle, width = middle[self.rows] - self.sensor.delay, width[self.rows]
+        self.std = self._uncertainty(since)
         if kind == ENCODER and not self.sensor.delay:
             self._average = csr_array((np.ones(len(self)), (np.arange(len(self)), self.rows)), shape=(len(self), len(time)))
             return
         if kind == MARK:
-            start = np.clip(end - period[self.rows], time[0], time[-1] - period[self.rows])
-            straight, bent = _means(time, start, start + period[self.rows])
+            start = np.clip(middle - 0.5 * width, time[0], time[-1] - width)
+            straight, bent = _means(time, start, start + width)
         else:
-            straight, bent = _instants(time, end)
+            straight, bent = _instants(time, middle)
         self._average = csr_array(straight + bent @ _bends(time))
         self.std = np.hypot(self.std, (np.abs(bent).sum(axis=1) + bool(self.sensor.filter)) * self._kinks())
 
@@ -117,7 +121,7 @@ class Tachometer:
         kink = np.abs(np.diff(bend, prepend=0.0))
         return np.maximum.reduce([kink, np.append(kink[1:], 0.0), np.append(0.0, kink[:-1])])
 
-    def _uncertainty(self, end: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def _uncertainty(self, step: np.ndarray) -> np.ndarray:
         """(m,) rpm: from the display's digit, the timer's tick, the marks' jitter, and acceleration over the unknown time
         `step`."""
         if len(self.rows) < 3:
@@ -128,7 +132,7 @@ class Tachometer:
         # A late pulse makes one revolution longer and the next shorter: neighbours differ by sqrt 3 times the jitter.
         change = np.diff(self.measured)
         jitter = 1.4826 * np.median(np.abs(change - np.median(change))) / np.sqrt(3.0)
-        rate = np.gradient(self.measured, end)
+        rate = np.gradient(self.measured, self.times)
         return np.sqrt((digit**2 + 2.0 * tick**2) / 12.0 + jitter**2 + 1.5 * (rate * step) ** 2 / 12.0)
 
 
@@ -141,6 +145,23 @@ def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarra
     step = np.diff(time, prepend=time[0] - (time[1] - time[0]))
     step[1:] = (time - time[before])[1:]
     return step, (shown != shown[before]) & seen & seen[before] & (shown > 0)
+
+
+def _of_means(time, step, new, period):
+    """(s within which the last pulse came, middle and width of the window that speed is a mean over, s), (rows,) each, of the
+    means over rows of a mark's values.
+
+    The row of a pulse mixes two values. A value that is held for two rows and longer is read unmixed in the next row, so mixed
+    and unmixed rows alternate in a run of new ones, which ends with an unmixed one. Shorter ones are mixed in any row: a
+    reading is a mean over the row, the time for which a value is held, and that between two pulses. One window of the same mean
+    and variance stands for the three.
+    """
+    row = np.arange(len(time))
+    end = np.minimum.accumulate(np.where(np.append(new[1:], False), len(time), row)[::-1])[::-1]
+    held, unmixed = period >= 2.0 * step, (end - row) % 2 == 0
+    middle = time - np.where(held & unmixed, step + 0.5 * period, period)
+    width = np.where(held, np.where(unmixed, period, 2.0 * period), np.sqrt(step**2 + 2.0 * period**2))
+    return np.where(held & unmixed, step, period), middle, width
 
 
 def _guess(shown: np.ndarray, step: np.ndarray, new: np.ndarray) -> str:
