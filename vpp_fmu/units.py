@@ -50,9 +50,9 @@ def display_units(unit: str) -> dict[str, dict[str, str]]:
 
 @cache
 def _in_base_units(unit: str) -> tuple[float, float, dict[str, int]]:
-    text, registry = _pints(unit), _registry()
+    text, units = _pints(unit), registry()
     try:
-        quantities = [registry.Quantity(x, text).to_base_units() for x in (0.0, 1.0, 2.0)]
+        quantities = [units.Quantity(x, text).to_base_units() for x in (0.0, 1.0, 2.0)]
     except (AttributeError, ValueError, TypeError, SyntaxError, ArithmeticError, TokenError) as error:  # pint's are among them
         raise UnknownUnit(f"{unit!r} is no unit that pint knows") from error
     zero, one, two = (float(quantity.magnitude) for quantity in quantities)
@@ -70,11 +70,13 @@ def _in_base_units(unit: str) -> tuple[float, float, dict[str, int]]:
 
 
 @cache
-def _registry():
-    pint = importlib.import_module("pint")  # half a second, which only what writes units should take
-    registry = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
-    registry.define("@alias ohm = Ohm")
-    return registry
+def registry():
+    """The units of pint, with Ohm as FMI writes it, and r, rev and the U of German nameplates for a turn."""
+    pint = importlib.import_module("pint")  # takes half a second, so it is imported on first use
+    found = pint.UnitRegistry(autoconvert_offset_to_baseunit=True, on_redefinition="ignore")
+    found.define("@alias ohm = Ohm")
+    found.define("@alias turn = rev = r = U")
+    return found
 
 
 def _pints(unit: str) -> str:

@@ -17,6 +17,8 @@ from functools import lru_cache
 import numpy as np
 import pint
 
+from vpp_fmu.units import registry
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -148,7 +150,7 @@ def _signal_factor(unit: str) -> float | None:
 
 
 def _factor(quantity: Quantity, found: pint.Quantity) -> float | None:
-    units = _registry()
+    units = registry()
     if quantity.force and found.check("[mass]"):
         found = found * units.standard_gravity
     if quantity.turning and found.check("1/[time]") and "radian" not in found.to_base_units().units._units:
@@ -174,14 +176,6 @@ def _parsed(text: str) -> pint.Quantity | None:
     if len(text) > 40 or not re.search(r"[^\W\d_]|[°%]", text) or re.search(r"[\d)]\s*(\*\*|\^)", text):
         return None  # a power of a number is not a unit, and pint would never finish 9**9**9
     try:
-        return _registry().Quantity(_registry().parse_expression(re.sub(r"(?<=[A-Za-z])(-\d)", r"^\1", text)))
+        return registry().Quantity(registry().parse_expression(re.sub(r"(?<=[A-Za-z])(-\d)", r"^\1", text)))
     except _NO:
         return None
-
-
-@lru_cache(maxsize=1)
-def _registry() -> pint.UnitRegistry:
-    """Created on first use, because it takes half a second. U is the turn on a German nameplate."""
-    units = pint.UnitRegistry(on_redefinition="ignore")
-    units.define("@alias turn = rev = r = U")
-    return units
