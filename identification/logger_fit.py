@@ -52,8 +52,8 @@ MOST_ROWS = 12_000
 FAST = 3.0
 """Minimum difference of two successive values of a changing speed, in digits."""
 
-LEAST_CHANGE = 0.05
-"""Quantile of the changes between values that is taken as one digit."""
+LEAST_CHANGE, MOVING = 0.05, 0.75
+"""Quantiles of the changes between values: one digit; the change from which the speed moves."""
 
 GROUPS = 10
 """Groups of speed readings, by their uncertainty, that have a noise variance each where sensors are compared."""
@@ -453,8 +453,8 @@ def _as_modelled(record: Record) -> Record:
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """((intervals,) renewal intervals of the speed in rows, (intervals,) rows per revolution).
 
-    Only values that differ from the previous one by at least FAST digits are used: equal values between them are then held
-    values. A digit is constant, or, for a timed period, proportional to the square of the speed."""
+    Only values that differ from the previous one by at least FAST digits, and more than most do, are used: equal values between
+    them are then held values. A digit is constant, or, for a timed period, proportional to the square of the speed."""
     shown = np.where(np.isfinite(record["omega"]), record["omega"], 0.0)
     changes = np.append(0.0, np.abs(np.diff(shown)))
     new = np.flatnonzero((changes > 0.0) & (shown > 0.0))
@@ -462,7 +462,7 @@ def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(0), np.zeros(0)
     square = shown[new] ** 2
     digits = [np.quantile(changes[new] / scale, LEAST_CHANGE) * scale for scale in (1.0, square)]
-    clear = changes[new] >= FAST * np.maximum(*digits)
+    clear = changes[new] >= np.maximum(FAST * np.maximum(*digits), np.quantile(changes[new], MOVING))
     kept = clear[1:] & clear[:-1] & (shown[new[1:]] > 0.0)
     return np.diff(new)[kept], 60.0 / (shown[new[1:]][kept] * record.period)
 
