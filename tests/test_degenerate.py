@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from studies.crippled import CASES
 from studies.degenerate import LONG, NEEDED, Row, judged, line, rows, show, valid
+from studies.incomplete_campaigns import CASES
 
 from identification.assessment.prediction import Prediction
 from identification.assessment.reading_noise import reading_noise

@@ -7,13 +7,13 @@ from importlib import import_module
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from studies import diagnosis, orders, rigs, scores
-from studies.apart import Failed, apart
+from studies import command_sequences, diagnosis, rigs, scores
 from studies.cases import KINDS, WHOLE, Case, draw
 from studies.detectable import STEP, behind, evidence
-from studies.missing import HIDDEN, LISTED, Draw
+from studies.hidden_effects import HIDDEN, LISTED, Draw
 from studies.noise import HUM, SPIKE, SPIKES, Noise
 from studies.noise import KINDS as NOISES
+from studies.own_process import Failed, apart
 from studies.physics import PAPER, Frame, in_time, run
 from studies.rig import SIZES, Files, Rig, campaign, random_base, save
 
@@ -23,7 +23,7 @@ PLAIN = Frame(row=0.004, step=1e-4, slow=1.0, full=6000.0)
 
 
 def commands(clock, seconds=12.0, seed=3):
-    return orders.both(np.random.default_rng(seed), clock, seconds)
+    return command_sequences.both(np.random.default_rng(seed), clock, seconds)
 
 
 @pytest.mark.parametrize("name", SIZES)
@@ -56,7 +56,7 @@ OWN_TIME = {"fade", "drift", "discharge"}
 )
 def test_a_slower_rig_does_the_same_more_slowly(hidden):
     settings = PAPER | dict(hidden.draw(Draw(np.random.default_rng(1), 1.0)))
-    w, b = commands(orders.Clock(0.004, 1.0))
+    w, b = commands(command_sequences.Clock(0.004, 1.0))
     fast = run(settings, PLAIN, w, b)
     slow = run(in_time(settings, 3.0), Frame(0.012, 3e-4, 3.0, 2000.0), w, b)
     assert slow.load == pytest.approx(fast.load, abs=1e-6)
@@ -82,7 +82,7 @@ def test_speed_is_held_until_the_next_pulse_and_never_ahead_of_it():
 
 
 def test_a_late_reading_is_the_same_later():
-    w, b = commands(orders.Clock(0.004, 1.0))
+    w, b = commands(command_sequences.Clock(0.004, 1.0))
     now, later = (run(PAPER | own, PLAIN, w, b) for own in ({}, {"reading_delay": 0.04, "speed_late": 0.02}))
     assert later.load[10:] == pytest.approx(now.load[:-10], abs=1e-12)
     assert np.array_equal(later.shown[5:], now.shown[:-5])
@@ -304,12 +304,12 @@ def test_work_apart_gives_its_result_or_why_not():
     assert apart(json.loads, "[1, 2]") == [1, 2]
     with pytest.raises(Failed, match="ValueError"):
         apart(int, "x")
-    assert 10.0 < apart(import_module("tests.studies.apart").peak) < 2000.0
+    assert 10.0 < apart(import_module("tests.studies.own_process").peak) < 2000.0
 
 
 def test_every_effect_that_is_hidden_changes_what_is_measured():
-    clock = orders.Clock(0.004, 1.0)
-    w, b = orders.open_loop(np.random.default_rng(0), clock, 30.0)
+    clock = command_sequences.Clock(0.004, 1.0)
+    w, b = command_sequences.open_loop(np.random.default_rng(0), clock, 30.0)
     plain = run(PAPER, PLAIN, w, b)
     for hidden in HIDDEN.values():
         own = dict(hidden.draw(Draw(np.random.default_rng(4), 1.0)))

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.studies import loggers, orders
+from tests.studies import command_sequences, loggers
 from tests.studies.detectable import LIMIT, evidence
 from tests.studies.diagnosis import rows
 from tests.studies.loggers import Case
@@ -108,7 +108,8 @@ def test_readings_are_means_over_the_row():
     ],
 )
 def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
-    w = orders.levels(np.random.default_rng(4), orders.Clock(1.0 / rate, 1.0), round(60.0 * rate), *orders.SPEED)
+    clock = command_sequences.Clock(1.0 / rate, 1.0)
+    w = command_sequences.levels(np.random.default_rng(4), clock, round(60.0 * rate), *command_sequences.SPEED)
     rig = LoggedRig(PAPER, rate=rate, sensor=sensor)
     assert rig.read(np.random.default_rng(5), (w, np.full(len(w), 0.5))).delay == pytest.approx(delay, abs=3e-4)
 
@@ -116,7 +117,7 @@ def test_a_speed_is_behind_its_thrust_by_filter_and_hold(sensor, rate, delay):
 def test_the_loggers_nuisances_take_what_is_the_loggers_and_nothing_else():
     def nats(settings, **nuisances):
         rig = LoggedRig(PAPER | settings, rate=100.0)
-        sent = rig.size.commands(*orders.open_loop(np.random.default_rng(6), rig.clock, 20.0))
+        sent = rig.size.commands(*command_sequences.open_loop(np.random.default_rng(6), rig.clock, 20.0))
         return evidence(rig, {n: PAPER[n] for n in BASE}, *sent, **nuisances)
 
     late = {"reading_delay": 0.01, "speed_late": 0.01}

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.crippled import SIZES, commanded, gridded, measured, only, recorded, whole
 from studies.degenerate import FAR
+from studies.incomplete_campaigns import SIZES, commanded, gridded, measured, only, recorded, whole
 
 from identification.found_report import untold
 from identification.identify import identify

@@ -14,9 +14,9 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
 
-from . import orders
+from . import command_sequences
 from .detectable import LIMIT, behind, evidence
-from .missing import HIDDEN, LISTED, OUTSIDE, PAIRS, Draw
+from .hidden_effects import HIDDEN, LISTED, OUTSIDE, PAIRS, Draw
 from .noise import KINDS as NOISES
 from .physics import BASE, in_time
 from .rig import SIZES, Files, Rig, campaign, random_base, random_vibration
@@ -147,7 +147,7 @@ class Case:
     def unseen(self) -> tuple[Record, np.ndarray]:
         """(a record of other commands on this rig, the thrust (rows,) N that was really there)."""
         rng = self.random(4)
-        return self.rig.observed(rng, orders.both(rng, self.rig.clock, UNSEEN * self.rig.size.slow), "unseen")
+        return self.rig.observed(rng, command_sequences.both(rng, self.rig.clock, UNSEEN * self.rig.size.slow), "unseen")
 
     def truth(self) -> dict[str, float]:
         """True values of the project's parameters by full name, where one corresponds."""

@@ -1,4 +1,4 @@
-"""python -m tests.studies degenerate: every verb over campaigns that lack something or hold something odd (crippled.py).
+"""python -m tests.studies degenerate: every verb over incomplete and unusual campaigns (incomplete_campaigns.py).
 
 Each ends with its files, a report and strictly valid JSON, or with exit 2 and one line that says what is wrong; no traceback,
 no warning of numpy; no verb refuses what another wrote. What is not told by the data must be named, and what is told must be
@@ -22,7 +22,7 @@ from identification.fit.refine import BASE_PARAMETERS
 from vpp_fmu.cli import VERBS
 from vpp_fmu.cli import main as vpp
 
-from .crippled import CASES, LONG, SIZES, Case, scale_parameters
+from .incomplete_campaigns import CASES, LONG, SIZES, Case, scale_parameters
 
 STAGE = re.compile(r"vpp diagnose: .* \(\d+ s\)")
 """What a diagnosis prints of each stage in a pipe."""

@@ -31,10 +31,10 @@ from vpp_fmu.parameters import ParameterSet, read_parameters
 from vpp_fmu.record import Record
 
 from . import scores
-from .apart import Failed, apart, peak
 from .cases import KINDS, RATES, Case, draw
-from .missing import HIDDEN, LISTED
+from .hidden_effects import HIDDEN, LISTED
 from .noise import KINDS as NOISES
+from .own_process import Failed, apart, peak
 from .rig import SIZES, save
 
 YES_NO = {"yes": True, "no": False}

@@ -27,8 +27,8 @@ from tqdm import tqdm
 
 from vpp_fmu.date import EPOCH
 
-from .apart import ROOT
 from .cases import Case, draw
+from .own_process import ROOT
 from .rig import SIZES, save
 
 KINDS = ("none", "single", "pair", "outside")

@@ -2,7 +2,7 @@
 
 On the emulator of the diagnosis study (rig.py). Each of the library's effects in turn is hidden in a rig and deleted from the
 list that the diagnosis is given; twelve further forms that no list has were thought of before there was anything that learns
-(`missing.UNLISTED`); and rigs without anything. A case counts by what ships: the place and the driver, the share of the
+(`hidden_effects.UNLISTED`); and rigs without anything. A case counts by what ships: the place and the driver, the share of the
 thrust error's power removed on a record that nobody saw, and whether that is below 0. Where a term was learned, the model with
 it is exported in both flavours, validated by fmpy, and run through fmpy over that record: to the functions' bits, or not.
 """
@@ -33,9 +33,9 @@ from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, learned_curve
 
-from .apart import Failed, apart
 from .cases import Case, draw
-from .missing import LISTED, UNLISTED
+from .hidden_effects import LISTED, UNLISTED
+from .own_process import Failed, apart
 
 KINDS = ("unlisted", "deleted", "none")
 

@@ -25,10 +25,10 @@ from identification.diagnose.diagnose import Diagnosis, diagnose
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.record import Record
 
-from . import orders
+from . import command_sequences
 from .detectable import LIMIT, evidence
 from .diagnosis import read, rows
-from .missing import HIDDEN, Draw
+from .hidden_effects import HIDDEN, Draw
 from .physics import BASE, in_time
 from .rig import SIZES, Files, campaign, random_base, save
 from .scores import NAMED, named, share
@@ -42,7 +42,7 @@ STRONG = ("thrust_gain_drift", "sensor_drift")
 WEAK = ("inflow_lag", "pitch_rate_feedthrough", "pitch_backlash", "pitch_command_deadband")
 STRENGTHS = dict.fromkeys(EFFECTS, (0.5, 1.0)) | dict.fromkeys(STRONG, (0.8, 1.0))
 STRENGTHS_WEAK = dict(zip(WEAK, ((0.4, 1.0), (0.3, 0.8), (0.0, 0.4), (0.0, 0.4)), strict=True))
-"""As in missing.py, from 0, the least size, to 1. Inflow and feedthrough are faint: they need more to be detectable."""
+"""As in hidden_effects.py, from 0, the least size, to 1. Inflow and feedthrough are faint: they need more to be detectable."""
 
 LEVELS = {
     "sensor": ("1 mark", "2 marks", "3 marks", "4 marks", "encoder", "telemetry"),
@@ -154,7 +154,7 @@ class Case:
     def unseen(self) -> tuple[Record, float]:
         """(a record of other commands without noise, the true delay [s] of its speed behind its thrust)."""
         rng, rig = self.random(4), self.rig
-        read = rig.read(rng, orders.both(rng, rig.clock, UNSEEN))
+        read = rig.read(rng, command_sequences.both(rng, rig.clock, UNSEEN))
         time = np.round(np.arange(len(read.speed)) / rig.rate, 9)
         columns = {"time": time, "omega_ref": read.speed, "beta_ref": read.pitch, "omega": read.omega, "thrust": read.force}
         return Record(columns, "unseen"), read.delay

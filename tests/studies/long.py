@@ -6,9 +6,9 @@ Aims: seconds grow no faster than the readings, and no more than 300 MB.
 import argparse
 from itertools import pairwise
 
-from .apart import Failed, apart
 from .cases import WHOLE, draw
 from .diagnosis import outcome
+from .own_process import Failed, apart
 
 MB = 300.0
 

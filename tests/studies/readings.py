@@ -24,8 +24,8 @@ from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
 
+from .command_sequences import Clock, open_loop
 from .noise import LSB, SHARE, Noise
-from .orders import Clock, open_loop
 from .physics import PAPER, Frame, run
 from .rig import SIZES
 

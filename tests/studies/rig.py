@@ -16,9 +16,9 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.rig import infer_rig
 
-from . import orders
+from . import command_sequences
+from .command_sequences import Clock, Commands
 from .noise import LSB, SHARE, Noise
-from .orders import Clock, Commands
 from .physics import PAPER, Frame, Run, in_time, pulses, run
 
 STEP = 0.0001
@@ -70,7 +70,7 @@ class Size:
     def declared(self) -> dict:
         """What its rig.json says, as `vpp_fmu.rig.read_rig` gives it."""
         (slowest, lowest), (fastest, highest) = (
-            self.commands(*ends) for ends in zip(orders.GRID_SPEED, orders.GRID_PITCH, strict=True)
+            self.commands(*ends) for ends in zip(command_sequences.GRID_SPEED, command_sequences.GRID_PITCH, strict=True)
         )
         ranges = {"speed": (float(slowest), float(fastest)), "pitch": (float(lowest), float(highest))}
         return {"name": self.name, **ranges, "scales": self.scales}
@@ -198,14 +198,14 @@ VALIDATION = 2.0 / 3.0
 
 def campaign(rig: Rig, rng: np.random.Generator, files: Files = Files()) -> Campaign:
     """What is measured on a rig."""
-    told = orders.open_loop(rng, rig.clock, files.seconds)
-    other = orders.both(rng, rig.clock, VALIDATION * files.seconds)
+    told = command_sequences.open_loop(rng, rig.clock, files.seconds)
+    other = command_sequences.both(rng, rig.clock, VALIDATION * files.seconds)
     records = {"open_loop": rig.record(rng, told, "open_loop"), "repeat": None, "validation": None}
     if files.repeat:
         records["repeat"] = rig.record(rng, told, "repeat")
     if files.validation:
         records["validation"] = rig.record(rng, other, "validation")
-    commanded = orders.steps(rig.clock) if files.steps else ()
+    commanded = command_sequences.steps(rig.clock) if files.steps else ()
     steps = tuple(rig.record(rng, command, f"steps, run {k}") for k, command in enumerate(commanded))
     static = static_map(rig, rng) if files.static else None
     fitted = [r for n, r in records.items() if r is not None and n != "validation"] + list(steps)
@@ -216,7 +216,7 @@ def campaign(rig: Rig, rng: np.random.Generator, files: Files = Files()) -> Camp
 def static_map(rig: Rig, rng: np.random.Generator) -> StaticMap:
     """Steady points, each the mean of 1.5 s after 1.5 s of rest, on the paper's rig."""
     rows, samples = [], rig.clock.rows(1.5)
-    for w, b in orders.grid():
+    for w, b in command_sequences.grid():
         last = rig.record(rng, (np.full(2 * samples, w), np.full(2 * samples, b)), "").part(slice(samples, None))
         mean = last["omega"].mean(), last["thrust"].mean(), last["thrust"].std()
         rows.append((last["omega_ref"][0], last["beta_ref"][0], *mean, samples))

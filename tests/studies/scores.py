@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import beta, kstest
 
 from .detectable import LIMIT
-from .missing import HIDDEN
+from .hidden_effects import HIDDEN
 
 NAMED = ("attributed", "family")
 """Verdicts that claim to know the name."""

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from vpp_fmu.record import Record
 
-from .orders import Commands
+from .command_sequences import Commands
 from .physics import Frame, run
 from .rig import STEP, Rig
 

@@ -20,7 +20,7 @@ def apart(work: Callable, *arguments, limit: float | None = None, environment: M
     and out can be pickled. Failed where it ends otherwise."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "result")
-        command = [sys.executable, "-m", "tests.studies.apart", str(path)]
+        command = [sys.executable, "-m", "tests.studies.own_process", str(path)]
         settings = {**os.environ, **(environment or {})}
         try:
             ended = subprocess.run(
