@@ -1,16 +1,38 @@
-"""A headless Chromium, driven over its debugging pipe: pages as a reader has them, at any width, light or dark."""
+"""A headless Chromium: pages as a reader has them, at any width, light or dark.
+
+It is driven over its debugging pipe, by the protocol of chromedevtools.github.io/devtools-protocol.
+"""
 
 import base64
+import contextlib
 import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import pytest
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
+PATIENCE = 30.0
+"""s that a page may take on a busy machine."""
+
 _FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe", "--no-first-run")
+
+
+@contextlib.contextmanager
+def browser(profile: Path) -> Iterator["Browser"]:
+    """A browser with an empty tab; its files are in `profile`. Skips the test if there is no browser."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine: pages are not rendered")
+    opened = Browser(profile)
+    try:
+        yield opened
+    finally:
+        opened.close()
 
 
 class Browser:
@@ -55,13 +77,21 @@ class Browser:
             raise RuntimeError(f"{method}: {answer['error']}")
         return answer["result"]
 
-    def show(self, page: Path, width: int, height: int, dark: bool) -> None:
-        """Opens a page; `problems` then lists what its scripts threw and what the browser refused."""
-        self.problems = []
+    def window(self, width: int, height: int, dark: bool = False) -> None:
+        """The page's size in CSS pixels, and its colours."""
         self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         self.scheme(dark)
-        self.ask("Page.navigate", url=page.resolve().as_uri())
+
+    def open(self, address: str) -> None:
+        """Go there, and wait until it is loaded; `problems` then lists errors of its scripts and refusals of the browser."""
+        self.problems = []
+        self.ask("Page.navigate", url=address)
         self._until(lambda told: told.get("method") == "Page.loadEventFired")
+
+    def show(self, page: Path, width: int, height: int, dark: bool) -> None:
+        """Opens a page of a file."""
+        self.window(width, height, dark)
+        self.open(page.resolve().as_uri())
         self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def scheme(self, dark: bool) -> None:
@@ -83,6 +113,23 @@ class Browser:
         if "exceptionDetails" in answer:
             raise RuntimeError(answer["exceptionDetails"]["exception"].get("description"))
         return answer["result"].get("value")
+
+    def wait_for(self, expression: str):
+        """Until an expression of JavaScript is true; its value."""
+        end = time.monotonic() + PATIENCE
+        while not (value := self.run(expression)):
+            assert time.monotonic() < end, f"{expression} is still {value}: {self.run('document.body.innerText')[:600]}"
+            time.sleep(0.02)
+        return value
+
+    def press(self, selector: str) -> float:
+        """The mouse on an element's middle, pressed and released; when that began [s, monotonic]."""
+        box = f"(() => {{ const b = document.querySelector({selector!r}).getBoundingClientRect(); "
+        x, y = self.run(f"{box} return [b.x + b.width / 2, b.y + b.height / 2]; }})()")
+        began = time.monotonic()
+        for kind in ("mousePressed", "mouseReleased"):
+            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        return began
 
     def picture(self) -> bytes:
         """The whole page as PNG."""

@@ -10,7 +10,7 @@ from hil.report import add_counts, add_loops, add_timing, add_twin
 from hil.timing import timing
 from identification.diagnose.report.fleet import Entry, fleet_page
 from tests import test_report, test_report_diagnosis
-from tests.browser import CHROMIUM, Browser
+from tests.browser import browser as opened
 from vpp_fmu.cli.effects import effects_page
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
@@ -171,11 +171,8 @@ def pages(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: pages are not rendered")
-    opened = Browser(tmp_path_factory.mktemp("profile"))
-    yield opened
-    opened.close()
+    with opened(tmp_path_factory.mktemp("profile")) as tab:
+        yield tab
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -14,7 +14,6 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from browser import browser
 from rigs import CALIBRATION, step_profile, virtual_rig
 
 from hil.calibration import to_json
@@ -27,6 +26,7 @@ from hil.safety.faults import FaultKind
 from hil.safety.states import SafetyState
 from hil.safety.stop import StopSignals
 from hil.session import read_log
+from tests.browser import browser
 from tests.hil.faults import CUT, RAMP
 from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder
@@ -226,21 +226,21 @@ def test_the_adaptive_twin_stands_on_the_page_in_plain_words(tmp_path):
             seen.window(390, 800, dark=True)
             seen.open(page.address)
             seen.wait_for("document.getElementById('twin-says').className === 'alarm'")
-            said = seen.evaluate("document.getElementById('twin-says').textContent")
+            said = seen.run("document.getElementById('twin-says').textContent")
             assert said.startswith("ALARM: the rig does not do what the adapted model says.")
             assert "Most like a change of sensor_gain.gain (thrust reading over thrust)" in said
             cells = "[row.className, ...[...row.cells].map((cell) => cell.innerText)]"
-            moved, stays = seen.evaluate(f"[...document.querySelectorAll('#adapted tr')].map((row) => {cells})")
+            moved, stays = seen.run(f"[...document.querySelectorAll('#adapted tr')].map((row) => {cells})")
             assert moved == ["moved", "sensor_gain.gain\nthrust reading over thrust", "1", "1.000", "↓ 0.800", "0.050"]
             assert stays == ["", "tau_beta_1\ntime constant of a lag", "s", "0.160", "0.170", "0.010"]
             curve = "document.getElementById('learned').data.find((line) => line.name === '{}').y"
             seen.wait_for("document.getElementById('learned').data && " + curve.format("sensor_gain.gain") + ".at(-1) < 0")
-            assert seen.evaluate(curve.format("sensor_gain.gain") + ".at(-1)") == pytest.approx(-0.8)  # in plausible changes
-            assert seen.evaluate(curve.format("95 % expected") + ".at(-1)") == 0.5
-            assert seen.evaluate("document.getElementById('learned').layout.yaxis.title.text") == "residual [N]"
-            assert "ALARM: most like sensor_gain.gain" in seen.evaluate("document.querySelector('.tile.alarm').textContent")
-            assert seen.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            seen.picture(tmp_path / "twin.png")
+            assert seen.run(curve.format("sensor_gain.gain") + ".at(-1)") == pytest.approx(-0.8)  # in plausible changes
+            assert seen.run(curve.format("95 % expected") + ".at(-1)") == 0.5
+            assert seen.run("document.getElementById('learned').layout.yaxis.title.text") == "residual [N]"
+            assert "ALARM: most like sensor_gain.gain" in seen.run("document.querySelector('.tile.alarm').textContent")
+            assert seen.run("document.documentElement.scrollWidth <= innerWidth")
+            (tmp_path / "twin.png").write_bytes(seen.picture())
             log.close()
     finally:
         page.close("as planned")
@@ -358,29 +358,29 @@ def test_in_a_browser_curves_move_and_stop_stops(tmp_path, capsys):
         seen.open(address)
         seen.wait_for("document.getElementById('state').textContent === 'run'")
         seen.wait_for("document.getElementById('curves').data[0].y.length > 20")
-        points = seen.evaluate("document.getElementById('curves').data[0].y.length")
+        points = seen.run("document.getElementById('curves').data[0].y.length")
         seen.wait_for(f"document.getElementById('curves').data[0].y.length > {points + 10}")
         speed = "document.getElementById('curves').data.find((line) => line.name === 'speed').y.at(-1)"
         seen.wait_for(f"{speed} > 1500")
-        tiles = seen.evaluate("document.getElementById('tiles').textContent")
+        tiles = seen.run("document.getElementById('tiles').textContent")
         assert re.search(r"supply2[34]\.\d V-?\d+\.\d A", tiles)  # what is wired, and no temperature
-        assert seen.evaluate("document.querySelectorAll('#adapted tr').length") == 5
+        assert seen.run("document.querySelectorAll('#adapted tr').length") == 5
         seen.wait_for("document.getElementById('twin-says').textContent.startsWith('No alarm')")  # the loop is closed
         seen.wait_for("document.getElementById('learned').data?.find((line) => line.name === 'sensor_gain.gain').y.at(-1)")
-        assert "lowest voltage" in seen.evaluate("document.getElementById('limits').textContent")
-        assert seen.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor") == "rgb(198, 40, 40)"
+        assert "lowest voltage" in seen.run("document.getElementById('limits').textContent")
+        assert seen.run("getComputedStyle(document.getElementById('stop')).backgroundColor") == "rgb(198, 40, 40)"
         for name, *window in (("light", 1100, 1400, False), ("dark", 1100, 1400, True), ("phone", 390, 800, True)):
             seen.window(*window)
             seen.wait_for("new Promise(requestAnimationFrame).then(() => document.fonts.ready).then(() => true)")
-            seen.picture(tmp_path / f"{name}.png")
-            assert seen.evaluate("document.documentElement.scrollWidth <= innerWidth")  # nothing to the right of the window
+            (tmp_path / f"{name}.png").write_bytes(seen.picture())
+            assert seen.run("document.documentElement.scrollWidth <= innerWidth")  # nothing to the right of the window
         esc = esc_of(process)
         took = until_idle(esc, seen.press("#stop"))
         os.close(esc)
         seen.wait_for("document.getElementById('banner').textContent.includes('It is over')")
-        assert seen.evaluate("document.getElementById('stop').disabled")
-        assert "STOP on the page" in seen.evaluate("document.getElementById('events').textContent")
-        seen.picture(tmp_path / "ended.png")
+        assert seen.run("document.getElementById('stop').disabled")
+        assert "STOP on the page" in seen.run("document.getElementById('events').textContent")
+        (tmp_path / "ended.png").write_bytes(seen.picture())
         process.communicate(timeout=PATIENCE)
     with capsys.disabled():
         print(f"\nSTOP in Chromium: idle pulse {took:.0f} ms after the press; pictures in {tmp_path}")
