@@ -14,9 +14,8 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.paper.control import RIG
-from vpp_fmu.paper.page import page, tiles, verdict
+from vpp_fmu.paper.page import page, summary, tiles, verdict
 from vpp_fmu.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
-from vpp_fmu.paper.summary import summary
 from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
 
 EXAMPLE = "vpp paper -o paper"
