@@ -84,20 +84,6 @@ class Test:
     down: Merit
 
 
-@dataclass(frozen=True, eq=False)
-class Control:
-    """`tuned`: gains for the paper's model, as the paper designed for it, and for the model that the rig's campaign gave;
-    `tests` of all loops; `repeats`: runs of each loop on the rig."""
-
-    tuned: Mapping[str, Tuning]
-    tests: Mapping[Loop, Test]
-    repeats: int
-
-    def compared(self, controller: str) -> tuple[Test, Test]:
-        """What is compared with the paper: the tuned gains on the rig, the published ones on the paper's model."""
-        return self.tests[Loop(RIG, TUNED, controller)], self.tests[Loop(MODEL, PUBLISHED, controller)]
-
-
 def profile(scale: float) -> Record:
     """The paper's step, and the way back as long after it: `time` s, `thrust_set` N."""
     levels = np.array([STEP_FROM, STEP_TO, STEP_FROM, STEP_FROM]) * scale
@@ -111,9 +97,11 @@ def emulated(limits: Limits, seed: int, map_is_known: bool = True) -> Setup:
     return Setup(calibration, limits, Rig(seed=seed), virtual=True, map_is_known=map_is_known)
 
 
-def control(identified: ParameterSet, noise: float, seed: int, repeats: int, stage: Callable[[str], None]) -> Control:
-    """Tune for both plants, close all loops. `noise` N: of a reading on the rig; `repeats`: runs of each loop there, each with
-    other noise. The paper's own design knows no noise and no converter. RunEnded."""
+def control(
+    identified: ParameterSet, noise: float, seed: int, repeats: int, stage: Callable[[str], None]
+) -> tuple[Mapping[str, Tuning], Mapping[Loop, Test]]:
+    """Tune for both plants, close all loops: (tunings by plant, step tests by loop). `noise` N: of a reading on the rig;
+    `repeats`: runs of each loop there, each with other noise. The paper's design knows no noise and no converter. RunEnded."""
     papers = ParameterSet(BASE).replaced(ASSUMED)
     course = profile(papers.values["thrust_scale"])
     chain = {"delay": CONTROLLER.values()["sample_time"] ** -1 / CONVERSIONS, "resolution": RESOLUTION}
@@ -132,7 +120,7 @@ def control(identified: ParameterSet, noise: float, seed: int, repeats: int, sta
         stage(f"loops on the rig {k / len(there):.0%}")
         limits = Limits() if loop.plant == LIMITED else steep(Limits())
         tests[loop] = _on_rig(settings, course, limits, [1000 * (seed + 1) + n for n in range(repeats)])
-    return Control(tuned, tests, repeats)
+    return tuned, tests
 
 
 def judged(run: Record) -> tuple[Merit, Merit]:

@@ -89,10 +89,10 @@ def learning_curves(rig: FineTuning, model: FineTuning, noise_cost: float, title
     return fig
 
 
-def mark_reached(fig: go.Figure, seconds: float) -> None:
-    """A line at the time [s] at which the paper's step has reached its set-point."""
+def mark_reached(fig: go.Figure, step: float) -> None:
+    """A line where the paper's step has reached its set-point; `step`: its time, s."""
     name = f"paper: reached about {REACHED:g} s after the step"
-    fig.add_vline(x=seconds, line=_published("dash", 1.8), name=name, showlegend=True)
+    fig.add_vline(x=step + REACHED, line=_published("dash", 1.8), name=name, showlegend=True)
 
 
 def speed_dips(found: Mapping[float, tuple[np.ndarray, np.ndarray]], title: str) -> go.Figure:

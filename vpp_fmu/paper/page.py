@@ -12,9 +12,9 @@ from identification.assessment.prediction import predict
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper import figures
 from vpp_fmu.paper.control import MODEL, PI, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, Merit
-from vpp_fmu.paper.published import COLUMNS, FIGURES, KEY, NUMBERS, REACHED
+from vpp_fmu.paper.published import COLUMNS, FIGURES, KEY, NUMBERS, STATIC_MAP
 from vpp_fmu.paper.rows import compared
-from vpp_fmu.paper.study import Study, by_part, by_size, lags, noise_of, parts, runs_of
+from vpp_fmu.paper.study import Study, by_part, by_size, lags, noise_of, parts, rms, runs_of
 from vpp_fmu.report import Page, closed_loop, map_residuals, measured_against_predicted, stacked, thinning
 from vpp_fmu.response import steps
 
@@ -51,7 +51,7 @@ DRAWN = ("time", "thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta
 
 def summary(study: Study, total: float) -> dict:
     """The content of paper.json; `total`: s of the whole."""
-    tests = [loop._asdict() | {"up": asdict(test.up), "down": asdict(test.down)} for loop, test in study.control.tests.items()]
+    tests = [loop._asdict() | {"up": asdict(test.up), "down": asdict(test.down)} for loop, test in study.tests.items()]
     return {
         "format": "vpp-paper/1",
         "verdict": verdict(study),
@@ -90,7 +90,7 @@ def page(study: Study, total: float) -> Page:
 
 def verdict(study: Study) -> str:
     """What the study says of the paper's claims, in a sentence."""
-    both, alone = (study.control.compared(name)[0] for name in (PID, SPEED))
+    both, alone = (study.compared(name)[0] for name in (PID, SPEED))
     said = [
         f"{dual.against(single)} {way} (settled in {dual.seconds}, {single.seconds})"
         for way, dual, single in (("up", both.up, alone.up), ("down", both.down, alone.down))
@@ -105,9 +105,9 @@ def verdict(study: Study) -> str:
 
 def tiles(study: Study, total: float) -> list[tuple[str, str, str]]:
     """(label, value, note) of what a reader must know first."""
-    both, alone = (study.control.compared(name)[0] for name in (PID, SPEED))
+    both, alone = (study.compared(name)[0] for name in (PID, SPEED))
     rmse = study.found.predictions["validation"].rmse_thrust
-    logged = sum(len(test.mean) for loop, test in study.control.tests.items() if loop.plant != MODEL) * study.control.repeats
+    logged = sum(len(run) for loop, test in study.tests.items() if loop.plant != MODEL for run in test.runs)
     minutes = (seconds_on_rig(study.plan, PARTS) + 0.004 * logged) / 60.0
     found = [("error on an unseen record", f"{rmse:.3f} N", f"rms; the noise alone is {study.found.noise.std:.3f} N")]
     for way, dual, single in (("up", both.up, alone.up), ("down", both.down, alone.down)):
@@ -127,7 +127,6 @@ def _done(study: Study) -> str:
 
 
 def _add_loops(page: Page, study: Study) -> dict[str, int]:
-    """The speed loop under steps of pitch, and the terms of the thrust loop; the paper has block diagrams."""
     page.section(
         "Loops (figures 2, 3)",
         "The paper draws the loops of speed and pitch, and the loop of the thrust around them, as blocks. Both run here as "
@@ -145,7 +144,7 @@ def _add_loops(page: Page, study: Study) -> dict[str, int]:
     )
     title = "Published gains: the proportional terms ask for far more than the actuators have, the integrals hold what stays"
     terms = page.figure(
-        stacked(*figures.terms(study.control.compared(PID)[1]), title),
+        stacked(*figures.terms(study.compared(PID)[1]), title),
         "What each term of the two PIDs adds to its command around the step upwards, on the paper's model. Commands end "
         "at 1, and clamping stops the integrals there.",
     )
@@ -169,24 +168,25 @@ def _add_loops(page: Page, study: Study) -> dict[str, int]:
 
 
 def _add_static(page: Page, study: Study) -> dict[str, int]:
-    """Map and thrust coefficient."""
     s = study.statics
     page.section("Static map (figure 4)")
     title = (
         f"The cubic fits {len(s.difference)} points to {s.rig.rmse:.3f} N, adjusted R² {s.rig.r2_adjusted:.4f}; the paper's "
-        f"map lies {s.difference_rms:.2f} N rms off"
+        f"map lies {rms(s.difference):.2f} N rms off"
     )
     first = page.figure(figures.static_map(s, title), "Lines: fitted to the rig; dotted: the paper's map, section 4.1.")
-    largest, used = float(np.max(np.abs(s.difference))), s.rig.used
+    used, measured = s.rig.used, s.points.thrust[s.rig.used]
+    largest = float(np.max(np.abs(s.difference)))
+    r2 = 1.0 - float(np.sum(s.difference**2)) / (len(measured) - len(STATIC_MAP)) / float(np.var(measured, ddof=1))
     title = (
         f"The rig is within {largest:.2f} N of the paper's map; the paper's points scatter by {s.scatter:.2f} N rms around it"
     )
     page.figure(
         map_residuals(s.points.omega_ref[used], s.points.beta_ref[used], s.difference, title),
         "Rig less the paper's map. Not a test of the physics: three numbers of its blades were fitted to that map. By the "
-        f"paper's map, as it stands, the rig's points have an adjusted R² of {s.r2_of_paper:.4f}.",
+        f"paper's map, as it stands, the rig's points have an adjusted R² of {r2:.4f}.",
     )
-    speed, pitch = s.ct_by_speed, s.ct_by_pitch
+    speed, pitch = zip(*s.ct, strict=True)
     title = (
         f"Speed moves C_T by {speed[0]:.4f} rms, the paper's map by {speed[1]:.4f}; pitch by {pitch[0]:.2f} and {pitch[1]:.2f}"
     )
@@ -199,7 +199,6 @@ def _add_static(page: Page, study: Study) -> dict[str, int]:
 
 
 def _add_steps(page: Page, study: Study) -> dict[str, int]:
-    """Step responses of both inputs."""
     page.section(
         "Step responses (figures 5, 6)",
         "Fitted as the paper did: two lags to the thrust as a share of its step. Dashed: the paper's averaged time constants.",
@@ -234,7 +233,6 @@ def _add_steps(page: Page, study: Study) -> dict[str, int]:
 
 
 def _add_fine_tuning(page: Page, study: Study) -> dict[str, int]:
-    """Learning curve, and the open-loop record in its three parts."""
     page.section("Fine-tuning (figures 7, 8)")
     (rig, model), noise = study.fine_tuning, study.found.noise.std
     title = (
@@ -271,25 +269,25 @@ def _add_fine_tuning(page: Page, study: Study) -> dict[str, int]:
 
 
 def _add_control(page: Page, study: Study) -> dict[str, int]:
-    """The step test of both actuators, then both against speed alone; on the paper's model and on the rig."""
+    repeats = len(study.compared(PID)[0].runs)
     page.section(
         "Control (figures 9, 10)",
         "On the paper's model (tau_beta_2 = 0.05 s) run the published gains, on the emulated rig the gains that were tuned for "
-        f"the model its campaign gave. The rig's lines are means over {study.control.repeats} runs with other noise.",
+        f"the model its campaign gave. The rig's lines are means over {repeats} runs with other noise.",
     )
     places = {}
     for number, controllers in (("9", (PI, PID)), ("10", (SPEED, PID))):
         for plant, gains in ((MODEL, PUBLISHED), (RIG, TUNED)):
-            tests = {name: study.control.tests[Loop(plant, gains, name)] for name in controllers}
+            tests = {name: study.tests[Loop(plant, gains, name)] for name in controllers}
             told = "; ".join(f"{name} {test.up.seconds} up, {test.down.seconds} down" for name, test in tests.items())
             drawn = {name: {c: test.mean[c] for c in DRAWN if c in test.mean} for name, test in tests.items()}
             figure, run = closed_loop(drawn, f"{plant.capitalize()}, {gains}: {told}"), tests[PID].mean
             if SPEED not in controllers:
-                figures.mark_reached(figure, steps(run)[0].time + REACHED)
+                figures.mark_reached(figure, steps(run)[0].time)
             figure.update_xaxes(range=[steps(run)[0].time - 0.5, float(run.time[-1])])
             here = page.figure(figure, "Settled: within 2 % of the step from then on. Commands dotted.")
             places.setdefault(number, here)
-    tests = study.control.tests.items()
+    tests = study.tests.items()
     page.table(
         ("loop", "controller", "up [s]", "overshoot [%]", "error [s]", "down [s]", "overshoot [%]", "error [s]"),
         [(f"{loop.plant}, {loop.gains}", loop.controller, *_cells(t.up), *_cells(t.down)) for loop, t in tests],

@@ -15,13 +15,14 @@ from hil.physics.propeller import RPM, settled_inflow
 from hil.physics.rig_model import FULL_RIG
 from hil.safety.limits import Limits
 from identification.fit.refine import paper_cost
+from identification.static.static_map import design
 from identification.static.steady import samples_needed
 from vpp_fmu.kernel import ops
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper.control import LIMITED, MODEL, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, emulated, judged
 from vpp_fmu.paper.published import ASSUMED, COST_END, ITERATIONS, NUMBERS, STATIC_MAP, Row, shown
-from vpp_fmu.paper.study import Study, by_part, by_size, lags, paper_thrust, parts, runs_of
+from vpp_fmu.paper.study import PAPER_UNITS, Study, by_part, by_size, lags, paper_thrust, parts, rms, runs_of
 from vpp_fmu.record import Record
 from vpp_fmu.response import steps
 
@@ -45,7 +46,7 @@ NOT_PUBLISHED = "not published, so chosen here"
 def compared(study: Study) -> dict[str, Row]:
     """All rows by name, in the paper's order. KeyError: a number without a counterpart."""
     ours, columns = {}, ("rig", "model", "why", "std")
-    for table in (_models, _stand, _campaign, _step_tests):
+    for table in (_stand, _campaign, _models):
         ours |= {name: (*values, as_paper(name, values[0], note)) for name, (*values, note) in table(study).items()}
     for table in (_chosen, _static, _averaged, _steps_seen, _fine_tuned, _costs, _improved, _merits, _gains):
         ours |= table(study)
@@ -56,18 +57,6 @@ def as_paper(name: str, rig: float | str, note: str = "") -> str:
     """Whether the set-up, where nothing is estimated, has the paper's value, in words."""
     same = "as the paper" if shown(rig) == shown(NUMBERS[name].value) else "not as the paper"
     return f"{same}; {note}" if note else same
-
-
-def _models(study: Study) -> dict[str, tuple]:
-    """Sizes and scales of the models: (rig, model, note)."""
-    found, scales = study.found.parameters, ("omega_scale", "beta_offset", "beta_scale", "thrust_scale")
-    models, fits = (found.model, BASE), (study.found.refinement, study.fine_tuning[1].ours)
-    return {
-        "order": (*(float(len(model.states)) for model in models), ""),
-        "time_constants": (*(float(sum(p.name.startswith("tau_") for p in model.parameters)) for model in models), ""),
-        "fitted_parameters": (*(float(len(fit.names)) for fit in fits), ""),
-        **{name: (found.values[name], BASE.values()[name], "") for name in scales},
-    }
 
 
 def _stand(study: Study) -> dict[str, tuple]:
@@ -119,12 +108,17 @@ def _campaign(study: Study) -> dict[str, tuple]:
     }
 
 
-def _step_tests(study: Study) -> dict[str, tuple]:
-    """How the controllers were tested: (rig, model, note)."""
-    both, alone = (study.control.compared(name) for name in (PID, SPEED))
-    scale = study.found.parameters.values["thrust_scale"]
-    first = [steps(test.mean)[0] for test in both]
+def _models(study: Study) -> dict[str, tuple]:
+    """The models and the test of their controllers: (rig, model, note)."""
+    found, scales = study.found.parameters, ("omega_scale", "beta_offset", "beta_scale", "thrust_scale")
+    models, fits = (found.model, BASE), (study.found.refinement, study.fine_tuning[1].ours)
+    both, alone = (study.compared(name) for name in (PID, SPEED))
+    first, scale = [steps(test.mean)[0] for test in both], found.values["thrust_scale"]
     return {
+        "order": (*(float(len(model.states)) for model in models), ""),
+        "time_constants": (*(float(sum(p.name.startswith("tau_") for p in model.parameters)) for model in models), ""),
+        "fitted_parameters": (*(float(len(fit.names)) for fit in fits), ""),
+        **{name: (found.values[name], BASE.values()[name], "") for name in scales},
         "t_filter": (*(test.settings["t_filter"] for test in both), ""),
         "step_from": (*(step.before / scale for step in first), ""),
         "step_to": (*(step.after / scale for step in first), ""),
@@ -138,45 +132,47 @@ def _chosen(study: Study) -> dict[str, tuple]:
     p, points = FULL_RIG.values(emulated(Limits(), study.seed).emulated.parameters), study.campaign.static
     known = [parameter.name for parameter in FULL_RIG.parameters]
     thirteen = f"k_Q and k_i are one number; with maps, supplies and controllers it has {len(known)}"
-    travel, drive = (
-        f"{p['beta_low']:g} to {p['beta_high']:g} deg",
-        "its motor's and screw's constants are chosen, no data sheet",
-    )
-    noise = f"{float(np.median(points.thrust_std)):.3f} N left"
+    travel = f"{p['beta_low']:g} to {p['beta_high']:g} deg"
+    noise, bits = f"{float(np.median(points.thrust_std)):.3f} N left", f"{8 * FROM_BOARD[ANSWER]} bits"
     largest = float(points.thrust.max()), float(paper_thrust(np.array([6000.0]), np.array([10.0]))[0])
-    frame = "four bits hold 16 values: a misprint; here a frame with a checksum"
     moves = f"moves and holds are {NOT_PUBLISHED}; {study.plan.section:g} s each"
     return {
         "full_parameters": (float(sum(name in known for name in THIRTEEN)), None, thirteen),
         "supplies": (None, None, "emulated supplies hold their voltage at any current"),
         "esc": (None, None, "the emulated ESC limits no current"),
         "propeller": (f"radius {1e3 * p['radius']:.0f} mm", None, "lift and drag fitted to the paper's static map"),
-        "actuator": (travel, None, drive),
+        "actuator": (travel, None, "its motor's and screw's constants are chosen, no data sheet"),
         "capacitors": (noise, None, "noise of one reading; chosen, since the paper tells none"),
         "largest_thrust": (*largest, "the model is the paper's static map at 6000 rpm and 10 deg"),
-        "rpm_bits": (f"{8 * FROM_BOARD[ANSWER]} bits", None, frame),
+        "rpm_bits": (bits, None, "four bits hold 16 values: a misprint; here a frame with a checksum"),
         "sections": (", ".join(parts(study.campaign.open_loop)), None, moves),
     }
 
 
 def _static(study: Study) -> dict[str, tuple]:
     """The static characterisation (section 4.1)."""
-    s = study.statics
-    region, speed, pitch = _range(s.points.beta_ref[s.rig.used], ".3g"), s.ct_by_speed, s.ct_by_pitch
+    s, points = study.statics, study.campaign.static
+    used, region = s.rig.used, _range(points.beta_ref[s.rig.used], ".3g")
+    mean_std = float((points.thrust_std / np.sqrt(points.samples))[used].mean())
     scatter = (
-        f"the paper's points scatter by {s.scatter:.2f} N rms, ours by {s.rig.rmse:.3f}; means are known to {s.mean_std:.4f} "
+        f"the paper's points scatter by {s.scatter:.2f} N rms, ours by {s.rig.rmse:.3f}; means are known to {mean_std:.4f} "
         "N: an emulated stand comes back to its points"
     )
-    blades = f"against {pitch[0]:.3f} and {pitch[1]:.3f} over the pitch; the rig's blades know no Reynolds number"
+    (speed, pitch), (papers_speed, papers_pitch) = s.ct
+    blades = f"against {pitch:.3f} and {papers_pitch:.3f} over the pitch; the rig's blades know no Reynolds number"
     found = {
-        "region": (region, region, f"{s.rig.used.sum()} points of the grid lie inside"),
+        "region": (region, region, f"{used.sum()} points of the grid lie inside"),
         "r2_adjusted": (s.rig.r2_adjusted, s.model.r2_adjusted, scatter),
-        "ct_speed": (*(f"{value:.4f} rms" for value in speed), blades),
+        "ct_speed": (f"{speed:.4f} rms", f"{papers_speed:.4f} rms", blades),
     }
-    for name in STATIC_MAP:
+    terms = design(points.omega[used], points.beta_ref[used], PAPER_UNITS)
+    for k, (name, value) in enumerate(STATIC_MAP.items()):
+        wanted, others = points.thrust[used] - value * terms[:, k], np.delete(terms, k, axis=1)
+        others = others / np.abs(others).max(axis=0)
+        residual = wanted - others @ np.linalg.lstsq(others, wanted, rcond=None)[0]
         why = (
-            f"held at the paper's value the map leaves {s.fixed[name]:.3f} N rms instead of {s.rig.rmse:.3f}; the two maps are "
-            f"{s.difference_rms:.2f} N rms apart"
+            f"held at the paper's value the map leaves {rms(residual):.3f} N rms instead of {s.rig.rmse:.3f}; the two maps are "
+            f"{rms(s.difference):.2f} N rms apart"
         )
         found[f"static.{name}"] = (s.rig.coefficients[name], s.model.coefficients[name], why, s.rig.std[name])
     return found
@@ -308,13 +304,13 @@ def _improved(study: Study) -> dict[str, tuple]:
 
 def _merits(study: Study) -> dict[str, tuple]:
     """The step test's figures (section 4.3)."""
-    tests, pairs = study.control.tests, [study.control.compared(name) for name in (PID, SPEED)]
+    tests, pairs = study.tests, [study.compared(name) for name in (PID, SPEED)]
     rig, model = pairs[0]
     published, limited = tests[Loop(RIG, PUBLISHED, PID)], tests[Loop(LIMITED, TUNED, PID)].up
     # From the differences of neighbouring commands before the step, so that slow changes do not count.
     quiet = published.runs[0]["omega_ref"][published.runs[0].time < steps(published.runs[0])[0].time]
     shaken = float(np.std(np.diff(quiet)) / np.sqrt(2.0))
-    objective = study.control.tuned[RIG].tuned["dual"].objective
+    objective = study.tuned[RIG].tuned["dual"].objective
     course = replace(objective.course, noise=np.zeros_like(objective.course.noise))
     without_noise, _ = judged(replace(objective, course=course).run(objective.gains))
     reached = (
@@ -352,7 +348,7 @@ def _gains(study: Study) -> dict[str, tuple]:
     """Tuned gains (section 4.3)."""
     found = {}
     for prefix, published in (("dual", DUAL), ("speed_only", SPEED_ONLY)):
-        rig, model = (study.control.tuned[plant].tuned[prefix] for plant in (RIG, MODEL))
+        rig, model = (study.tuned[plant].tuned[prefix] for plant in (RIG, MODEL))
         own = [dict(zip(tuned.objective.names, tuned.final.tolist(), strict=True)) for tuned in (rig, model)]
         worst = [max(m.sensitivity for m in model.margins[which]) for which in ("start", "tuned")]
         why = (

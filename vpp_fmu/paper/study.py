@@ -18,10 +18,11 @@ from identification.identify import Identification, identify
 from identification.static.static_map import StaticFit, design, fit_static_map, thrust_coefficient
 from identification.steps.response import StepSummary, fit_steps
 from identification.steps.run import StepRun
+from identification.tune.tune import Tuning
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
-from vpp_fmu.paper.control import Control, control, emulated
+from vpp_fmu.paper.control import MODEL, PUBLISHED, RIG, TUNED, Loop, Test, control, emulated
 from vpp_fmu.paper.published import COST_END, ITERATIONS, R2_ADJUSTED, STATIC_MAP
 from vpp_fmu.record import Record, write_record
 
@@ -41,28 +42,24 @@ PAPER_UNITS = {"omega_scale": 1.0, "beta_offset": 0.0, "beta_scale": 1.0, "thrus
 @dataclass(frozen=True, eq=False)
 class Statics:
     """`rig`: the paper's fit to the rig's points; `model`: the same fit to the paper's own polynomial at these points, with the
-    rig's noise. `difference` (points used,) N: the rig less the paper's polynomial. `r2_of_paper`: adjusted R² of that
-    polynomial, as it stands, on the rig's points. `scatter` N: residual that the paper's R² implies on its own surface.
-    `mean_std` N: uncertainty of a mean of that many white readings. `fixed` N: rms residual of a fit with one coefficient at
-    the paper's value. `ct_by_speed`: rms change of C_T with speed, of the rig and of the paper's polynomial; `ct_by_pitch`:
-    its range over the pitch.
-    """
+    rig's noise; `papers` (points used,) N: thrust by that polynomial. `ct`: of the rig and of the polynomial, (rms change of
+    C_T with speed, its range over the pitch)."""
 
     points: StaticMap
     rig: StaticFit
     model: StaticFit
-    difference: np.ndarray
-    r2_of_paper: float
-    scatter: float
-    mean_std: float
-    fixed: Mapping[str, float]
-    ct_by_speed: tuple[float, float]
-    ct_by_pitch: tuple[float, float]
+    papers: np.ndarray
+    ct: tuple[tuple[float, float], tuple[float, float]]
 
     @property
-    def difference_rms(self) -> float:
-        """N."""
-        return float(np.sqrt(np.mean(self.difference**2)))
+    def difference(self) -> np.ndarray:
+        """(points used,) N: the rig less the paper's polynomial."""
+        return self.points.thrust[self.rig.used] - self.papers
+
+    @property
+    def scatter(self) -> float:
+        """N: residual that the paper's R² implies on its own surface."""
+        return float(np.sqrt((1.0 - R2_ADJUSTED) * np.var(self.papers, ddof=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +83,8 @@ class FineTuning:
 @dataclass(frozen=True, eq=False)
 class Study:
     """Everything that was found. `steps`: fits of normalised thrust without a map, as the paper's; `fine_tuning` of the
-    open-loop record; both on the rig and on the paper's model. `seconds` of each stage, by name."""
+    open-loop record; both on the rig and on the paper's model. `tuned`: gains for the paper's model, as the paper designed for
+    it, and for the model that the rig's campaign gave; `tests` of all loops. `seconds` of each stage, by name."""
 
     plan: Plan
     seed: int
@@ -95,13 +93,18 @@ class Study:
     statics: Statics
     steps: tuple[StepSummary, StepSummary]
     fine_tuning: tuple[FineTuning, FineTuning]
-    control: Control
+    tuned: Mapping[str, Tuning]
+    tests: Mapping[Loop, Test]
     seconds: Mapping[str, float]
 
     @property
     def is_full(self) -> bool:
         """Whether the campaign is as large as the paper's."""
         return self.plan == FULL
+
+    def compared(self, controller: str) -> tuple[Test, Test]:
+        """Step tests that are compared with the paper's: tuned gains on the rig, published ones on the paper's model."""
+        return self.tests[Loop(RIG, TUNED, controller)], self.tests[Loop(MODEL, PUBLISHED, controller)]
 
 
 class Stages:
@@ -135,7 +138,7 @@ def study(folder: OutputFolder, plan: Plan, repeats: int, seed: int, stages: Sta
     stages.done("fine-tuning the paper's way")
     loops = control(found.parameters, found.noise.std, seed, repeats, stages.show)
     stages.done("control")
-    return Study(plan, seed, campaign, found, map_fits, (rig, model), tuned, loops, stages.seconds)
+    return Study(plan, seed, campaign, found, map_fits, (rig, model), tuned, *loops, stages.seconds)
 
 
 def recorded(folder: OutputFolder, plan: Plan, seed: int, stage: Callable[[str], None]) -> Campaign:
@@ -149,6 +152,11 @@ def recorded(folder: OutputFolder, plan: Plan, seed: int, stage: Callable[[str],
         write_record(folder, f"{part}.csv", record)
     folder.write("hil.json", json.dumps(told, indent=2) + "\n")
     return read_campaign(folder.path)
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of the readings that there are."""
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def simulated(records: Sequence[Record], values: Mapping[str, float], noise: float, seed: int) -> list[Record]:
@@ -168,35 +176,12 @@ def paper_thrust(omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
 
 def statics(points: StaticMap, seed: int) -> Statics:
     """Compare the steady points of a campaign with the paper's static map."""
-    rng, error = np.random.default_rng([seed, 3]), points.thrust_std / np.sqrt(points.samples)
-    on_paper = paper_thrust(points.omega, points.beta_ref)
-    fit = fit_static_map(points, PAPER_UNITS, OPERATING_PITCH)
-    used, n, k = fit.used, int(fit.used.sum()), len(STATIC_MAP)
-    measured, papers = points.thrust[used], on_paper[used]
-    squares = float(np.sum((measured - papers) ** 2))
-    noisy = replace(points, thrust=on_paper + error * rng.standard_normal(len(error)))
-    by_speed, by_pitch = zip(*(_ct(points, used, thrust) for thrust in (points.thrust, on_paper)), strict=True)
-    return Statics(
-        points=points,
-        rig=fit,
-        model=fit_static_map(noisy, PAPER_UNITS, OPERATING_PITCH),
-        difference=measured - papers,
-        r2_of_paper=1.0 - squares / (n - k) / float(np.var(measured, ddof=1)),
-        scatter=float(np.sqrt((1.0 - R2_ADJUSTED) * np.var(papers, ddof=1))),
-        mean_std=float(error[used].mean()),
-        fixed={name: _fixed(points, used, name) for name in STATIC_MAP},
-        ct_by_speed=by_speed,
-        ct_by_pitch=by_pitch,
-    )
-
-
-def _fixed(points: StaticMap, used: np.ndarray, name: str) -> float:
-    """Residual [N rms] of a map whose coefficient `name` is the paper's."""
-    terms, k = design(points.omega[used], points.beta_ref[used], PAPER_UNITS), list(STATIC_MAP).index(name)
-    wanted, others = points.thrust[used] - STATIC_MAP[name] * terms[:, k], np.delete(terms, k, axis=1)
-    others = others / np.abs(others).max(axis=0)
-    found, *_ = np.linalg.lstsq(others, wanted, rcond=None)
-    return float(np.sqrt(np.mean((wanted - others @ found) ** 2)))
+    error = points.thrust_std / np.sqrt(points.samples)
+    papers = paper_thrust(points.omega, points.beta_ref)
+    noisy = replace(points, thrust=papers + error * np.random.default_rng([seed, 3]).standard_normal(len(error)))
+    rig, model = (fit_static_map(static, PAPER_UNITS, OPERATING_PITCH) for static in (points, noisy))
+    ct = tuple(_ct(points, rig.used, thrust) for thrust in (points.thrust, papers))
+    return Statics(points, rig, model, papers[rig.used], ct)
 
 
 def _ct(points: StaticMap, used: np.ndarray, thrust: np.ndarray) -> tuple[float, float]:
@@ -253,7 +238,4 @@ def parts(record: Record) -> dict[str, np.ndarray]:
 def by_part(record: Record, models: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
     """Thrust error [N rms] of each of the models, values by name, in each part of an open-loop record."""
     error = {name: predict(BASE, BASE.values(own), record).thrust - record["thrust"] for name, own in models.items()}
-    return {
-        part: {name: float(np.sqrt(np.nanmean(own[rows] ** 2))) for name, own in error.items()}
-        for part, rows in parts(record).items()
-    }
+    return {part: {name: rms(own[rows]) for name, own in error.items()} for part, rows in parts(record).items()}
