@@ -9,12 +9,13 @@ from hil.campaign import seconds as seconds_on_rig
 from hil.physics.reduction import reduced, two_lags, two_lags_with_zero
 from identification.assessment.pairs import forms
 from identification.assessment.prediction import predict
+from identification.assessment.quality import rmse
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper import figures
 from vpp_fmu.paper.control import MODEL, PI, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, Merit
 from vpp_fmu.paper.published import COLUMNS, FIGURES, KEY, NUMBERS, STATIC_MAP
 from vpp_fmu.paper.rows import compared
-from vpp_fmu.paper.study import Study, by_part, by_size, lags, noise_of, parts, rms, runs_of
+from vpp_fmu.paper.study import Study, by_part, by_size, lags, noise_of, parts
 from vpp_fmu.report import Page, closed_loop, map_residuals, measured_against_predicted, stacked, thinning
 from vpp_fmu.response import steps
 
@@ -172,7 +173,7 @@ def _add_static(page: Page, study: Study) -> dict[str, int]:
     page.section("Static map (figure 4)")
     title = (
         f"The cubic fits {len(s.difference)} points to {s.rig.rmse:.3f} N, adjusted R² {s.rig.r2_adjusted:.4f}; the paper's "
-        f"map lies {rms(s.difference):.2f} N rms off"
+        f"map lies {rmse(s.difference):.2f} N rms off"
     )
     first = page.figure(figures.static_map(s, title), "Lines: fitted to the rig; dotted: the paper's map, section 4.1.")
     used, measured = s.rig.used, s.points.thrust[s.rig.used]
@@ -206,7 +207,7 @@ def _add_steps(page: Page, study: Study) -> dict[str, int]:
     rig, model = study.steps
     places, on_model = {}, []
     for number, (name, channel, pair), units in zip("56", CHANNELS, (("rpm", "deg"), ("deg", "rpm")), strict=True):
-        runs, kept = [run for run in rig.runs if run.channel == channel], runs_of(rig, channel)
+        runs, kept = [run for run in rig.runs if run.channel == channel], rig.used(channel)
         slow, fast = lags(kept)[0]
         paper = tuple(AVERAGED[lag] for lag in pair)
         title = (
@@ -215,7 +216,7 @@ def _add_steps(page: Page, study: Study) -> dict[str, int]:
         )
         figure = figures.step_panels(runs, paper, title, *units)
         places[number] = page.figure(figure, "Thrust as a share of its step; black: fitted. Grey runs drown in noise.")
-        slow, fast = lags(runs_of(model, channel))[0]
+        slow, fast = lags(model.used(channel))[0]
         on_model.append((name, paper[0], float(slow), paper[1], float(fast)))
     page.table(
         ("step of pitch [deg]", "slow [s]", "fast [s]", "sum [s]"),

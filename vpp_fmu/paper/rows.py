@@ -14,6 +14,7 @@ from hil.devices.frames import ANSWER, FROM_BOARD
 from hil.physics.propeller import RPM, settled_inflow
 from hil.physics.rig_model import FULL_RIG
 from hil.safety.limits import Limits
+from identification.assessment.quality import rmse
 from identification.fit.refine import paper_cost
 from identification.static.static_map import design
 from identification.static.steady import samples_needed
@@ -22,7 +23,7 @@ from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper.control import LIMITED, MODEL, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, emulated, judged
 from vpp_fmu.paper.published import ASSUMED, COST_END, ITERATIONS, NUMBERS, STATIC_MAP, Row, shown
-from vpp_fmu.paper.study import PAPER_UNITS, Study, by_part, by_size, lags, paper_thrust, parts, rms, runs_of
+from vpp_fmu.paper.study import PAPER_UNITS, Study, by_part, by_size, lags, paper_thrust, parts
 from vpp_fmu.record import Record
 from vpp_fmu.response import steps
 
@@ -171,8 +172,8 @@ def _static(study: Study) -> dict[str, tuple]:
         others = others / np.abs(others).max(axis=0)
         residual = wanted - others @ np.linalg.lstsq(others, wanted, rcond=None)[0]
         why = (
-            f"held at the paper's value the map leaves {rms(residual):.3f} N rms instead of {s.rig.rmse:.3f}; the two maps are "
-            f"{rms(s.difference):.2f} N rms apart"
+            f"held at the paper's value the map leaves {rmse(residual):.3f} N rms instead of {s.rig.rmse:.3f}; the two "
+            f"maps are {rmse(s.difference):.2f} N rms apart"
         )
         found[f"static.{name}"] = (s.rig.coefficients[name], s.model.coefficients[name], why, s.rig.std[name])
     return found
@@ -189,7 +190,7 @@ def _averaged(study: Study) -> dict[str, tuple]:
     }
     found = {}
     for channel, why in slower.items():
-        (means, spread), (models, _) = (lags(runs_of(summary, channel)) for summary in study.steps)
+        (means, spread), (models, _) = (lags(summary.used(channel)) for summary in study.steps)
         total = sum(AVERAGED[f"tau_{channel}_{k}"] for k in (1, 2))
         faster = f"as the slower one's; both add up to {means.sum():.2f} s, the paper's to {total:.2f} s"
         for name in (f"tau_{channel}_1", f"tau_{channel}_2"):
@@ -202,7 +203,7 @@ def _steps_seen(study: Study) -> dict[str, tuple]:
     """Overshoots of the step responses, and which of them were left out (section 4.2)."""
     seen, left_out, largest = [], [], {}
     for summary in study.steps:
-        runs = runs_of(summary, "beta")
+        runs = summary.used("beta")
         fastest = [run for run in runs if run.level == max(run.level for run in runs)]
         seen.append(f"seen in {sum(run.overshoots for run in fastest)} of {len(fastest)} at {fastest[0].level:g} rpm")
         left_out.append(f"{len(summary.outliers)} of {len(summary.runs)}")

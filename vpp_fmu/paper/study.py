@@ -12,6 +12,7 @@ from hil.campaign import PARTS, Plan, measure, steep
 from hil.safety.limits import Limits
 from hil.session import session
 from identification.assessment.prediction import predict
+from identification.assessment.quality import rmse
 from identification.fit.gradient_descent import descend
 from identification.fit.refine import BASE_PARAMETERS, Refinement, refine
 from identification.identify import Identification, identify
@@ -154,11 +155,6 @@ def recorded(folder: OutputFolder, plan: Plan, seed: int, stage: Callable[[str],
     return read_campaign(folder.path)
 
 
-def rms(values: np.ndarray) -> float:
-    """Root mean square of the readings that there are."""
-    return float(np.sqrt(np.nanmean(values**2)))
-
-
 def simulated(records: Sequence[Record], values: Mapping[str, float], noise: float, seed: int) -> list[Record]:
     """The plain plant with `values` under the records' commands, its thrust with white noise [N]."""
     rng, found = np.random.default_rng([seed, 4]), []
@@ -196,11 +192,6 @@ def noise_of(summary: StepSummary) -> float:
     return float(np.median([run.noise for run in summary.runs]))
 
 
-def runs_of(summary: StepSummary, channel: str) -> list[StepRun]:
-    """The runs of a channel that count."""
-    return [run for run in summary.runs if run.channel == channel and not run.reason]
-
-
 def lags(runs: Sequence[StepRun]) -> tuple[np.ndarray, np.ndarray]:
     """Plain means (slow, fast) s over runs, as the paper takes them, and their standard deviations from run to run."""
     found = np.array([(run.fits["thrust"].plain.slow, run.fits["thrust"].plain.fast) for run in runs])
@@ -210,7 +201,7 @@ def lags(runs: Sequence[StepRun]) -> tuple[np.ndarray, np.ndarray]:
 def by_size(summary: StepSummary, channel: str) -> dict[float, np.ndarray]:
     """Size of a step [rpm or deg] -> plain means (slow, fast) s over the steps of that size."""
     runs = {}
-    for run in runs_of(summary, channel):
+    for run in summary.used(channel):
         runs.setdefault(round(abs(run.end - run.start), 6), []).append(run)
     return {size: lags(runs[size])[0] for size in sorted(runs)}
 
@@ -238,4 +229,4 @@ def parts(record: Record) -> dict[str, np.ndarray]:
 def by_part(record: Record, models: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
     """Thrust error [N rms] of each of the models, values by name, in each part of an open-loop record."""
     error = {name: predict(BASE, BASE.values(own), record).thrust - record["thrust"] for name, own in models.items()}
-    return {part: {name: rms(own[rows]) for name, own in error.items()} for part, rows in parts(record).items()}
+    return {part: {name: rmse(own[rows]) for name, own in error.items()} for part, rows in parts(record).items()}
