@@ -13,7 +13,7 @@ from identification.assessment.quality import rmse
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper import figures
 from vpp_fmu.paper.control import MODEL, PI, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, Merit
-from vpp_fmu.paper.published import COLUMNS, FIGURES, KEY, NUMBERS, STATIC_MAP
+from vpp_fmu.paper.published import COLUMNS, FIGURES, KEY, LAGS, NUMBERS, STATIC_MAP
 from vpp_fmu.paper.rows import compared
 from vpp_fmu.paper.study import Study, by_part, by_size, lags, noise_of, parts
 from vpp_fmu.report import Page, closed_loop, map_residuals, measured_against_predicted, stacked, thinning
@@ -36,8 +36,8 @@ UNPUBLISHED = (
 )
 """What the paper leaves open, and what stands in its place here."""
 
-CHANNELS = (("speed", "omega", ("tau_omega_1", "tau_omega_2")), ("pitch", "beta", ("tau_beta_2", "tau_beta_1")))
-"""Name, name in the model, and the paper's names of the slower and of the faster lag."""
+CHANNELS = {"5": ("speed", "omega", "rpm", "deg"), "6": ("pitch", "beta", "deg", "rpm")}
+"""The paper's figure of each channel's steps: its name, its name in the model, its unit, the other channel's."""
 
 INITIAL, DESCENT, OURS, PAPERS = "initial", "the paper's descent", "fine-tuned", "paper's published model"
 
@@ -206,10 +206,10 @@ def _add_steps(page: Page, study: Study) -> dict[str, int]:
     )
     rig, model = study.steps
     places, on_model = {}, []
-    for number, (name, channel, pair), units in zip("56", CHANNELS, (("rpm", "deg"), ("deg", "rpm")), strict=True):
+    for number, (name, channel, *units) in CHANNELS.items():
         runs, kept = [run for run in rig.runs if run.channel == channel], rig.used(channel)
         slow, fast = lags(kept)[0]
-        paper = tuple(AVERAGED[lag] for lag in pair)
+        paper = tuple(AVERAGED[lag] for lag in LAGS[channel])
         title = (
             f"{len(kept)} of {len(runs)} {name} steps give {slow:.2f} and {fast:.2f} s on average, the paper's "
             f"{paper[0]:g} and {paper[1]:g} s"
@@ -222,7 +222,7 @@ def _add_steps(page: Page, study: Study) -> dict[str, int]:
         ("step of pitch [deg]", "slow [s]", "fast [s]", "sum [s]"),
         [(size, *pair.tolist(), float(pair.sum())) for size, pair in by_size(rig, "beta").items()],
         "Why averages of pitch steps mislead: the actuator has a highest speed, so large steps take longer; two equal lags are "
-        f"its mark. The paper averages {sum(AVERAGED[n] for n in ('tau_beta_1', 'tau_beta_2')):.2f} s over all sizes.",
+        f"its mark. The paper averages {sum(AVERAGED[n] for n in LAGS['beta']):.2f} s over all sizes.",
     )
     page.table(
         ("channel", "slow, true [s]", "slow, found [s]", "fast, true [s]", "fast, found [s]"),

@@ -55,7 +55,10 @@ def shown(value: float | str | None) -> str | None:
     return value if value is None or isinstance(value, str) else f"{value:.4g}"
 
 
-_LAGS = tuple(f"tau_{lag}" for lag in ("omega_1", "omega_2", "beta_1", "beta_2"))
+LAGS = {"omega": ("tau_omega_1", "tau_omega_2"), "beta": ("tau_beta_2", "tau_beta_1")}
+"""The paper's names of the slower and of the faster lag, by channel."""
+
+_LAGS = ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2")
 
 _ROWS = (
     ("full_parameters", "parameters of the full model beside its maps", "section 2.1", 13.0),

@@ -22,7 +22,7 @@ from vpp_fmu.kernel import ops
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.paper.control import LIMITED, MODEL, PID, PUBLISHED, RIG, SPEED, TUNED, Loop, emulated, judged
-from vpp_fmu.paper.published import ASSUMED, COST_END, ITERATIONS, NUMBERS, STATIC_MAP, Row, shown
+from vpp_fmu.paper.published import ASSUMED, COST_END, ITERATIONS, LAGS, NUMBERS, STATIC_MAP, Row, shown
 from vpp_fmu.paper.study import PAPER_UNITS, Study, by_part, by_size, lags, paper_thrust, parts
 from vpp_fmu.record import Record
 from vpp_fmu.response import steps
@@ -37,9 +37,6 @@ THIRTEEN = (
     *("resistance", "r_a", "inductance", "l_a", "kv", "k_ia"),
 )
 """tau_lambda, J, J_a, D_a, k_Q, k_omega, k_a, R_m, R_a, L_m, L_a, k_i, k_ia in the rig's physics; k_Q and k_i come from KV."""
-
-SLOW = ("tau_omega_1", "tau_beta_2")
-"""What the paper calls the slower lags of the two channels."""
 
 NOT_PUBLISHED = "not published, so chosen here"
 
@@ -182,20 +179,19 @@ def _static(study: Study) -> dict[str, tuple]:
 def _averaged(study: Study) -> dict[str, tuple]:
     """Averaged time constants (section 4.2)."""
     start, ((small, first), *_, (large, last)) = study.found.start, by_size(study.steps[0], "beta").items()
-    slower = {
+    whys = {
         "omega": "inertia and PI unit are chosen for the paper's steps; thrust bends the lags (see the model), speed itself "
         f"has {start['tau_omega_1']:.2f} and {start['tau_omega_2']:.2f} s",
         "beta": f"no constant: both add up to {sum(first):.2f} s for steps of {small:g} deg, {sum(last):.2f} s for {large:g} "
         "deg: the actuator's speed has a limit",
     }
     found = {}
-    for channel, why in slower.items():
+    for channel, pair in LAGS.items():
         (means, spread), (models, _) = (lags(summary.used(channel)) for summary in study.steps)
-        total = sum(AVERAGED[f"tau_{channel}_{k}"] for k in (1, 2))
+        total = sum(AVERAGED[name] for name in pair)
         faster = f"as the slower one's; both add up to {means.sum():.2f} s, the paper's to {total:.2f} s"
-        for name in (f"tau_{channel}_1", f"tau_{channel}_2"):
-            k, own = (0, why) if name in SLOW else (1, faster)
-            found[f"averaged.{name}"] = (float(means[k]), float(models[k]), own, float(spread[k]))
+        for k, (name, why) in enumerate(zip(pair, (whys[channel], faster), strict=True)):
+            found[f"averaged.{name}"] = (float(means[k]), float(models[k]), why, float(spread[k]))
     return found
 
 
@@ -223,34 +219,37 @@ def _steps_seen(study: Study) -> dict[str, tuple]:
 def _fine_tuned(study: Study) -> dict[str, tuple]:
     """Fine-tuned parameters, and the lag that the paper assumes (section 4.2)."""
     rig, model, found = study.found.refinement, study.fine_tuning[1].ours, {}
-    for name in FINE_TUNED:
-        own, there = _as_slow(name, rig.values), _as_slow(name, model.values)
-        off = abs(model.values[there] - FINE_TUNED[name]) / model.std[there] if there in model.std else np.nan
-        why = _why_lag(study, name) if name.startswith("tau_") else _why_coefficient(study, name)
-        why = f"{why}. On the paper's model the search comes back within {off:.1f} sd"
-        found[f"fine_tuned.{name}"] = (rig.values[own], model.values[there], why, rig.std.get(own))
-    own, other = (_as_slow(name, rig.values) for name in ("tau_beta_2", "tau_beta_1"))
-    why = f"nothing is assumed on the rig: its slower lag is identified, and so is the other, {rig.values[other]:.2f} s"
-    return found | {"assumed": (rig.values[own], ASSUMED["tau_beta_2"], why, rig.std.get(own))}
+    own, there = _by_speed(rig.values), _by_speed(model.values)
+    whys = _why_lags(study) | {name: _why_coefficient(study, name) for name in STATIC_MAP}
+    for name, paper in FINE_TUNED.items():
+        value, std = model.values[there[name]], model.std.get(there[name], np.nan)
+        why = f"{whys[name]}. On the paper's model the search comes back within {abs(value - paper) / std:.1f} sd"
+        found[f"fine_tuned.{name}"] = (rig.values[own[name]], value, why, rig.std.get(own[name]))
+    slow, fast = (own[name] for name in LAGS["beta"])
+    why = f"nothing is assumed on the rig: its slower lag is identified, and so is the other, {rig.values[fast]:.2f} s"
+    return found | {"assumed": (rig.values[slow], ASSUMED["tau_beta_2"], why, rig.std.get(slow))}
 
 
-def _as_slow(name: str, values: Mapping[str, float]) -> str:
-    """The time constant of the channel that is the slower, or the faster, as the paper's `name` is; a coefficient is itself."""
-    if not name.startswith("tau_"):
-        return name
-    fast, slow = sorted((f"{name[:-1]}1", f"{name[:-1]}2"), key=lambda n: values[n])
-    return slow if name in SLOW else fast
+def _by_speed(values: Mapping[str, float]) -> dict[str, str]:
+    """The paper's name of each fine-tuned parameter -> its name in a fit: the slower lag is the one that is slower there."""
+    names = dict(zip(FINE_TUNED, FINE_TUNED, strict=True))
+    for pair in LAGS.values():
+        names |= zip(pair, sorted(pair, key=lambda name: -values[name]), strict=True)
+    return names
 
 
-def _why_lag(study: Study, name: str) -> str:
-    pair = (f"{name[:-1]}1", f"{name[:-1]}2")
-    rig, paper = (sum(values[n] for n in pair) for values in (study.found.refinement.values, FINE_TUNED))
-    total = f"both add up to {rig:.2f} s, the paper's to {paper:.2f} s"
-    if name.startswith("tau_omega"):
-        return f"{total}: the sum is what a record tells"
+def _why_lags(study: Study) -> dict[str, str]:
     moves = np.abs(np.diff(study.campaign.open_loop["beta_ref"]))
     typical = float(np.median(moves[moves > 0.0]))
-    return f"{total}; half of this record's moves are below {typical:.1f} deg, where the actuator keeps up"
+    ends = {
+        "omega": ": the sum is what a record tells",
+        "beta": f"; half of this record's moves are below {typical:.1f} deg, where the actuator keeps up",
+    }
+    found = {}
+    for channel, pair in LAGS.items():
+        rig, paper = (sum(values[name] for name in pair) for values in (study.found.refinement.values, FINE_TUNED))
+        found |= dict.fromkeys(pair, f"both add up to {rig:.2f} s, the paper's to {paper:.2f} s{ends[channel]}")
+    return found
 
 
 def _why_coefficient(study: Study, name: str) -> str:
