@@ -73,7 +73,7 @@ class Loop(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Test:
+class StepTest:
     """A loop's step test. `settings`: the controller's values; `runs`: one on the paper's model, the repeats on the rig;
     `mean`: of the runs; `up` and `down`: figures of its two steps."""
 
@@ -99,7 +99,7 @@ def emulated(limits: Limits, seed: int, map_is_known: bool = True) -> Setup:
 
 def control(
     identified: ParameterSet, noise: float, seed: int, repeats: int, stage: Callable[[str], None]
-) -> tuple[Mapping[str, Tuning], Mapping[Loop, Test]]:
+) -> tuple[Mapping[str, Tuning], Mapping[Loop, StepTest]]:
     """Tune for both plants, close all loops: (tunings by plant, step tests by loop). `noise` N: of a reading on the rig;
     `repeats`: runs of each loop there, each with other noise. The paper's design knows no noise and no converter. RunEnded."""
     papers = ParameterSet(BASE).replaced(ASSUMED)
@@ -112,7 +112,7 @@ def control(
     tests, there = {}, {}
     for loop, (objective, gains) in _designs(MODEL, tuned[MODEL]).items():
         run = objective.run(gains)
-        tests[loop] = Test(objective.with_gains(gains), (run,), run, *judged(run))
+        tests[loop] = StepTest(objective.with_gains(gains), (run,), run, *judged(run))
     for loop, (objective, gains) in _designs(RIG, tuned[RIG]).items():
         there[loop] = objective.with_gains(gains)
     there |= {loop._replace(plant=LIMITED): own for loop, own in there.items() if loop.controller != PI}
@@ -146,7 +146,7 @@ def _designs(plant: str, found: Tuning) -> dict[Loop, tuple[Objective, np.ndarra
     }
 
 
-def _on_rig(settings: Mapping[str, float], course: Record, limits: Limits, seeds: Sequence[int]) -> Test:
+def _on_rig(settings: Mapping[str, float], course: Record, limits: Limits, seeds: Sequence[int]) -> StepTest:
     """A controller's loop on the emulated rig, once for each seed of its noise; the figures are those of the mean run."""
     start, runs = (settings["omega_min"], settings["beta_fixed"] if settings["speed_only"] > 0.5 else 0.0), []
     with tempfile.TemporaryDirectory() as folder:
@@ -162,4 +162,4 @@ def _on_rig(settings: Mapping[str, float], course: Record, limits: Limits, seeds
         errors = np.array([[merit.squared_error for merit in judged(smoothed(run, SMOOTH))] for run in runs])
         std = errors.std(axis=0, ddof=1) / np.sqrt(len(runs))
         merits = [replace(merit, error_std=float(own)) for merit, own in zip(merits, std, strict=True)]
-    return Test(settings, runs, mean, *merits)
+    return StepTest(settings, runs, mean, *merits)

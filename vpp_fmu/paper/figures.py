@@ -11,7 +11,7 @@ from identification.steps.lag_fit import two_lags
 from identification.steps.run import StepRun
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.simulation import Simulation
-from vpp_fmu.paper.control import Test
+from vpp_fmu.paper.control import StepTest
 from vpp_fmu.paper.published import COST_END, COST_START, ITERATIONS, REACHED
 from vpp_fmu.paper.study import OPERATING_PITCH, PAPER_UNITS, FineTuning, Statics, paper_thrust
 from vpp_fmu.record import Record
@@ -131,7 +131,7 @@ def worst_dip(found: Mapping[float, tuple[np.ndarray, np.ndarray]]) -> tuple[flo
     return level, -float(dip[time > 0.0].min()), back
 
 
-def terms(test: Test) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
+def terms(test: StepTest) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
     """(time [s], panel -> term -> normalised share of the command) that the controller adds up around the step upwards.
 
     The controller once more over what the loop showed: its states are error, integrals and filtered rate.

@@ -23,7 +23,7 @@ from identification.tune.tune import Tuning
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
-from vpp_fmu.paper.control import MODEL, PUBLISHED, RIG, TUNED, Loop, Test, control, emulated
+from vpp_fmu.paper.control import MODEL, PUBLISHED, RIG, TUNED, Loop, StepTest, control, emulated
 from vpp_fmu.paper.published import COST_END, ITERATIONS, R2_ADJUSTED, STATIC_MAP
 from vpp_fmu.record import Record, write_record
 
@@ -95,7 +95,7 @@ class Study:
     steps: tuple[StepSummary, StepSummary]
     fine_tuning: tuple[FineTuning, FineTuning]
     tuned: Mapping[str, Tuning]
-    tests: Mapping[Loop, Test]
+    tests: Mapping[Loop, StepTest]
     seconds: Mapping[str, float]
 
     @property
@@ -103,7 +103,7 @@ class Study:
         """Whether the campaign is as large as the paper's."""
         return self.plan == FULL
 
-    def compared(self, controller: str) -> tuple[Test, Test]:
+    def compared(self, controller: str) -> tuple[StepTest, StepTest]:
         """Step tests that are compared with the paper's: tuned gains on the rig, published ones on the paper's model."""
         return self.tests[Loop(RIG, TUNED, controller)], self.tests[Loop(MODEL, PUBLISHED, controller)]
 
@@ -111,7 +111,7 @@ class Study:
 class Stages:
     """Seconds of stages by name; `show` is told what is going on."""
 
-    def __init__(self, show: Callable[[str], None] = lambda text: None):
+    def __init__(self, show: Callable[[str], None]):
         self.show, self.seconds, self._last = show, {}, time.perf_counter()
 
     def done(self, name: str) -> None:
