@@ -13,7 +13,7 @@ from vpp_fmu.record import Record
 from vpp_fmu.report import Page, closed_loop, style, thinning, two_records
 from vpp_fmu.report.panels import add_band, add_line, panels
 from vpp_fmu.report.thinning import places
-from vpp_fmu.response import Step, steps
+from vpp_fmu.response import Step, smoothed, steps
 
 STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", "overshoot [%]")
 BAND, SPAN = 0.05, 0.1
@@ -39,7 +39,7 @@ def add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Rec
     both = compare(a, b)
     difference = both.second["thrust"] - both.first["thrust"]
     rms, mean = float(np.sqrt(np.mean(difference**2))), float(difference.mean())
-    slow = smoothed(Record({"time": both.time, "thrust": difference}, "difference"))["thrust"]
+    slow = smoothed(Record({"time": both.time, "thrust": difference}, "difference"), SPAN)["thrust"]
     title = f"{name_b} and {name_a} differ by {number(rms)} N rms, {signed(mean)} N on average"
     fig = two_records(a.time, a["thrust"], b.time, b["thrust"], name_a, name_b, title, "thrust", "N")
     largest = float(np.max(np.abs(slow)))
@@ -123,16 +123,7 @@ def add_pitch_table(page: Page, found: PitchTable) -> None:
 
 def judged_steps(run: Record) -> list[Step]:
     """Every change of the set-point, with what noise there is smoothed away."""
-    return steps(smoothed(run), BAND)
-
-
-def smoothed(run: Record, span: float = SPAN) -> Record:
-    """The run with its thrust as a centred mean over `span` s."""
-    rows = max(1, round(span / float(np.median(run.steps)))) // 2 * 2 + 1
-    total = np.concatenate([[0.0], np.cumsum(run["thrust"])])
-    low = np.clip(np.arange(len(run)) - rows // 2, 0, len(run))
-    high = np.clip(np.arange(len(run)) + rows // 2 + 1, 0, len(run))
-    return run.with_columns(thrust=(total[high] - total[low]) / (high - low))
+    return steps(smoothed(run, SPAN), BAND)
 
 
 def said(step: Step, name: str) -> str:

@@ -12,10 +12,9 @@ from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, normalised_map, plant
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.paper.control import Merit, profile
-from vpp_fmu.paper.counterpart import of_setup, shown
-from vpp_fmu.paper.published import ASSUMED, COST_END, COST_START, FIGURES, NUMBERS, STATIC_MAP
-from vpp_fmu.paper.rows import KEY
-from vpp_fmu.paper.static import paper_thrust
+from vpp_fmu.paper.published import ASSUMED, COST_END, COST_START, FIGURES, KEY, NUMBERS, STATIC_MAP, shown
+from vpp_fmu.paper.rows import as_paper
+from vpp_fmu.paper.study import paper_thrust
 from vpp_fmu.parameters import read_parameters
 from vpp_fmu.plants import KernelController, KernelPlant
 
@@ -192,8 +191,8 @@ def test_a_row_of_the_setup_says_as_the_paper_only_where_the_rig_has_the_papers_
         assert row["rig"] == (value if isinstance(value, str) else pytest.approx(value)), name
         assert row["why"].startswith("as the paper" if shown(row["value"]) == shown(row["rig"]) else "not as the paper"), name
     assert [quick.rows[n]["why"][:3] for n in ("grid", "samples", "before")] == ["not"] * 3, "a quick study"
-    assert of_setup("kv", 560.0).why == "not as the paper"
-    assert of_setup("kv", 550.0, note="the same part").why == "as the paper; the same part"
+    assert as_paper("kv", 560.0) == "not as the paper"
+    assert as_paper("kv", 550.0, "the same part") == "as the paper; the same part"
 
 
 def test_a_cost_that_agrees_by_construction_says_so_first(quick):

@@ -81,3 +81,12 @@ def swing(missing: np.ndarray) -> float:
     reached = int(np.argmax(missing <= 0.0)) if (missing <= 0.0).any() else len(missing)
     behind = missing[reached:] > 0.0
     return float(np.max(np.abs(missing[reached + int(np.argmax(behind)) :]))) if behind.any() else 0.0
+
+
+def smoothed(run: Record, span: float) -> Record:
+    """The run with its thrust as a centred mean over `span` s."""
+    rows = max(1, round(span / float(np.median(run.steps)))) // 2 * 2 + 1
+    total = np.concatenate([[0.0], np.cumsum(run["thrust"])])
+    low = np.clip(np.arange(len(run)) - rows // 2, 0, len(run))
+    high = np.clip(np.arange(len(run)) + rows // 2 + 1, 0, len(run))
+    return run.with_columns(thrust=(total[high] - total[low]) / (high - low))

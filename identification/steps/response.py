@@ -65,6 +65,10 @@ class StepSummary:
         """Time constants by name of each channel that has a usable run."""
         return {name: value for u, a in self.lags.items() for name, value in zip(pair(u), (a.slow, a.fast), strict=True)}
 
+    def used(self, channel: str) -> list[StepRun]:
+        """Runs of a channel that count."""
+        return [run for run in self.runs if run.channel == channel and not run.reason]
+
     @property
     def outliers(self) -> tuple[StepRun, ...]:
         """Runs that are excluded."""

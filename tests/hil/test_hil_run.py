@@ -10,7 +10,7 @@ from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
-from hil.report import judged_steps, smoothed
+from hil.report import SPAN, judged_steps
 from hil.rig import RunEnded
 from hil.run import ON_ALARM, LimitedPlant, loop_part, run_on_rig, write_run
 from hil.runs import sha256_of
@@ -25,6 +25,7 @@ from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import KernelController, KernelPlant
 from vpp_fmu.record import Record, write_record
+from vpp_fmu.response import smoothed
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,7 @@ def test_the_papers_controller_settles_the_papers_step_on_the_rig(done):
 
 
 def test_rig_and_model_answer_the_same_step_alike(done):
-    both = compare(smoothed(beside()), smoothed(done.record))
+    both = compare(smoothed(beside(), SPAN), smoothed(done.record, SPAN))
     difference = both.second["thrust"] - both.first["thrust"]
     assert np.sqrt(np.mean(difference[both.time > 0.5] ** 2)) < 0.6  # N, of a step of 10.5 N
     still = (both.time > 3.5) & (both.time < 4.0)

@@ -14,9 +14,8 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.paper.control import RIG
-from vpp_fmu.paper.page import page, tiles, verdict
+from vpp_fmu.paper.page import page, summary, tiles, verdict
 from vpp_fmu.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
-from vpp_fmu.paper.summary import summary
 from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
 
 EXAMPLE = "vpp paper -o paper"
@@ -58,7 +57,7 @@ def _write(folder: OutputFolder, done: Study) -> None:
     folder.write("parameters.ssv", to_ssv(parameters, "parameters"))
     folder.write("identification.json", as_json(done.found.summary()))
     for name, file in (("dual", "gains.json"), ("speed_only", "gains_speed_only.json")):
-        tuned = done.control.tuned[RIG].tuned[name]
+        tuned = done.tuned[RIG].tuned[name]
         source = {"made_by": "vpp paper", "cost": tuned.cost("tuned")}
         gains[name] = ParameterSet(CONTROLLER, source=source).replaced(tuned.objective.with_gains(tuned.final))
         folder.write(file, to_json(dated(gains[name], parameters=("parameters.json", parameters))))
