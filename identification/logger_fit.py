@@ -10,6 +10,7 @@ measured speed. The smallest is the logger's; the excess of the others belongs t
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -79,11 +80,12 @@ FILTER = 0.02
 STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: 0.01}
 """Share of renewal intervals that a kind need not explain: a rotor turns unevenly, a clock does not."""
 
+HELD, MIXED = 0.1, 0.25
+"""Rows are means if more than the first share of values are held for three rows and longer, and more than the second share of
+those are followed by a mixed row: of means over two instants, half the pulses fall between them."""
+
 UNLIKELY = 0.01
 """Level of the test that the most likely kind explains the renewal intervals."""
-
-FRESH = 1.05
-"""Mean renewal interval, in rows, from which the sensor is slower than the rows."""
 
 DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
 ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
@@ -204,22 +206,21 @@ class _Estimate:
         """(sensor, its free parameters) of those that explain the renewal intervals; all, if none does. Marks and encoders have
         no delay without very strong evidence."""
         declared = self._declared
-        rows, turn = renewals(self._first)
-        mean_interval = float(rows.mean()) if len(rows) else 1.0
-        # Telemetry that is faster than the rows is renewed in each row.
-        renewed = {1.0, mean_interval} if mean_interval > FRESH else {1.0}
+        rows, turn, mixed = renewals(self._first)
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
         marks = [declared["marks_per_revolution"]] if "marks_per_revolution" in declared else MARKS
-        ways = [declared["averaged"]] if "averaged" in declared else [False, True]
-        every = [(SpeedSensor(kind), 1.0) for kind in kinds if kind == ENCODER]
-        every += [(SpeedSensor(MARK, n, averaged=mean), turn / n) for n in marks for mean in ways if MARK in kinds]
-        every += [
-            (SpeedSensor(TELEMETRY, filter=FILTER, refresh=float(n > 1.0) * n * self._period), n)
-            for n in renewed
-            if TELEMETRY in kinds
-        ]
+        ways = [declared["averaged"]] if "averaged" in declared else [True] if mixed else [False, True]
+        every: list[tuple[SpeedSensor, Sequence]] = [(SpeedSensor(kind), [1.0]) for kind in kinds if kind == ENCODER]
+        for n, averaged in product(marks if MARK in kinds else [], ways):
+            held = turn / n  # where means show no mixed rows, a value is held for less than three rows
+            expected = [np.where(held < 3.0, held - 1.0, np.inf), 1.0] if averaged and not mixed else [held]
+            every.append((SpeedSensor(MARK, n, averaged=averaged), expected))
+        # Telemetry that is faster than the rows is renewed in each row.
+        for interval in {1.0, float(rows.mean())} if TELEMETRY in kinds and len(rows) else ():
+            refresh = float(interval > 1.0) * interval * self._period
+            every.append((SpeedSensor(TELEMETRY, filter=FILTER, refresh=refresh, averaged=mixed), [interval]))
         known = {k: v for k, v in declared.items() if k in ("filter", "refresh", "delay")}
-        explained = [sensor for sensor, expected in every if not unexplained(sensor, rows, expected)]
+        explained = [sensor for sensor, expected in every if not unexplained(sensor.kind, rows, *expected)]
         return [
             (replace(sensor, **known), tuple(sorted({"delay", "filter"} - set(known))) if sensor.kind == TELEMETRY else ())
             for sensor in explained or [sensor for sensor, _ in every]
@@ -450,28 +451,33 @@ def _as_modelled(record: Record) -> Record:
     return record.part(slice(0, MOST_ROWS)).commands_later(-EARLIEST)
 
 
-def renewals(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """((intervals,) renewal intervals of the speed in rows, (intervals,) rows per revolution).
+def renewals(record: Record) -> tuple[np.ndarray, np.ndarray, bool]:
+    """((intervals,) renewal intervals of the speed in rows, (intervals,) rows per revolution, whether rows mix two values).
 
     Only values that differ from the previous one by at least FAST digits, and more than most do, are used: equal values between
-    them are then held values. A digit is constant, or, for a timed period, proportional to the square of the speed."""
+    them are then held values. A digit is constant, or, for a timed period, proportional to the square of the speed. Readings
+    that are means over their row mix two values in the row between them, which is not counted."""
     shown = np.where(np.isfinite(record["omega"]), record["omega"], 0.0)
     changes = np.append(0.0, np.abs(np.diff(shown)))
     new = np.flatnonzero((changes > 0.0) & (shown > 0.0))
-    if not len(new):
-        return np.zeros(0), np.zeros(0)
+    if len(new) < 3:
+        return np.zeros(0), np.zeros(0), False
     square = shown[new] ** 2
     digits = [np.quantile(changes[new] / scale, LEAST_CHANGE) * scale for scale in (1.0, square)]
     clear = changes[new] >= np.maximum(FAST * np.maximum(*digits), np.quantile(changes[new], MOVING))
-    kept = clear[1:] & clear[:-1] & (shown[new[1:]] > 0.0)
-    return np.diff(new)[kept], 60.0 / (shown[new[1:]][kept] * record.period)
+    gaps, moving = np.diff(new), clear[1:] & clear[:-1]
+    held = (gaps >= 3) & moving
+    mixed = held.sum() > HELD * moving.sum() and float(np.mean(gaps[1:][held[:-1]] == 1)) > MIXED
+    if mixed:
+        counts = np.append(gaps > 1, True)
+        clear |= np.append(False, clear[:-1] & ~counts[:-1])
+        new, clear = new[counts], clear[counts]
+    kept = clear[1:] & clear[:-1]
+    return np.diff(new)[kept], 60.0 / (shown[new[1:]][kept] * record.period), mixed
 
 
-def unexplained(sensor: SpeedSensor, rows: np.ndarray, expected: np.ndarray | float) -> bool:
-    """Whether more renewal intervals (n,), in whole rows, than STRAYS of a kind differ from the `expected` ones, by a binomial
-    test. No phase explains a difference of one row. Where readings are averaged over rows, that of a pulse is mixed: intervals
-    of one row and of the rest alternate."""
-    strays = np.abs(rows - np.maximum(expected - sensor.averaged, 1.0)) >= 1.0
-    if sensor.averaged:
-        strays &= rows != 1
-    return bool(len(rows)) and float(binom.sf(np.sum(strays) - 1, len(rows), STRAYS[sensor.kind])) < UNLIKELY
+def unexplained(kind: str, rows: np.ndarray, *expected: np.ndarray | float) -> bool:
+    """Whether more renewal intervals (n,), in whole rows, than STRAYS of a kind differ from all the `expected` ones, by a
+    binomial test. No phase explains a difference of one row."""
+    strays = np.all([np.abs(rows - np.maximum(each, 1.0)) >= 1.0 for each in expected], axis=0)
+    return bool(len(rows)) and float(binom.sf(np.sum(strays) - 1, len(rows), STRAYS[kind])) < UNLIKELY

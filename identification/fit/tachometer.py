@@ -50,6 +50,8 @@ class Tachometer:
         else:
             since = np.minimum(step, self.sensor.refresh) if kind == TELEMETRY else np.zeros(len(time))
             middle, width = time - 0.5 * since, np.zeros(len(time))
+            if self.sensor.averaged and self.sensor.refresh >= 3.0 * np.median(step):
+                new &= ~np.append(new[1:], False)  # without the rows that mix two values
         self.rows = np.flatnonzero(new)
         self.measured, since = shown[self.rows], since[self.rows]
         self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
