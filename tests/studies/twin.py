@@ -40,12 +40,12 @@ from identification.identify import identify
 from identification.workers import spread
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.cli.hil_options import EMULATED
-from vpp_fmu.cli.output import as_json
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import ClosedLoop, Course
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.plants import KernelController, KernelPlant, Sample
 from vpp_fmu.record import Record
+from vpp_fmu.structured import as_json
 
 DT, BEGIN, RUN, WATCHED = 0.004, 20.0, 600.0, 300.0
 """s: a tick; when a change begins; a run for false alarms; how long a change is looked for."""

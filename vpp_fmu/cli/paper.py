@@ -9,7 +9,7 @@ from tqdm import tqdm
 from identification.demo import local_flavour
 from vpp_fmu.cli.export import exported
 from vpp_fmu.cli.options import whole
-from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_output, dated, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.outputs import OutputSet
@@ -18,6 +18,7 @@ from vpp_fmu.paper.page import page, tiles, verdict
 from vpp_fmu.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
 from vpp_fmu.paper.summary import summary
 from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp paper -o paper"
 

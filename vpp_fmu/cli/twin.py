@@ -18,13 +18,14 @@ from hil.twin.band import read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.cli import hil_options
 from vpp_fmu.cli.options import WORKERS, whole
-from vpp_fmu.cli.output import as_json, dated
+from vpp_fmu.cli.output import dated
 from vpp_fmu.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.day.page import day_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
 
