@@ -88,7 +88,8 @@ class Setup:
         kind = "real" if self.emulated is None else "emulated"
         hidden = list(self.emulated.hidden) if self.emulated else []
         told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
-        told |= {"allowed": self.allowed.summary()}
+        told |= {"allowed": self.allowed.summary(), "limits": asdict(self.limits), "versions": versions()}
+        told |= {"calibration": {"sha256": self.calibration.sha256, "source": dict(self.calibration.source)}}
         if self.calibration.supply:
             told["supply"] = list(self.calibration.supply)
         if self.emulated:
@@ -106,16 +107,13 @@ class Session:
 
     def told(self) -> dict:
         """The content of `hil.json` that every use of a rig shares."""
-        rig, limits = self.rig, self._setup.limits
+        rig = self.rig
         scale = abs(self._setup.calibration.newton_per_count)
         report = self._folder / REPORT
         return {
             "format": "vpp-hil/1",
             **self._setup.told(),
-            "calibration": {"sha256": self._setup.calibration.sha256, "source": dict(self._setup.calibration.source)},
-            "limits": {name: getattr(limits, name) for name in limits.__dataclass_fields__},
             "real_time": self._granted,
-            "versions": versions(),
             "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],
             "transitions": [{"time": t, "state": state, "why": why} for t, state, why in rig.transitions],
             "counters": rig.counters,
@@ -223,7 +221,7 @@ def read_log(path: Path) -> Record:
     return Record({**columns, "state": np.asarray(table.columns["state"], str)}, str(path))
 
 
-def versions() -> Mapping[str, str]:
+def versions() -> dict[str, str]:
     """Of what took part."""
     found = {"python": sys.version.split()[0], "system": f"{platform.system()} {platform.release()} {platform.machine()}"}
     for name in _PACKAGES:
