@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.log import events_of, read_events
-from hil.session import REPORT, Setup, read_log
+from hil.session import REPORT, Setup, read_log, versions
 from hil.timing import timing
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
@@ -82,6 +82,7 @@ def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Ma
         "command": ["vpp", *sys.argv[1:]],
         **told,
         "calibration": file_told(calibration) | told["calibration"],
+        "versions": versions(),
         **{role: file_told(path) for role, path in given.items() if path},
     }
 

@@ -88,13 +88,13 @@ class Setup:
         kind = "real" if self.emulated is None else "emulated"
         hidden = list(self.emulated.hidden) if self.emulated else []
         told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
-        told |= {"allowed": self.allowed.summary(), "limits": asdict(self.limits), "versions": versions()}
-        told |= {"calibration": {"sha256": self.calibration.sha256, "source": dict(self.calibration.source)}}
+        told |= {"allowed": self.allowed.summary()}
         if self.calibration.supply:
             told["supply"] = list(self.calibration.supply)
         if self.emulated:
             told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
-        return told
+        calibration = {"sha256": self.calibration.sha256, "source": dict(self.calibration.source)}
+        return told | {"calibration": calibration, "limits": asdict(self.limits)}
 
 
 class Session:
@@ -114,6 +114,7 @@ class Session:
             "format": "vpp-hil/1",
             **self._setup.told(),
             "real_time": self._granted,
+            "versions": versions(),
             "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],
             "transitions": [{"time": t, "state": state, "why": why} for t, state, why in rig.transitions],
             "counters": rig.counters,
