@@ -1,9 +1,11 @@
 """The devices of one rig, emulated or real: whoever drives them can't tell."""
 
 import contextlib
+import fcntl
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from hil.calibration import Calibration
 from hil.clock import Clock, MonotonicClock
@@ -11,7 +13,7 @@ from hil.devices.ads1115 import Ads1115
 from hil.devices.pwm import PwmChannel, find_chip
 from hil.devices.supply import Supply
 from hil.devices.tachometer import Tachometer
-from hil.safety.lock import locked
+from hil.safety.faults import DeviceFault, FaultKind
 from vpp_fmu.errors import BadInput
 
 ESC, LAC = 0, 1
@@ -126,3 +128,33 @@ def check_limits(path: str, calibration: Calibration, beta_min: float, beta_max:
         if not calibration.pitch_min <= value <= calibration.pitch_max:
             allowed = f"{calibration.pitch_min:g} to {calibration.pitch_max:g} deg, as the calibration has it"
             raise BadInput(path, name, f"{value:g} deg", allowed)
+
+
+def locked(chip: Path) -> int:
+    """An exclusive lock on the rig whose outputs are those of the PWM chip in the folder `chip`; the descriptor that holds it.
+
+    It ends when the last process that has the descriptor ends or closes it, however that comes about: no file is left behind.
+    DeviceFault NOT_READY names who has it.
+    """
+    descriptor = os.open(chip.resolve(), os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        holder = _holder(os.fstat(descriptor))
+        os.close(descriptor)
+        raise DeviceFault("rig", FaultKind.NOT_READY, f"in use by {holder}; nothing was written") from error
+    return descriptor
+
+
+def _holder(at: os.stat_result) -> str:
+    """Who has a lock on the file, in words; the kernel lists them."""
+    wanted = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
+    try:
+        for line in Path("/proc/locks").read_text().splitlines():
+            cells = line.split()
+            if wanted in cells and "FLOCK" in cells and cells[4].isdecimal() and int(cells[4]) > 0:
+                words = Path(f"/proc/{cells[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                return f"process {cells[4]} ({words.strip()[:80]})"
+    except OSError:
+        pass
+    return "another process"

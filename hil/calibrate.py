@@ -6,8 +6,9 @@ rig is emulated, its emulated hand does it.
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
@@ -19,8 +20,15 @@ from hil.cycle import PERIOD
 from hil.safety.faults import DeviceFault
 from hil.safety.supervisor import Supervisor
 from hil.safety.tare import TareGate, TareRefused, tare
+from vpp_fmu.digits import number
 from vpp_fmu.errors import VppError
 
+PARTS = ("load_cell", "pitch", "esc")
+MASSES = (0.0, 0.5, 1.0, 1.5)
+"""kg."""
+FRICTION = 0.05
+"""N of residual above which friction is looked for (hil/README.md)."""
+BARE = "bare"
 G = 9.80665
 """m/s^2, standard gravity; on the ground it is 0.26 % less to 0.27 % more."""
 READINGS = 1000
@@ -45,13 +53,21 @@ class CalibrationRefused(VppError):
 
 
 class Guide(Protocol):
-    """The person at the rig. Both return when it is done."""
+    """The person at the rig. Each returns when it is done."""
 
     def do(self, what: str) -> None:
         """Something to be done."""
 
     def read(self, what: str) -> float:
         """A number to be read off."""
+
+    def choice(self, what: str, words: Sequence[str]) -> str:
+        """One of some words."""
+
+    def numbers(
+        self, what: str, default: Sequence[float], good: Callable[[Sequence[float]], bool], allowed: str
+    ) -> tuple[float, ...]:
+        """Numbers that are `good`; `allowed` says so in words."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +82,15 @@ class LoadCell:
     zero: float
     residuals: tuple[float, ...]
     hysteresis: float
+
+    def said(self) -> str:
+        """The line, and how straight it is."""
+        worst = max(map(abs, self.residuals))
+        friction = ": look for friction" if max(worst, self.hysteresis) > FRICTION else ""
+        return (
+            f"load cell: {1e3 * self.newton_per_count:.5g} ± {1e3 * self.std:.2g} mN a count, zero {self.zero:.1f} counts, "
+            f"residuals up to {number(worst)} N, hysteresis {number(self.hysteresis)} N{friction}"
+        )
 
 
 @dataclass(frozen=True)
@@ -84,6 +109,52 @@ class PitchTable:
     @property
     def play(self) -> float:
         return max(abs(a - b) for a, b in zip(self.up, self.down, strict=True))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured; None: nothing. `throttle`: pulses [s] at which the motor starts, and
+    the longest that the ESC was taught."""
+
+    cell: LoadCell | None = None
+    pitch: PitchTable | None = None
+    throttle: tuple[float, float] | None = None
+
+
+def measured(
+    bench: Bench, guide: Guide, parts: Sequence[str], report: Path, supervised: bool, say: Callable[[str], None]
+) -> Measured:
+    """The `parts` of PARTS, one after the other, each said in a line; `report`, `supervised` as in `started`."""
+    before, cell, pitch, throttle = bench.calibration, None, None, None
+    if "load_cell" in parts or "pitch" in parts:
+        guide.do("press the emergency stop: the ESC has no supply, and the rotor stands")
+    if "load_cell" in parts:
+        from_zero = lambda values: _rise(values) and values[0] == 0.0  # noqa: E731
+        masses = guide.numbers("weights to hang [kg]", MASSES, from_zero, "two or more numbers that rise from 0 on")
+        way = guide.choice("do the weights pull with the thrust, or against it", ("with", "against"))
+        cell = weighed(bench, guide, masses, way == "with")
+        say(cell.said())
+    if "pitch" in parts:
+        present, most = tuple(round(1e6 * pulse, 3) for pulse in before.pulses), 1e6 * before.lac_period
+        inside = lambda values: _rise(values) and values[0] >= 0.0 and values[-1] <= most  # noqa: E731
+        allowed = f"two or more numbers from 0 to {most:g} that rise"
+        pulses = guide.numbers("pulses to the pitch [us]", present, inside, allowed)
+        pitch = pitched(bench, guide, [round(1e-6 * pulse, 9) for pulse in pulses])
+        say(f"pitch: {min(pitch.pitches):g} to {max(pitch.pitches):g} deg, play {pitch.play:.2f} deg")
+    if "esc" in parts:
+        taught, idle, longest = (round(1e6 * pulse, 3) for pulse in (before.esc_max, before.esc_idle, before.esc_period))
+        within = lambda values: len(values) == 1 and idle < values[0] < longest  # noqa: E731
+        question = "longest pulse that the ESC was taught, by its manual [us]"
+        (taught,) = guide.numbers(question, (taught,), within, f"a number above {idle:g} and below {longest:g}")
+        guide.choice("take the propeller OFF, then release the emergency stop; only the bare motor will turn", (BARE,))
+        start = started(bench, report, supervised)
+        throttle = start, round(1e-6 * taught, 9)
+        say(f"throttle: the motor starts at {1e6 * start:g} us")
+    return Measured(cell, pitch, throttle)
+
+
+def _rise(values: Sequence[float]) -> bool:
+    return len(values) > 1 and all(a < b for a, b in pairwise(values))
 
 
 def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
@@ -201,30 +272,26 @@ def started(bench: Bench, report: Path, supervised: bool) -> float:
             supervisor.close()
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What was measured; None: nothing. `throttle`: pulses [s] at which the motor starts, and
-    the longest that the ESC was taught."""
-
-    cell: LoadCell | None = None
-    pitch: PitchTable | None = None
-    throttle: tuple[float, float] | None = None
-
-
-def adopted(before: Calibration, measured: Measured) -> Calibration:
-    """The calibration with what was measured. Pitches that a run may command stay where the new table lets them."""
-    cell, pitch = measured.cell, measured.pitch
-    changes: dict = {}
+def adopted(before: Calibration, measured: Measured, who: str, when: str) -> Calibration:
+    """The calibration with what was measured, by whom and when in its source. Pitches that a run may command stay where the
+    new table lets them."""
+    cell, pitch, throttle = measured.cell, measured.pitch, measured.throttle
+    own = {"who": who, "when": when, "how": "vpp hil calibrate"}
+    source = {key: value for key, value in before.source.items() if key not in ("who", "when")}
+    changes: dict = {"source": source}
     if cell:
         changes |= {"newton_per_count": cell.newton_per_count, "zero": cell.zero}
+        read = {"forces_N": cell.forces, "counts": cell.counts, "residuals_N": cell.residuals, "hysteresis_N": cell.hysteresis}
+        source["load_cell"] = own | read | {"std_N_per_count": cell.std}
     if pitch:
         low, high = min(pitch.pitches), max(pitch.pitches)
         least, most = max(before.pitch_min, low), min(before.pitch_max, high)
         changes |= {"pulses": pitch.pulses, "pitches": pitch.pitches, "pitch_min": least, "pitch_max": most}
         changes["rest_pitch"] = min(max(before.rest_pitch, least), most)
-    if measured.throttle:
-        start, longest = measured.throttle
-        changes |= {"esc_idle": round(start - MARGIN, 9), "esc_max": longest}
+        source["pitch"] = own | {"pulses_s": pitch.pulses, "up_deg": pitch.up, "down_deg": pitch.down, "play_deg": pitch.play}
+    if throttle:
+        changes |= {"esc_idle": round(throttle[0] - MARGIN, 9), "esc_max": throttle[1]}
+        source["esc"] = own | {"started_at_s": throttle[0], "taught_s": throttle[1]}
     return replace(before, **changes)
 
 

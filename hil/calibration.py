@@ -12,7 +12,7 @@ from hil.devices.ads1115 import FULL_SCALES, INPUTS, LARGEST, SMALLEST
 from hil.devices.supply import NAMES, Input
 from hil.entries import Entries, Number
 from vpp_fmu.errors import BadInput
-from vpp_fmu.structured import read_json, shown
+from vpp_fmu.structured import as_json, read_json, shown
 
 FORMAT = "vpp-calibration/1"
 
@@ -174,7 +174,7 @@ def never_measured(calibration: Calibration) -> list[str]:
 def to_json(calibration: Calibration) -> str:
     """The calibration as a file's text, exact to the bit when read back."""
     content = {"format": FORMAT, **_content(calibration), "source": dict(calibration.source)}
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return as_json(content)
 
 
 def _content(c: Calibration) -> dict:

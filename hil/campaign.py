@@ -14,7 +14,7 @@ from hil import commands
 from hil.commands import PAPERS, Step
 from hil.cycle import PERIOD
 from hil.rig import Rig
-from hil.safety.limits import Limits
+from hil.safety.limits import Limits, limits_of, read_limits
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig as Ranges
@@ -82,6 +82,15 @@ def within(rig: Ranges, limits: Limits, freely: Limits) -> Ranges:
     return replace(rig, **changed, origin={**rig.origin, **dict.fromkeys(changed, "the limits")})
 
 
+def limits_for(allowed: Ranges, where: str, file: str | None = None, steps: bool = False) -> tuple[Limits, Ranges]:
+    """(limits outside the controller, the rig as far as they let it go). `where`: the file that `allowed` comes from. `file`:
+    of limits. `steps`: commands may jump where the rig allows it. BadInput."""
+    freely = limits_of(allowed, where)
+    freely = steep(freely, allowed) if steps else freely
+    limits = read_limits(file, allowed, freely) if file else freely
+    return limits, within(allowed, limits, freely)
+
+
 def parts_for(rig: Ranges) -> tuple[str, ...]:
     """What a campaign consists of; a rig whose speed and pitch both stand has no steps."""
     return tuple(part for part in PARTS if part != "steps" or commands.steps(1, rig))
@@ -103,7 +112,7 @@ def measure(
     rig: Rig, part: str, plan: Plan, progress: Callable[[float], None], allowed: Ranges = PAPERS, have: Sequence = ()
 ) -> Record:
     """One part as its file holds it, with commands within what is `allowed`; `progress` is told the share done; `have`: what
-    was measured of it already (`hil.resume`). RunEnded where the rig ended it."""
+    was measured of it already (`hil.campaign_folder`). RunEnded where the rig ended it."""
     if part == "static":
         return static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, progress, have)
     if part == "steps":

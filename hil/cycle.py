@@ -11,11 +11,10 @@ from hil.log import Log
 from hil.page.operator_page import OperatorPage
 from hil.safety.faults import DeviceFault, Fault, FaultKind
 from hil.safety.limits import Cut, Limits
-from hil.safety.plausibility import Plausibility, Reading
+from hil.safety.plausibility import Plausibility, Reading, SupplyLimits
 from hil.safety.states import SafetyState, StateMachine
 from hil.safety.stop import StopSignals
 from hil.safety.supervisor import Supervisor
-from hil.safety.supply_limits import SupplyLimits
 from hil.sensors import Sensors
 from hil.ticks import Tick, Ticks
 

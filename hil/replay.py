@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpp_fmu.plants import COMMANDS, Controller
-from vpp_fmu.record import Record
+from vpp_fmu.record import QUANTITIES, Record
+from vpp_fmu.report import Page, two_records
 
 WANTED = {"omega_ref": "omega_wanted", "beta_ref": "beta_wanted"}
 """Columns of a rig's run that hold what the controller asked for; `omega_ref` and `beta_ref` hold what the limits let pass."""
@@ -28,6 +29,36 @@ class Replay:
     def largest(self) -> dict[str, float]:
         """The largest difference of each command [rpm, deg]."""
         return {name: float(np.max(np.abs(self.record[name] - was))) for name, was in self.recorded.items()}
+
+    def summary(self) -> dict:
+        """The content of replay.json."""
+        row = self.first_difference
+        return {
+            "format": "vpp-replay/1",
+            "rows": len(self.record),
+            "same_to_the_bit": row is None,
+            "first_difference": None if row is None else float(self.record.time[row]),
+            "largest": self.largest,
+        }
+
+    def said(self) -> str:
+        """The comparison in words."""
+        row = self.first_difference
+        if row is None:
+            return "the same commands to the bit"
+        omega, beta = self.largest.values()
+        return f"other commands from {self.record.time[row]:.3f} s on, at most {omega:.3g} rpm and {beta:.3g} deg off"
+
+    def page(self, text: str) -> Page:
+        """Each command as recorded and as replayed, under a `text`."""
+        page, time = Page("Replay", text), self.record.time
+        for name, quantity in (("omega_ref", "speed command"), ("beta_ref", "pitch command")):
+            unit = QUANTITIES[name].unit
+            title = f"The replayed {quantity} differs by at most {self.largest[name]:.3g} {unit}"
+            a, b = self.recorded[name], self.record[name]
+            fig = two_records(time, a, time, b, "recorded", "replayed", title, quantity, unit)
+            page.figure(fig, f"Of every row, {quantity} as recorded and as replayed.")
+        return page
 
 
 def replay(run: Record, controller: Controller) -> Replay:

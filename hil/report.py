@@ -1,11 +1,12 @@
-"""The page of a run on the rig: the loop, what it differs from, the twin, the timing, and what happened."""
+"""The pages of the rig: the loop, what it differs from, the twin, the timing, what happened; and a calibration."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from plotly import graph_objects as go
 
-from hil.calibrate import LoadCell, PitchTable
+from hil.calibrate import LoadCell, Measured, PitchTable
+from hil.calibration import Calibration
 from hil.timing import EDGES, Timing
 from vpp_fmu.comparison import compare
 from vpp_fmu.digits import number, signed
@@ -89,7 +90,35 @@ def add_counts(page: Page, counters: Mapping[str, Mapping[str, int]], transition
     page.table(("device", "what", "times"), rows, "What the devices counted.")
 
 
-def add_cell(page: Page, cell: LoadCell) -> None:
+def calibration_page(before: Calibration, found: Calibration, measured: Measured) -> Page:
+    """A calibration that was measured, beside the one before it."""
+    cell, pitch, throttle = measured.cell, measured.pitch, measured.throttle
+    hashes = f"Sha256 {found.sha256[:12]}; it was {before.sha256[:12]}."
+    page = Page("Calibration", f"{hashes} What was not measured stays as it was.")
+    rows = []
+    if cell:
+        change = 100.0 * (cell.newton_per_count / before.newton_per_count - 1.0)
+        page.tiles([("force per count", f"{1e3 * cell.newton_per_count:.5g} mN", f"± {1e3 * cell.std:.2g} mN")])
+        page.tiles([("residuals", f"{number(max(map(abs, cell.residuals)))} N", f"hysteresis {number(cell.hysteresis)} N")])
+        rows += [("force per count [mN]", 1e3 * before.newton_per_count, 1e3 * cell.newton_per_count, f"{change:+.2f} %")]
+        rows += [("zero [counts]", before.zero, cell.zero, f"{cell.zero - before.zero:+.1f}")]
+        _add_cell(page, cell)
+    if pitch:
+        page.tiles([("play of the pitch", f"{pitch.play:.2f} deg", "at most, from one side against the other")])
+        _add_pitch_table(page, pitch)
+    if throttle:
+        page.tiles([("the motor starts at", f"{1e6 * throttle[0]:g} us", f"idle pulse {1e6 * found.esc_idle:g} us")])
+        change = 1e6 * (found.esc_idle - before.esc_idle)
+        rows += [("idle pulse [us]", 1e6 * before.esc_idle, 1e6 * found.esc_idle, f"{change:+.1f}")]
+    if rows:
+        page.table(("what", "before", "now", "change"), rows, "What the calibration said before, and what it says now.")
+    sources = found.source.items()
+    known = [(name, entry["who"], entry["when"]) for name, entry in sources if isinstance(entry, dict) and "who" in entry]
+    page.table(("section", "who", "when"), known, "Who measured what.")
+    return page
+
+
+def _add_cell(page: Page, cell: LoadCell) -> None:
     """The load cell's residuals, with rising and with falling weights."""
     top = int(np.argmax(np.abs(cell.forces)))
     worst = max(map(abs, cell.residuals))
@@ -107,7 +136,7 @@ def add_cell(page: Page, cell: LoadCell) -> None:
     )
 
 
-def add_pitch_table(page: Page, found: PitchTable) -> None:
+def _add_pitch_table(page: Page, found: PitchTable) -> None:
     """Pitch over the pulses, from both sides."""
     low, high = min(found.pitches), max(found.pitches)
     fig = style.figure(f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play", 380)

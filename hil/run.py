@@ -13,7 +13,7 @@ from hil.cycle import PERIOD
 from hil.devices.supply import NAMES
 from hil.log import Column, cell
 from hil.page.operator_page import OperatorPage
-from hil.rig import ENDINGS, Rig
+from hil.rig import ENDINGS, Rig, RunEnded
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limiter, Limits
 from hil.session import Session, Setup, found_log, read_log, session
@@ -25,6 +25,7 @@ from vpp_fmu.files import write_whole
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.plants import Controller, FmuController, Plant
 from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig as Ranges
 
 LOG = "log.csv"
 ON_ALARM = {"note": None, "ramp": FaultKind.TWIN, "idle": FaultKind.TWIN_NOW}
@@ -41,6 +42,26 @@ class Run:
     log: Record
     session: Session
     ended: str
+
+    def judge(self) -> None:
+        """TwinAlarm, RunEnded or LogLost where the run was not what was asked for."""
+        if self.session.rig.alarms:
+            ended = f"; the run ended: {self.ended}" if self.ended else ""
+            raise TwinAlarm(f"twin: {self.session.rig.alarms[0][1]}{ended}")
+        if self.ended:
+            raise RunEnded(self.ended)
+        if (logged := self.session.logged).failure:
+            raise LogLost(f"log: {logged.lost} of {logged.rows + logged.lost} rows lost: {logged.failure}")
+
+
+class TwinAlarm(VppError):
+    """The rig left its twin's band: its record is whole, and not what the model says."""
+
+    code = 3
+
+
+class LogLost(VppError):
+    """The run came to its end, and its record did not."""
 
 
 class Told:
@@ -79,6 +100,27 @@ class LimitedPlant:
 
     def close(self):
         self._plant.close()
+
+
+def check_profile(profile: Record, limits: Limits) -> None:
+    """BadInput where the limits would end the run before the profile does."""
+    largest = float(np.max(np.abs(profile["thrust_set"])))
+    if largest >= limits.thrust_trip:
+        allowed = f"less than {limits.thrust_trip:g} N of either sign, which stops the rotor"
+        raise BadInput(profile.source, "thrust_set", f"{largest:g} N", allowed)
+    if profile.time[-1] > limits.run_time:
+        raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")
+
+
+def start_of(given: Sequence[float] | None, limits: Limits, allowed: Ranges) -> tuple[float, float]:
+    """Commands [rpm, deg] that a run starts from: those `given`, else the rig's idle. BadInput where the limits stop them."""
+    if given is None:
+        return idle(allowed)
+    ranges = (limits.omega_min, limits.omega_max, "rpm"), (limits.beta_min, limits.beta_max, "deg")
+    for value, (low, high, unit) in zip(given, ranges, strict=True):
+        if not low <= value <= high:
+            raise BadInput("command line", "--start", f"{value:g} {unit}", f"{low:g} to {high:g} {unit}, as the limits have it")
+    return given[0], given[1]
 
 
 def run_on_rig(

@@ -1,16 +1,19 @@
-"""A run's own folder, and what can be told of a run from its files alone: for whoever is left when its loop is not."""
+"""A run's own folder, what hil.json says before the run, and what a run's files alone say of it."""
 
 import contextlib
 import hashlib
 import os
+import platform
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from hil.log import events_of, read_events
-from hil.session import REPORT, read_log
+from hil.session import REPORT, Setup, read_log, versions
 from hil.timing import timing
+from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
 
@@ -19,6 +22,9 @@ RUNS = "runs"
 
 NAMES = ("hil.json", "log.csv", "run.csv", "report.html")
 """What of the newest run the output folder shows itself, as links."""
+
+RUNNING, ENDED, ENDED_EARLY = "running", "ended", "ended early"
+"""`status` in hil.json."""
 
 
 def run_folder(parent: Path, date: str) -> Path:
@@ -57,6 +63,28 @@ def _link(at: Path, to: Path) -> None:
 def sha256_of(path: str | os.PathLike) -> str:
     """Of a file's bytes."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def file_told(path: str | os.PathLike) -> dict:
+    """What hil.json says of a file that a run was given."""
+    return {"file": Path(path).name, "file_sha256": sha256_of(path)}
+
+
+def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Mapping[str, str | None]) -> dict:
+    """What hil.json says before anything turns: when, where, who, with what. `given`: the other files by their role."""
+    told = setup.told()
+    return {
+        "format": "vpp-hil/1",
+        "status": RUNNING,
+        "begun": now(),
+        "host": platform.node(),
+        "operator": operator,
+        "command": ["vpp", *sys.argv[1:]],
+        **told,
+        "calibration": file_told(calibration) | told["calibration"],
+        "versions": versions(),
+        **{role: file_told(path) for role, path in given.items() if path},
+    }
 
 
 def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:

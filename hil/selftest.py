@@ -2,7 +2,7 @@
 
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration import Calibration
+from hil.report import add_counts, add_timing
 from hil.rig import ENDINGS
 from hil.session import Session, Setup, found_log, read_log, session
+from vpp_fmu.errors import VppError
 from vpp_fmu.record import Record
+from vpp_fmu.report import Page
 
 LOG = "log.csv"
 HALF_SCALE = 16384
 """Counts: a load cell's zero beyond them leaves less than half of the range for the thrust."""
+
+
+class SelfTestFailed(VppError):
+    """A check was not passed."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +37,36 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class SelfTest:
-    """`checks`, the log of every tick, the session behind it, and why it ended early, if it did."""
+    """`checks`, the log of every tick, the session behind it, why it ended early, if it did; `load`: busy processes beside."""
 
     checks: tuple[Check, ...]
     log: Record
     session: Session
     ended: str
+    load: int = 0
+
+    def told(self) -> dict:
+        """The content of hil.json."""
+        checks = [{"what": c.what, "good": c.good, "found": c.found} for c in self.checks]
+        return self.session.told() | {"load": self.load, "checks": checks}
+
+    def page(self, told: Mapping, seconds: float) -> Page:
+        """The report of a test of so many seconds; `told`: hil.json."""
+        text = f"{seconds:g} s at the idle pulse, {self.load} busy processes beside the loop."
+        page = Page("Self-test of the rig", text)
+        good = sum(check.good for check in self.checks)
+        page.tiles([("checks passed", f"{good} of {len(self.checks)}", "see the table")])
+        if self.session.timing:
+            add_timing(page, self.session.timing, f"The loop had: {told['real_time']}.")
+        rows = [(check.what, "good" if check.good else "not good", check.found) for check in self.checks]
+        page.table(("what", "verdict", "found"), rows, "What was looked at.")
+        add_counts(page, told["counters"], [(t["time"], t["state"], t["why"]) for t in told["transitions"]])
+        return page
+
+    def judge(self) -> None:
+        """SelfTestFailed where a check was not passed."""
+        if bad := [check.what for check in self.checks if not check.good]:
+            raise SelfTestFailed(f"not good: {', '.join(bad)}")
 
 
 def selftest(
@@ -53,7 +84,7 @@ def selftest(
         outputs = [(path, round(1e9 * pulse), Path(path).read_text().split()[0]) for path, pulse in rig.bench.outputs]
     log = read_log(found_log(folder / LOG))
     checks = (*_timing(one, log), *_buses(one, log, faults, ended), *_calibration(setup.calibration, log), *_outputs(outputs))
-    return SelfTest(checks, log, one, ended)
+    return SelfTest(checks, log, one, ended, load)
 
 
 @contextmanager

@@ -93,7 +93,8 @@ class Setup:
             told["supply"] = list(self.calibration.supply)
         if self.emulated:
             told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
-        return told
+        calibration = {"sha256": self.calibration.sha256, "source": dict(self.calibration.source)}
+        return told | {"calibration": calibration, "limits": asdict(self.limits)}
 
 
 class Session:
@@ -106,14 +107,12 @@ class Session:
 
     def told(self) -> dict:
         """The content of `hil.json` that every use of a rig shares."""
-        rig, limits = self.rig, self._setup.limits
+        rig = self.rig
         scale = abs(self._setup.calibration.newton_per_count)
         report = self._folder / REPORT
         return {
             "format": "vpp-hil/1",
             **self._setup.told(),
-            "calibration": {"sha256": self._setup.calibration.sha256, "source": dict(self._setup.calibration.source)},
-            "limits": {name: getattr(limits, name) for name in limits.__dataclass_fields__},
             "real_time": self._granted,
             "versions": versions(),
             "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],
@@ -223,7 +222,7 @@ def read_log(path: Path) -> Record:
     return Record({**columns, "state": np.asarray(table.columns["state"], str)}, str(path))
 
 
-def versions() -> Mapping[str, str]:
+def versions() -> dict[str, str]:
     """Of what took part."""
     found = {"python": sys.version.split()[0], "system": f"{platform.system()} {platform.release()} {platform.machine()}"}
     for name in _PACKAGES:

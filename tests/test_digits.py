@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from vpp_fmu.cli.output import as_json
 from vpp_fmu.digits import interval, number, signed, with_uncertainty
+from vpp_fmu.structured import as_json
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from identification.diagnose import diagnose as diagnosing
 from identification.plan import plan as planning
 from identification.tune.controllers import rig_controller
 from vpp_fmu import cli
-from vpp_fmu.cli import hil_options
+from vpp_fmu.cli import hil as hil_verb
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import Scales
@@ -209,11 +209,11 @@ def test_twin_and_hil_take_the_same_emulated_rig(wide):
     for verb, words in (("twin", ["day"]), ("hil", ["run", "--profile", "step.csv"])):
         parser, _ = cli.parser_of(verb)
         options = parser.parse_args([*words, "--virtual", "--parameters", str(wide)])
-        found = hil_options.setup_of(options)
+        found = hil_verb.setup_of(options)
         assert (found.allowed.speed, found.allowed.pitch) == (WIDE.speed, WIDE.pitch)
         for pitch in WIDE.pitch:
             assert found.calibration.pitch(found.calibration.lac_pulse(pitch)) == pytest.approx(pitch)
-    assert hil_options.gains_of(options).values["beta_max"] == WIDE.pitch[1]
+    assert hil_verb.gains_of(options).values["beta_max"] == WIDE.pitch[1]
 
 
 def test_gains_that_leave_the_parameters_rig_are_not_exported(wide, capsys):

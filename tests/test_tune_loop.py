@@ -6,7 +6,7 @@ from builders import FAST_PITCH, PROBES
 from scipy.signal import lsim
 
 from identification.demo import step_profile
-from identification.tune.chain import Measured
+from identification.tune.check import Measured
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import SimulationFailed
 from vpp_fmu.kernel.controller import DUAL, SPEED_ONLY

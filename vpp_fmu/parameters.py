@@ -18,7 +18,7 @@ from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Parameter
 from vpp_fmu.notebook import table_html
 from vpp_fmu.rig import Rig, rig_of
-from vpp_fmu.structured import read_object, shown
+from vpp_fmu.structured import as_json, read_object, shown
 from vpp_fmu.units import base_unit
 
 FORMAT = "vpp-parameters/1"
@@ -274,7 +274,7 @@ def to_json(parameters: ParameterSet) -> str:
         entries[p.name] = {"value": values[p.name], "std": std, "unit": p.unit}
     effects = list(parameters.model.optional)
     content = {"format": FORMAT, "parameters": entries, "effects": effects, "source": dict(parameters.source)}
-    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    return as_json(content)
 
 
 def to_ssv(parameters: ParameterSet, name: str) -> str:

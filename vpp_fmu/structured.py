@@ -1,4 +1,4 @@
-"""JSON and TOML files: within bounds of size and depth, each name once, numbers finite. Whatever else is a BadInput."""
+"""JSON and TOML files: read within bounds of size and depth, each name once, numbers finite. Whatever else is a BadInput."""
 
 import json
 import os
@@ -114,6 +114,11 @@ def check_kinds(path: str | os.PathLike, content: object, kinds: object, place: 
                     )
                 if key in content and not (name.endswith("?") and content[key] is None):
                     check_kinds(path, content[key], inner, (place, key))
+
+
+def as_json(content: dict) -> str:
+    """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
+    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def shown(found: object) -> str:

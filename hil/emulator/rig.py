@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 
 from hil.bench import ESC, LAC, Bench, adc, supply
@@ -22,7 +23,7 @@ from hil.emulator.shared import SharedNumbers
 from hil.emulator.uno import Uno
 from hil.emulator.world import LoadCell, World
 from hil.physics.pitch_actuator import ACTUATOR
-from hil.physics.rig_model import powertrain
+from hil.physics.rig_model import library, powertrain
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.rig import PAPERS_SIZE
@@ -33,6 +34,8 @@ ZERO_SHIFT = 120.0
 
 BUS, SECOND, LINE, PORT, PULSES, SHOWN, HAND = "i2c", "i2c-second", "line", "tty", "pwm", "shown", "hand"
 """Names in the folder."""
+
+CALIBRATION = files("hil.emulator") / "calibration.json"
 
 LARGEST_SPEED = 6900.0
 """rpm, of a rig that the emulated one may stand for: it is the paper's, with its rotor of 6000 rpm."""
@@ -58,6 +61,40 @@ class Rig:
     hidden: tuple[str, ...] = ()
     seed: int = 0
     lingers: float = 0.0
+
+
+def with_effects(words: Iterable[str], seed: int = 0) -> Rig:
+    """The emulated rig with hidden effects, each NAME, NAME=SIZE or NAME.PARAMETER=SIZE. BadInput."""
+    hidden = [_hidden(text) for text in words]
+    return Rig({name: value for _, values in hidden for name, value in values.items()}, tuple(name for name, _ in hidden), seed)
+
+
+def _hidden(text: str) -> tuple[str, dict[str, float]]:
+    """A hidden effect's name and its parameters."""
+    known = {e.name: e for e in library(commanded=False) if e.off is not None}
+    left, _, size = text.partition("=")
+    name, _, parameter = left.partition(".")
+    if name not in known:
+        raise BadInput("command line", "--hide", name, f"one of {', '.join(known)}")
+    effect = known[name]
+    values = dict(effect.probe)
+    if size or parameter:
+        chosen = next((p for p in effect.parameters if p.name == (parameter or effect.parameters[0].name)), None)
+        if chosen is None:
+            raise BadInput("command line", "--hide", left, f"one of {', '.join(f'{name}.{p.name}' for p in effect.parameters)}")
+        values[chosen.name] = _size(left, size, chosen)
+    return name, {f"{name}.{own}": value for own, value in values.items()}
+
+
+def _size(name: str, text: str, parameter) -> float:
+    allowed = f"a number from {parameter.minimum:g} to {parameter.maximum:g} {parameter.unit}".removesuffix(" 1")
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise BadInput("command line", f"--hide {name}", text or "no size", allowed) from error
+    if not parameter.minimum <= value <= parameter.maximum:
+        raise BadInput("command line", f"--hide {name}", text, allowed)
+    return value
 
 
 def calibrated_for(calibration: Calibration, ranges: Ranges) -> Calibration:

@@ -10,12 +10,13 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
 from hil.log import ProcessLog, events_of
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.stopping import Stopped
 
 STOP = b"stop"
 STARTED = 20.0
@@ -117,3 +118,21 @@ class OperatorPage:
             socket.send_fds(self._socket, [json.dumps(message).encode()], descriptors)
         except OSError as error:
             self._broken = f"its process {self.pid} takes nothing ({(error.strerror or str(error)).lower()})"
+
+
+@contextlib.contextmanager
+def served(told: Mapping, port: int) -> Iterator[OperatorPage]:
+    """The page for as long as the context lasts, with how it ended; why it broke is one line on standard error. BadInput."""
+    page, ended = OperatorPage(told, port), "ended as planned"
+    try:
+        yield page
+    except (VppError, Stopped) as error:
+        ended = " ".join(str(error).split())
+        raise
+    except BaseException as error:
+        ended = type(error).__name__
+        raise
+    finally:
+        page.close(ended)
+        if page.broken:
+            print(f"vpp hil: page: {page.broken}; the rig went on without it", file=sys.stderr)

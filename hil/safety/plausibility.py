@@ -1,10 +1,12 @@
 """Every reading held against what physics allows, once a tick. What a bus or a device says of itself comes as DeviceFault."""
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from hil.devices.supply import NAMES
 from hil.safety.faults import Fault, FaultKind
 from hil.safety.limits import Limits
 from hil.safety.pitch_effect import PitchEffect
@@ -17,6 +19,9 @@ HELD_REVOLUTIONS = 3
 
 SAME = 1e-4
 """s; conversions closer in time are one and the same."""
+
+BEYOND = 2
+"""In a row that must be beyond a limit: one can be a spark."""
 
 
 class Reading(NamedTuple):
@@ -200,3 +205,26 @@ class Plausibility:
             return None
         detail = f"{100.0 * pitch.effect:.0f} % of the thrust that the commanded pitch should have changed"
         return Fault("pitch actuator", FaultKind.STUCK_ACTUATOR, detail)
+
+
+class SupplyLimits:
+    """Looks at each new reading of the motor's supply while the rotor is driven."""
+
+    def __init__(self, limits: Limits):
+        self._ranges = {
+            "voltage": (limits.voltage_min, limits.voltage_max),
+            "current": (-limits.current_max, limits.current_max),
+            "temperature": (-float("inf"), limits.temperature_max),
+        }
+        self._beyond: Counter[str] = Counter()
+
+    def check(self, values: Mapping[str, float], new: Iterable[str]) -> Fault | None:
+        """Of the `values` by name those that are `new`; the first that is beyond its limit once more."""
+        for name in new:
+            low, high = self._ranges[name]
+            inside = low <= values[name] <= high
+            self._beyond[name] = 0 if inside else self._beyond[name] + 1
+            if self._beyond[name] >= BEYOND:
+                unit, bound = NAMES[name], f"at least {low:g}" if values[name] < low else f"at most {high:g}"
+                return Fault("supply", FaultKind.SUPPLY, f"{name} {values[name]:.1f} {unit}, allowed is {bound} {unit}")
+        return None

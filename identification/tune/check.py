@@ -7,16 +7,42 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.tune.chain import Measured
 from vpp_fmu.export import native_fmu, python_fmu
+from vpp_fmu.kernel.measurement import MEASUREMENT
+from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.loop import run
 from vpp_fmu.native.closed_loop import Course
-from vpp_fmu.plants import FmuController, FmuPlant
+from vpp_fmu.plants import Controller, FmuController, FmuPlant
 from vpp_fmu.record import Record
 
 WRAPPED = ("x86_64", "AMD64")
 """Machines for which pythonfmu has a wrapper; others use native FMUs."""
+
+
+class Measured:
+    """`controller` with the measurement chain in its feedback, for plants of any kind.
+
+    `chain`: its values; `noise` (points,) N, one for each communication point.
+    """
+
+    def __init__(self, controller: Controller, chain: Mapping[str, float], noise: np.ndarray):
+        self._controller, self._chain = controller, Simulation(MEASUREMENT, chain)
+        self._noise, self._dt = noise, self._chain.parameters["sample_time"]
+
+    def start(self, thrust_set: float, thrust: float) -> None:
+        """Reset to the steady state at this thrust [N]."""
+        self._noise_ahead = iter(self._noise.tolist())
+        self._controller.start(thrust_set, self._chain.start({"thrust": thrust, "noise": 0.0})["reading"])
+
+    def step(self, thrust_set: float, thrust: float) -> tuple[float, float]:
+        """The next commands [rpm, deg]."""
+        reading = self._chain.advance({"thrust": thrust, "noise": next(self._noise_ahead)}, self._dt)["reading"]
+        return self._controller.step(thrust_set, reading)
+
+    def close(self) -> None:
+        """Release the controller."""
+        self._controller.close()
 
 
 def through_fmus(

@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.campaign_folder import measured_so_far
 from hil.log import events_of, read_events
-from hil.resume import measured_so_far
 from hil.session import found_log, read_log
 
 ROOT = Path(__file__).parents[2]

@@ -133,7 +133,7 @@ def now(rig: Injected) -> None:
 
 def second_opener(rig: Injected) -> None:
     """Another process that wants the same outputs."""
-    text = "import sys; from pathlib import Path; from hil.safety.lock import locked; locked(Path(sys.argv[1]))"
+    text = "import sys; from pathlib import Path; from hil.bench import locked; locked(Path(sys.argv[1]))"
     environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}
     command = [sys.executable, "-c", text, str(rig.esc.parents[1])]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -13,7 +13,8 @@ from hil.rig import RunEnded
 from hil.twin.band import read_band
 from identification.assessment.prediction import predict
 from identification.tune.profile import rig_profile
-from vpp_fmu.cli import hil_options, main
+from vpp_fmu.cli import hil as hil_verb
+from vpp_fmu.cli import main
 from vpp_fmu.day import day as days
 from vpp_fmu.day import flight
 from vpp_fmu.day.flight import GAINS, HOLDS, MISSION, measured_cost, mission, repeated
@@ -208,8 +209,8 @@ def days_setup(told, hidden):
     """The emulated rig in virtual time with something hidden, as the command has it."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--parameters", default=str(told / "parameters.json"))
-    hil_options.add_rig(parser)
-    return hil_options.setup_of(parser.parse_args(["--virtual", *(["--hide", hidden] if hidden else [])]))
+    hil_verb.add_rig(parser)
+    return hil_verb.setup_of(parser.parse_args(["--virtual", *(["--hide", hidden] if hidden else [])]))
 
 
 def test_a_flight_that_ends_early_is_the_last_one(told, tmp_path, monkeypatch):

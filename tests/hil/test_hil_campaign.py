@@ -6,12 +6,12 @@ import pytest
 from rigs import LIMITS, virtual_rig
 
 from hil.campaign import PARTS, Plan, measure, plan_for, recorded, same_commands, seconds, steep, step_responses
+from hil.campaign_folder import measured_so_far, partial
 from hil.columns import COLUMNS
 from hil.commands import PAPERS, Step, grid, open_loop, resampled, steps, validation
 from hil.cycle import PERIOD
 from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
-from hil.resume import measured_so_far, partial
 from hil.rig import Rig
 from hil.safety.faults import Fault, FaultKind
 from vpp_fmu.campaign import read_campaign

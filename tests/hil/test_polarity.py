@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rigs import CALIBRATION, LIMITS, duties, setup, step_profile, virtual_rig
 
+from hil.bench import locked
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
 from hil.rig import RunEnded
 from hil.run import run_on_rig
 from hil.safety.faults import FaultKind
-from hil.safety.lock import locked
 from hil.safety.polarity import Level, Polarity
 from vpp_fmu.plants import KernelController
 

@@ -16,7 +16,7 @@ from hil.physics.rig_model import POWERTRAIN
 from hil.run import loop_part, run_on_rig
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
-from hil.safety.supply_limits import SupplyLimits
+from hil.safety.plausibility import SupplyLimits
 from hil.session import Setup, read_log
 from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput

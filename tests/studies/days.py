@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration import read_calibration
+from hil.emulator.rig import CALIBRATION
 from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import rig_model
 from hil.safety.limits import Limits
@@ -31,7 +32,6 @@ from identification.tune.operating import operating_points
 from identification.tune.rounds import rounds
 from identification.tune.tune import STARTS, Task
 from identification.workers import spread
-from vpp_fmu.cli.hil_options import EMULATED
 from vpp_fmu.day.day import POLICIES, Rig, new_day, next_round
 from vpp_fmu.day.flight import GAINS, fly
 from vpp_fmu.day.policy import task
@@ -106,7 +106,7 @@ def days(change: str, count: int, seed: int) -> dict:
 
         def setup(hidden: bool, flight: int) -> Setup:
             own = Emulated({**known.own, **(sizes if hidden else {})}, names if hidden else (), 1000 * seed + flight)
-            return Setup(read_calibration(EMULATED), Limits(), own, virtual=True, plant=parameters.values)
+            return Setup(read_calibration(CALIBRATION), Limits(), own, virtual=True, plant=parameters.values)
 
         def final(gains: Mapping[str, float]) -> float:
             return float(np.mean([_cost(setup(True, 900 + k), gains, day.profile, Path(folder)) for k in range(FINAL)]))

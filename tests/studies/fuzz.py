@@ -29,12 +29,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.emulator.rig import CALIBRATION
 from identification.demo import example_folder
 from identification.logs.speed_map import FORMAT as SPEED_MAP_FORMAT
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli import main as vpp
 from vpp_fmu.cli import parser_of
-from vpp_fmu.cli.hil_options import EMULATED
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 
@@ -212,7 +212,7 @@ def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
         "rig": ("own_rig.json", json.dumps(rig)),
         "profile": ("profile.csv", "time,thrust_set\n0,1.5\n0.3,6\n0.6,6\n"),
         "effect": ("cell_lag.py", EFFECT),
-        "calibration": ("calibration.json", EMULATED.read_text(encoding="utf-8")),
+        "calibration": ("calibration.json", CALIBRATION.read_text(encoding="utf-8")),
         "limits": ("limits.json", json.dumps({"format": "vpp-limits/1", "limits": {"run_time": {"value": 60, "unit": "s"}}})),
         "gains": ("gains.json", json.dumps(gains)),
         "answers": ("answers.txt", "\n\nwith\n" + "\n" * 60),

@@ -28,6 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from hil import commands
 from hil.calibration import read_calibration
+from hil.emulator.rig import CALIBRATION
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.world import LoadCell
 from hil.physics.rig_model import rig_model
@@ -39,13 +40,12 @@ from hil.twin.twin import BLOCK, Block, Twin
 from identification.identify import identify
 from identification.workers import spread
 from vpp_fmu.campaign import Campaign, StaticMap
-from vpp_fmu.cli.hil_options import EMULATED
-from vpp_fmu.cli.output import as_json
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import ClosedLoop, Course
 from vpp_fmu.native.simulator import Simulator
 from vpp_fmu.plants import KernelController, KernelPlant, Sample
 from vpp_fmu.record import Record
+from vpp_fmu.structured import as_json
 
 DT, BEGIN, RUN, WATCHED = 0.004, 20.0, 600.0, 300.0
 """s: a tick; when a change begins; a run for false alarms; how long a change is looked for."""
@@ -158,7 +158,7 @@ def through_buses(seed: int, known: list[Known]) -> tuple[str, float | None]:
     rng = np.random.default_rng([seed, 4])
     hidden = {"load_cell_gain.gain": 0.9} if change != "nothing" else {}
     emulated = Emulated(one.own | hidden, ("load_cell_gain",) if hidden else (), seed)
-    setup = Setup(read_calibration(str(EMULATED)), Limits(), emulated, virtual=True)
+    setup = Setup(read_calibration(str(CALIBRATION)), Limits(), emulated, virtual=True)
     time = np.arange(0.0, 61.0, 3.0)
     profile = Record({"time": time, "thrust_set": rng.uniform(1.5, 10.0, len(time))}, "drawn")
     twin = Twin(KernelPlant(plant(), one.values), one.band)

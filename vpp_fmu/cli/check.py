@@ -16,9 +16,10 @@ from identification.gate.template import write_template
 from identification.identify import identify
 from identification.logger import Logger
 from vpp_fmu.campaign import Campaign, read_campaign
-from vpp_fmu.cli.output import add_accept, as_json, say_written
+from vpp_fmu.cli.output import add_accept, say_written
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp check campaigns/monday\n  vpp check --template campaigns/mine"
 

@@ -1,11 +1,12 @@
 """Hold two records side by side, at the times of the first."""
 
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.comparison import compare
 from vpp_fmu.digits import number
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.record import QUANTITIES, read_record
 from vpp_fmu.report import Page, two_records
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp compare measured.csv out/prediction.csv -o out"
 

@@ -19,7 +19,7 @@ from identification.workers import spread
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.cli.identify import named_records
 from vpp_fmu.cli.options import SEED, WORKERS, Number, near
-from vpp_fmu.cli.output import add_accept, add_effects_from, add_output, as_json, dated, say_written, stages
+from vpp_fmu.cli.output import add_accept, add_effects_from, add_output, dated, say_written, stages
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
@@ -28,6 +28,7 @@ from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import parameters_file, read_parameters, to_json, to_ssv
 from vpp_fmu.record import write_record
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp diagnose campaigns/monday -o out"
 

@@ -10,11 +10,12 @@ from identification.identify import Identification, identify
 from identification.report import identification_page, key_figures, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.cli.options import SEED, WORKERS, whole
-from vpp_fmu.cli.output import add_accept, add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_accept, add_output, dated, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import to_json, to_ssv
 from vpp_fmu.record import Record, read_record
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp identify campaigns/monday -o out"
 

@@ -20,10 +20,11 @@ from identification.logs.mapping import parse_fixed, pitch_in_other_unit
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
 from vpp_fmu.cli.import_place import add_kind, add_speed_from, placed
-from vpp_fmu.cli.output import add_output, as_json, say_written
+from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES, Record, RecordWarning
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp import rcbenchmark tuesday.csv --speed-map monday/speed_map.json -o tuesday"
 

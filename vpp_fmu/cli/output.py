@@ -1,7 +1,6 @@
 """What the verbs share: where they write, how their results say where they come from, and what they say at the end."""
 
 import contextlib
-import json
 import os
 import sys
 import time
@@ -34,11 +33,6 @@ def add_effects_from(parser) -> None:
     text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; "
     text += "it runs its author's code; may be repeated"
     parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
-
-
-def as_json(content: dict) -> str:
-    """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
-    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:

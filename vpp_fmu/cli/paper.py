@@ -9,7 +9,7 @@ from tqdm import tqdm
 from identification.demo import local_flavour
 from vpp_fmu.cli.export import exported
 from vpp_fmu.cli.options import whole
-from vpp_fmu.cli.output import add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_output, dated, say_written
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.outputs import OutputSet
@@ -17,6 +17,7 @@ from vpp_fmu.paper.control import RIG
 from vpp_fmu.paper.page import page, summary, tiles, verdict
 from vpp_fmu.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
 from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp paper -o paper"
 

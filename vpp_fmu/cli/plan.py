@@ -17,7 +17,7 @@ from identification.plan.plan import NOISE, Plan, plan
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.cli.knowledge import knowledge_of
 from vpp_fmu.cli.options import SEED, Number
-from vpp_fmu.cli.output import add_effects_from, add_output, as_json, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.cli.prompts import Prompts
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -30,6 +30,7 @@ from vpp_fmu.record import write_record
 from vpp_fmu.report import Page, thinning
 from vpp_fmu.report.plan import interval_widths, planned_commands
 from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
 

@@ -18,7 +18,7 @@ from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
 from vpp_fmu.cli.knowledge import knowledge_of
 from vpp_fmu.cli.options import SEED, WORKERS, Number, whole
-from vpp_fmu.cli.output import add_effects_from, add_output, as_json, dated, say_written
+from vpp_fmu.cli.output import add_effects_from, add_output, dated, say_written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -31,6 +31,7 @@ from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters, to_json
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.rig import ASSUMED
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
 

@@ -16,15 +16,16 @@ from tqdm import tqdm
 from hil.session import Setup
 from hil.twin.band import read_band
 from identification.tune.controllers import controllers
-from vpp_fmu.cli import hil_options
+from vpp_fmu.cli import hil
 from vpp_fmu.cli.options import WORKERS, whole
-from vpp_fmu.cli.output import as_json, dated
+from vpp_fmu.cli.output import dated
 from vpp_fmu.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.day.page import day_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
+from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
 
@@ -41,21 +42,21 @@ def configure(parser):
     text = "of the emulated rig: from which round on what --hide names is there (default: %(default)s)"
     parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
     parser.add_argument("--workers", type=WORKERS, default=2, help="fits of a diagnosis side by side (default: %(default)s)")
-    hil_options.add_rig(parser)
+    hil.add_rig(parser)
 
 
 def run(options):
     _check_new(options.day)
-    setup, parameters = hil_options.setup_of(options), hil_options.plant_of(options)
+    setup, parameters = hil.setup_of(options), hil.plant_of(options)
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
-    settings = controllers(parameters, given, hil_options.tick_of(given), options.gains or "gains").settings
+    settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
     told = beside(options.parameters)
     band = read_band(told)
     check_same_model(told, parameters, options.parameters)
     setup = replace(setup, plant=parameters.values)
-    hil_options.say_allowed(setup.allowed)
+    hil.say_allowed(setup.allowed)
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
     folder = OutputFolder(options.day)
     for number in range(1, options.rounds + 1):
@@ -96,7 +97,7 @@ def _rig(options, setup: Setup) -> Rig:
     def word(what: str) -> None:
         if setup.emulated is None:
             print(what, flush=True)
-        hil_options.confirm(setup)
+        hil.confirm(setup)
 
     return Rig(flown, word, there)
 

@@ -1,0 +1,230 @@
+"""A campaign's folder: a file a part, measured one after the other, and resumed from the logs of parts that ended early."""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from hil.campaign import PARTS, Plan, follow, measure, parts_for, same_commands, seconds, static_record, steps_record
+from hil.commands import grid, resampled, steps
+from hil.cycle import PERIOD
+from hil.log import events_of, read_events
+from hil.page.operator_page import OperatorPage
+from hil.rig import ENDINGS
+from hil.runs import ENDED, ENDED_EARLY, RUNNING
+from hil.safety.limits import Limits
+from hil.session import Session, Setup, found_log, read_log, session
+from vpp_fmu.date import now
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.parquet import as_parquet
+from vpp_fmu.record import Record, read_record, write_record
+from vpp_fmu.structured import as_json, read_object
+
+PARTIAL = ".partial.csv"
+"""What is measured of a part that did not come to its end: no name that a campaign's reader takes."""
+
+SAME = ("plan", "rig", "hidden", "physics", "seed", "limits", "allowed", "calibration")
+"""Of hil.json: what must be as it was where a campaign goes on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measuring:
+    """A campaign: which parts of which plan on which rig; `commands`: instead, the record to follow."""
+
+    setup: Setup
+    plan: Plan
+    parts: Sequence[str] = PARTS
+    commands: Record | None = None
+    parquet: bool = False
+
+    def begin(self, folder: Path, begun: dict, resume: bool) -> dict:
+        """What hil.json says before the first part; with `resume` what it said, if the campaign is the same. BadInput."""
+        path = folder / "hil.json"
+        told = json.loads(as_json(begun | {"plan": asdict(self.plan), "parts": {}}))
+        before = read_object(path) if path.exists() else {}
+        unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
+        if not resume:
+            if unfinished:
+                found = f"one that did not come to its end, begun {before.get('begun')}"
+                raise BadInput(folder, "campaign", found, "--resume, or another folder")
+            for part in (*PARTS, "record"):
+                forget(folder, part)
+            return told
+        if "plan" not in before:
+            raise BadInput(folder, "--resume", "no campaign", "a folder that vpp hil campaign has written to")
+        for name in SAME:
+            if before.get(name) != told.get(name):
+                allowed = f"{json.dumps(told.get(name))[:80]}, as now asked for"
+                raise BadInput(path, name, json.dumps(before.get(name))[:80], allowed)
+        return before | {"resumed": [*before.get("resumed", []), told["begun"]]}
+
+    def run(self, folder: OutputFolder, told: dict, page: OperatorPage | None, say: Callable[[str], None]) -> None:
+        """The parts that are wanted and not there yet, one after the other. What ended one before its time is raised."""
+        allowed = self.setup.allowed
+        parts = ("record",) if self.commands else tuple(part for part in self.parts if part in parts_for(allowed))
+        if not self.commands and len(parts) < len(self.parts):
+            say("steps: speed and pitch both stand, so there are none")
+        length = self.commands.time[-1] if self.commands else seconds(self.plan, parts, allowed)
+        say(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig")
+        told, found = told | {"status": RUNNING}, {}
+        folder.write("hil.json", as_json(told))
+        for part in parts:
+            if told["parts"].get(part, {}).get("whole"):
+                say(f"{part}: measured already")
+                found[part] = read_record(folder.path / f"{part}.csv") if part in ("open_loop", "repeat") else None
+                continue
+            if page:
+                page.part(part, **self._extent(part), parts=parts, before=attempts(folder.path, part))
+            one, record, ended = self._measured(folder.path, part, page)
+            tried = len(attempts(folder.path, part))
+            told["parts"][part] = one.told() | {"ended": str(ended or ""), "whole": not ended, "attempts": tried}
+            if ended:
+                told |= {"status": ENDED_EARLY, "completed": now()}
+            folder.write("hil.json", as_json(told))
+            if ended:
+                _keep(folder, part, say)
+                raise ended
+            found[part] = record
+            self._write(folder, part, found, say)
+            rows, ticks, lost = one.logged.rows, one.rig.ticks.ticks, one.logged.lost
+            say(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost")
+        folder.write("hil.json", as_json(told | {"status": ENDED, "completed": now()}))
+
+    def _measured(self, folder: Path, part: str, page) -> tuple[Session, Record | None, BaseException | None]:
+        """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
+        setup, record, ended = self._again(part), None, None
+        have = measured_so_far(folder, part) if part in ("static", "steps") else []
+        in_view = sys.stderr.isatty() and not setup.virtual  # it shows how much is done
+        with (
+            tqdm(total=100, unit="%", desc=part, disable=True if in_view else None, leave=False) as bar,
+            session(setup, folder, log_name(folder, part), page=page) as one,
+        ):
+
+            def progress(share):
+                one.rig.show_done(share)
+                if setup.virtual:  # in real time a terminal must not hold the loop
+                    bar.update(round(100 * share) - bar.n)
+
+            try:
+                if self.commands:
+                    record = follow(one.rig, self.commands, self.plan.settle, progress)
+                else:
+                    record = measure(one.rig, part, self.plan, progress, setup.allowed, have)
+            except ENDINGS as reason:
+                ended = reason
+        return one, record, ended
+
+    def _extent(self, part: str) -> dict:
+        """How much a part is, as the operator's page wants to know it; a record's own length stands in its events."""
+        if part == "static" and not self.commands:
+            speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
+            return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}
+        return {"steps": len(steps(self.plan.levels, self.setup.allowed))} if part == "steps" else {}
+
+    def _again(self, part: str) -> Setup:
+        """The emulated rig for one part: the same rig, but no two parts have the same noise."""
+        if self.setup.emulated is None:
+            return self.setup
+        seed = 100 * self.setup.emulated.seed + (*PARTS, "record").index(part)
+        return replace(self.setup, emulated=replace(self.setup.emulated, seed=seed))
+
+    def _write(self, folder: OutputFolder, part: str, found: dict[str, Record], say: Callable[[str], None]) -> None:
+        record, name = found[part], part
+        if part == "repeat" and "open_loop" in found and not same_commands(found["open_loop"], record):
+            say("repeat: a slot was missed where a command changed, so the commands differ: kept as open_loop_again.csv")
+            name = "open_loop_again"
+        write_record(folder, f"{name}.csv", record)
+        if self.parquet:
+            folder.write(f"{name}.parquet", as_parquet(record))
+        (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
+
+
+def _keep(folder: OutputFolder, part: str, say: Callable[[str], None]) -> None:
+    """What was measured of a part that did not come to its end, beside the files that others read."""
+    have = measured_so_far(folder.path, part)
+    record = partial(part, have)
+    if record is not None:
+        write_record(folder, f"{part}{PARTIAL}", record)
+        what = "points" if part == "static" else "steps" if part == "steps" else "rows"
+        count = len(have) if part in ("static", "steps") else len(record)
+        say(f"{part}: {count} {what} kept in {part}{PARTIAL}; --resume goes on")
+
+
+def commands_of(path: str, limits: Limits) -> Record:
+    """The record to follow, at the loop's own times. BadInput where it asks for what the limits would not let pass: what was
+    measured then would not be what was asked for."""
+    record = read_record(path)
+    ranges = {"omega_ref": (limits.omega_min, limits.omega_max, "rpm"), "beta_ref": (limits.beta_min, limits.beta_max, "deg")}
+    for name, (low, high, unit) in ranges.items():
+        outside = (record[name] < low) | (record[name] > high)
+        if outside.any():
+            row = int(np.argmax(outside))
+            allowed = f"{low:g} to {high:g} {unit}, as the limits have it"
+            raise BadInput(path, f"{name}, row {row + 1} of the data", f"{record[name][row]:.9g}", allowed)
+    return resampled(record, PERIOD)
+
+
+def log_name(folder: Path, part: str) -> str:
+    """The log of a part's next attempt: each has its own."""
+    names = (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz" for k in range(1, 1000))
+    return next(name for name in names if not events_of(folder / name).exists())
+
+
+def attempts(folder: Path, part: str) -> list[Path]:
+    """The logs of a part's attempts so far, in order."""
+    logs = [folder / (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz") for k in range(1, 1000)]
+    return [log for log in logs if events_of(log).exists()]
+
+
+def forget(folder: Path, part: str) -> None:
+    """Start a part anew."""
+    for log in attempts(folder, part):
+        log.unlink(missing_ok=True)
+        events_of(log).unlink()
+
+
+def measured_so_far(folder: Path, part: str) -> list:
+    """Of the static map its rows, of the steps the whole ones, of a record the longest piece from its beginning."""
+    if part == "static":
+        return [e["point"] for log in attempts(folder, part) for e in read_events(events_of(log)) if "point" in e]
+    found = []
+    for path in attempts(folder, part):
+        events = read_events(events_of(path))
+        whole = {event["recorded"] for event in events if "recorded" in event}
+        spans = [event["record"] for event in events if "record" in event]
+        wanted = [span for span in spans if part != "steps" or span["first"] in whole]
+        if wanted:
+            try:
+                log = read_log(found_log(path))
+            except BadInput:  # nothing of it reached the disk
+                continue
+            found += [piece(log, span["first"], span["count"]) for span in wanted]
+    return found if part == "steps" else sorted(found, key=len)[-1:]
+
+
+def piece(log: Record, first: int, count: int) -> Record:
+    """Rows of a log as `hil.campaign.recorded` gives them: `count` slots from `first` on, as far as the run went."""
+    running = np.isfinite(log["omega_wanted"])
+    slots = np.rint(log.time[running] / PERIOD).astype(int) - first
+    inside = (slots >= 0) & (slots < count)
+    length = count if slots.max(initial=-1) >= count - 1 else int(slots[inside].max(initial=-1)) + 1
+    rows = np.full((length, 4), np.nan)
+    for k, name in enumerate(("omega_ref", "beta_ref", "omega", "thrust")):
+        rows[slots[inside], k] = log[name][running][inside]
+    for column in rows[:, :2].T:  # a command holds over the slots that were missed
+        known = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(length), 0))
+        column[:] = column[known]
+    columns = dict(zip(("omega_ref", "beta_ref", "omega", "thrust"), rows.T, strict=True))
+    return Record({"time": np.arange(length) * PERIOD, **columns}, log.source)
+
+
+def partial(part: str, have: list) -> Record | None:
+    """What was measured as a record, None where that is nothing."""
+    if not have:
+        return None
+    return static_record(have) if part == "static" else steps_record(have) if part == "steps" else have[0]

@@ -1,0 +1,313 @@
+"""A run on the rig and its files: hil.json, run.csv, report.html; written by the run, or from its log if the run could not."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from hil.columns import LEARNED
+from hil.cycle import PERIOD
+from hil.log import events_of
+from hil.page.operator_page import OperatorPage
+from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
+from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
+from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, alarm_of, run_folder, told_by_files
+from hil.safety.faults import FaultKind
+from hil.safety.limits import Limits
+from hil.session import Setup, read_log
+from hil.timing import Timing, timing
+from hil.twin.adaptive import CERTAIN, Adaptive
+from hil.twin.band import Band
+from hil.twin.twin import Twin
+from vpp_fmu.date import now
+from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.loop import run as run_loop
+from vpp_fmu.parquet import as_parquet
+from vpp_fmu.plants import Controller, FmuPlant
+from vpp_fmu.record import Record
+from vpp_fmu.report import Page, adapted_parameters, residual_in_band, thinning
+from vpp_fmu.report.twin import ADAPTED
+from vpp_fmu.structured import as_json, check_kinds, read_object
+
+Say = Callable[[str], None]
+"""Where lines for the user go."""
+
+BEGUN = {
+    "status?": str,
+    "rig?": str,
+    "time?": str,
+    "begun?": str,
+    "hidden?": [str],
+    "profile?": {"file?": str},
+    "calibration?": {"sha256?": str},
+    "twin?": {"false_alarms_per_hour": float, "smallest_found": float, "delay": float, "noise": float},
+    "adaptive_twin?": {"units": {"*": str}, "alarms?": [{"time": float, "points_to": str}]},
+}
+"""What a report reads of hil.json."""
+
+DONE = BEGUN | {
+    "ended": str,
+    "real_time?": str,
+    "tares": [{"zero_counts": float, "noise_N": float}],
+    "transitions": [{"time": float, "state": str, "why": str}],
+    "counters": {"*": {"*": int}},
+    "log": {"ticks": int, "rows": int, "lost": int, "failure": str},
+    "timing?": dict,
+}
+"""The same of a run whose loop has written all it had to say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A run: the rig, what drives it over which profile and from which commands [rpm, deg] on, and what is held beside it.
+
+    `twin`: with its band, and the twin that adapts. `beside`: a plant FMU's name and its loop. `on_alarm` as in `session`.
+    """
+
+    setup: Setup
+    controller: Controller
+    profile: Record
+    start: tuple[float, float]
+    twin: tuple[Twin, Band, Adaptive] | None = None
+    beside: tuple[str, Record] | None = None
+    on_alarm: FaultKind | None = None
+    parquet: bool = False
+
+    def told(self) -> dict:
+        """What hil.json says of the twins before the run."""
+        if self.twin is None:
+            return {}
+        twin, band, adaptive = self.twin
+        told = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
+        adapted = {name: asdict(one) for name, one in adaptive.adapted.items()}
+        learns = {"microseconds": adaptive.microseconds, "units": adaptive.units, "adapted": adapted, "certain": CERTAIN}
+        return {"twin": told | {"noise": band.noise}, "adaptive_twin": learns}
+
+
+def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say) -> tuple[Run, OutputFolder]:
+    """The run, its files in a folder of its own below `parent`. `begun`: what hil.json says before it. What ends the run
+    without the loop's knowledge is raised once the files are written as far as the log allows."""
+    twin, _, adaptive = task.twin or (None, None, None)
+    if page:
+        rows = round((task.profile.time[-1] - task.profile.time[0]) / PERIOD)
+        page.part("run", rows=rows, band=task.twin and task.twin[1].width)
+    folder = OutputFolder(run_folder(parent.path, begun["begun"]))
+    folder.write("hil.json", as_json(begun))
+    say(f"this run's files: {folder.path}")
+    report = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())]
+    try:
+        with tqdm(total=100, unit="%", disable=None if task.setup.virtual else True, leave=False) as bar:
+
+            def progress(share):
+                bar.update(round(100 * share) - bar.n)
+
+            own = task.setup, task.controller, task.profile, folder.path, task.start, twin
+            done = run_on_rig(*own, progress, report, task.on_alarm, page, adaptive)
+    except BaseException as error:
+        _cut_short(folder, begun, error, say)
+        raise
+    if page:
+        page.end(done.ended or "as planned")
+    task.controller.close()
+    told = done.session.told() | begun | {"ended": done.ended}
+    if twin is not None:
+        told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
+        told["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
+    if task.parquet:
+        folder.write("run.parquet", as_parquet(done.record))
+    finish(folder, told, done.log, say, task.beside)
+    return done, folder
+
+
+def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say) -> None:
+    """The files of a run that an unforeseen error ended, from its log where there is one."""
+    why = " ".join(str(error).split()) or type(error).__name__
+    log, record, told = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
+    if log.exists():
+        record, told = told_by_files(log, begun)
+    with contextlib.suppress(BadInput):  # the first error is the one to be told
+        if record is None:
+            folder.write("hil.json", as_json(told | {"ended": why}))
+        else:
+            finish(folder, told | {"ended": why}, record, say)
+
+
+def of_log(log: Path) -> tuple[Record | None, dict, bool]:
+    """(a run's log, what its hil.json says, whether its loop was gone before it had written that). BadInput."""
+    path, begun = log.with_name("hil.json"), {"format": "vpp-hil/1"}
+    if path.exists():
+        begun = read_object(path, "vpp-hil/1", "what vpp hil run has written")
+        if "parts" in begun:
+            raise BadInput(path, "parts", "a campaign", "a run; a campaign goes on with vpp hil campaign --resume")
+        check_kinds(path, begun, BEGUN if begun.get("status", RUNNING) == RUNNING else DONE)
+    if begun.get("status", RUNNING) != RUNNING:
+        return read_log(log), begun, False
+    record, told = told_by_files(log, begun)
+    check_kinds(events_of(log), told, DONE)
+    return record, told, True
+
+
+def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[float, float], limits: Limits) -> Record:
+    """The same loop with a plant FMU behind the same limits."""
+    limited = LimitedPlant(FmuPlant(plant), limits)
+    record = run_loop(limited, controller, profile, start)
+    limited.close()
+    controller.close()
+    return record
+
+
+def finish_fmu(folder: OutputFolder, plant: str, record: Record, profile: str, parquet: bool, say: Say) -> None:
+    """Write what a run with a plant FMU in the rig's place leaves; `profile`: its file."""
+    write_run(folder.path / "run.csv", record)
+    if parquet:
+        folder.write("run.parquet", as_parquet(record))
+    folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}))
+    page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
+    add_loops(page, {"plant FMU": record}, "")
+    folder.write("report.html", page.html())
+    _say_steps({"plant FMU": record}, say)
+
+
+def finish(folder: OutputFolder, told: dict, log: Record | None, say: Say, beside: tuple[str, Record] | None = None) -> None:
+    """Write what a run leaves, and say its figures. `told`: what hil.json says, with `ended`, why it ended early, or "".
+
+    What one file is refused doesn't keep the others from being written: BadInput, for the first of them, comes at the end.
+    """
+    told = {**told, "status": ENDED_EARLY if told["ended"] else ENDED, "completed": now()}
+    record = loop_part(log) if log is not None else None
+    loops = {"rig": record} if record is not None and len(record.time) > 1 else {}
+    if "twin" in told:
+        told["twin"] = _with_residual(told["twin"], log)
+    real_time = log is not None and told.get("timing")
+    found = timing(log["late"], log["busy"], log["missed"]) if real_time else None
+    page = Page(
+        "Hardware in the loop",
+        _summary(told),
+        f"{told.get('rig') or 'unknown'} rig, run of {(told.get('begun') or 'a date not known')[:10]}",
+    )
+    _tiles(page, told, found)
+    if told["ended"]:
+        page.note(f"The run ended early. {told['ended']}.")
+    if loops and beside is not None:
+        loops["plant FMU"] = beside[1]
+    refusals: list[BadInput] = []
+    if loops:
+        with _borne(refusals):
+            write_run(folder.path / "run.csv", record)
+        add_loops(page, loops, "Pitch is not measured on the rig.")
+    if len(loops) > 1:
+        told["beside"] = {"plant": beside[0], "rms_thrust": add_difference(page, *reversed(loops.items()))}
+    if log is not None and told.get("twin"):
+        _add_twin(page, log, told["twin"])
+    if log is not None and told.get("adaptive_twin"):
+        _add_adaptive(page, log, told["adaptive_twin"])
+    if found:
+        add_timing(page, found, f"The loop had: {told.get('real_time', 'not known')}.")
+    add_counts(page, told["counters"], [(t["time"], t["state"], t["why"]) for t in told["transitions"]])
+    with _borne(refusals):
+        folder.write("hil.json", as_json(told))
+    with _borne(refusals):
+        folder.write("report.html", page.html())
+    _say(loops, told, found, say)
+    if refusals:
+        raise refusals[0]
+
+
+@contextlib.contextmanager
+def _borne(refusals: list[BadInput]) -> Iterator[None]:
+    try:
+        yield
+    except BadInput as refused:
+        refusals.append(refused)
+
+
+def _with_residual(twin: dict, log: Record | None) -> dict:
+    """What became of the twin, as the log has it where the run could not say it."""
+    residual = log["residual"][np.isfinite(log["residual"])] if log is not None else np.empty(0)
+    since = alarm_of(log) if log is not None else None
+    known = {"alarmed": since is not None, "since": since}
+    return {**known, **twin, "residual_rms": float(np.sqrt(np.mean(residual**2))) if len(residual) else None}
+
+
+def _add_twin(page: Page, log: Record, twin: dict) -> None:
+    rows = log.part(np.isfinite(log["residual"]))
+    text = (
+        f"At most {twin['false_alarms_per_hour']:g} false alarms an hour; a constant {number(twin['smallest_found'], 3)} N is "
+        f"found after {twin['delay']:.1f} s in the mean."
+    )
+    if len(rows):
+        add_twin(page, rows.time, rows["residual"], rows["alarm"], twin["noise"], text)
+
+
+def _add_adaptive(page: Page, log: Record, twin: dict) -> None:
+    """What the twin that learns made of the run, where the log has it."""
+    units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
+    if not units or not np.isfinite(log[LEARNED + "band"]).any():
+        return
+    rows = log.part(np.isfinite(log[LEARNED + "band"]))
+    told = {name: rows[LEARNED + name] for name in units}
+    page.figure(residual_in_band(rows.time, told), f"Measured thrust less the adapted model's. {thinning(len(rows))}")
+    own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
+    page.figure(adapted_parameters(rows.time, told, own), "What the adaptive twin made of its parameters.")
+
+
+def _summary(told: dict) -> str:
+    hidden = f" with {', '.join(told['hidden'])} hidden in it" if told.get("hidden") else ""
+    profile, calibration = (
+        told.get("profile", {}).get("file", "a profile"),
+        told.get("calibration", {}).get("sha256", "not known"),
+    )
+    made = "" if "made_from" not in told else " Its loop was gone at the end: this was made from its log."
+    return (
+        f"The {told.get('rig', '')} rig{hidden}, {told.get('time', 'not known')} time, over {profile}. "
+        f"Calibration {calibration[:12]}. Begun {told.get('begun', 'at a time not known')}.{made}"
+    )
+
+
+def _tiles(page: Page, told: dict, found: Timing | None) -> None:
+    log = told["log"]
+    page.tiles([("rows in the log", f"{log['rows']}", f"{log['lost']} of {log['ticks']} ticks lost")])
+    if found:
+        page.tiles([("late, p99.9", f"{1e6 * found.late[2]:.0f} us", f"{found.missed} slots missed")])
+    if told["tares"]:
+        tare = told["tares"][-1]
+        page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {number(tare['noise_N'])} N")])
+    healed = sum(n for device in told["counters"].values() for name, n in device.items() if name != "pulses")
+    page.tiles([("healed", f"{healed}", "transfers and frames that failed once")])
+
+
+def _say_steps(loops: dict[str, Record], say: Say) -> None:
+    """The steps of the set-point, one a line."""
+    for name, loop in loops.items():
+        for step in judged_steps(loop):
+            say(f"{said(step, name)}, overshoot {step.overshoot:.1f} %")
+
+
+def _say(loops: dict[str, Record], told: dict, found: Timing | None, say: Say) -> None:
+    _say_steps(loops, say)
+    if "beside" in told:
+        say(f"rig and {told['beside']['plant']} differ by {number(told['beside']['rms_thrust'])} N rms")
+    if told.get("twin") and told["twin"]["residual_rms"] is not None:
+        twin = told["twin"]
+        said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
+        say(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
+    if told.get("adaptive_twin"):
+        alarms = told["adaptive_twin"].get("alarms", ())
+        said_so = ", ".join(f"{one['time']:.1f} s ({one['points_to']})" for one in alarms) or "none"
+        say(f"adaptive twin: alarms: {said_so}")
+    log = told["log"]
+    failure = f"; {log['failure']}" if log["failure"] else ""
+    say(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")
+    if found:
+        say(f"loop: {told.get('real_time', 'not known')}\n{found.text()}")
+
+
+def kept_of(folder: Path) -> str:
+    """Which of a run's files stand, in words."""
+    return ", ".join(name for name in NAMES if (folder / name).exists()) or "nothing"
