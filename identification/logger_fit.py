@@ -467,7 +467,7 @@ def renewals(record: Record) -> tuple[np.ndarray, np.ndarray, bool]:
     clear = changes[new] >= np.maximum(FAST * np.maximum(*digits), np.quantile(changes[new], MOVING))
     gaps, moving = np.diff(new), clear[1:] & clear[:-1]
     held = (gaps >= 3) & moving
-    mixed = held.sum() > HELD * moving.sum() and float(np.mean(gaps[1:][held[:-1]] == 1)) > MIXED
+    mixed = bool(held.sum() > HELD * moving.sum() and np.mean(gaps[1:][held[:-1]] == 1) > MIXED)
     if mixed:
         counts = np.append(gaps > 1, True)
         clear |= np.append(False, clear[:-1] & ~counts[:-1])

@@ -119,6 +119,7 @@ def _add_run(parser) -> None:
     add("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
     text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
     add("--adapt", nargs="+", metavar="NAME", help=text)
+    text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     add("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
     _add_watch_and_records(parser)
     text = "the same loop with this plant FMU too, which runs its author's code, and the difference in N"
