@@ -62,7 +62,7 @@ RELEASED = set()
 def _release_at_exit(resources):
     """Have pythonfmu's binary release the interpreter when Python ends, which is before the process does.
 
-    What it does by itself at the end of the process then finds nothing to release. Only ELF and Mach-O systems run it in the
+    What it does at the end of the process then finds nothing to release. Only ELF and Mach-O systems run it in the
     wrong order, and only they have RTLD_NOLOAD: the library that is loaded is meant, no second one.
     """
     if resources in RELEASED or not hasattr(os, "RTLD_NOLOAD"):
@@ -268,7 +268,7 @@ class TracedSlave(Fmi2Slave):
             if state["tag"] != cls.TAG:
                 raise ValueError
         except (ValueError, KeyError, TypeError, RecursionError):
-            # Which instance was asked isn't told, so all are kept.
+            # The call does not name the instance, so all are kept.
             _kept(*(instance for instance in ALIVE if type(instance) is cls))
             raise Refused(f"{cls.NAME}: these {len(data)} bytes are no serialised state of this FMU") from None
         return state

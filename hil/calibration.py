@@ -164,11 +164,11 @@ SECTIONS = ("load_cell", "esc", "pitch")
 def never_measured(calibration: Calibration) -> list[str]:
     """Of SECTIONS those of which `source` doesn't say who measured them, and when: for itself, or for the whole file."""
 
-    def told(entry: object) -> bool:
+    def has_source(entry: object) -> bool:
         return isinstance(entry, Mapping) and bool(entry.get("who")) and bool(entry.get("when"))
 
     source = calibration.source
-    return [] if told(source) else [section for section in SECTIONS if not told(source.get(section))]
+    return [] if has_source(source) else [section for section in SECTIONS if not has_source(source.get(section))]
 
 
 def to_json(calibration: Calibration) -> str:
@@ -199,13 +199,13 @@ def _check_table(path: str | os.PathLike, pulses: Sequence[float], pitches: Sequ
         raise BadInput(path, f"{where}pulse", f"{len(pulses)} values", "2 or more")
     if len(pitches) != len(pulses):
         raise BadInput(path, f"{where}pitch", f"{len(pitches)} values", f"{len(pulses)}, as many as pulse has")
-    if not _rises(pulses):
+    if not _increasing(pulses):
         raise BadInput(path, f"{where}pulse", shown(list(pulses)), "values that rise")
-    if not _rises(pitches) and not _rises(pitches[::-1]):
+    if not _increasing(pitches) and not _increasing(pitches[::-1]):
         raise BadInput(path, f"{where}pitch", shown(list(pitches)), "values that only rise or only fall")
 
 
-def _rises(values: Sequence[float]) -> bool:
+def _increasing(values: Sequence[float]) -> bool:
     return all(a < b for a, b in pairwise(values))
 
 

@@ -118,5 +118,5 @@ def _levels(rng: np.random.Generator, rows: int, span: tuple[float, float], rig:
 
 
 def _record(rig: Rig, omega: np.ndarray, beta: np.ndarray, dt: float, source: str) -> Record:
-    told = commanded(rig, np.column_stack([omega, beta]), dt)
-    return Record({"time": np.arange(len(omega)) * dt, "omega_ref": told[:, 0], "beta_ref": told[:, 1]}, source)
+    commands = commanded(rig, np.column_stack([omega, beta]), dt)
+    return Record({"time": np.arange(len(omega)) * dt, "omega_ref": commands[:, 0], "beta_ref": commands[:, 1]}, source)

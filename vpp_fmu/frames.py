@@ -41,11 +41,11 @@ def to_polars(columns: Mapping[str, np.ndarray]) -> Any:
 
 def to_xarray(columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
     """An xarray.Dataset over the coordinate `time`; `units` become the attribute of that name."""
-    held = {name: ("time", column, _told(units.get(name))) for name, column in columns.items() if name != "time"}
-    return library("xarray").Dataset(held, {"time": ("time", columns["time"], _told(units["time"]))})
+    held = {name: ("time", column, _attributes(units.get(name))) for name, column in columns.items() if name != "time"}
+    return library("xarray").Dataset(held, {"time": ("time", columns["time"], _attributes(units["time"]))})
 
 
-def _told(unit: str | None) -> dict[str, str]:
+def _attributes(unit: str | None) -> dict[str, str]:
     return {} if unit is None else {"units": unit}
 
 

@@ -150,10 +150,10 @@ def visible(trial: Trial) -> str:
     inputs["omega_ref"][2000:3000] = 0.0  # a rest, which the start from it needs
     on = Simulator(trial.model).simulate(trial.named(trial.effect.probe), inputs, steps)
     moved = np.abs(on - Simulator(BASE).simulate({}, inputs, steps)).max(axis=0)
-    told = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(moved, ("N", "rpm", "deg"), strict=True))
+    sizes = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(moved, ("N", "rpm", "deg"), strict=True))
     if not (moved > SHOWS).any():
-        raise Broken(f"the probe moves thrust, speed and pitch by {told}")
-    return f"moves {told}"
+        raise Broken(f"the probe moves thrust, speed and pitch by {sizes}")
+    return f"moves {sizes}"
 
 
 def bounded(trial: Trial) -> str:

@@ -74,8 +74,8 @@ class OutputSet(OutputFolder):
             self.others = {name: entry.by for name, entry in rest.items() if entry.parameters != identity}
             rest |= {name: _Entry(self._verb, sha256, identity) for name, sha256 in new.items()}
         if rest or made:
-            told = {name: vars(entry) for name, entry in sorted(rest.items())}
-            self.write(WRITTEN, json.dumps({"format": FORMAT, "files": told}, indent=2) + "\n")
+            entries = {name: vars(entry) for name, entry in sorted(rest.items())}
+            self.write(WRITTEN, json.dumps({"format": FORMAT, "files": entries}, indent=2) + "\n")
             del self._others[WRITTEN]
         with unbroken():
             self._put()

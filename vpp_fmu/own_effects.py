@@ -47,8 +47,8 @@ def _loaded(entry: EntryPoint) -> Mapping:
     return vars(found) if isinstance(found, ModuleType) else {"EFFECT": found}
 
 
-def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    effect, names = told.get("EFFECT"), [e.name for e in library]
+def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    effect, names = content.get("EFFECT"), [e.name for e in library]
     if not isinstance(effect, Effect) or not effect.off or not effect.probe:
         found = "nothing" if effect is None else f"a {type(effect).__name__}"
         raise BadInput(path, "EFFECT", found, "a vpp_fmu.kernel.types.Effect with off and probe")
@@ -70,7 +70,7 @@ def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -
             base_unit(quantity.unit)
         except KeyError as error:
             raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
-    port, before = told.get("PORT"), told.get("BEFORE")
+    port, before = content.get("PORT"), content.get("BEFORE")
     if port is not None:
         if port not in tuple(PORTS):
             raise BadInput(path, "PORT", repr(port), f"one of {', '.join(PORTS)}")

@@ -183,9 +183,9 @@ def _sized(model: Model, entries: Mapping, source: Mapping) -> Model:
 def _scales(source: Mapping, values: Mapping) -> Scales:
     """The scales among `values`, else those of the rig that `source` tells of, else the paper's."""
     rig = source.get("rig")
-    told = rig.get("scales") if isinstance(rig, dict) else None
-    named = {**(told if isinstance(told, dict) else {}), **values}
-    return PAPER.following({n: v for n, v in named.items() if _is_number(v) and (v > 0.0 or n == "beta_offset")})
+    given = rig.get("scales") if isinstance(rig, dict) else None
+    named = {**(given if isinstance(given, dict) else {}), **values}
+    return PAPER.with_values({n: v for n, v in named.items() if _is_number(v) and (v > 0.0 or n == "beta_offset")})
 
 
 def _content(path: str | os.PathLike) -> dict:

@@ -146,10 +146,10 @@ def rig_of(scales: Scales, source: Mapping, where: str = "parameters.json: sourc
     naming `where`."""
     pitch = scales.absolute(0.0, "position"), scales.absolute(1.0, "position")
     spanned = Rig("", (scales.omega_scale / 3.0, scales.omega_scale), pitch, (0.0, scales.thrust_scale), scales=scales)
-    if not isinstance(told := source.get("rig"), dict) or told.get("format") != FORMAT:
+    if not isinstance(own := source.get("rig"), dict) or own.get("format") != FORMAT:
         return spanned
-    content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
-    declared, origin = _entries(where, content), told.get("origin", {})
+    content = {k: v for k, v in own.items() if k not in ("origin", "scales")}
+    declared, origin = _entries(where, content), own.get("origin", {})
     if not isinstance(origin, dict) or not all(isinstance(text, str) for text in origin.values()):
         raise BadInput(where, "origin", shown(origin), "an object in braces { } of texts")
     return replace(spanned, origin=dict(origin), **declared)

@@ -135,8 +135,8 @@ if __name__ == "__main__":
         signal.signal(number, signal.SIG_IGN)
     shared, file, allowed, patience, hurried, *rest = sys.argv[1:]
     try:
-        told = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        log = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         opened = [(os.open(duty, os.O_WRONLY), b"%d\n" % int(idle)) for duty, idle in zip(rest[::2], rest[1::2], strict=True)]
     except OSError as error:
         sys.exit(f"{error.filename}: {error.strerror}")
-    sys.exit(main(int(shared), told, float(allowed), float(patience), hurried.split(","), opened))
+    sys.exit(main(int(shared), log, float(allowed), float(patience), hurried.split(","), opened))

@@ -332,8 +332,8 @@ class LoopResult(Result):
 
     verb = "cosim"
 
-    def __init__(self, record: Record, told: str, limits: Mapping[str, tuple[float, float]] | None = None):
-        self.record, self._told, self._limits = record, told, limits
+    def __init__(self, record: Record, title: str, limits: Mapping[str, tuple[float, float]] | None = None):
+        self.record, self._title, self._limits = record, title, limits
 
     @property
     def steps(self) -> list[Step]:
@@ -353,7 +353,7 @@ class LoopResult(Result):
         return {"steps": [vars(step) for step in self.steps], "columns": columns}
 
     def page(self) -> Page:
-        return loop_page(self.record, self._told, self._limits)
+        return loop_page(self.record, self._title, self._limits)
 
     def _write(self, folder: OutputFolder) -> None:
         write_record(folder, "run.csv", self.record)

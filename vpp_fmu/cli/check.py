@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from identification.gate.contents import COLUMNS, FileContents, contents, lacks
+from identification.gate.contents import COLUMNS, FileContents, contents, missing
 from identification.gate.files import File, files_of, least_diameter
 from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, settled
 from identification.gate.gate import look
@@ -92,7 +92,7 @@ def checked(campaign: Campaign, accept: frozenset[str], stage=lambda text: None)
     """Everything that the files show, and a fit of them where nothing forbids one. `stage` is told what begins."""
     files = files_of(campaign, {})
     findings, logger = _fitted(campaign, look(campaign, accept=accept).findings, accept, stage)
-    return Checked(campaign, files, contents(files), lacks(campaign, files), findings, logger)
+    return Checked(campaign, files, contents(files), missing(campaign, files), findings, logger)
 
 
 def write_check(folder: OutputFolder, found: Checked) -> None:
@@ -110,8 +110,8 @@ def _fitted(
         found = identify(campaign, accept=accept, stage=stage)
         return found.quality, found.logger
     except BadInput as refused:
-        told = f"found {refused.found}, needed is {refused.allowed}"
-        unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", told, "what is missing")
+        evidence = f"found {refused.found}, needed is {refused.allowed}"
+        unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", evidence, "what is missing")
     except VppError as refused:
         unfit = Finding("no_fit", str(campaign.folder), "fit", 0.0, "1", str(refused), "the data tell too little")
     return settled([*findings, unfit], accept), None

@@ -21,14 +21,14 @@ def run(options):
     print(f"{effect.name}: {effect.description}")
     for name, invariant in INVARIANTS.items():
         try:
-            told = f"yes  {invariant(trial)}"
+            result = f"yes  {invariant(trial)}"
         except Broken as why:
             broken[name] = str(why)
-            told = f"NO   {why}"
+            result = f"NO   {why}"
         except Exception as error:  # it is anybody's code, and may fail in any way; a traced `if` is a TypeError
             broken[name] = " ".join(f"{type(error).__name__}: {error}".split())
-            told = f"NO   {broken[name]}"
-        print(f"  {name:32} {told}")
+            result = f"NO   {broken[name]}"
+        print(f"  {name:32} {result}")
     if broken:
         first, why = next(iter(broken.items()))
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""

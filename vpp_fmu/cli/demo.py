@@ -11,7 +11,7 @@ from identification.found_report import add_found
 from identification.identify import Identification
 from identification.static.report import add_static
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli.cosim import STEP_COLUMNS, row, told
+from vpp_fmu.cli.cosim import STEP_COLUMNS, row, sentence
 from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.cli.export import exported
 from vpp_fmu.cli.options import WORKERS
@@ -50,7 +50,7 @@ def run(options):
         bar.set_description("report")
         _write(folder, done)
     lines = [f"{label}: {value} ({note})" for label, value, note in key_figures(done)]
-    lines += [f"{name}: {told(step)}" for name, loop in done.loops.items() for step in steps(loop)]
+    lines += [f"{name}: {sentence(step)}" for name, loop in done.loops.items() for step in steps(loop)]
     lines.append(f"{time.perf_counter() - began:.1f} s")
     say_written(folder, done.diagnosis.parameters(done.diagnosis.final), lines)
 

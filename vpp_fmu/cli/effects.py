@@ -61,8 +61,8 @@ def effects_page(effects: list[Effect], library: tuple[Effect, ...]) -> Page:
 def theory(effect: Effect) -> str:
     """What the effect's file says of it, which may be one of one's own: equation, source, where it departs from that."""
     if effect.delays:
-        told = " and ".join(f"    {u}(t) acts at t + {p}" for u, p in effect.delays.items())
-        return f"{told}\n\nExact at any step: what waits is kept with the time at which it acts."
+        equations = " and ".join(f"    {u}(t) acts at t + {p}" for u, p in effect.delays.items())
+        return f"{equations}\n\nExact at any step: what waits is kept with the time at which it acts."
     return (effect.step.__globals__.get("__doc__") or "").strip("\n")
 
 

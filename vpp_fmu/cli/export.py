@@ -153,9 +153,9 @@ def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
     """The adaptive twin of --parameters, with the band that the identification.json of --twin (default: the one beside) tells.
     BadInput."""
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    told = options.twin or beside(options.parameters)
-    band = read_band(told)
-    check_same_model(told, parameters, options.parameters)
+    known_in = options.twin or beside(options.parameters)
+    band = read_band(known_in)
+    check_same_model(known_in, parameters, options.parameters)
     own = adaptable(parameters, "vpp export", options.adapt)
     return adaptive(own, band, options.adapt, sample_time=parameters.sample_period)
 
@@ -190,8 +190,8 @@ def _suffix(flavour: str, fmi: str) -> str:
 
 
 def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
-    usual, told = Experiment(), parts[0].source.get("record_seconds")
-    stop = float(told) if isinstance(told, int | float) else usual.stop
+    usual, seconds = Experiment(), parts[0].source.get("record_seconds")
+    stop = float(seconds) if isinstance(seconds, int | float) else usual.stop
     return Experiment(stop=stop, step=parts[0].sample_period or usual.step)
 
 

@@ -59,8 +59,8 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
     if mend:
         record, said = mended(record)
     if kind == "repeat" and (first := there(place, "open_loop")):
-        record, told = repeat_of(record, read_record(first, holes=("thrust",)))
-        said += told
+        record, remarks = repeat_of(record, read_record(first, holes=("thrust",)))
+        said += remarks
     if taken.speed_map is not None:
         said += said_of_speed(record)
     return record, [*said, *said_of_rows(record), *(f.text for f in findings(record))]

@@ -45,7 +45,7 @@ def run(options):
     measured = options.speed_from == "measured"
     known = None if measured else _speed_map(options, log)
     speed_map = known and known.map.reaching(log.steady_points().turns_from)
-    figures = told(log, speed_map, options.keep_stalls)
+    figures = findings(log, speed_map, options.keep_stalls)
     kind = options.kind or ("static" if log.averaged else "record")
     tare = log.tare()
     omega_ref = log.filled_speed() if measured else speed_map.omega_ref(log.signal)
@@ -111,7 +111,7 @@ def fitted(log: Log) -> SpeedMap:
     return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
 
 
-def told(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
+def findings(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
     """The content of import.json: what the log was, and what was done to it. No `speed_map`: the speed is the measured one."""
     filled, behind = np.isfinite(log.thrust), log.stalled & ~log.repeated
     emptied = behind & (not keep_stalls)

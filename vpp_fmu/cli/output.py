@@ -67,9 +67,9 @@ def say_written(folder: OutputFolder, parameters: ParameterSet | None = None, li
     for line in lines:
         print(line)
     if isinstance(folder, OutputSet):
-        told = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
-        told["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
-        for what, names in told.items():
+        notes = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
+        notes["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
+        for what, names in notes.items():
             if names:
                 print(f"in {folder.path}, {what}: {', '.join(names)}")
     if folder.replaced:

@@ -102,9 +102,9 @@ class Basis:
 def run(options):
     library = library_with(options.effects_from)
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    told, known = knowledge_of(options, parameters)
+    known_in, known = knowledge_of(options, parameters)
     knowledge, inflation = known or (None, 1.0)
-    basis = _basis(options, parameters, told)
+    basis = _basis(options, parameters, known_in)
     check_signal(options, parameters, basis)
     folder = OutputSet(options.output, "plan")
     found = plan(
@@ -158,7 +158,7 @@ def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
     raise BadInput("command line", option, found, "a wider range, or --yes to go on")
 
 
-def _basis(options, parameters: ParameterSet, told: str | None) -> Basis:
+def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
     campaign = read_campaign(options.campaign) if options.campaign else None
     rig = parameters.rig
     if campaign is not None:
@@ -169,7 +169,7 @@ def _basis(options, parameters: ParameterSet, told: str | None) -> Basis:
     if rig.unknown:
         allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
         raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
-    return Basis(rig, *_noise(options, campaign, parameters, told), _step(options, campaign, parameters))
+    return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters))
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
@@ -209,12 +209,12 @@ def _narrowed(rig: Rig, options) -> Rig:
     return replace(rig, **changes, origin=origin)
 
 
-def _noise(options, campaign: Campaign | None, parameters: ParameterSet, told: str | None) -> tuple[float, str]:
-    """(standard deviation of a thrust reading [N], where it comes from). `told`: an identification.json, or None."""
+def _noise(options, campaign: Campaign | None, parameters: ParameterSet, known_in: str | None) -> tuple[float, str]:
+    """(standard deviation of a thrust reading [N], where it comes from). `known_in`: an identification.json, or None."""
     if options.noise is not None:
         return options.noise, ASKED
-    if told and (options.knowledge or campaign is None):  # a campaign that was named goes before a file that was not
-        found = read_noise(told)
+    if known_in and (options.knowledge or campaign is None):  # a campaign that was named goes before a file that was not
+        found = read_noise(known_in)
         if found and found[0] > 0.0:
             return found
     if campaign is not None:
@@ -265,7 +265,7 @@ def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (
         page.note(f"{line[0].upper()}{line[1:]}.")
     for remark in remarks:
         page.note(remark)
-    for name, why in found.untold.items():
+    for name, why in found.not_identifiable.items():
         page.note(f"{name} is not planned for and counts as known: {why}.")
     title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
     widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}

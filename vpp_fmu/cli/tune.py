@@ -149,7 +149,7 @@ def _setting(task: Task, starts) -> list[str]:
 def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     assumed = dict(_assumed(text, parameters) for text in options.assume)
-    told, knowledge = knowledge_of(options, parameters)
+    known_in, knowledge = knowledge_of(options, parameters)
     parameters = parameters.replaced(assumed)
     own = controllers(parameters, given, options.sample_time, options.gains)
     period = next(iter(own.settings.values()))["sample_time"]
@@ -167,7 +167,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         profile=profile,
         assumed=tuple(assumed),
         chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
-        noise_std=_noise(options, told),
+        noise_std=_noise(options, known_in),
         alpha=options.alpha,
         overshoot=options.overshoot / 100.0,
         sensitivity=options.sensitivity,
@@ -183,11 +183,11 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     return task, own.settings
 
 
-def _noise(options, told: str | None) -> float:
-    """N: what is asked for, else what the identification in the file `told` found; 0 without either."""
-    if options.noise is not None or not told:
+def _noise(options, known_in: str | None) -> float:
+    """N: what is asked for, else what the identification in the file `known_in` found; 0 without either."""
+    if options.noise is not None or not known_in:
         return options.noise or 0.0
-    found = read_noise(told)
+    found = read_noise(known_in)
     return found[0] if found else 0.0
 
 

@@ -51,9 +51,9 @@ def run(options):
     settings = controllers(parameters, given, hil_options.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
-    told = beside(options.parameters)
-    band = read_band(told)
-    check_same_model(told, parameters, options.parameters)
+    known_in = beside(options.parameters)
+    band = read_band(known_in)
+    check_same_model(known_in, parameters, options.parameters)
     setup = replace(setup, plant=parameters.values)
     hil_options.say_allowed(setup.allowed)
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)

@@ -361,6 +361,6 @@ def _searched(
     flew = [cost for cost in costs if np.isfinite(cost)]
     if flew:
         usual = float(np.median(flew))
-        day.search.told([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
+        day.search.tell([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
     there = day.search.favourite
     return there if flew and referee.predicted(there)[1] else None, flew, int(np.isnan(costs).sum())

@@ -66,14 +66,14 @@ def fly(
     done = run_on_rig(setup, KernelController(settings, PERIOD), repeated(profile, times), folder, twin=twin, adaptive=learning)
     write_run(folder / "run.csv", done.record)
     rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
-    told = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
+    learned = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
     found = [(at, f"most like {twin.cause}") for at, _ in done.session.rig.alarms] if twin else []
     found += [(at, f"most like {what}") for at, what in learning.alarms] if learning else []
     began = float(done.log.time[rows[0]]) if len(rows) else 0.0
     alarms = tuple((at - began, what) for at, what in sorted(found))
     went = [] if done.ended else passes(done.record, profile, times)
     costs = tuple(measured_cost(done.record.part(rows), settings) for rows in went)
-    return Flight(done.record, told, alarms, costs, done.ended)
+    return Flight(done.record, learned, alarms, costs, done.ended)
 
 
 def repeated(profile: Record, times: int) -> Record:

@@ -79,7 +79,7 @@ class Referee:
 
 
 class Search:
-    """Gains about those that flew when it began: `asked` gives the next generation, `told` takes what it cost."""
+    """Gains about those that flew when it began: `asked` gives the next generation, `tell` takes what it cost."""
 
     def __init__(self, settings: Mapping[str, float], names: Iterable[str], seed: int):
         self._settings = dict(settings)
@@ -102,6 +102,6 @@ class Search:
         changed = {n: self._settings[n] * exp(x) for n, x in zip(self._names, logarithms, strict=True)}
         return {**self._settings, **changed}
 
-    def told(self, costs: Sequence[float]) -> None:
+    def tell(self, costs: Sequence[float]) -> None:
         """What the generation cost, in its order."""
         self._search.tell(self._asked, list(costs))

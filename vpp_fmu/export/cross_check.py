@@ -54,8 +54,8 @@ def cross_check_folder(
     """What the FMI project's cross-check wants of an exporting tool, by place in its repository: the FMU, its reference files,
     and how to check against them. `tool`: name and version as folders; `platform`: as FMI 2.0 calls it."""
     stop = round(min(experiment.stop, LONGEST) / experiment.step) * experiment.step
-    told = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
-    files = {f"{model.name}.fmu": fmu, "README.md": told.encode()}
+    read_me = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
+    files = {f"{model.name}.fmu": fmu, "README.md": read_me.encode()}
     files |= {name: text.encode() for name, text in reference_files(model, values, experiment).items()}
     return {f"fmus/2.0/cs/{platform}/{tool}/{model.name}/{name}": content for name, content in files.items()}
 

@@ -127,8 +127,8 @@ def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
     ):
         low, high, nominal = _span(model, q.unit) if causality == "local" else (q.minimum, q.maximum, q.nominal)
         start = None if causality == "output" else starts[r]
-        told = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
-        found.append(Variable(name, r, kind, *told))
+        attributes = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
+        found.append(Variable(name, r, kind, *attributes))
     return found
 
 

@@ -46,7 +46,7 @@ class Scales:
                 factor = factor * size if power > 0 else factor / size
         return factor
 
-    def following(self, values: Mapping[str, float]) -> "Scales":
+    def with_values(self, values: Mapping[str, float]) -> "Scales":
         """These scales with those among parameter `values` in their place."""
         own = asdict(self)
         return replace(self, **{name: float(values[name]) for name in own if name in values})

@@ -130,8 +130,8 @@ class Simulator:
         inputs = completed(self.model, inputs, steps)
         rows = {name: len(inputs[name]) for name in self._inputs}
         if set(rows.values()) != {len(steps) + 1}:
-            told = ", ".join(f"{name} has {count}" for name, count in rows.items())
-            raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {told}")
+            counts = ", ".join(f"{name} has {count}" for name, count in rows.items())
+            raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {counts}")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
         return values, *split(columns, np.ascontiguousarray(steps, float), commanded, late)
@@ -235,8 +235,8 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
                 last = at.stop == len(inputs)
                 moves = None if tangents is None else tangents.ctypes.data
                 if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, moves):
-                    told = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
-                    raise SimulationFailed(f"{name}: {told}")
+                    cause = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
+                    raise SimulationFailed(f"{name}: {cause}")
                 asked = yield
         finally:
             library.end(begun)

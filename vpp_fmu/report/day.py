@@ -48,9 +48,13 @@ def costs_by_round(
     colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
     for name in names:
         at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ())]
-        told = np.array(at).reshape(-1, 2)
+        points = np.array(at).reshape(-1, 2)
         fig.add_scatter(
-            x=told[:, 0], y=told[:, 1], mode="markers", name=name, marker={"color": colours.get(name, style.FIT), "size": 10}
+            x=points[:, 0],
+            y=points[:, 1],
+            mode="markers",
+            name=name,
+            marker={"color": colours.get(name, style.FIT), "size": 10},
         )
     fig.add_scatter(
         x=np.arange(1, len(flies) + 1), y=flies, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}

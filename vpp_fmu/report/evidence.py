@@ -20,7 +20,7 @@ class Bar:
     """A candidate: its evidence [nat], its outcome (a key of COLOURS) and why, in a few words."""
 
     name: str
-    fall: float
+    likelihood_gain: float
     outcome: str
     why: str
 
@@ -31,18 +31,18 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
     `taken`: evidence of the one that was taken; within `gate` of it lie those that fit as well, in a shaded band. What has less
     than 1 has no bar.
     """
-    ranked = sorted(bars, key=lambda bar: -bar.fall)
+    ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
     fig = style.figure(title, 140 + 30 * len(ranked))
     for outcome, colour in COLOURS.items():
         own = [bar for bar in ranked if bar.outcome == outcome]
         if own:
             fig.add_bar(
                 y=[style.escaped(bar.name) for bar in own],
-                x=[max(bar.fall, _LEAST) for bar in own],
+                x=[max(bar.likelihood_gain, _LEAST) for bar in own],
                 orientation="h",
                 name=outcome,
                 marker_color=colour,
-                text=[f"{bar.fall:,.0f}  {style.escaped(bar.why)}" for bar in own],
+                text=[f"{bar.likelihood_gain:,.0f}  {style.escaped(bar.why)}" for bar in own],
                 textposition="outside",
                 textfont={"size": 12},
                 cliponaxis=False,
@@ -52,7 +52,7 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
     fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", layer="below", showlegend=True)
     if taken is not None:
         fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
-    reach = np.log10(max(10.0 * gate, *(bar.fall for bar in ranked)))
+    reach = np.log10(max(10.0 * gate, *(bar.likelihood_gain for bar in ranked)))
     # The reasons stand behind the bars: half of the width is theirs.
     fig.update_xaxes(title_text="evidence [nat]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
     order = [style.escaped(bar.name) for bar in ranked]

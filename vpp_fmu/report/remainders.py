@@ -82,11 +82,11 @@ def residual_by_move(
     return fig
 
 
-def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, told: float = 0.5) -> go.Figure:
-    """Squared cosines (n, n) of the traces of n effects, 0 to 1; each pair once, numbers from `told` on."""
+def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
+    """Squared cosines (n, n) of the traces of n effects, 0 to 1; each pair once, numbers from `least` on."""
     labels = [style.escaped(name) for name in names]
     shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
-    texts = np.where(shown >= told, np.char.mod("%.2f", np.nan_to_num(shown)), "")
+    texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
     fig = style.figure(title, 190 + max(30 * len(labels), 120), legend=False)
     fig.add_heatmap(
         x=labels[:-1],

@@ -50,8 +50,8 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
             reached = ops.maximum(reached, getattr(s, lowest))
         if hasattr(s, highest):
             reached = ops.minimum(reached, getattr(s, highest))
-        told = {f"{u}_rate": (reached - getattr(s, outer)) / dt, f"{u}_to_go": getattr(s, ref) - reached}
-        return {u: reached, outer_ahead: reached, inner_ahead: getattr(s, inner) + getattr(s, move), **told}, {}
+        published = {f"{u}_rate": (reached - getattr(s, outer)) / dt, f"{u}_to_go": getattr(s, ref) - reached}
+        return {u: reached, outer_ahead: reached, inner_ahead: getattr(s, inner) + getattr(s, move), **published}, {}
 
     def constant(name, default, stage):
         text = f"time constant of the {stage} lag between commanded and reached {title}"

@@ -34,10 +34,10 @@ def _step(ops, s, x, p, dt):
         now, before = getattr(s, name), getattr(x, f"{name}_before")
         read = now - (dt - ahead_of_reading) * ((now - before) / dt)
         rows = [ops.where(reads, read, getattr(x, f"{name}_0")), *(getattr(x, f"{name}_{k}") for k in range(1, OLDEST))]
-        told = rows[0]
+        value = rows[0]
         for k in range(1, OLDEST):
-            told = ops.where(whole > k - 0.5, rows[k], told)
-        shown = ops.where(ends, told, getattr(x, f"{name}_shown"))
+            value = ops.where(whole > k - 0.5, rows[k], value)
+        shown = ops.where(ends, value, getattr(x, f"{name}_shown"))
         signals[name] = ops.where(logged, shown, now)
         ahead |= {f"{name}_before": now, f"{name}_shown": ops.where(logged, shown, now), f"{name}_0": rows[0]}
         ahead |= {f"{name}_{k}": ops.where(ends, rows[k - 1], rows[k]) for k in range(1, OLDEST)}

@@ -21,14 +21,24 @@ Six effects, one idea each; whoever reads a state of another one does so by a si
 """
 
 from vpp_fmu.kernel.twin.model import DAILY, adapted_by_default, plausible_change, twin
-from vpp_fmu.kernel.twin.noises import BETWEEN, BLOCK, BORNE, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY, WITHIN
+from vpp_fmu.kernel.twin.noises import (
+    BETWEEN,
+    BLOCK,
+    HALVES,
+    NODE,
+    NODES,
+    ON_THE_WAY,
+    PLACE,
+    SPEED_ON_THE_WAY,
+    TOLERATED,
+    WITHIN,
+)
 from vpp_fmu.kernel.twin.prediction import BROUGHT
 from vpp_fmu.kernel.twin.watch import sums, threshold, watched
 
 __all__ = [
     "BETWEEN",
     "BLOCK",
-    "BORNE",
     "BROUGHT",
     "DAILY",
     "HALVES",
@@ -37,6 +47,7 @@ __all__ = [
     "ON_THE_WAY",
     "PLACE",
     "SPEED_ON_THE_WAY",
+    "TOLERATED",
     "WITHIN",
     "adapted_by_default",
     "plausible_change",

@@ -55,7 +55,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
     commands = tuple(u for u in measured if u.name in (OMEGA_REF.name, BETA_REF.name))
     by_name = {y.name: y for y in plant.outputs}
     readings = by_name[THRUST.name], by_name[OMEGA.name]
-    told = (
+    outputs = (
         _like(readings[0], "predicted_thrust", "thrust by the adapted model"),
         _like(readings[1], "predicted_speed", "rotor speed by the adapted model"),
         _like(readings[0], "residual", "measured thrust above the adapted model's"),
@@ -77,7 +77,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
         "VppTwin",
         "Adaptive twin: the plant beside the rig, its parameters as they are now, and an alarm where no parameter explains it",
         inputs=(*commands, *(_measured(y) for y in readings), *extra, ACKNOWLEDGE),
-        outputs=told,
+        outputs=outputs,
         effects=(
             adaptation(plant, parts, bounds),
             prediction(plant, adapted, pieces),
@@ -189,15 +189,15 @@ def update(parts: Sequence[Parameter]) -> Effect:
     def taken(ops, s, x, p, dt):
         learns, opens = s.learns > 0.5, s.opens > 0.5
         back = s.starts + s.returns > 0.5  # to before what is, or was not, one of these parameters
-        told, theta = {}, []
+        found, theta = {}, []
         for i, q in enumerate(parts):
             low, high = (q.minimum - s.start_values[i]) / s.change[i], (q.maximum - s.start_values[i]) / s.change[i]
             new = ops.clip(s.theta[i] + s.delta[i], low, high)
             theta.append(ops.where(back, s.kept[i], ops.where(learns, new, s.theta[i])))
-            told[f"next.theta.{i}"] = theta[i]
+            found[f"next.theta.{i}"] = theta[i]
         for k, noise in enumerate(s.noises):
             new = ops.where(learns, noise + s.delta[m + k], noise)
-            told[f"next.noise.{k}"] = ops.where(back, s.kept[m + k - 2], new) if k > 1 else new
+            found[f"next.noise.{k}"] = ops.where(back, s.kept[m + k - 2], new) if k > 1 else new
 
         # What is known stays below what is known of a plausible change, whose variance is 1.
         shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)]
@@ -209,16 +209,16 @@ def update(parts: Sequence[Parameter]) -> Effect:
             unknown = s.P[i, j]
             if i < m + 2:
                 unknown = (1.0 if i < m else s.stationary[i - m]) if i == j else 0.0
-            told[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
+            found[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
 
         # The plant's states are where these parameters would have taken them, to first order: the filter's own correction.
         moved = [theta[i] - s.theta[i] for i in range(m)]
         for name, state in s.plant_states.items():
             terms = [d * by for d, by in zip(state.tangents, moved, strict=True) if d is not None]
-            told[ahead_of(name)] = sum(terms, state.value)
+            found[ahead_of(name)] = sum(terms, state.value)
         for i, q in enumerate(parts):
-            told[f"adapted.{q.name}"] = ops.clip(s.start_values[i] + s.change[i] * theta[i], q.minimum, q.maximum)
-            told[f"std.{q.name}"] = s.change[i] * ops.sqrt(ops.maximum(told[f"next.P.{i}.{i}"], 0.0))
-        return told, {}
+            found[f"adapted.{q.name}"] = ops.clip(s.start_values[i] + s.change[i] * theta[i], q.minimum, q.maximum)
+            found[f"std.{q.name}"] = s.change[i] * ops.sqrt(ops.maximum(found[f"next.P.{i}.{i}"], 0.0))
+        return found, {}
 
     return Effect("update", "what becomes of what is known", taken)

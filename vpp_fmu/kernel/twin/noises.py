@@ -31,7 +31,7 @@ that brakes, an actuator at its fastest are far from any lag. Of twelve emulated
 under the controller: of thrust 0.03 to 0.15, 0.075 the root of the mean square; of speed 0.02 to 0.06. Campaigns alone often
 show none of it."""
 
-BORNE = 2.5
+TOLERATED = 2.5
 """Standard deviations of the model's error on the way that half of a change which is watched for must exceed to count: a sum of
 log-likelihood ratios falls while what there is stays below half of what it looks for, and one move in 80 is further off."""
 

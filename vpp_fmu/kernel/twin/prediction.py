@@ -32,8 +32,8 @@ def _held_back(e: Effect) -> Effect:
         late, ahead = {}, {}
         for u, delay in e.delays.items():
             # The command stands over the step: to the dead time it is as if it had stood there before.
-            told = SimpleNamespace(before=getattr(s, u), behind=getattr(x, f"{u}.behind"), rate=getattr(x, f"{u}.rate"))
-            late[u], after = dead_time(ops, told.before, told, getattr(p, delay), dt)
+            state = SimpleNamespace(before=getattr(s, u), behind=getattr(x, f"{u}.behind"), rate=getattr(x, f"{u}.rate"))
+            late[u], after = dead_time(ops, state.before, state, getattr(p, delay), dt)
             ahead |= {f"{u}.behind": after["behind"], f"{u}.rate": after["rate"]}
         return late, ahead
 
@@ -65,9 +65,9 @@ class _Plant:
             found[name] = Dual(now, tuple(s.change[i] if k == i else None for k in range(len(self.adapted))))
         return found
 
-    def inputs(self, duals: Duals, told: Callable[[str], Any], dt: Any) -> dict[str, Dual]:
+    def inputs(self, duals: Duals, value_of: Callable[[str], Any], dt: Any) -> dict[str, Dual]:
         """Commands and what is measured, by name; a clock has the sample's time."""
-        return {u.name: duals.constant(told(u.name)) for u in self.measured} | {u: duals.constant(dt) for u in self._clocks}
+        return {u.name: duals.constant(value_of(u.name)) for u in self.measured} | {u: duals.constant(dt) for u in self._clocks}
 
     def settled(self, ops: Any, s: Any, p: Any) -> dict[str, Dual]:
         """The states settled on the inputs. A start asks for one state at a time: the last answer is kept."""
@@ -113,9 +113,9 @@ class _Plant:
             states = _stepped(self.model, duals, inputs, states, known, duals.constant(SAMPLE_TIME))[1]
 
 
-def _stepped(model: Model, duals: Duals, *told) -> tuple[dict, dict]:
+def _stepped(model: Model, duals: Duals, *arguments) -> tuple[dict, dict]:
     """A step whose states are all dual, also those that an effect sets to a plain number."""
-    signals, states = step(model, duals, *told)
+    signals, states = step(model, duals, *arguments)
     return signals, {name: duals.constant(value) for name, value in states.items()}
 
 

@@ -9,7 +9,7 @@ from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import AT_NODES, BORNE, PLACE, nothing
+from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -17,7 +17,7 @@ ACKNOWLEDGE = Signal("acknowledge", "1", "somebody has seen the alarm: adapt aga
 
 UP, DOWN = "up", "down"
 NOISES = "fading", "between", "map"
-WATCHING, FOLLOWING, STOPPED = 0.0, 1.0, 2.0
+WATCHING, ADAPTING, STOPPED = 0.0, 1.0, 2.0
 
 SUSPECT = log(100.0)
 """Of a log-likelihood sum: one in a hundred rises so far from where it begins while nothing changes (Ville, 1939). What was
@@ -74,11 +74,11 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             points, best = ops.where(height > best, float(i + 1), points), ops.maximum(height, best)
 
         # After an alarm: Wald's test of the same ratio, once as many places were seen as there are parameters to tell apart.
-        following = ops.where(x.mode > 0.5, ops.where(x.mode < 1.5, 1.0, 0.0), 0.0)
-        doubt = following * ops.maximum(x.doubt + unlike, -p.threshold)
-        seen = following * (x.seen + s.moved)
-        explained = ops.where(doubt < 1e-9 - p.threshold, ops.where(seen > m * PLACE, following, 0.0), 0.0)
-        stops = ops.where(doubt > p.threshold, following, 0.0)
+        adapting = ops.where(x.mode > 0.5, ops.where(x.mode < 1.5, 1.0, 0.0), 0.0)
+        doubt = adapting * ops.maximum(x.doubt + unlike, -p.threshold)
+        seen = adapting * (x.seen + s.moved)
+        explained = ops.where(doubt < 1e-9 - p.threshold, ops.where(seen > m * PLACE, adapting, 0.0), 0.0)
+        stops = ops.where(doubt > p.threshold, adapting, 0.0)
         stopped = ops.where(x.mode > 1.5, 1.0, 0.0)
         goes_on = ops.where(s.acknowledge > 0.5, stopped, 0.0)
 
@@ -87,7 +87,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         )
         mode = ops.where(
             starts > 0.5,
-            FOLLOWING,
+            ADAPTING,
             ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode)),
         )
         changes = x.changes + explained
@@ -163,7 +163,7 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
         looked_for = by_thrust * by_thrust
-        counts = looked_for / (looked_for + (2.0 * BORNE) * (2.0 * BORNE) * s.on_the_way + TINY)
+        counts = looked_for / (looked_for + (2.0 * TOLERATED) * (2.0 * TOLERATED) * s.on_the_way + TINY)
         shape = by_thrust - sum(absorbed[1:], absorbed[0])
         more = counts * (sign * s.pulls - 0.5 * shape) * shape / s.S
     by_speed = s.speed_slopes[i]
