@@ -23,7 +23,7 @@ ANYWHERE = {
     "lacking": "lacking",
     "lacks": "(?<!model )lacks",
     "senses": "senses",
-    "stands": "(?:stands|stood)(?! (?:in )?for)",
+    "stands": "(?:stands|stood)(?! (?:in )?for| still)",
     "at its word": "at (?:its|their) word",
     "what is left": "what (?:is|was) left|what (?:it|that|an?|the)(?: [a-z]+)? leaves",
     "by itself": "by (?:itself|themselves)",

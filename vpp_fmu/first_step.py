@@ -1,6 +1,6 @@
-"""python -m vpp_fmu.first_step JSON: load an FMI 2.0 FMU, start it and make one step, in a process that may die of it.
+"""python -m vpp_fmu.first_step JSON: load an FMI 2.0 FMU, start it and make one step, in a process that may crash.
 
-Prints each stage before it begins, and ALIVE after the last. The standard library only, so that it takes little time.
+Prints each stage before it begins, and ALIVE after the last. It imports the standard library only, to start fast.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ ALIVE = "alive"
 def main(settings: dict) -> None:
     """`settings`: `library`, `guid`, `resources` (URI), and the communication step `dt` [s]."""
     stages = os.fdopen(os.dup(1), "w", encoding="ascii")
-    os.dup2(2, 1)  # what the FMU prints is no stage
+    os.dup2(2, 1)  # keeps the FMU's own output apart from the stages
 
     def stage(text: str) -> None:
         print(text, file=stages, flush=True)
@@ -27,7 +27,7 @@ def main(settings: dict) -> None:
     os.chdir(os.path.dirname(settings["library"]))  # as fmpy does
     try:
         library = ctypes.CDLL(settings["library"])
-    except OSError:  # whoever loads it next says why
+    except OSError:  # the caller loads it again and reports the reason
         stage(ALIVE)
         return
     library.fmi2Instantiate.restype = ctypes.c_void_p
@@ -43,7 +43,7 @@ def main(settings: dict) -> None:
         if not failed:
             library.fmi2DoStep(instance, zero, ctypes.c_double(settings["dt"]), 1)
     stage(ALIVE)
-    os._exit(0)  # not through the end of an interpreter that the FMU may hold
+    os._exit(0)  # the FMU may hold the interpreter, so it is not finalised
 
 
 if __name__ == "__main__":
