@@ -27,7 +27,7 @@ def configure(parser):
     parser.add_argument("plant", metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
     parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
-    text = "twin FMU that watches the loop (vpp export --twin): its outputs in the CSV and on the page"
+    text = "twin FMU that monitors the loop (vpp export --twin): its outputs in the CSV and on the page"
     parser.add_argument("--twin", metavar="TWIN", help=text)
     text = f"communication step in s (default: the controller's sample_time, else {USUAL_STEP:g})"
     parser.add_argument("--step", type=real(1e-6, 1.0, "s"), metavar="S", help=text)
@@ -56,10 +56,10 @@ def run(options):
 
 
 def add_twin(page: Page, time: np.ndarray, sentence: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
-    """What an adaptive twin said, by its outputs (rows,), with the units of its variables."""
+    """Add the outputs (rows,) of an adaptive twin by name, with the units of its variables."""
     page.figure(residual_in_band(time, sentence), f"Measured thrust less the twin's. {thinning(len(time))}")
     own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
-    page.figure(adapted_parameters(time, sentence, own), "What the twin made of its parameters.")
+    page.figure(adapted_parameters(time, sentence, own), "The twin's adapted parameters.")
 
 
 def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:

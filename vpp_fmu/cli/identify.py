@@ -71,7 +71,7 @@ def write_identification(folder: OutputFolder, found: Identification) -> None:
 
 
 def named_records(paths: list[str]) -> dict[str, Record]:
-    """Records by the file's name; by its whole path where the name is taken."""
+    """Records by the file's name, or by its path if the name occurs twice."""
     records = {}
     for path in paths:
         name = Path(path).name.removesuffix(".gz").removesuffix(".csv")

@@ -1,4 +1,4 @@
-"""Any table as a file of a campaign: CSV with any delimiter, decimal mark, head, encoding and clock; Parquet, MAT, HDF5.
+"""Convert a table to a file of a campaign: CSV of any delimiter, decimal mark, header, encoding, clock; Parquet, MAT, HDF5.
 
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
 ("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
@@ -113,7 +113,7 @@ def run(options):
 
 
 def _section(options) -> dict:
-    """What the import.toml among --map says, empty without one. BadInput."""
+    """Content of the import.toml among --map, empty without one. BadInput."""
     files = [word for word in options.map if "=" not in word]
     if len(files) > 1 or (files and not files[0].endswith(".toml")):
         raise BadInput("command line", "--map", " ".join(files), "NAME=COLUMN:UNIT, one or more, and at most one FILE.toml")
@@ -136,7 +136,7 @@ def _table(options, read: dict) -> RawTable:
 
 
 def _plan(options, section: dict, table: RawTable) -> Plan:
-    """Pairs of the command line before the TOML's, which is complete; else the proposal completes them. BadInput."""
+    """The plan of columns: pairs of the command line override those of a TOML, or else a proposal completes them. BadInput."""
     own = parse_pairs([word for word in options.map if "=" in word], table, options.force)
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
     fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
@@ -200,7 +200,7 @@ def _say_columns(table: RawTable, plan: Plan, taken: Taken) -> None:
 
 
 def _written(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
-    """The campaign's file, the mapping, the speed map: all of them or none. Where they are, and what is said of them."""
+    """Write the campaign's file, the mapping and the speed map, all or none; returns their paths and remarks."""
     place = Path(options.output)
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}
     folder, said = placed(place, options.kind, taken, options.replace, options.mend)

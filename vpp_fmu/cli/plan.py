@@ -1,6 +1,6 @@
-"""Plan the next experiment: commands that shrink the model's weakest direction, and what they would bring.
+"""Plan the next experiment: commands that reduce the uncertainty of the model's weakest direction, and the expected accuracy.
 
-They stay within the range that the parameters' campaign was measured over, or that its rig.json declares."""
+They stay within the range of the parameters' campaign, or of its rig.json."""
 
 import sys
 from collections.abc import Sequence
@@ -34,10 +34,10 @@ from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
 EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
 
 UNKNOWN = 10.0
-"""A standard deviation of more than so many times the size counts as no knowledge."""
+"""Ratio of standard deviation to size above which a parameter counts as unknown."""
 
 COLOURED = 1.5
-"""What was known before counts as hampered by coloured residuals when its intervals are wider by this factor."""
+"""Factor by which coloured residuals must widen the present intervals for a remark."""
 
 OPTIONS = {
     "--seconds": Number(0.01, 1e6, "s"),
@@ -49,10 +49,10 @@ OPTIONS = {
     "--noise": Number(0.0, 1e6, "N", above=True),
     "--omega-noise": Number(0.0, 1e6, "rpm", above=True),
 }
-"""What the options may be on any rig."""
+"""Ranges of the options on any rig."""
 
 ASKED = "the command line"
-"""Where a range comes from that the user named."""
+"""Origin of a range that the user named."""
 
 
 def configure(parser):
@@ -86,7 +86,7 @@ def configure(parser):
 
 @dataclass(frozen=True)
 class Basis:
-    """What a plan stands on: the `rig`, the `noise` of a thrust reading [N] and where it comes from, the `step` [s] or None."""
+    """Assumptions of a plan: the `rig`, the `noise` of a thrust reading [N] and its source, the `step` [s] or None."""
 
     rig: Rig
     noise: float
@@ -125,7 +125,7 @@ def run(options):
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
-    """What a reader must be told of a plan. `inflation`: of the intervals so far, by the residuals' colour."""
+    """Remarks on a plan. `inflation` of the present intervals by the residuals' colour."""
     return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
 
 
@@ -139,8 +139,8 @@ def write_plan(
 
 
 def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
-    """Ask where the thrust at rest changes by less than one reading's noise over a range that the user named: such an
-    experiment tells next to nothing. BadInput where nobody is there to answer."""
+    """Ask for confirmation if the static thrust changes by less than one reading's noise over a range that the user named:
+    such an experiment has almost no information. BadInput without a terminal."""
     if options.yes or (options.omega is None and options.pitch is None):
         return
     model, thrust = parameters.model, []
@@ -173,7 +173,7 @@ def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
-    """s, as asked for, or as the rig was sampled; None: nobody knows."""
+    """Sampling period [s]: from the command line, or the rig's; None: unknown."""
     if options.step is not None:
         return options.step
     records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()
@@ -182,7 +182,7 @@ def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float
 
 
 def _narrowed(rig: Rig, options) -> Rig:
-    """The rig within what the command line asks for, which a range that is known must hold."""
+    """The rig with the ranges of the command line, which must lie within known ranges."""
     changes, origin = {}, dict(rig.origin)
     for name, asked in (("speed", options.omega), ("pitch", options.pitch)):
         if asked is None:
@@ -210,10 +210,10 @@ def _narrowed(rig: Rig, options) -> Rig:
 
 
 def _noise(options, campaign: Campaign | None, parameters: ParameterSet, known_in: str | None) -> tuple[float, str]:
-    """(standard deviation of a thrust reading [N], where it comes from). `known_in`: an identification.json, or None."""
+    """(standard deviation of a thrust reading [N], its source). `known_in`: an identification.json, or None."""
     if options.noise is not None:
         return options.noise, ASKED
-    if known_in and (options.knowledge or campaign is None):  # a campaign that was named goes before a file that was not
+    if known_in and (options.knowledge or campaign is None):  # a named campaign takes precedence over a default file
         found = read_noise(known_in)
         if found and found[0] > 0.0:
             return found
@@ -226,7 +226,7 @@ def _noise(options, campaign: Campaign | None, parameters: ParameterSet, known_i
 
 
 def _overload(found: Plan) -> list[str]:
-    """What to say where the predicted thrust leaves what is declared for the rig."""
+    """Remark if the predicted thrust is outside of the rig's declared range."""
     low, high = found.rig.thrust
     least, most = float(found.thrust.min()), float(found.thrust.max())
     if found.rig.origin.get("thrust") != DECLARED or (low <= least and most <= high):
@@ -238,7 +238,7 @@ def _overload(found: Plan) -> list[str]:
 
 
 def key_figures(found: Plan) -> list[tuple[str, str, str]]:
-    """(label, value, note) of what a reader must know first."""
+    """Key figures (label, value, note)."""
     figures = []
     stages = (("before", found.before), ("with the paper's plan", found.paper), ("with this plan", found.after))
     for when, forecast in stages:
@@ -251,11 +251,11 @@ def key_figures(found: Plan) -> list[tuple[str, str, str]]:
 
 
 def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = "") -> Page:
-    """The report of a plan; what it stands on (`basis`) and `remarks` stand above its figures; `source`: of the parameters."""
+    """The report of a plan; its assumptions (`basis`) and `remarks` are above its figures; `source`: of the parameters."""
     after = found.after
     page = Page(
         "The next experiment",
-        f"{_seconds(found)} s of commands, and what they would tell about the model, if a thrust reading every "
+        f"{_seconds(found)} s of commands, and the expected accuracy of the model, if a thrust reading every "
         f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
         "noise, widens all intervals.",
         source,
@@ -300,7 +300,7 @@ def _add_tables(page: Page, found: Plan) -> None:
 
 
 def combination(names, direction: np.ndarray, most: int = 3) -> str:
-    """A direction in words: its largest parts, in their order of size."""
+    """A direction in words: its largest components, by decreasing size."""
     largest = [k for k in np.argsort(-np.abs(direction))[:most] if abs(direction[k]) > 0.2]
     return " ".join(f"{direction[k]:+.2f} {names[k]}" for k in largest).removeprefix("+")
 
