@@ -9,8 +9,7 @@ from vpp_fmu.parameters import ParameterSet, beside, check_same_model
 def knowledge_of(options, parameters: ParameterSet) -> tuple[str | None, tuple[Prior, float] | None]:
     """(the file, from --knowledge or beside --parameters; its content by `read_knowledge`); None twice if neither exists.
 
-    BadInput for a named file that can't be read, or is of another model. One that nobody named is then passed over, which is
-    printed.
+    BadInput for a named file that can't be read, or is of another model. Such a file that is not named is ignored with a note.
     """
     of = options.parameters or "the paper's fine-tuned set"
     if options.knowledge:

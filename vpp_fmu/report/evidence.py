@@ -1,4 +1,4 @@
-"""The figure of what speaks for each candidate, and at which gate it failed."""
+"""The figure of each candidate's evidence, and the reason for its rejection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
 COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
 
 _LEAST = 1.0
-"""Where bars begin: on a logarithmic axis there is no zero."""
+"""Start of the bars on the logarithmic axis."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Bar:
 
 
 def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | None = None) -> go.Figure:
-    """Candidates by their evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
+    """Candidates by evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
 
-    `taken`: evidence of the one that was taken; within `gate` of it lie those that fit as well, in a shaded band. What has less
-    than 1 has no bar.
+    `taken`: evidence of the accepted candidate. A shaded band marks candidates within `gate` of it, which fit as well.
+    Candidates below 1 have no bar.
     """
     ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
     fig = style.figure(title, 140 + 30 * len(ranked))
@@ -53,7 +53,7 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
     if taken is not None:
         fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
     reach = np.log10(max(10.0 * gate, *(bar.likelihood_gain for bar in ranked)))
-    # The reasons stand behind the bars: half of the width is theirs.
+    # The reasons are beside the bars and take half of the width.
     fig.update_xaxes(title_text="evidence [nat]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
     order = [style.escaped(bar.name) for bar in ranked]
     fig.update_yaxes(title_text="candidate [-]", type="category", categoryorder="array", categoryarray=order[::-1])
