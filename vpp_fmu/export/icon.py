@@ -1,4 +1,4 @@
-"""The FMUs' icon: a propeller, drawn here so that no picture need be kept."""
+"""The FMUs' icon: a propeller, drawn in code."""
 
 import struct
 import zlib
@@ -12,7 +12,7 @@ TILT = 0.6  # rad
 
 
 def _covered(distance: float) -> float:
-    """Share of a pixel inside an outline, from its distance [side] to it; positive is inside."""
+    """Share of a pixel inside an outline, from its distance [side]; positive: inside."""
     return min(1.0, max(0.0, 0.5 + distance * SIZE))
 
 
@@ -28,7 +28,7 @@ def _pixel(x: float, y: float) -> tuple[int, int, int, int]:
 
 @cache
 def icon() -> bytes:
-    """A PNG with transparent ground."""
+    """A PNG with transparent background."""
     middle = [(i + 0.5) / SIZE - 0.5 for i in range(SIZE)]
     rows = b"".join(b"\0" + bytes(v for x in middle for v in _pixel(x, y)) for y in middle)
     header = struct.pack(">2I5B", SIZE, SIZE, 8, 6, 0, 0, 0)
