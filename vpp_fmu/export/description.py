@@ -104,7 +104,7 @@ class Variable:
 
 
 DISPLAYED = {"s": "ms"}
-"""What parameters that are small in their unit are shown in."""
+"""Display unit of parameters that are small in their unit."""
 
 
 def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:

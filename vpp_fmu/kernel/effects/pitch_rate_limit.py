@@ -4,7 +4,7 @@
     form 3:    the command itself is led to its goal at `rate`, before the lags
 
 The instant at which the limit ends lies between samples: until then the lag runs straight, from there it relaxes. Form 3
-takes the response to what the led command lacks off the lags, which are linear in it.
+subtracts the response to the error of the limited command from the lags, which are linear in it.
 """
 
 from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance

@@ -1,4 +1,4 @@
-"""A rotor that stands starts late: its controller must find the poles before it turns, which no later command waits for.
+"""A rotor at rest starts late: its controller must find the poles before it turns, which delays no later command.
 
     from the command that leaves rest on, the motor does nothing for `wait` seconds
 
@@ -23,12 +23,12 @@ def _step(ops, s, x, p, dt):
     return {"omega_error": s.omega_error * acts}, {"since": ops.where(at_rest, 0.0, ops.minimum(x.since + dt, LONG))}
 
 
-LONG = 1000.0  # s; a rotor that turns when a record begins has been started long ago
+LONG = 1000.0  # s; a rotor that turns at the start of a record was started long before
 
 
 EFFECT = Effect(
     "start_from_rest",
-    "a rotor that stands starts late",
+    "a rotor at rest starts late",
     _step,
     parameters=(Parameter("wait", "s", 0.0, 0.0, 0.6, "time for which the motor waits before it turns", 0.05, scale="time"),),
     states=(State("since", "s", "time since the rotor left rest", lambda ops, s, p: ops.where(_at_rest(ops, s), 0.0, LONG)),),

@@ -1,4 +1,4 @@
-"""The adaptive twin as a model: its inputs and outputs, what is known at the start, and what becomes of that in a sample."""
+"""The adaptive twin as a model: its inputs and outputs, the initial state, and the update by a sample."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import ceil
@@ -26,8 +26,8 @@ def adapted_by_default(values: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def plausible_change(plant: Model, name: str, value: float) -> float:
-    """A size of a change of a plant's parameter that is worth finding, in its unit: what its effect's probe adds to what it is
-    where off; half the value of what is always present. KeyError: the plant has none of this name."""
+    """A plausible change of a plant's parameter, in its unit: its effect's probe less its value when off; half the value of a
+    permanent parameter. KeyError: the plant has none of this name."""
     for e in plant.effects:
         for p in e.parameters:
             if e.full(p.name) == name:
@@ -37,11 +37,11 @@ def plausible_change(plant: Model, name: str, value: float) -> float:
 
 
 def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME) -> Model:
-    """A sampled model that runs beside what `plant` is a model of, and adapts its parameters `adapted` (by full name; KeyError:
-    it has none of this name).
+    """A sampled model that runs beside the rig of `plant`, and adapts its parameters `adapted` (by full name; KeyError: it has
+    none of this name).
 
-    Its parameters are the plant's, under their names, and its own. Commands are those that act from the sample on, readings as
-    they stand there. Commands that the plant holds back pass a Pade dead time instead: a sampled law has no delay lines. What
+    Its parameters are the plant's, under their names, and its own. Commands are those that act from the sample on, readings
+    are those of that time. Commands that the plant delays pass a Pade dead time: a sampled law has no delay lines. What
     the plant's forms are good for in one step decides how many it takes in a sample, at most `sample_time` where that matters.
     """
     adapted = tuple(adapted)
@@ -143,7 +143,7 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         Parameter("white", "N", 0.05, 1e-6, 1e4, "white noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow", "N", 0.02, 0.0, 1e4, "slow noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
-        Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model where it stands, standard deviation", 0.05),
+        Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model at the operating point, standard deviation", 0.05),
         Parameter(
             "moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05
         ),

@@ -1,4 +1,4 @@
-"""The plant's step on dual numbers: what a twin predicts, and how that depends on what it adapts."""
+"""The plant's step on dual numbers: the twin's prediction and its sensitivity to the adapted parameters."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -14,16 +14,16 @@ from vpp_fmu.kernel.twin.noises import nothing
 from vpp_fmu.kernel.types import Effect, Model, State, start, step
 
 SAMPLE_TIME = 0.004
-"""s: the rig's tick."""
+"""The rig's tick, s."""
 
 BROUGHT = ("sensor_gain", "pitch_offset", "sensor_drift")
-"""Effects that a twin has in any case: what differs between two days of a rig, and is nothing in its identification."""
+"""Effects of every twin: those that differ between two days of a rig, and that its identification does not have."""
 
 COEFFICIENTS = tuple(p.name for p in THRUST_MAP.parameters)
 
 
 def _sampled(plant: Model) -> Model:
-    """The plant with a dead time in the place of each delay, which the schedule of a sampled law doesn't have."""
+    """The plant with a dead time instead of each delay, which the schedule of a sampled law doesn't have."""
     return replace(plant, effects=tuple(_held_back(e) if e.delays else e for e in plant.effects))
 
 
@@ -31,7 +31,7 @@ def _held_back(e: Effect) -> Effect:
     def step(ops, s, x, p, dt):
         late, ahead = {}, {}
         for u, delay in e.delays.items():
-            # The command stands over the step: to the dead time it is as if it had stood there before.
+            # The command is constant over the step, so the dead time takes its value before the step as well.
             state = SimpleNamespace(before=getattr(s, u), behind=getattr(x, f"{u}.behind"), rate=getattr(x, f"{u}.rate"))
             late[u], after = dead_time(ops, state.before, state, getattr(p, delay), dt)
             ahead |= {f"{u}.behind": after["behind"], f"{u}.rate": after["rate"]}
@@ -186,7 +186,7 @@ def ahead_of(name: str) -> str:
 
 
 def settled_ones(plant: Model, adapted: tuple[str, ...]) -> tuple[bool, ...]:
-    """Of each adapted parameter, whether it shows while everything stands; the others show on the way alone, as a lag does."""
+    """For each adapted parameter, whether it changes static outputs; the others change only transients, like a lag."""
     duals, defaults = Duals(NUMBERS, len(adapted)), plant.values()
     values = {name: duals.constant(value) for name, value in defaults.items()}
     for i, name in enumerate(adapted):
