@@ -1,4 +1,4 @@
-"""One user a rig: nothing is opened, and no output written, before this process alone has it."""
+"""One process per rig: no device is opened and no output written before the process has the lock."""
 
 import fcntl
 import os
@@ -24,7 +24,7 @@ def locked(chip: Path) -> int:
 
 
 def _holder(at: os.stat_result) -> str:
-    """Who has a lock on the file, in words; the kernel lists them."""
+    """Holder of a lock on the file, in words, from the kernel's list."""
     wanted = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
     try:
         for line in Path("/proc/locks").read_text().splitlines():

@@ -74,11 +74,11 @@ def _trip(numbers: memoryview, outputs: list[tuple[int, bytes]], report: int, wh
     # The page first: a loop that comes back to life between the two must see it before it writes a pulse.
     numbers[TRIPPED] = time.monotonic()
     failed = write_idle(outputs)
-    stood = time.monotonic()
+    written = time.monotonic()
     for descriptor, _ in outputs:
         with contextlib.suppress(OSError):  # sysfs has nothing to sync
             os.fsync(descriptor)
-    _tell(report, f"the loop is {why}; " + ("; ".join(failed) or "idle pulse written"), stood)
+    _tell(report, f"the loop is {why}; " + ("; ".join(failed) or "idle pulse written"), written)
 
 
 def _tell(report: int, what: str, at: float | None = None) -> None:
