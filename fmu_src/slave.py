@@ -2,7 +2,7 @@
 
 An export is one file: schedule.py, the table of calls, this text, the generated functions and a class that names them
 (`vpp_fmu.export`). It travels alone, so it may import nothing but the standard library and pythonfmu, which travels with it;
-what is imported of this project below is dropped on the way, since it then stands in the same file.
+what is imported of this project below is removed at the export, since it is then in the same file.
 
 All values live in one list `v`, in the order of the value references: inputs, outputs, parameters, states.
 

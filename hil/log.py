@@ -53,7 +53,7 @@ class Logged:
 
 
 class Log(Protocol):
-    """Takes rows of numbers, one float a column; the file stands when `close` returns."""
+    """Takes rows of numbers, one float per column; the file is complete when `close` returns."""
 
     broken: str
     """Why rows no longer reach the file; empty while they do."""
@@ -174,7 +174,7 @@ class ProcessLog:
 class Reader:
     """Reads a ProcessLog's memory from another process, while the loop writes to it: `width` numbers a row in `slots` places.
 
-    A row is whole once the next one stands in its place, later in its first column, the time.
+    A row is complete once the next one is written, with a later time in the first column.
     """
 
     def __init__(self, shared: int, slots: int, width: int):

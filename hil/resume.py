@@ -1,4 +1,4 @@
-"""What a campaign's part that did not come to its end has measured: of its logs and the events beside them."""
+"""Data of an unfinished part of a campaign, from its logs and the events beside them."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from vpp_fmu.record import Record
 
 
 def log_name(folder: Path, part: str) -> str:
-    """The log of a part's next attempt: each has its own."""
+    """The log of a part's next attempt; each attempt has its own."""
     names = (f"log_{part}.csv.gz" if k == 1 else f"log_{part}-{k}.csv.gz" for k in range(1, 1000))
     return next(name for name in names if not events_of(folder / name).exists())
 
@@ -67,7 +67,7 @@ def piece(log: Record, first: int, count: int) -> Record:
 
 
 def partial(part: str, have: list) -> Record | None:
-    """What was measured as a record, None where that is nothing."""
+    """The measured data as a record; None without any."""
     if not have:
         return None
     return static_record(have) if part == "static" else steps_record(have) if part == "steps" else have[0]

@@ -1,4 +1,4 @@
-"""How well a loop kept its time: the histogram of lateness, and what it says."""
+"""Timing of a loop: the histogram of lateness and its percentiles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -126,7 +126,7 @@ def ink(colour: str) -> str:
     if colour.startswith("rgb("):
         return colour
     if colour not in SCHEME:
-        raise ValueError(f"{colour} stands in no scheme: it may not show on dark")
+        raise ValueError(f"{colour} is in no scheme: it may be invisible on dark")
     return f"var(--{SCHEME[colour][0]})"
 
 
