@@ -87,13 +87,13 @@ class Setup:
         """For `hil.json`."""
         kind = "real" if self.emulated is None else "emulated"
         hidden = list(self.emulated.hidden) if self.emulated else []
-        told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
-        told |= {"allowed": self.allowed.summary()}
+        found = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
+        found |= {"allowed": self.allowed.summary()}
         if self.calibration.supply:
-            told["supply"] = list(self.calibration.supply)
+            found["supply"] = list(self.calibration.supply)
         if self.emulated:
-            told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
-        return told
+            found |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
+        return found
 
 
 class Session:

@@ -67,7 +67,7 @@ def test_where_blades_stall_only_the_pitch_that_records_use_counts():
 
 
 @pytest.mark.parametrize(
-    ("speeds", "pitches", "untold"),
+    ("speeds", "pitches", "not_identifiable"),
     [
         (np.linspace(2000.0, 6000.0, 9), [3.0], {"c20", "c11", "c21", "c12"}),  # w^3 alone bears no power of b
         ([5000.0], np.linspace(-5.0, 10.0, 9), {"c20", "c11", "c30", "c21"}),  # w^j b^2 alone has a power of its own
@@ -154,7 +154,7 @@ def test_no_point_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("axis", "level", "untold"),
+    ("axis", "level", "not_identifiable"),
     [("beta_ref", 10.0, {"c20", "c11", "c21", "c12"}), ("omega_ref", 6000.0, {"c20", "c30", "c11", "c21"})],
 )
 def test_a_grid_at_one_level_tells_what_it_can(axis, level, not_identifiable):

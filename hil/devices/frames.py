@@ -27,7 +27,7 @@ TICK = 4e-6
 """Resolution of the board's timer [s]: 16 MHz / 64."""
 
 STALLED, MEASURED, CLOSED, SILENT = 0x01, 0x02, 0x04, 0x08
-"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened automatically, since no
+"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened automatically: no
 request came, and was not armed since."""
 
 _HELLO, _ANSWER = struct.Struct("<BBHH"), struct.Struct("<LLHHBB")

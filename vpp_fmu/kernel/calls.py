@@ -30,7 +30,7 @@ SLACK = 1e-3
 different ways. A nanosecond per second is allowed besides, for very short steps."""
 
 LOG_CATEGORIES = {
-    "logEvents": "what the instance was brought to: initialised, tuned, terminated; told only where logging is on",
+    "logEvents": "what the instance was brought to: initialised, tuned, terminated; only if logging is on",
     "logStatusWarning": "what was ignored, and why",
     "logStatusDiscard": "questions without an answer",
     "logStatusError": "calls that failed, and why",
