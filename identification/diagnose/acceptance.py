@@ -71,8 +71,8 @@ class Judge:
         """(log-likelihood gain of an effect by channel; how much of it errors in the forms of the others may cause). A band
         counts by the noise power that it holds."""
         gains, explained, by_forms = (
-            with_it.score.likelihood_gain(without.score),
-            without.score.likelihood_gain(self.base.score),
+            with_it.score.gain_over(without.score),
+            without.score.gain_over(self.base.score),
             0.0,
         )
         for channel in [c for c, likelihood_gain in gains.items() if likelihood_gain > 0.0]:

@@ -55,11 +55,11 @@ def run(options):
     say_written(folder, lines=map(sentence, steps(done, limits=controller.limits)))
 
 
-def add_twin(page: Page, time: np.ndarray, sentence: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
+def add_twin(page: Page, time: np.ndarray, outputs: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
     """Add the outputs (rows,) of an adaptive twin by name, with the units of its variables."""
-    page.figure(residual_in_band(time, sentence), f"Measured thrust less the twin's. {thinning(len(time))}")
+    page.figure(residual_in_band(time, outputs), f"Measured thrust less the twin's. {thinning(len(time))}")
     own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
-    page.figure(adapted_parameters(time, sentence, own), "The twin's adapted parameters.")
+    page.figure(adapted_parameters(time, outputs, own), "The twin's adapted parameters.")
 
 
 def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
