@@ -2,7 +2,7 @@
 
 An export is one file: schedule.py, the table of calls, this text, the generated functions and a class that names them
 (`vpp_fmu.export`). It travels alone, so it may import nothing but the standard library and pythonfmu, which travels with it;
-what is imported of this project below is dropped on the way, since it then stands in the same file.
+what is imported of this project below is removed at the export, since it is then in the same file.
 
 All values live in one list `v`, in the order of the value references: inputs, outputs, parameters, states.
 
@@ -62,7 +62,7 @@ RELEASED = set()
 def _release_at_exit(resources):
     """Have pythonfmu's binary release the interpreter when Python ends, which is before the process does.
 
-    What it does by itself at the end of the process then finds nothing to release. Only ELF and Mach-O systems run it in the
+    What it does at the end of the process then finds nothing to release. Only ELF and Mach-O systems run it in the
     wrong order, and only they have RTLD_NOLOAD: the library that is loaded is meant, no second one.
     """
     if resources in RELEASED or not hasattr(os, "RTLD_NOLOAD"):
@@ -268,7 +268,7 @@ class TracedSlave(Fmi2Slave):
             if state["tag"] != cls.TAG:
                 raise ValueError
         except (ValueError, KeyError, TypeError, RecursionError):
-            # Which instance was asked isn't told, so all are kept.
+            # The call does not name the instance, so all are kept.
             _kept(*(instance for instance in ALIVE if type(instance) is cls))
             raise Refused(f"{cls.NAME}: these {len(data)} bytes are no serialised state of this FMU") from None
         return state

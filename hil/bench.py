@@ -1,4 +1,4 @@
-"""The devices of one rig, emulated or real: whoever drives them can't tell."""
+"""The devices of one rig, emulated or real, with the same interface."""
 
 import contextlib
 import fcntl
@@ -20,7 +20,7 @@ ESC, LAC = 0, 1
 """Outputs of the PWM chip (GPIO 12 and 13, hil/README.md)."""
 
 ESC_BOOT = 4.0
-"""s that an ESC takes from its supply to its ready tone, with the idle pulse standing."""
+"""Time from an ESC's supply to its ready tone with the idle pulse on, s."""
 
 
 @dataclass
@@ -43,8 +43,8 @@ class Bench:
     supply: Supply | None = None
 
     def open(self) -> "Bench":
-        """Set the devices up: the lock before anything, then the outputs, so that the idle pulse stands. DeviceFault NOT_READY
-        says what isn't."""
+        """Set the devices up: first the lock, then the outputs with the idle pulse. DeviceFault NOT_READY names a device that
+        is not ready."""
         calibration = self.calibration
         try:
             self.lock = locked(self.esc.folder.parent)
@@ -73,12 +73,12 @@ class Bench:
 
     @property
     def counters(self) -> dict[str, Mapping[str, int]]:
-        """What each device counted."""
+        """Counters of each device."""
         devices = (self.adc, self.tachometer, self.esc, self.lac, *((self.supply,) if self.supply else ()))
         return {device.name: dict(device.counters) for device in devices}
 
     def close(self) -> None:
-        """The idle pulse, and let go of everything."""
+        """Write the idle pulse, and close all devices."""
         self.ends.close()
 
 
@@ -94,7 +94,7 @@ class Wiring:
 
 
 def real_bench(calibration: Calibration, wiring: Wiring) -> Bench:
-    """The rig on this machine. DeviceFault NOT_READY where a device is missing."""
+    """The rig on this machine. DeviceFault NOT_READY if a device is missing."""
     clock, chip = MonotonicClock(), find_chip(wiring.pwm)
     bench = Bench(
         clock,
@@ -123,7 +123,7 @@ def supply(calibration: Calibration, bus: int | str, clock: Clock) -> Supply | N
 
 
 def check_limits(path: str, calibration: Calibration, beta_min: float, beta_max: float) -> None:
-    """BadInput where a limit lets a pitch pass that the calibration has no pulse for."""
+    """BadInput if the limits allow a pitch for which the calibration has no pulse."""
     for name, value in (("beta_min", beta_min), ("beta_max", beta_max)):
         if not calibration.pitch_min <= value <= calibration.pitch_max:
             allowed = f"{calibration.pitch_min:g} to {calibration.pitch_max:g} deg, as the calibration has it"

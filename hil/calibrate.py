@@ -1,7 +1,7 @@
 """Measuring a rig's calibration: weights on the load cell, pulses to the pitch, the pulse at which the motor starts.
 
-Nothing but the last turns anything, and that without a propeller. What a person does or reads is asked of a `Guide`; where the
-rig is emulated, its emulated hand does it.
+Only the last one turns the motor, without a propeller. A `Guide` asks a person for actions and readings; on the emulated rig an
+emulated hand acts.
 """
 
 import contextlib
@@ -35,13 +35,13 @@ READINGS = 1000
 """Of the load cell at each weight: 4 s."""
 TRIES = 3
 PUSH = 2.0
-"""N of an emulated hand, where a person presses lightly."""
+"""Force of the emulated hand for a light press, N."""
 SURE = 10.0
-"""Standard errors by which a push must show."""
+"""Standard errors that a push must exceed."""
 SETTLES = 2.0
-"""s that the pitch's rod is given at each pulse."""
+"""Settling time of the pitch's rod at each pulse, s."""
 STEP, HOLD, HIGHEST = 5e-6, 0.4, 200e-6
-"""s: the throttle's pulse rises by so much, every so often, by so much at most: an eighth of the usual range."""
+"""Increment of the throttle's pulse, its interval, and its largest total, an eighth of the usual range; s."""
 MARGIN = 20e-6
 """s by which the idle pulse lies below the one at which the motor started."""
 TURNS = 2
@@ -49,17 +49,17 @@ TURNS = 2
 
 
 class CalibrationRefused(VppError):
-    """What was measured is no calibration: the message says what speaks against it."""
+    """The measurements give no valid calibration; the message says why."""
 
 
 class Guide(Protocol):
-    """The person at the rig. Each returns when it is done."""
+    """The person at the rig. Each method returns when it is done."""
 
     def do(self, what: str) -> None:
-        """Something to be done."""
+        """Ask for an action."""
 
     def read(self, what: str) -> float:
-        """A number to be read off."""
+        """Ask for a reading."""
 
     def choice(self, what: str, words: Sequence[str]) -> str:
         """One of some words."""
@@ -159,7 +159,7 @@ def _rise(values: Sequence[float]) -> bool:
 
 def line(forces: Sequence[float], counts: Sequence[float]) -> LoadCell:
     """The load cell's line by least squares: counts = zero + force / newton_per_count; forces (n,) [N] are known, counts (n,)
-    are read. CalibrationRefused where it has no slope, or fewer than two forces."""
+    are read. CalibrationRefused: no slope, or fewer than two forces."""
     x, y = np.asarray(forces, float), np.asarray(counts, float)
     if np.ptp(x) == 0.0 or len(x) < 3:
         found = f"{len(x)} readings under {len(set(x.tolist()))} weights"
@@ -208,8 +208,8 @@ def _check_sign(bench: Bench, guide: Guide, found: LoadCell) -> None:
 
 
 def pitched(bench: Bench, guide: Guide, pulses: Sequence[float]) -> PitchTable:
-    """Blade pitch at `pulses` (n,) [s], approached from below and then from above. CalibrationRefused where it does not rise or
-    fall throughout."""
+    """Blade pitch at `pulses` (n,) [s], approached from below and then from above. CalibrationRefused if it is not
+    monotonic."""
 
     def at(pulse: float) -> float:
         bench.lac.set(pulse)
@@ -273,8 +273,8 @@ def started(bench: Bench, report: Path, supervised: bool) -> float:
 
 
 def adopted(before: Calibration, measured: Measured, who: str, when: str) -> Calibration:
-    """The calibration with what was measured, by whom and when in its source. Pitches that a run may command stay where the
-    new table lets them."""
+    """The calibration with the measured parts, by whom and when in its source. The pitch limits of a run stay if the new table
+    contains them."""
     cell, pitch, throttle = measured.cell, measured.pitch, measured.throttle
     own = {"who": who, "when": when, "how": "vpp hil calibrate"}
     source = {key: value for key, value in before.source.items() if key not in ("who", "when")}
@@ -296,7 +296,7 @@ def adopted(before: Calibration, measured: Measured, who: str, when: str) -> Cal
 
 
 def _mean(bench: Bench) -> tuple[float, float]:
-    """(mean, its standard error) of the load cell's counts at rest. TareRefused where it does not rest, three times over."""
+    """(mean, its standard error) of the load cell's counts at rest. TareRefused after three unsteady attempts."""
     for left in reversed(range(TRIES)):
         counts = [bench.adc.read().counts for _ in _ticks(bench, READINGS)]
         try:
@@ -310,14 +310,14 @@ def _mean(bench: Bench) -> tuple[float, float]:
 
 
 def _hand(bench: Bench, force: float) -> None:
-    """What a person's hand does, where the rig is emulated [N]."""
+    """Set the force [N] of the emulated hand."""
     if bench.hand:
         bench.hand(force)
         _wait(bench, 0.1)
 
 
 def _ticks(bench: Bench, count: int):
-    """Pauses of a tick, `count` times."""
+    """Pause for a tick, `count` times."""
     begun = bench.clock.now()
     for k in range(1, count + 1):
         bench.clock.wait_until(begun + k * PERIOD)

@@ -1,4 +1,4 @@
-"""What turns the rig's raw numbers into newtons and degrees and back: read from a file, checked, hashed into every record."""
+"""The rig's calibration: raw numbers to newtons and degrees and back; read from a file, checked, its hash in every record."""
 
 import hashlib
 import json
@@ -17,16 +17,16 @@ from vpp_fmu.structured import as_json, read_json, shown
 FORMAT = "vpp-calibration/1"
 
 ADDRESSES = (0x49, 0x4A, 0x4B)
-"""Of the second ADC: its ADDR pin on VDD, SDA or SCL. The first one's is on ground."""
+"""Addresses of the second ADC: ADDR pin on VDD, SDA or SCL. The first one's is on ground."""
 SINGLE = tuple(channel for channel in INPUTS if "-" not in channel)
 
 RATES = (475, 860)
-"""Conversions a second that a loop of 250 Hz never reads twice, also with the ADC's clock 10 % slow."""
+"""Conversion rates at which a loop of 250 Hz reads no conversion twice, also with the ADC's clock 10 % slow."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The rig's calibration. `zero`: counts without load when it was calibrated; the tare before each run comes near it.
+    """The rig's calibration. `zero`: counts without load at the calibration; the tare before each run is near it.
 
     `pulses` [s], increasing, and `pitches` [deg], falling or rising, are the table of blade pitch against the LAC's pulse;
     between its points it is straight. `rest_pitch` is where the blades idle. `supply`: what of voltage, current and temperature
@@ -58,7 +58,7 @@ class Calibration:
 
     @property
     def sha256(self) -> str:
-        """Of the numbers, however the file writes them; `source` is not part of it."""
+        """Hash of the numbers, independent of their format in the file; without `source`."""
         canonical = json.dumps(_content(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -83,7 +83,7 @@ class Calibration:
         return _between(self.pitches, self.pulses, beta)
 
     def pitch(self, pulse: float) -> float:
-        """The blade pitch [deg] at a LAC's pulse [s], as `lac_pulse`; beyond the table's ends the rod stands at its stops."""
+        """The blade pitch [deg] at a LAC's pulse [s], as `lac_pulse`; beyond the table's ends the rod is at its stops."""
         return _between(self.pulses, self.pitches, min(max(pulse, self.pulses[0]), self.pulses[-1]))
 
 
@@ -158,17 +158,17 @@ def _supply(path: str | os.PathLike, given: Mapping) -> tuple[int, dict[str, Inp
 
 
 SECTIONS = ("load_cell", "esc", "pitch")
-"""What has to be measured."""
+"""Sections that must be measured."""
 
 
 def never_measured(calibration: Calibration) -> list[str]:
-    """Of SECTIONS those of which `source` doesn't say who measured them, and when: for itself, or for the whole file."""
+    """SECTIONS for which `source` has no person and date, neither for the section nor for the whole file."""
 
-    def told(entry: object) -> bool:
+    def has_source(entry: object) -> bool:
         return isinstance(entry, Mapping) and bool(entry.get("who")) and bool(entry.get("when"))
 
     source = calibration.source
-    return [] if told(source) else [section for section in SECTIONS if not told(source.get(section))]
+    return [] if has_source(source) else [section for section in SECTIONS if not has_source(source.get(section))]
 
 
 def to_json(calibration: Calibration) -> str:
@@ -199,18 +199,18 @@ def _check_table(path: str | os.PathLike, pulses: Sequence[float], pitches: Sequ
         raise BadInput(path, f"{where}pulse", f"{len(pulses)} values", "2 or more")
     if len(pitches) != len(pulses):
         raise BadInput(path, f"{where}pitch", f"{len(pitches)} values", f"{len(pulses)}, as many as pulse has")
-    if not _rises(pulses):
+    if not _increasing(pulses):
         raise BadInput(path, f"{where}pulse", shown(list(pulses)), "values that rise")
-    if not _rises(pitches) and not _rises(pitches[::-1]):
+    if not _increasing(pitches) and not _increasing(pitches[::-1]):
         raise BadInput(path, f"{where}pitch", shown(list(pitches)), "values that only rise or only fall")
 
 
-def _rises(values: Sequence[float]) -> bool:
+def _increasing(values: Sequence[float]) -> bool:
     return all(a < b for a, b in pairwise(values))
 
 
 def check(path: str | os.PathLike, c: Calibration) -> None:
-    """What holds between fields. BadInput names the first that does not."""
+    """Check relations between fields. BadInput names the first that is violated."""
     _check_table(path, c.pulses, c.pitches)
     low, high, longest = min(c.pitches), max(c.pitches), c.pulses[-1]
     rules = (

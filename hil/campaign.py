@@ -1,7 +1,7 @@
 """A measuring campaign on the rig: the paper's static map and steps, and records for fine-tuning and validation.
 
-Each part is a run of its own: tare, arm, run, ramp down. A row holds what was sampled at its time, then the command that acts
-from it on; `omega` is the tachometer's held value.
+Each part is a separate run: tare, arm, run, ramp down. A row holds the samples of its time, and the command that acts from then
+on; `omega` is the tachometer's held value.
 """
 
 import math
@@ -22,13 +22,13 @@ from vpp_fmu.rig import Rig as Ranges
 PARTS = ("static", "steps", "open_loop", "repeat", "validation")
 
 APPROACH = 0.25
-"""Share of the pitch's range below its first value, from where pitch comes to it in one step: the ramp of the spin-up is many
-small commands, which a dead band may not hear, and leaves play where nobody knows. 5 of 20 deg."""
+"""Distance below the first pitch, as a share of the range, from which one step leads to it: a dead band may ignore the small
+commands of the spin-up's ramp, and the position within any play is unknown after it. 5 of 20 deg."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is measured. Defaults are the paper's: 10 x 10 points, 3 s to settle, 5000 samples each; steps of 5 s + 5 s.
+    """Size of a campaign. Defaults are the paper's: 10 x 10 points, 3 s to settle, 5000 samples each; steps of 5 s + 5 s.
 
     `points` a side of the grid; `settle` s; `samples` a point; `levels` of the other command for the steps; `before`, `after`
     [s] of a step that are recorded; `section` s of the three of the open loop; `validation` s. `seed`: of the sequences.
@@ -46,7 +46,7 @@ class Plan:
 
 
 def plan_for(rig: Ranges) -> Plan:
-    """The paper's plan in a rig's own time: what takes it longer is given longer, nothing less than the paper's."""
+    """The paper's plan with durations scaled up by the rig's time scale, never below the paper's."""
     plan, longer = Plan(), max(rig.scales.time_scale / PAPERS.scales.time_scale, 1.0)
     times = ("settle", "before", "after", "section", "validation")
     return replace(plan, **{name: longer * getattr(plan, name) for name in times})
@@ -92,12 +92,12 @@ def limits_for(allowed: Ranges, where: str, file: str | None = None, steps: bool
 
 
 def parts_for(rig: Ranges) -> tuple[str, ...]:
-    """What a campaign consists of; a rig whose speed and pitch both stand has no steps."""
+    """Parts of a campaign; a rig with constant speed and pitch has no steps."""
     return tuple(part for part in PARTS if part != "steps" or commands.steps(1, rig))
 
 
 def seconds(plan: Plan, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
-    """How long the parts take on the rig [s], without tare and spin-up."""
+    """Duration of the parts on the rig [s], without tare and spin-up."""
     takes = {
         "static": len(commands.grid(plan.points, rig)) * (plan.settle + PERIOD * plan.samples),
         "steps": len(commands.steps(plan.levels, rig)) * (plan.settle + plan.before + plan.after),
@@ -111,8 +111,8 @@ def seconds(plan: Plan, parts: Iterable[str], rig: Ranges = PAPERS) -> float:
 def measure(
     rig: Rig, part: str, plan: Plan, progress: Callable[[float], None], allowed: Ranges = PAPERS, have: Sequence = ()
 ) -> Record:
-    """One part as its file holds it, with commands within what is `allowed`; `progress` is told the share done; `have`: what
-    was measured of it already (`hil.campaign_folder`). RunEnded where the rig ended it."""
+    """Measure one part, with commands within the `allowed` limits; `progress` is called with the share done; `have`: data that
+    are measured already (`hil.campaign_folder`). RunEnded if the rig ended it."""
     if part == "static":
         return static_map(rig, commands.grid(plan.points, allowed), plan.settle, plan.samples, progress, have)
     if part == "steps":
@@ -132,7 +132,7 @@ def static_map(
     """Means over `samples` readings at each point of the grid, after `settle` s; behind the rows that `have` holds. Each point
     is kept beside the log as soon as it is known."""
     rows = [tuple(row) for row in have]
-    rig.start(*grid[max(len(rows) - 1, 0)])  # from where the next point was to be reached
+    rig.start(*grid[max(len(rows) - 1, 0)])  # the point before, from which the next one is approached
     for k, point in list(enumerate(grid))[len(rows) :]:
         for _ in range(round(settle / rig.dt)):
             sample = rig.step(*point)
@@ -154,15 +154,15 @@ def static_record(rows: Sequence[Sequence[float]]) -> Record:
 
 
 def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress, have: Sequence[Record] = ()) -> Record:
-    """One step a run, told apart by `run`; each starts settled, its time from 0; behind the steps that `have` holds."""
+    """One step per run, numbered by `run`; each starts settled, its time from 0; after the steps in `have`."""
     parts = list(have)
     rig.start(*steps[min(len(parts), len(steps) - 1)].before)
     for k, one in list(enumerate(steps))[len(parts) :]:
         for _ in range(round(plan.settle / rig.dt)):
             rig.step(*one.before)
         counts = round(plan.before / rig.dt), round(plan.after / rig.dt)
-        told = np.repeat([one.before, one.after], counts, axis=0)
-        parts.append(recorded(rig, told))
+        targets = np.repeat([one.before, one.after], counts, axis=0)
+        parts.append(recorded(rig, targets))
         progress((k + 1) / len(steps))
     rig.stop()
     return steps_record(parts)
@@ -177,25 +177,25 @@ def steps_record(parts: Sequence[Record]) -> Record:
 
 def follow(rig: Rig, orders: Record, settle: float, progress) -> Record:
     """A record of commands at the loop's own times, settled for `settle` s on the first."""
-    told = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
-    omega, beta = told[0].tolist()
+    targets = np.column_stack([orders["omega_ref"], orders["beta_ref"]])
+    omega, beta = targets[0].tolist()
     rig.start(omega, beta)
     below = beta - APPROACH * (rig.limits.beta_max - rig.limits.beta_min)
     for pitch in (max(below, rig.limits.beta_min), beta):
         for _ in range(round(settle / rig.dt)):
             rig.step(omega, pitch)
-    record = recorded(rig, told, progress)
+    record = recorded(rig, targets, progress)
     rig.stop()
     return record
 
 
-def recorded(rig: Rig, told: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
-    """What the rig shows under commands (rows, 2), from time 0. Of slots that were missed nothing is known but the command."""
-    count, first = len(told), rig.ticks.slot
+def recorded(rig: Rig, targets: np.ndarray, progress: Callable[[float], None] = lambda share: None) -> Record:
+    """A record of the rig under commands (rows, 2), from time 0. Missed slots have the command only."""
+    count, first = len(targets), rig.ticks.slot
     rig.keep(record={"first": first, "count": count})
     rows, k = np.full((count, 4), np.nan), 0
     while k < count:
-        shown, (omega_ref, beta_ref) = rig.last, told[k].tolist()
+        shown, (omega_ref, beta_ref) = rig.last, targets[k].tolist()
         rig.step(omega_ref, beta_ref)
         after = min(rig.ticks.slot - first, count)
         rows[k:after, :2] = rig.acting
@@ -209,5 +209,5 @@ def recorded(rig: Rig, told: np.ndarray, progress: Callable[[float], None] = lam
 
 
 def same_commands(first: Record, second: Record) -> bool:
-    """Whether two records had the same commands throughout: a slot that was missed where a command changed tells them apart."""
+    """Whether two records had the same commands throughout: they differ if a slot was missed at a change of a command."""
     return all(np.array_equal(first[name], second[name]) for name in ("time", "omega_ref", "beta_ref"))

@@ -1,4 +1,4 @@
-"""Time as the rig's code sees it: the machine's own, or one that moves only when somebody waits."""
+"""The clock of the rig's code: the machine's, or a virtual one that moves only in `wait_until`."""
 
 import ctypes
 import errno
@@ -17,13 +17,13 @@ class Clock(Protocol):
         """The time [s]."""
 
     def wait_until(self, when: float) -> float:
-        """Sleep until the time is `when` [s]; returns by how much it is past that [s], 0 or more. The past returns at once."""
+        """Sleep until the time is `when` [s]; returns the delay after that [s], 0 or more. A past time returns at once."""
 
 
 class MonotonicClock:
     """The machine's monotonic clock; setting the time of day doesn't move it.
 
-    Sleeps to an absolute time (clock_nanosleep, TIMER_ABSTIME): what the loop's own work took doesn't add up, as it does with
+    Sleeps to an absolute time (clock_nanosleep, TIMER_ABSTIME): the duration of the loop's work does not add up, as with
     relative sleeps. Linux only.
     """
 
@@ -41,7 +41,7 @@ class MonotonicClock:
         if late >= 0.0:
             return late
         self._until.seconds, self._until.nanoseconds = divmod(round(when * 1e9), 1_000_000_000)
-        # Python runs the handlers of signals between two calls; the same deadline stands after them.
+        # Python runs signal handlers between two calls; the deadline stays the same.
         while code := self._sleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, self._address, None):
             if code != errno.EINTR:
                 raise OSError(code, os.strerror(code))
@@ -53,7 +53,7 @@ class _Timespec(ctypes.Structure):
 
 
 class VirtualClock:
-    """A clock that moves only in `wait_until`, and then at once; each of `listeners` is told the new time [s] and follows.
+    """A clock that moves only in `wait_until`, and then at once; each of `listeners` is called with the new time [s].
 
     With it a run of many minutes takes as long as its arithmetic, and is the same every time.
     """

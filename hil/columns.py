@@ -1,4 +1,4 @@
-"""What a tick leaves in the log, and what the live view shows of it."""
+"""Columns of a tick in the log, and of the live view."""
 
 from collections.abc import Mapping, Sequence
 
@@ -37,7 +37,7 @@ then on; throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] 
 work took, how many slots were missed before it; what is read of the motor's supply [V, A, degC]."""
 
 LEARNED = "twin."
-"""Before the outputs of the adaptive twin, where one ran: they stand behind the others, empty but while a loop was closed."""
+"""Prefix of the adaptive twin's outputs: the last columns, which have values only while a loop is closed."""
 
 RUN = ("thrust_set", "omega_ref", "beta_ref", "thrust", "omega", "omega_wanted", "beta_wanted")
 """Columns of `run.csv`, beside `time`."""
@@ -60,7 +60,7 @@ SHOWN = (
     ("done", "3.0f", "%"),
     ("page", "s", ""),
 )
-"""What the live view shows of it: name, format, unit."""
+"""Columns of the live view: name, format, unit."""
 
 WORDS = {
     "state": STATES,
@@ -68,7 +68,7 @@ WORDS = {
     "adaptive twin": ("",),
     "page": ("", "the page is gone"),
 }
-"""For the numbers of SHOWN that stand for words."""
+"""Words for coded numbers of SHOWN."""
 
 
 def shown_beside(adapted: Mapping[str, str]) -> tuple[tuple[tuple[str, str, str], ...], dict[str, Sequence[str]]]:

@@ -1,6 +1,6 @@
-"""What a campaign tells the rig, in rpm and deg: the paper's grid and steps (section 3), and sequences for the fine-tuning.
+"""Commands of a campaign, in rpm and deg: the paper's grid and steps (section 3), and sequences for the fine-tuning.
 
-Everything stands in shares of the rig's ranges; the numbers in rpm and deg beside them are the paper's.
+All numbers are shares of the rig's ranges; those in rpm and deg beside them are the paper's.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ EDGES = (0.05, 0.975), (1.0 / 30.0, 29.0 / 30.0)
 5900 rpm, -4.5 to 9.5 deg."""
 
 RESTING = 0.625, 0.6
-"""Shares at which the channel that is not in play rests: 4500 rpm, 4 deg."""
+"""Constant shares of the channel that does not move: 4500 rpm, 4 deg."""
 
 _HOLDS = (0.8, 5.6)  # time scales for which one command is held: 0.4 to 2.8 s
 _SMALLEST, _LARGEST = -1.3, -0.05  # decades of a move's share of the range
@@ -34,14 +34,14 @@ class Step:
 
 
 def grid(points: int, rig: Rig = PAPERS) -> list[tuple[float, float]]:
-    """points x points commands of the static map, speed by speed as the paper's two loops; a channel that stands has one."""
+    """points x points commands of the static map, speed by speed as in the paper's two loops; one point for a fixed channel."""
     speeds, pitches = (np.linspace(*span, points if _moves(span) else 1) for span in (rig.speed, rig.pitch))
     return _points(rig, [(w, b) for w in speeds for b in pitches])
 
 
 def steps(levels: int = 5, rig: Rig = PAPERS) -> list[Step]:
-    """The paper's steps: five sizes up, five down, of speed at `levels` pitches and of pitch at `levels` speeds. A channel that
-    stands has none, and is one level for the other."""
+    """The paper's steps: five sizes up, five down, of speed at `levels` pitches and of pitch at `levels` speeds. A fixed
+    channel has no steps, and is one level for the other."""
     pairs = []
     up, down = np.linspace(0.125, 1.0, 5), np.linspace(0.875, 0.0, 5)
     if _moves(rig.speed):
@@ -68,7 +68,7 @@ def open_loop(seed: int, section: float, dt: float, rig: Rig = PAPERS) -> Record
 
 
 def validation(seed: int, seconds: float, dt: float, rig: Rig = PAPERS) -> Record:
-    """Both move, by other numbers than `open_loop` has."""
+    """Both move, with another random sequence than `open_loop`."""
     rng, rows = np.random.default_rng([seed, 1]), round(seconds / dt)
     return _record(rig, *(_levels(rng, rows, span, rig, dt) for span in _region(rig)), dt, "validation")
 
@@ -89,7 +89,7 @@ def operating_pitch(rig: Rig) -> tuple[float, float]:
 
 
 def _region(rig: Rig) -> list[tuple[float, float]]:
-    """Of speed and pitch, between what open-loop sequences stay."""
+    """Limits of open-loop sequences, for speed and pitch."""
     spans = rig.speed, operating_pitch(rig)
     return [tuple(_at(span, share) for share in edges) for span, edges in zip(spans, EDGES, strict=True)]
 
@@ -103,7 +103,7 @@ def _at(span: tuple[float, float], share: float) -> float:
 
 
 def _points(rig: Rig, targets: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Single commands, which the rig has all the time for."""
+    """Single commands without a slew limit."""
     return [tuple(point) for point in commanded(rig, np.array(targets), np.inf).tolist()]
 
 
@@ -118,5 +118,5 @@ def _levels(rng: np.random.Generator, rows: int, span: tuple[float, float], rig:
 
 
 def _record(rig: Rig, omega: np.ndarray, beta: np.ndarray, dt: float, source: str) -> Record:
-    told = commanded(rig, np.column_stack([omega, beta]), dt)
-    return Record({"time": np.arange(len(omega)) * dt, "omega_ref": told[:, 0], "beta_ref": told[:, 1]}, source)
+    commands = commanded(rig, np.column_stack([omega, beta]), dt)
+    return Record({"time": np.arange(len(omega)) * dt, "omega_ref": commands[:, 0], "beta_ref": commands[:, 1]}, source)

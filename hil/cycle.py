@@ -1,4 +1,4 @@
-"""One tick of the rig: drive the outputs, log, wait for the deadline, read the sensors, judge what they say."""
+"""One tick of the rig: drive the outputs, log, wait for the deadline, read the sensors, check the readings."""
 
 import contextlib
 import math
@@ -19,25 +19,25 @@ from hil.sensors import Sensors
 from hil.ticks import Tick, Ticks
 
 PERIOD = 0.004
-"""s, of the loop (paper: 250 Hz)."""
+"""Period of the loop, s (paper: 250 Hz)."""
 
 COUNTED = 250
-"""Ticks between two looks at what the devices have counted."""
+"""Ticks between two readings of the devices' counters."""
 
 NOBODY = (math.nan, math.nan)
-"""What a controller wants while there is none."""
+"""Values of a controller while there is none."""
 
 UNLEARNED = (math.nan, math.nan)
-"""What the live view has of an adaptive twin while there is none."""
+"""Values of an adaptive twin in the live view while there is none."""
 
 
 class Cycle:
     """The ticks with all that they touch, and the states that they may change.
 
-    `wanted`: what the controller follows [N]. `throttle` [1] and `commands` [rpm, deg] stand on the outputs. `residual` [N] and
+    `wanted`: the controller's set-point [N]. `throttle` [1] and `commands` [rpm, deg] are on the outputs. `residual` [N] and
     `alarm` are the twin's, for the log. `asked`: why the operator ends the run. `transitions`: (time [s], state, why).
-    `page`: the operator's, whose end is told and ends nothing. `adapted`: the adaptive twin's outputs, so many as `beside`, for
-    the log; `learned`: what the live view has of them (`Adaptive.shown`).
+    `page`: the operator's, whose end is logged and ends nothing. `adapted`: the adaptive twin's outputs for the log, as many as
+    `beside`; `learned`: those in the live view (`Adaptive.shown`).
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class Cycle:
         """Hold what was read against physics, the clock against its deadlines; and ask whether somebody wants it to end."""
         sensors = self.sensors
         if sensors.revolution is not None and self.states.state is SafetyState.RUN and not sensors.revolution.closed:
-            why = "100 ms without a request" if sensors.revolution.silent else "told to, or the board has started anew"
+            why = "100 ms without a request" if sensors.revolution.silent else "commanded, or the board has restarted"
             self.fault(Fault("relay", FaultKind.RELAY_OPEN, f"the board has opened it: {why}"))
         if sensors.revolution is not None:
             reading = Reading(
@@ -236,6 +236,6 @@ class Cycle:
 
 
 def healed(counters: Mapping[str, Mapping[str, int]]) -> dict[str, dict[str, int]]:
-    """Of what the devices counted, what went wrong and was borne; pulses are no trouble."""
+    """Counters of recovered device errors, without pulses."""
     found = {device: {what: n for what, n in counts.items() if n and what != "pulses"} for device, counts in counters.items()}
     return {device: counts for device, counts in found.items() if counts}

@@ -10,7 +10,7 @@ from vpp_fmu.structured import shown
 
 
 class Number(NamedTuple):
-    """What a number may be: its unit and its range, ends included. In the file it stands as {"value": x, "unit": u}."""
+    """Unit and range of a number, ends included. In the file it is {"value": x, "unit": u}."""
 
     unit: str
     lowest: float

@@ -21,7 +21,7 @@ _ERASE = "\r\x1b[K"
 
 
 class View(Protocol):
-    """Shows what it is told last."""
+    """Shows the latest values."""
 
     def show(self, *values: float) -> None:
         """The newest values."""

@@ -53,7 +53,7 @@ class Logged:
 
 
 class Log(Protocol):
-    """Takes rows of numbers, one float a column; the file stands when `close` returns."""
+    """Takes rows of numbers, one float per column; the file is complete when `close` returns."""
 
     broken: str
     """Why rows no longer reach the file; empty while they do."""
@@ -161,11 +161,11 @@ class ProcessLog:
             os.write(self._notes, _GOODBYE)
         os.close(self._pipe)
         os.close(self._notes)
-        told, _ = self._writer.communicate()
+        data, _ = self._writer.communicate()
         self._memory.close()
         os.close(self.shared)
         try:
-            rows, failure = json.loads(told)
+            rows, failure = json.loads(data)
         except ValueError:
             rows, failure = 0, f"the log's writer has died (exit code {self._writer.returncode})"
         return Logged(rows, self._lost + self._head - rows, failure)
@@ -174,7 +174,7 @@ class ProcessLog:
 class Reader:
     """Reads a ProcessLog's memory from another process, while the loop writes to it: `width` numbers a row in `slots` places.
 
-    A row is whole once the next one stands in its place, later in its first column, the time.
+    A row is complete once the next one is written, with a later time in the first column.
     """
 
     def __init__(self, shared: int, slots: int, width: int):
@@ -304,9 +304,9 @@ def write_rows(path: Path, columns: Sequence[Column], slots: int, shared: int, p
     memory = mmap.mmap(shared, slots * row.size)
     file, events, taken, goodbye = _File(path, columns), _Events(events_of(path)), 0, False
     os.set_blocking(notes, False)
-    while told := os.read(pipe, _BATCH):
-        file.add([row.unpack_from(memory, k % slots * row.size) for k in range(taken, taken + len(told))])
-        taken += len(told)
+    while data := os.read(pipe, _BATCH):
+        file.add([row.unpack_from(memory, k % slots * row.size) for k in range(taken, taken + len(data))])
+        taken += len(data)
         goodbye |= _heard(notes, events)
         time.sleep(_PAUSE)
     goodbye |= _heard(notes, events)
@@ -318,8 +318,8 @@ def _heard(notes: int, events: _Events) -> bool:
     """Keep the events that wait; whether a goodbye is among them. A line fits into a pipe's atomic write, or nearly."""
     lines = bytearray()
     with contextlib.suppress(BlockingIOError):
-        while told := os.read(notes, 1 << 16):
-            lines += told
+        while data := os.read(notes, 1 << 16):
+            lines += data
     goodbye = _GOODBYE in lines
     kept = bytes(lines).replace(_GOODBYE, b"")
     if kept:

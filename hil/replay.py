@@ -1,4 +1,4 @@
-"""A recorded run once more through a controller: what it saw, and whether it says the same."""
+"""Replay a recorded run through a controller, and compare its commands with the recorded ones."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from vpp_fmu.record import QUANTITIES, Record
 from vpp_fmu.report import Page, two_records
 
 WANTED = {"omega_ref": "omega_wanted", "beta_ref": "beta_wanted"}
-"""Columns of a rig's run that hold what the controller asked for; `omega_ref` and `beta_ref` hold what the limits let pass."""
+"""Columns of a rig's run with the controller's commands; `omega_ref` and `beta_ref` are those after the limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Replay:
 
 
 def replay(run: Record, controller: Controller) -> Replay:
-    """Feed the set-point and the thrust of each row of `run` to `controller`, and keep what it commands."""
+    """Feed the set-point and the thrust of each row of `run` to `controller`, and record its commands."""
     wanted, thrust = run["thrust_set"].tolist(), run["thrust"].tolist()
     controller.start(wanted[0], thrust[0])
     commands = np.array([controller.step(*row) for row in zip(wanted, thrust, strict=True)])

@@ -1,4 +1,4 @@
-"""The pages of the rig: the loop, what it differs from, the twin, the timing, what happened; and a calibration."""
+"""The pages of the rig: the loop, its comparison, the twin, the timing, the events; and a calibration."""
 
 from collections.abc import Mapping, Sequence
 
@@ -56,7 +56,7 @@ def add_timing(page: Page, found: Timing, limits_text: str) -> None:
 
 
 def lateness(found: Timing, title: str) -> go.Figure:
-    """Ticks by how late they began."""
+    """Number of ticks by lateness."""
     fig = style.figure(title, 340, legend=False)
     labels = [_edge(low) for low in EDGES[:-1]]
     last = max(k for k, count in enumerate(found.counts) if count) + 2
@@ -67,7 +67,7 @@ def lateness(found: Timing, title: str) -> go.Figure:
 
 
 def add_twin(page: Page, time: np.ndarray, residual: np.ndarray, alarm: np.ndarray, band: float, text: str) -> None:
-    """What the rig shows less what its twin says, all (rows,)."""
+    """The rig's thrust less its twin's, all (rows,)."""
     alarmed = np.flatnonzero(alarm > 0.5)
     begin = (
         f"from {time[alarmed[0]]:.2f} s on the rig was not its twin"
@@ -84,7 +84,7 @@ def add_twin(page: Page, time: np.ndarray, residual: np.ndarray, alarm: np.ndarr
 
 
 def add_counts(page: Page, counters: Mapping[str, Mapping[str, int]], transitions: Sequence[Sequence]) -> None:
-    """What the devices healed, and the states that the rig went through."""
+    """Recovered device errors, and the states of the rig."""
     page.table(("at [s]", "state", "why"), transitions, "States of the rig.")
     rows = [(device, name, count) for device, counts in counters.items() for name, count in counts.items()]
     page.table(("device", "what", "times"), rows, "What the devices counted.")
@@ -151,7 +151,7 @@ def _add_pitch_table(page: Page, found: PitchTable) -> None:
 
 
 def judged_steps(run: Record) -> list[Step]:
-    """Every change of the set-point, with what noise there is smoothed away."""
+    """Every change of the set-point, evaluated on the smoothed thrust."""
     return steps(smoothed(run, SPAN), BAND)
 
 

@@ -1,4 +1,4 @@
-"""The rig as a plant: tare, arm, run; one tick a step; and the way down, whatever happens."""
+"""The rig as a plant: tare, arm, run with one tick per step, and a ramp-down after any fault."""
 
 import contextlib
 import math
@@ -33,21 +33,21 @@ TARE_TRIES = 3
 REST = 1.0
 """s without a revolution after which the rotor counts as standing."""
 RUN_OUT = 20.0
-"""s that a rotor may take to stand."""
+"""Maximum time until a rotor is at rest, s."""
 SETTLE = 3.0
 """s on the first commands before a run begins (paper: what transients need)."""
 RELAY, REPEAT = 0.5, 10
-"""s that the relay may take to close, and ticks after which the board is told so once more."""
+"""Maximum time until the relay is closed, s, and ticks after which the command to the board is repeated."""
 RAMP = 1.5
 """s that a ramp-down takes from full throttle to none."""
 
 
 class RunEnded(VppError):
-    """The run ended before its time: the message says why. What was measured until then is in the log."""
+    """The run ended early; the message says why. The data until then are in the log."""
 
 
 ENDINGS = (RunEnded, TareRefused, DeviceFault)
-"""What may leave `start` and `step`: the idle pulse stands then, or stood all the time."""
+"""Exceptions of `start` and `step`, after which the idle pulse is on the outputs."""
 
 
 class RigSample(NamedTuple):
@@ -99,7 +99,7 @@ class Rig:
         self.counters = bench.counters
 
     def start(self, omega_ref: float, beta_ref: float) -> RigSample:
-        """Wait for the rotor to stand, tare, arm, spin up along the slow slopes to the commands [rpm, deg], settle there."""
+        """Wait until the rotor is at rest, tare, arm, spin up along the slow slopes to the commands [rpm, deg], settle."""
         self._begin()
         self.states.tared(self._tare())
         self._cycle.note("tared")
@@ -122,7 +122,7 @@ class Rig:
         return self.last
 
     def step(self, omega_ref: float, beta_ref: float) -> RigSample:
-        """Hold the commands, as far as the limits let them pass, for one tick; what is read at the next."""
+        """Hold the commands, limited, for one tick; returns the readings at the next tick."""
         limited = self._limiter.apply(omega_ref, beta_ref, self.dt)
         if limited.fault:
             self._cycle.fault(limited.fault)
@@ -155,7 +155,7 @@ class Rig:
             self._cycle.fault(Fault("twin", self._on_alarm, found))
 
     def idle(self, count: int) -> None:
-        """`count` ticks with everything at work but the rotor: the idle pulse stands, and stays whatever fails.
+        """`count` ticks with all devices active and the idle pulse on the outputs, which stays after any failure.
 
         Faults are noted in `states` and `transitions`; only the operator ends it early (RunEnded).
         """
@@ -184,17 +184,17 @@ class Rig:
 
     @property
     def last(self) -> RigSample:
-        """What was read last."""
+        """The last readings."""
         sensors = self._cycle.sensors
         return RigSample(sensors.thrust, sensors.omega, math.nan, sensors.thrust_age, sensors.mark_age)
 
     @property
     def acting(self) -> tuple[float, float]:
-        """The commands [rpm, deg] that the limits let pass last."""
+        """The last commands [rpm, deg] after the limits."""
         return self._cycle.commands
 
     def fail(self, fault: Fault) -> None:
-        """Whoever gives the commands can't go on: come down as the fault allows, and end the run (RunEnded)."""
+        """The source of commands failed: ramp down as the fault allows, and end the run (RunEnded)."""
         self._cycle.fault(fault)
         self._come_down()
         self._end()
@@ -219,7 +219,7 @@ class Rig:
         self._cycle.wake()
 
     def _tare(self) -> Tare:
-        """The load cell's zero, once the rotor stands."""
+        """The load cell's zero, once the rotor is at rest."""
         rest, sensors = 0.0, self._cycle.sensors
         for _ in range(round(RUN_OUT / self.dt)):
             self._idle_tick()
@@ -249,7 +249,7 @@ class Rig:
         return found
 
     def _close_relay(self) -> None:
-        """The ESC's supply, with the idle pulse standing, and the time that it takes to come up."""
+        """Switch the ESC's supply on with the idle pulse on, and wait until the ESC is ready."""
         cycle, tachometer = self._cycle, self.bench.tachometer
         for k in range(round(RELAY / self.dt)):
             if k % REPEAT == 0:
@@ -259,14 +259,14 @@ class Rig:
             if cycle.sensors.revolution and cycle.sensors.revolution.closed:
                 break
         else:
-            cycle.fault(Fault("relay", FaultKind.NOT_READY, f"not closed {RELAY:g} s after the board was told to"))
+            cycle.fault(Fault("relay", FaultKind.NOT_READY, f"not closed {RELAY:g} s after the command to the board"))
             self._end()
         cycle.keep(relay="closed")
         for _ in range(1 + round(self.bench.esc_boot / self.dt)):
             self._idle_tick()
 
     def _open_relay(self) -> None:
-        """Nothing turns any more: the board is told so, and needs the word again."""
+        """Disarm the board after the rotor has stopped; the next run must arm it again."""
         with contextlib.suppress(DeviceFault):
             self.bench.tachometer.stop()
 

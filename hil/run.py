@@ -29,7 +29,7 @@ from vpp_fmu.rig import Rig as Ranges
 
 LOG = "log.csv"
 ON_ALARM = {"note": None, "ramp": FaultKind.TWIN, "idle": FaultKind.TWIN_NOW}
-"""What the twin's alarm does to a run."""
+"""Possible reactions of a run to the twin's alarm."""
 REHEARSED = 25
 """Steps of a controller FMU that are tried before anything turns."""
 
@@ -64,8 +64,8 @@ class LogLost(VppError):
     """The run came to its end, and its record did not."""
 
 
-class Told:
-    """A controller that tells the rig's log what it follows."""
+class Followed:
+    """A controller that passes its set-point to the rig's log."""
 
     def __init__(self, controller: Controller, rig: Rig):
         self._controller, self._rig = controller, rig
@@ -85,7 +85,7 @@ class Told:
 
 
 class LimitedPlant:
-    """A plant with the rig's limits in front of it: what is then still different is the plant."""
+    """A plant behind the rig's limits, so that a difference to the rig is one of the plant."""
 
     def __init__(self, plant: Plant, limits: Limits):
         self.dt, self._plant, self._limits = plant.dt, plant, limits
@@ -148,7 +148,7 @@ def run_on_rig(
                 one.rig.show_done(share)
                 progress(share)
 
-            run_loop(one.rig, Told(controller, one.rig), profile, start, shown)
+            run_loop(one.rig, Followed(controller, one.rig), profile, start, shown)
             one.rig.stop()
         except ENDINGS as reason:
             ended = str(reason)

@@ -1,4 +1,4 @@
-"""A run's own folder, what hil.json says before the run, and what a run's files alone say of it."""
+"""The folder of a run, hil.json before the run, and the summary of a run from its files alone, if its process has died."""
 
 import contextlib
 import hashlib
@@ -18,10 +18,10 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record
 
 RUNS = "runs"
-"""Below a verb's output folder: a folder a run, by the time of its start."""
+"""Subfolder of a verb's output folder, with a folder per run by its start time."""
 
 NAMES = ("hil.json", "log.csv", "run.csv", "report.html")
-"""What of the newest run the output folder shows itself, as links."""
+"""Files of the newest run to which the output folder has links."""
 
 RUNNING, ENDED, ENDED_EARLY = "running", "ended", "ended early"
 """`status` in hil.json."""
@@ -102,7 +102,7 @@ def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
     faults = [state["why"] for state in states if state["state"] in ("ramp down", "fault") and state["why"] != "end of the run"]
     acted = [line.partition(": ")[2] for line in supervisor]
     ended = "; ".join([*faults[:1], *acted]) or "the loop was gone without a word"
-    told = {
+    summary = {
         **begun,
         "tares": [event["tare"] for event in events if "tare" in event],
         "transitions": [{"time": 0.0, "state": "safe", "why": "start"}, *states],
@@ -113,10 +113,10 @@ def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
         "made_from": "the log",
         "ended": ended,
     }
-    return record, told
+    return record, summary
 
 
 def alarm_of(log: Record) -> float | None:
-    """When the twin's alarm first stood in the log [s]."""
+    """Time of the twin's first alarm in the log [s]."""
     alarmed = np.flatnonzero(log["alarm"] > 0.5)
     return float(log.time[alarmed[0]]) if len(alarmed) else None

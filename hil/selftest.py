@@ -1,4 +1,4 @@
-"""The rig's own test, without turning the rotor: does the loop keep its time, do the buses answer, is the calibration sane?"""
+"""Self-test of the rig without turning the rotor: timing of the loop, answers of the buses, plausibility of the calibration."""
 
 import multiprocessing
 import time
@@ -28,7 +28,7 @@ class SelfTestFailed(VppError):
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at: what, whether it is good, and what was found."""
+    """One check: its subject, whether it passed, and the finding."""
 
     what: str
     good: bool

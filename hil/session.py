@@ -1,4 +1,4 @@
-"""Everything around a rig while it is used: real time, log, supervisor, signals, live view; and what is left of it."""
+"""A session with a rig: real time, log, supervisor, signals and live view; and its results."""
 
 import contextlib
 import fcntl
@@ -78,7 +78,7 @@ class Setup:
         return Polarity(self.limits, self.allowed, self.plant, self.map_is_known)
 
     def bench(self) -> Bench:
-        """Its devices, ready to use. DeviceFault NOT_READY."""
+        """The rig's devices, ready to use. DeviceFault NOT_READY."""
         if self.emulated is None:
             return real_bench(self.calibration, self.wiring or Wiring())
         return (virtual_bench if self.virtual else real_time_bench)(self.emulated, self.calibration, self.truth)
@@ -87,18 +87,18 @@ class Setup:
         """For `hil.json`."""
         kind = "real" if self.emulated is None else "emulated"
         hidden = list(self.emulated.hidden) if self.emulated else []
-        told = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
-        told |= {"allowed": self.allowed.summary()}
+        found = {"rig": kind, "time": "virtual" if self.virtual else "real", "hidden": hidden, "period": PERIOD}
+        found |= {"allowed": self.allowed.summary()}
         if self.calibration.supply:
-            told["supply"] = list(self.calibration.supply)
+            found["supply"] = list(self.calibration.supply)
         if self.emulated:
-            told |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
+            found |= {"physics": dict(self.emulated.parameters), "seed": self.emulated.seed}
         calibration = {"sha256": self.calibration.sha256, "source": dict(self.calibration.source)}
-        return told | {"calibration": calibration, "limits": asdict(self.limits)}
+        return found | {"calibration": calibration, "limits": asdict(self.limits)}
 
 
 class Session:
-    """A rig in use, and, once it is over, what became of it."""
+    """A rig in use, and after the end its results."""
 
     def __init__(self, rig: Rig, setup: Setup, granted: str, folder: Path):
         self.rig, self._setup, self._granted, self._folder = rig, setup, granted, folder
@@ -136,7 +136,7 @@ def session(
     page: OperatorPage | None = None,
     adaptive: Adaptive | None = None,
 ) -> Iterator[Session]:
-    """A rig to use within the context; behind it the idle pulse stands, the log is complete, and the session can tell.
+    """A rig to use within the context. After it the idle pulse is on the outputs, and the log and the session are complete.
 
     `log_name`: the full-rate log in `folder`. `watch`: show a live view where there is a terminal. `after`: the command that
     makes a report of the log if this process can't. `on_alarm`, `adaptive` as `Rig` has them. `page`: in real time, the

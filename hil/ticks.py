@@ -1,4 +1,4 @@
-"""The loop's grid in time: absolute deadlines, and what happens to those that were missed."""
+"""The loop's time grid: absolute deadlines, and the treatment of missed ones."""
 
 from collections import deque
 from typing import NamedTuple
@@ -7,7 +7,7 @@ from hil.clock import Clock
 
 
 class Tick(NamedTuple):
-    """One tick: the grid's `slot` it stands for, how `late` [s] it was for the next one, and how many slots it `missed`."""
+    """One tick: its `slot` of the grid, its lateness `late` [s] for the next one, and the number of `missed` slots."""
 
     slot: int
     late: float
@@ -15,8 +15,8 @@ class Tick(NamedTuple):
 
 
 class Ticks:
-    """Deadlines `dt` [s] apart from now on. A tick that comes too late for its slot takes the one that runs: what was missed is
-    left out, not made up for, and the phase stays. `missed` and `ticks` count from the start."""
+    """Deadlines every `dt` [s] from now on. A tick that is too late for its slot takes the present one: missed slots are
+    skipped, and the phase stays. `missed` and `ticks` count from the start."""
 
     def __init__(self, clock: Clock, dt: float):
         self._clock, self.dt, self._zero = clock, dt, clock.now()

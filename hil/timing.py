@@ -1,4 +1,4 @@
-"""How well a loop kept its time: the histogram of lateness, and what it says."""
+"""Timing of a loop: the histogram of lateness and its percentiles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Timing:
         """For `hil.json`, in microseconds."""
         names = [f"p{p:g}" if p < 100.0 else "max" for p in PERCENTILES]
 
-        def told(values: Sequence[float]) -> dict:
+        def summary(values: Sequence[float]) -> dict:
             return {name: round(1e6 * value, 1) for name, value in zip(names, values, strict=True)}
 
         bins = [
@@ -37,8 +37,8 @@ class Timing:
         return {
             "ticks": self.ticks,
             "missed": self.missed,
-            "late_us": told(self.late),
-            "busy_us": told(self.busy),
+            "late_us": summary(self.late),
+            "busy_us": summary(self.busy),
             "histogram_us": bins,
         }
 

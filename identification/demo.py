@@ -78,7 +78,7 @@ def local_flavour() -> str:
 
 
 def demo(campaign: Campaign, folder: OutputFolder, export: Export, workers: int, stage: Callable[[str], None]) -> Demo:
-    """Run the job on a campaign with a validation record and write the FMUs; `stage` is told what begins."""
+    """Run the job on a campaign with a validation record and write the FMUs; `stage` receives the name of each stage."""
     found, flavour = diagnose(campaign, workers=workers, stage=stage), local_flavour()
     stage("export")
     gains = ParameterSet(CONTROLLER, source={"made_by": "the paper's gains"}).replaced(DUAL)

@@ -20,7 +20,7 @@ def add_found(page: Page, found: Identification) -> None:
     if found.refinement is not None:
         _add_change(page, found)
     _add_values(page, found)
-    if lines := untold(found):
+    if lines := not_identifiable(found):
         page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
     if uncertainty.profiled:
         page.note(
@@ -38,7 +38,7 @@ def add_found(page: Page, found: Identification) -> None:
         page.figure(figure, _weakest(uncertainty))
 
 
-def untold(found: Identification) -> list[str]:
+def not_identifiable(found: Identification) -> list[str]:
     """Parameters that are not identifiable, or that ended on a bound, as sentences without full stop."""
     reasons: dict[str, list[str]] = {}
     for name, why in found.not_identifiable.items():

@@ -95,4 +95,6 @@ def _no_lag(steps: StepSummary | None, channel: str) -> str:
 def _unidentified_coefficients(static: StaticFit | None) -> dict[str, str]:
     if static is None:
         return dict.fromkeys(TERMS, "no record to fit, and no steady points")
-    return dict.fromkeys(static.untold, f"the {static.used.sum()} steady points identify only its combinations with others")
+    return dict.fromkeys(
+        static.not_identifiable, f"the {static.used.sum()} steady points identify only its combinations with others"
+    )

@@ -136,8 +136,8 @@ def test_demo_does_the_whole_job(tmp_path, capsys):
     ):
         assert (tmp_path / name).stat().st_size > 0
     found = json.loads((tmp_path / "diagnosis.json").read_text())
-    for told, entry in ((before, found["before"]), (after, found["after"])):
-        assert told == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
+    for printed, entry in ((before, found["before"]), (after, found["after"])):
+        assert printed == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
 
 
 @pytest.mark.parametrize(
@@ -217,11 +217,11 @@ def rises_to(level, tau):
 def test_a_set_point_out_of_reach_is_said_with_what_is_reached(omega, thrust, said):
     """Out of reach: both commands on a limit, and the thrust at rest beside the set-point."""
     (step,) = steps(stepped(lambda time: omega, lambda time: 13.6, thrust), limits=LIMITS)
-    assert cosim.told(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
+    assert cosim.sentence(step).startswith(f"The step from 2 to 12 N at 2 s{said}")
 
 
 def test_a_step_before_another_one_is_said_so():
     run = stepped(lambda time: 5000.0, lambda time: 13.6, rises_to(11.2, 0.3))
     wanted = np.where(run.time < 8.0, run["thrust_set"], 3.0)
     first, _ = steps(run.with_columns(thrust_set=wanted), limits=LIMITS)
-    assert "has not settled before the next" in cosim.told(first)
+    assert "has not settled before the next" in cosim.sentence(first)

@@ -570,7 +570,7 @@ def test_the_gain_of_a_speed_is_the_ratio_of_residuals():
 def test_a_signal_that_never_holds_is_mapped_behind_a_lag():
     log = stand(hold=0.3)
     found = fitted_map("log.csv", log["Time (s)"], log["ESC (us)"], log["RPM"], None, RANGES["PWM"])
-    assert "with a lag of 0.12 s" in found.told
+    assert "with a lag of 0.12 s" in found.origin
     x = np.linspace(150.0, 900.0, 50)
     np.testing.assert_allclose(found.map.omega_ref(1000.0 + x), 200.0 + 9.5 * x - 0.0025 * x**2, atol=10.0)
     with pytest.raises(BadInput, match="of the speed"):

@@ -94,7 +94,7 @@ def test_chance_passes_the_needed_fall_as_rarely_as_the_level_says(count):
 
 def test_an_effect_must_pass_every_rule():
     good = {
-        "fall": 40.0,
+        "likelihood_gain": 40.0,
         "needed": 10.0,
         "evidence": 30.0,
         "gain": {"thrust": 25.0, "omega": 3.0},
@@ -103,7 +103,7 @@ def test_an_effect_must_pass_every_rule():
     }
     assert refusals(**good) == []
     for change, word in (
-        ({"fall": 9.0}, "chance"),
+        ({"likelihood_gain": 9.0}, "chance"),
         ({"evidence": MIN_EVIDENCE}, "evidence too weak"),
         ({"gain": {"thrust": -4.0, "omega": 3.0}}, "cross-validation gains nothing"),
         ({"gain": {"thrust": -2.0, "omega": 30.0}}, "thrust is predicted worse"),

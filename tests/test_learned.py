@@ -126,7 +126,7 @@ def test_the_score_test_of_noise_has_its_distribution(nothing):
         about.residual = about.orthogonal_part(rng.standard_normal(len(columns)))
         scores = Scores(about, columns, [course], base.problem.scale, base.problem.times)
         scored = scores.group(*scores.products([(terms * base.problem.scale["thrust"], None)]))
-        falls.append(2.0 * scored.fall)
+        falls.append(2.0 * scored.likelihood_gain)
     assert scored.rank == 4
     assert kstest(falls, chi2(4).cdf).pvalue > 0.01
 

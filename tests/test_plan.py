@@ -77,7 +77,7 @@ def test_what_stands_is_not_moved_and_the_other_always_is(fixed):
     assert (np.ptp(drawn[:, :, 1 - channel], axis=1) > 0.0).all()
     found = plan(BASE, SORTED, rig, 10.0, 0.3, evaluations=1)
     assert set(found.commands[("omega_ref", "beta_ref")[channel]]) == {next(iter(fixed.values()))[0]}
-    assert {f"tau_{('omega', 'beta')[channel]}_{k}" for k in (1, 2)} <= set(found.untold)
+    assert {f"tau_{('omega', 'beta')[channel]}_{k}" for k in (1, 2)} <= set(found.not_identifiable)
 
 
 def test_the_paper_s_plan_is_the_paper_s():
@@ -183,13 +183,13 @@ def test_a_model_with_effects_is_planned_for_and_what_cannot_be_told_is_said():
     values = {delay: 0.0413, "pitch_command_deadband.half_width": 1.5}
     found = plan(model, values, Rig(), 20.0, 0.1, evaluations=20)
     assert found.after.relative[found.after.names.index(delay)] < 0.05
-    assert list(found.untold) == ["pitch_command_deadband.half_width"]
-    assert "first order" in found.untold["pitch_command_deadband.half_width"]
-    assert set(found.after.names) | set(found.untold) == set(free_parameters(model))
+    assert list(found.not_identifiable) == ["pitch_command_deadband.half_width"]
+    assert "first order" in found.not_identifiable["pitch_command_deadband.half_width"]
+    assert set(found.after.names) | set(found.not_identifiable) == set(free_parameters(model))
 
     noisy = plan(BASE, SORTED, Rig(), 10.0, 15.0, evaluations=1)
-    assert 0 < len(noisy.untold) < 9
-    assert all("times its size" in why for why in noisy.untold.values())
+    assert 0 < len(noisy.not_identifiable) < 9
+    assert all("times its size" in why for why in noisy.not_identifiable.values())
     assert (noisy.after.relative < 1.1).all()
 
 

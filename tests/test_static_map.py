@@ -67,7 +67,7 @@ def test_where_blades_stall_only_the_pitch_that_records_use_counts():
 
 
 @pytest.mark.parametrize(
-    ("speeds", "pitches", "untold"),
+    ("speeds", "pitches", "not_identifiable"),
     [
         (np.linspace(2000.0, 6000.0, 9), [3.0], {"c20", "c11", "c21", "c12"}),  # w^3 alone bears no power of b
         ([5000.0], np.linspace(-5.0, 10.0, 9), {"c20", "c11", "c30", "c21"}),  # w^j b^2 alone has a power of its own
@@ -76,7 +76,7 @@ def test_where_blades_stall_only_the_pitch_that_records_use_counts():
         (np.linspace(2000.0, 6000.0, 6), np.linspace(12.0, 25.0, 6), set()),
     ],
 )
-def test_a_grid_of_any_shape_tells_what_it_can(speeds, pitches, untold):
+def test_a_grid_of_any_shape_tells_what_it_can(speeds, pitches, not_identifiable):
     omega, beta = (axis.ravel() for axis in np.meshgrid(speeds, pitches))
     truth, noise = design(omega, beta, SCALES) @ KNOWN * SCALES["thrust_scale"], 0.02
     fits = []
@@ -84,13 +84,13 @@ def test_a_grid_of_any_shape_tells_what_it_can(speeds, pitches, untold):
         thrust = truth + noise * np.random.default_rng(seed).standard_normal(len(omega))
         spread, samples = np.full(len(omega), 10.0 * noise), np.full(len(omega), 100.0)
         fits.append(fit_static_map(StaticMap(omega, beta, omega, thrust, spread, samples, "made up"), SCALES))
-    assert {name for fit in fits for name in fit.untold} == untold
+    assert {name for fit in fits for name in fit.not_identifiable} == not_identifiable
     # The map at the points themselves is told whatever the grid: right on average, and known as well as it scatters.
     shown = np.array([design(omega, beta, SCALES) @ list(fit.coefficients.values()) for fit in fits]) * SCALES["thrust_scale"]
     uncertainty = np.sqrt(np.mean([fit.uncertainty(omega, beta, SCALES) ** 2 for fit in fits], axis=0))
     np.testing.assert_allclose(shown.mean(axis=0), truth, atol=4.0 * noise / np.sqrt(len(fits)))
     np.testing.assert_allclose(shown.std(axis=0), uncertainty, rtol=0.2)
-    told = [k for k, name in enumerate(TERMS) if name not in untold]
+    told = [k for k, name in enumerate(TERMS) if name not in not_identifiable]
     pulls = np.array([[(list(f.coefficients.values())[k] - KNOWN[k]) / list(f.std.values())[k] for k in told] for f in fits])
     assert np.all(np.abs(pulls) < 6.0)
     assert all(fit.r2_adjusted is None for fit in fits) == (len(omega) < 3)
@@ -154,16 +154,16 @@ def test_no_point_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("axis", "level", "untold"),
+    ("axis", "level", "not_identifiable"),
     [("beta_ref", 10.0, {"c20", "c11", "c21", "c12"}), ("omega_ref", 6000.0, {"c20", "c30", "c11", "c21"})],
 )
-def test_a_grid_at_one_level_tells_what_it_can(axis, level, untold):
+def test_a_grid_at_one_level_tells_what_it_can(axis, level, not_identifiable):
     static = grid(0.02)
     kept = np.isclose(getattr(static, axis), level)
     names = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
     line = replace(static, **{n: getattr(static, n)[kept] for n in names})
     fit = fit_static_map(line, SCALES)
-    assert set(fit.untold) == untold
+    assert set(fit.not_identifiable) == not_identifiable
     there = design(line.omega, line.beta_ref, SCALES) @ list(fit.coefficients.values()) * SCALES["thrust_scale"]
     truth = design(line.omega, line.beta_ref, SCALES) @ KNOWN * SCALES["thrust_scale"]
     assert np.max(np.abs(there - truth)) < 5.0 * 0.02

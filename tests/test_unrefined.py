@@ -8,7 +8,7 @@ import pytest
 from studies.degenerate import FAR
 from studies.incomplete_campaigns import SIZES, commanded, gridded, measured, only, recorded, whole
 
-from identification.found_report import untold
+from identification.found_report import not_identifiable
 from identification.identify import identify
 from identification.report import identification_page, key_figures, remarks
 from identification.steps.response import covariance
@@ -114,7 +114,7 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
     assert {"tau_beta_1", "tau_beta_2", "c21", "c12"} <= set(found.not_identifiable)
     assert found.not_identifiable["c21"] == "the data identify only its combination with c20"
     assert found.not_identifiable["c12"] == "the data identify only its combination with c11"
-    assert any(line.startswith("not identifiable from these data: c21 (stays at ") for line in untold(found))
+    assert any(line.startswith("not identifiable from these data: c21 (stays at ") for line in not_identifiable(found))
     # The same record beside a whole grid: the map is then told, the pitch's lags are still not.
     whole_grid = gridded(np.linspace(0.35, 1.0, 5), np.linspace(-5.0, 10.0, 5))
     found = identify(campaign("micro", recorded("wwx", (4.0, 4.0)), whole_grid), starts=1)
@@ -124,7 +124,7 @@ def test_a_pitch_that_never_moved_is_named_whatever_the_steady_points_are():
 
 def test_a_static_map_at_one_pitch_takes_nothing_from_a_record_that_moves_it():
     found = identify(campaign("paper", gridded(np.linspace(0.35, 1.0, 9), [3.0])), starts=1)
-    assert set(found.static.untold) == {"c20", "c11", "c21", "c12"}
+    assert set(found.static.not_identifiable) == {"c20", "c11", "c21", "c12"}
     assert not found.not_identifiable
     assert np.abs(pulls(found, "paper")).max() < FAR
 

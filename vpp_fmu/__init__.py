@@ -1,7 +1,7 @@
-"""Measured data of a variable-pitch propeller rig to a model, what the model lacks, and FMUs: `import vpp_fmu as vpp`.
+"""From measured data of a variable-pitch propeller rig to a model, its missing effects, and FMUs: `import vpp_fmu as vpp`.
 
-Every public name stands in `__all__`, and is imported when it is first used; `import vpp_fmu` itself takes milliseconds. Units
-are rpm, deg, N and s throughout. Whatever is wrong with a file, a field or an argument is a `BadInput` of one line.
+`__all__` lists the public names. Each is imported at its first use, so `import vpp_fmu` takes milliseconds. Units are rpm, deg,
+N and s throughout. An invalid file, field or argument raises a `BadInput` with a message of one line.
 """
 
 from importlib import import_module
@@ -70,7 +70,7 @@ def __dir__() -> list[str]:
 
 
 def _version() -> str:
-    """Asked for only when it is wanted: reading it takes as long as importing all else."""
+    """Read at its first use only: that takes as long as all other imports together."""
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415
 
     try:

@@ -1,7 +1,7 @@
-"""An FMU's archive, looked at before anything of it is written: what it is, how much it holds, and where that would go.
+"""An FMU's archive, checked before it is unpacked: its kind, size and paths.
 
-A zip of 3 MB can hold 3 GB. The bounds stand far above what FMUs hold and below what a machine has; the sizes that the
-archive declares are what its reader stops at, so looking at them is enough.
+A zip of 3 MB can hold 3 GB. The bounds are far above the size of FMUs and below the memory of a machine. The reader stops at
+the sizes that the archive declares, so checking those is enough.
 """
 
 import shutil
@@ -18,26 +18,29 @@ from vpp_fmu.scratch import Scratch
 DESCRIPTION = "modelDescription.xml"
 
 LARGEST = 500 * 2**20
-"""Bytes unpacked. Our own are 1 MB, those of tools that pack their runtime some 100 MB; a rig's Raspberry Pi may have 1 GB of
-memory, and its folder for temporary files in it."""
+"""Maximum unpacked size in bytes. This project's FMUs have 1 MB, those with a tool's runtime some 100 MB. A Raspberry Pi may
+have 1 GB of memory, which also holds its temporary files."""
 
 LARGEST_DESCRIPTION = 50 * 2**20
-"""Bytes of modelDescription.xml, which is read into memory whole: some 100 000 variables."""
+"""Maximum bytes of modelDescription.xml, which is read into memory: some 100 000 variables."""
 
 ENTRIES = 20_000
-"""Files and folders: a few dozen as a rule, some thousand where sources, documentation and a runtime are inside."""
+"""Maximum number of files and folders: usually a few dozen, some thousand with sources, documentation and a runtime."""
 
 RATIO = 200.0
-"""Unpacked over packed. Machine code and XML shrink 2 to 20 times, tables of a few values 100 times, a bomb 1000 times."""
+"""Maximum ratio of unpacked to packed size: 2 to 20 for machine code and XML, 100 for tables of few values, 1000 for a bomb."""
 
-_PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the standard's; other unpackers have no bound on what one read may give
+_PACKING = (
+    zipfile.ZIP_STORED,
+    zipfile.ZIP_DEFLATED,
+)  # as the standard requires; other methods have no bound on the size of one read
 _BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)  # RuntimeError: encrypted
 
 READS = "FMI 2.0 co-simulation, which is what this reads"
 
 
 def unpacked(path: Path) -> Scratch:
-    """The archive's content, in a folder of its own. BadInput: no FMI 2.0 co-simulation FMU, or out of bounds."""
+    """Unpack the archive to a new folder. BadInput: no FMI 2.0 co-simulation FMU, or out of bounds."""
     try:
         with zipfile.ZipFile(path) as archive:
             _check(path, archive)
@@ -92,7 +95,7 @@ def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
 
 
 def _check_version(path: Path, archive: zipfile.ZipFile) -> None:
-    """BadInput names what the FMU is where it isn't FMI 2.0 co-simulation."""
+    """BadInput if the FMU is not FMI 2.0 co-simulation."""
     try:
         entry = archive.getinfo(DESCRIPTION)
     except KeyError as error:

@@ -1,4 +1,4 @@
-"""A campaign: the folder of files that one rig was measured with."""
+"""A campaign: a folder of measured files of one rig."""
 
 import os
 import re
@@ -20,7 +20,7 @@ from vpp_fmu.structured import read_object
 NAMES = ("static", "steps", "open_loop", "repeat", "validation")
 _FILES = ", ".join(f"{name}.csv" for name in NAMES)
 RAW = "static_raw"
-"""A record of steady stretches: the raw samples behind `static`, in its place or beside it."""
+"""A record of steady holds: the raw samples of `static`, instead of it or beside it."""
 
 NEED = (*COMMANDS, "thrust")
 GRID = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
@@ -28,9 +28,9 @@ GRID = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
 
 @dataclass(frozen=True, eq=False)
 class StaticMap:
-    """Steady points, one a row, each (n,): commands and means of `samples` readings, in rpm, deg, N.
+    """Steady points, one per row, each (n,): commands and means of `samples` readings, in rpm, deg, N.
 
-    `thrust_std` [N] is the spread of the single readings, not of their mean.
+    `thrust_std` [N] is the standard deviation of the single readings, not of their mean.
     """
 
     omega_ref: np.ndarray
@@ -44,9 +44,9 @@ class StaticMap:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What a campaign's folder holds; None, or no steps, where a file is missing. Every record has `thrust`.
+    """The content of a campaign's folder; None, or no steps, for a missing file. Every record has `thrust`.
 
-    `rig`: as its rig.json says; what that leaves open is inferred from the files.
+    `rig`: from its rig.json; missing entries are inferred from the files.
 
     >>> campaign = vpp.read_campaign(vpp.example_campaign())
     >>> campaign
@@ -71,7 +71,7 @@ class Campaign:
         return table_html(f"Campaign {self.folder.name}", ("file", "holds"), self._sizes())
 
     def _sizes(self) -> list[tuple[str, str]]:
-        """(file's name, how much it holds) of each that is there."""
+        """(name, size in words) of each file that exists."""
         found = [] if self.static is None else [("static", f"{len(self.static.thrust)} points")]
         found += [("steps", f"{len(self.steps)} runs")] if self.steps else []
         records = ((name, getattr(self, name)) for name in ("open_loop", "repeat", "validation", RAW))
@@ -85,14 +85,14 @@ class Campaign:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names of the files that are not there."""
+        """Names of the missing files."""
         return tuple(f"{name}.csv" for name in NAMES if getattr(self, name) in (None, ()))
 
 
 def read_campaign(folder: str | os.PathLike) -> Campaign:
     """Read a campaign; each file may be .csv or .csv.gz, any may be missing.
 
-    BadInput: no folder, none of the files, whatever is wrong in one, a repeat with other commands than the open loop.
+    BadInput: no folder, none of the files, an invalid file, or a repeat with other commands than the open loop.
     """
     folder = Path(folder)
     there = _listed(folder)
@@ -116,7 +116,7 @@ def _rig(records: Mapping[str, Record | None], static: StaticMap | None, steps: 
 
 
 def _measured(path: Path) -> Record:
-    """A record whose thrust holds something; single cells may be empty. Another column without any value is none."""
+    """A record that has thrust; single cells may be empty. Other columns without any value are dropped."""
     record = read_record(path, NEED, holes=("thrust",))
     if np.isfinite(record["thrust"]).sum() < 2:
         raise BadInput(path, "thrust", "no two numbers", "a column of numbers, some cells of which may be empty")
@@ -127,7 +127,7 @@ def _measured(path: Path) -> Record:
 
 
 def _listed(folder: Path) -> set[str]:
-    """Names of what is in a folder."""
+    """Names of the files in a folder."""
     allowed = f"a folder with any of {_FILES}"
     try:
         return set(os.listdir(folder))
@@ -152,7 +152,7 @@ def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
 
 
 def measured_on(folder: Path) -> str:
-    """When a campaign was measured, ISO 8601: as its hil.json says, else the date in its folder's name, else ""."""
+    """Date of a campaign, ISO 8601: from its hil.json, else from its folder's name, else ""."""
     try:
         said = read_object(folder / "hil.json")["begun"]
         return datetime.fromisoformat(said).isoformat()
@@ -167,7 +167,7 @@ def measured_on(folder: Path) -> str:
 
 
 def check_repeat(record: Record, repeat: Record) -> None:
-    """BadInput where `repeat` has not the times and commands of `record`."""
+    """BadInput if `repeat` has other times or commands than `record`."""
     n = min(len(record), len(repeat))
     for name in COMMANDS:
         wanted, found = record[name][:n], repeat[name][:n]
@@ -209,9 +209,9 @@ def write_steps(folder: OutputFolder, runs: Sequence[Record]) -> Path:
 
 
 def read_steps(path: str | os.PathLike) -> tuple[Record, ...]:
-    """Read step responses: records one below the other, told apart by `run`, each with its own time from 0.
+    """Read step responses: records in one file, numbered by the column `run`, each with its own time from 0.
 
-    The records come without `run`; their source names it. BadInput as for a record, and where a run's rows are scattered.
+    The records come without `run`; their source names it. BadInput as for a record, and if a run's rows are not contiguous.
     """
     table = read_table(path)
     columns = checked_columns(table, ("run", *NEED))

@@ -1,7 +1,7 @@
-"""Commands that a rig may be given: within its ranges, no steeper than its slews, in numbers that can be read.
+"""Commands that a rig may receive: within its ranges and slew rates, rounded to readable numbers.
 
-Commands are arrays (rows, 2) of speed [rpm] and pitch [deg], each row held for one step. Whatever a verb writes or sends has
-gone through `commanded`; nothing else makes targets into commands.
+Commands are arrays (rows, 2) of speed [rpm] and pitch [deg], each row held for one step. All commands that a verb writes or
+sends come from `commanded`.
 """
 
 from math import floor, inf, isfinite, log10
@@ -23,17 +23,17 @@ def ends(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 def commanded(rig: Rig, targets: np.ndarray, step: float) -> np.ndarray:
-    """Commands (rows, 2) that follow `targets` (rows, 2) as fast as the rig may, a row every `step` seconds; they begin at the
-    first. Ends of a range that are no round numbers are approached to within FINE of it; a range of one value is that value."""
+    """Commands (rows, 2) that follow `targets` (rows, 2) at the maximum slew rate, a row every `step` seconds, from the first
+    target on. Ends of a range that are no round numbers are approached to within FINE; a range of one value is exact."""
     slews = rig.speed_slew, rig.pitch_slew
     columns = zip(np.asarray(targets, float).T, *ends(rig), slews, strict=True)
     return np.column_stack([_followed(column, low, high, slew * step) for column, low, high, slew in columns])
 
 
 def _followed(targets: np.ndarray, low: float, high: float, largest: float) -> np.ndarray:
-    """Of one channel, with changes of `largest` from row to row at most.
+    """Commands of one channel, with changes of at most `largest` per row.
 
-    In whole units of the last digit: sums of whole numbers do not creep beyond a limit as sums of decimals do.
+    They are computed in whole units of the last digit, because rounding errors of decimals add up beyond a limit.
     """
     unit = 10.0 ** _decimals(low, high, largest)
     lowest, highest = _first_from(low, unit), -_first_from(-high, unit)
@@ -51,8 +51,8 @@ def _followed(targets: np.ndarray, low: float, high: float, largest: float) -> n
 
 
 def _decimals(low: float, high: float, largest: float) -> int:
-    """How many decimals a command of this range has that may change by `largest` from row to row: so many that this is met to
-    a hundredth, no more than a file keeps."""
+    """Number of decimals of a command of this range that may change by `largest` per row: `largest` is met to a hundredth,
+    and a file keeps all of them."""
     most = DIGITS - 1 - max(0, floor(log10(max(abs(low), abs(high), 1.0))))
     span = high - low
     wanted = -floor(log10(FINE * span)) if span > 0.0 else 0
@@ -62,7 +62,7 @@ def _decimals(low: float, high: float, largest: float) -> int:
 
 
 def _first_from(value: float, unit: float) -> int:
-    """The least whole number of units that, written as a decimal, is no smaller than a value."""
+    """The smallest whole number of units that, written as a decimal, is at least a value."""
     count = round(value * unit)
     return count if count / unit >= value else count + 1
 

@@ -1,4 +1,4 @@
-"""Two records held side by side."""
+"""Compare two records."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two records share: times (n,) s of the first within both, and values of each at them, by column."""
+    """Common part of two records: times (n,) s of the first that are within both, and the values of each by column."""
 
     time: np.ndarray
     first: dict[str, np.ndarray]
@@ -28,9 +28,9 @@ class Comparison:
 
 
 def compare(first: Record, second: Record) -> Comparison:
-    """Bring `second` to the times of `first` where both have data.
+    """Resample `second` at the times of `first` within both.
 
-    Commands are held from row to row, what is measured runs straight between rows. BadInput: no time or column in common.
+    Commands are held between rows, measurements are interpolated linearly. BadInput: no time or column in common.
     """
     inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
     numbers = {n for n in first.columns if n in second and first[n].dtype.kind == second[n].dtype.kind == "f"}

@@ -1,4 +1,4 @@
-"""The date that results bear."""
+"""The date in results."""
 
 import os
 from datetime import datetime, timezone
@@ -6,7 +6,7 @@ from datetime import datetime, timezone
 from vpp_fmu.errors import BadInput
 
 EPOCH = "SOURCE_DATE_EPOCH"
-"""Seconds since 1970: the date that results then bear, so that two runs give the same bytes (reproducible-builds.org)."""
+"""Environment variable that sets the date, in s since 1970, so that two runs give the same bytes (reproducible-builds.org)."""
 
 
 def now() -> str:

@@ -1,30 +1,30 @@
-"""Numbers as text, by significant digits: a rig of 1 N shows as much of itself as one of 200 N.
+"""Numbers as text with significant digits, so that a rig of 1 N is shown as precisely as one of 200 N.
 
-Decimals suit what has one scale on every rig: a share, a percentage, a correlation, the time of an event in a record.
+A fixed number of decimals suits quantities of the same scale on every rig: shares, correlations, times in a record.
 """
 
 import math
 from numbers import Integral, Real
 
 DIGITS = 4
-"""A thrust error is known to some per cent, a parameter to less: a fourth digit still says which of two is the smaller."""
+"""A thrust error is known to some per cent, a parameter to less. The fourth digit still shows which of two is smaller."""
 
 UNCERTAINTY = 2
-"""Digits of a standard deviation that mean something: from a hundred readings it is known to 7 %."""
+"""Significant digits of a standard deviation: from a hundred readings it is known to 7 %."""
 
 MOST = 7
-"""Digits of a value whose uncertainty is next to nothing, as in data without noise."""
+"""Digits of a value with almost no uncertainty, as from data without noise."""
 
 LEAST_CHANCE = 1e-6
-"""Below it a p-value rests on tails that no record has tested."""
+"""Smaller p-values are not shown: the tails of the distribution are not validated there."""
 
 _MISSING = "–"
 
 
 def number(value, digits: int = DIGITS) -> str:
-    """A value with so many significant digits; what is missing as a dash, text as it is.
+    """A value with `digits` significant digits; a missing value as a dash, text unchanged.
 
-    What a few digits tell exactly stays short (0.5, 6000). Below a thousandth, and from a million on, as a power of ten.
+    Trailing zeros of exact values are dropped (0.5, 6000). Below 1e-3, and from 1e6 on, a power of ten is used.
     """
     if value is None or (isinstance(value, Real) and math.isnan(value)):
         return _MISSING
@@ -41,17 +41,17 @@ def number(value, digits: int = DIGITS) -> str:
 
 
 def signed(value, digits: int = DIGITS) -> str:
-    """The same with a plus where it is one."""
+    """The same with the sign of positive values."""
     return f"{'+' if isinstance(value, Real) and value > 0 else ''}{number(value, digits)}"
 
 
 def chance(p: float, equals: str = "") -> str:
-    """A p-value: what lies far below anything that one would ask for says no more than that."""
+    """A p-value; below LEAST_CHANCE only this bound."""
     return f"< {LEAST_CHANCE:.0e}".replace("e-0", "e-") if p < LEAST_CHANCE else f"{equals}{number(p, 2)}"
 
 
 def with_uncertainty(value: float, half: float, unit: str = "") -> str:
-    """A value and half of its interval, both to the last digit that the latter is known to."""
+    """A value and half of its interval, both to the last significant digit of the latter."""
     unit = unit and f" {unit}"
     if not 0.0 < half < math.inf or math.isnan(value):
         return f"{number(value)}{unit}"
@@ -59,7 +59,7 @@ def with_uncertainty(value: float, half: float, unit: str = "") -> str:
 
 
 def interval(low: float, high: float, unit: str = "") -> str:
-    """Two ends, to the digit that their distance is known to."""
+    """Two ends, to the last significant digit of their distance."""
     unit = unit and f" {unit}"
     if not 0.0 < high - low < math.inf:
         return f"{number(low)}{unit}" if low == high else f"{number(low)} to {number(high)}{unit}"
@@ -76,7 +76,7 @@ def _to(value: float, uncertainty: float) -> str:
 
 
 def _short(text: str, value: float) -> str:
-    """Without zeros at the end where the text tells the value exactly: they would claim digits that were asked of nobody."""
+    """Without trailing zeros if the text equals the value: they would claim more digits than it has."""
     head, e, tail = text.partition("e")
     trimmed = head.rstrip("0").rstrip(".") if "." in head else head
     return f"{trimmed}{e}{tail}" if math.isclose(float(text), value, rel_tol=1e-9) else text

@@ -1,8 +1,8 @@
-"""The whole error tree. Everything a caller may catch stands here; the command line turns each into one line and exit 2."""
+"""All errors that a caller may catch. The command line prints each as one line and exits with code 2."""
 
 
 class VppError(Exception):
-    """Base of all errors this project raises on purpose. `code`: what the command line then exits with."""
+    """Base of all errors this project raises on purpose. `code`: the command line's exit code."""
 
     code = 2
 
@@ -17,7 +17,7 @@ class BadInput(VppError):
         self.where, self.field, self.found, self.allowed = str(where), field, str(found), allowed
         super().__init__(f"{where}: {field}: found {found}, allowed is {allowed}")
 
-    def __reduce__(self) -> tuple[type, tuple[str, str, str, str]]:  # from a worker process it must arrive as what it is
+    def __reduce__(self) -> tuple[type, tuple[str, str, str, str]]:  # pickled by worker processes
         return type(self), (self.where, self.field, self.found, self.allowed)
 
 
@@ -26,7 +26,7 @@ class SimulationFailed(VppError):
 
 
 class NotIdentifiable(VppError):
-    """The data hold no information on what was asked for."""
+    """The data hold no information on a requested quantity."""
 
 
 class CompilerMissing(VppError):
@@ -34,8 +34,8 @@ class CompilerMissing(VppError):
 
 
 class WorkerLost(VppError):
-    """A process that shared the work has died before it was done."""
+    """A worker process died before its work was done."""
 
 
 class ExtraMissing(VppError):
-    """An optional library is needed that is not installed; the message says which, and how to get it."""
+    """A required optional library is not installed; the message names it and the command that installs it."""

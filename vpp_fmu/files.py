@@ -1,4 +1,4 @@
-"""Files at the border: text and tables are read whole, output is written whole or not at all."""
+"""Read text files and tables; write output atomically."""
 
 import contextlib
 import csv
@@ -17,9 +17,9 @@ from vpp_fmu.errors import BadInput
 
 
 class OutputFolder:
-    """The folder that one job writes to. It is created if need be.
+    """The folder that one job writes to. It is created if it does not exist.
 
-    BadInput where it can't be created or written, so that a long job fails before its work and not after.
+    BadInput if it can't be created or written, so that a long job fails before its work and not after.
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -27,7 +27,7 @@ class OutputFolder:
         self._others: dict[str, bool] = {}
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            # Permission bits don't tell (root, read-only mounts, /proc): only a write does.
+            # Permission bits are not reliable (root, read-only mounts, /proc), so a write is tried.
             tempfile.TemporaryFile(dir=self.path).close()
         except FileExistsError as error:
             raise self._refused("a file") from error
@@ -36,18 +36,18 @@ class OutputFolder:
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Names that `write` found in the folder with other content."""
+        """Names of files that `write` replaced and whose content was different."""
         return tuple(name for name, other in self._others.items() if other)
 
     def write(self, name: str, data: str | bytes) -> Path:
         """Write `data` (text as UTF-8) to the file `name`; returns its path.
 
-        What stood there stays whole until the new file is. BadInput where the system refuses.
+        The previous file stays until the new one is complete. BadInput if the system refuses.
         """
         target, content = self.path / name, as_bytes(data)
         other = holds_other(target, content)
         write_whole(target, content, target)
-        self._others.setdefault(name, other)  # a second write in the same job replaces nothing of the user's
+        self._others.setdefault(name, other)  # a second write in the same job replaces no file of the user's
         return target
 
     def _refused(self, found: str) -> BadInput:
@@ -55,18 +55,18 @@ class OutputFolder:
 
 
 def as_bytes(data: str | bytes) -> bytes:
-    """What is written of `data`: text as UTF-8, with "?" for each byte of a file's name that is no UTF-8."""
+    """The bytes of `data`: text as UTF-8, with "?" for each byte of a file's name that is no UTF-8."""
     return data.encode(errors="replace") if isinstance(data, str) else data
 
 
 def write_whole(path: Path, content: bytes, shown: Path) -> None:
-    """Write a file; what stood there stays whole until the new one is. BadInput, naming `shown`, where the system refuses."""
+    """Write a file; the previous one stays until the new one is complete. BadInput, naming `shown`, if the system refuses."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with open(temporary, "wb") as file:  # not mkstemp: its files are for the owner's eyes only
+        with open(temporary, "wb") as file:  # not mkstemp: only the owner can read its files
             file.write(content)
             file.flush()
-            os.fsync(file.fileno())  # else a power cut can leave the new name with no content
+            os.fsync(file.fileno())  # without it a power cut can leave an empty file
         os.replace(temporary, path)
     except OSError as error:
         raise BadInput(shown, "output file", f"not writable ({reason(error)})", "a file that can be written") from error
@@ -76,7 +76,7 @@ def write_whole(path: Path, content: bytes, shown: Path) -> None:
 
 
 def holds_other(path: Path, content: bytes) -> bool:
-    """Whether something else than a file of this content stands at `path`."""
+    """Whether `path` exists and is not a file of this content."""
     try:
         return os.path.lexists(path) and path.read_bytes() != content
     except OSError:
@@ -84,19 +84,19 @@ def holds_other(path: Path, content: bytes) -> bool:
 
 
 def reason(error: OSError) -> str:
-    """Why the system refuses, in its words."""
+    """The system's reason for an error."""
     return (error.strerror or str(error)).lower()
 
 
 LARGEST = 500 * 2**20
-"""Bytes of a file that is read whole: some 10 million rows of a record."""
+"""Maximum bytes of a file that is read into memory: some 10 million rows of a record."""
 
 RATIO = 200
-"""Unpacked over packed, beyond the first megabyte: tables shrink 3 to 50 times, a bomb 1000 times."""
+"""Maximum ratio of unpacked to packed size, beyond the first megabyte: 3 to 50 for tables, 1000 for a bomb."""
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """What a file holds, unpacked if its name ends in .gz. Or BadInput."""
+    """The bytes of a file, unpacked if its name ends in .gz. BadInput."""
     path = Path(path)
     packed = path.suffix.lower() == ".gz"
     try:
@@ -120,7 +120,7 @@ def read_bytes(path: str | os.PathLike) -> bytes:
 
 
 def read_text(path: str | os.PathLike) -> str:
-    """The text of a UTF-8 file, gzipped if its name ends in .gz; without byte-order mark, lines ended by LF. Or BadInput."""
+    """The text of a UTF-8 file, unpacked if its name ends in .gz; without byte-order mark, lines ended by LF. BadInput."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -130,16 +130,16 @@ def read_text(path: str | os.PathLike) -> str:
 
 
 def shown(cell: str) -> str:
-    """A cell as a message shows it: quoted, on one line, not too long."""
+    """A cell for a message: quoted, on one line, shortened."""
     return repr(cell if len(cell) <= 40 else f"{cell[:37]}...") if cell else "an empty cell"
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A CSV file as it stands.
+    """The content of a CSV file.
 
-    `columns`: by name in the file's order, (n,) float where every cell is a finite number, else (n,) str as found.
-    `lines`: (n,) the line of the file that each row stands on.
+    `columns`: by name in the file's order, (n,) float if every cell is a finite number, else (n,) str as found.
+    `lines`: (n,) line number of each row.
     """
 
     source: str
@@ -151,7 +151,7 @@ class Table:
         return BadInput(self.source, f"{name}, line {self.lines[row]}", found, allowed)
 
     def numbers(self, name: str, gaps: Sequence[str] = ()) -> np.ndarray:
-        """(n,) the column as float; `gaps`: cells that become NaN. BadInput names the first that may not."""
+        """(n,) the column as float; `gaps`: cells that become NaN. BadInput names the first invalid cell."""
         cells = self.columns[name]
         if cells.dtype != object:
             return cells
@@ -189,7 +189,7 @@ def _names(path: str | os.PathLike, line: str) -> list[str]:
     for i, name in enumerate(names):
         if not name:
             raise BadInput(path, f"header, column {i + 1}", "no name", "a name for each column")
-        if not name.isprintable():  # it would tear the one line of every message that names it
+        if not name.isprintable():  # it would break the single line of a message
             raise BadInput(path, f"header, column {i + 1}", shown(name), "a name of printable characters")
         if name in names[:i]:
             raise BadInput(path, f"column {name}", "more than one of that name", "each column once")
@@ -197,7 +197,7 @@ def _names(path: str | os.PathLike, line: str) -> list[str]:
 
 
 def _all_numbers(rows: Sequence[str], width: int) -> Sequence[np.ndarray] | None:
-    """The columns of a table that holds finite numbers and nothing else; None where it doesn't. This is the fast way."""
+    """The columns of a table of finite numbers only; None for any other table. This is the fast path."""
     try:
         grid = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
     except ValueError:
@@ -206,7 +206,7 @@ def _all_numbers(rows: Sequence[str], width: int) -> Sequence[np.ndarray] | None
 
 
 def _cells(path: str | os.PathLike, lines: Sequence[str], before: int, width: int) -> tuple[list[int], list[list[str]]]:
-    """Line numbers and cells of the rows that follow the first `before` lines."""
+    """Line numbers and cells of the rows after the first `before` lines."""
     reader = csv.reader(f"{line}\n" for line in lines)
     numbers, rows = [], []
     try:

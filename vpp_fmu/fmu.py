@@ -1,6 +1,6 @@
 """FMI 2.0 co-simulation FMUs in this process: loaded by fmpy, stepped through calls that are bound once.
 
-fmpy's own wrapper converts every argument of every call; here the buffers are made once, and a step is three foreign calls.
+fmpy's own wrapper converts every argument of every call. Here the buffers are made once, and a step is three foreign calls.
 """
 
 import contextlib
@@ -43,8 +43,8 @@ STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
 class Fmu:
-    """An unpacked FMU file. `instance` may be called many times; what was unpacked goes with `close`, with the object, with the
-    process. BadInput: what it is instead of an FMI 2.0 co-simulation FMU for this machine."""
+    """An unpacked FMU file. `instance` may be called many times. The unpacked files are removed by `close`, or with the object
+    or the process. BadInput: no FMI 2.0 co-simulation FMU for this machine."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -78,7 +78,7 @@ class Fmu:
         return not self.description.coSimulation.needsExecutionTool
 
     def slave(self) -> FMU2Slave:
-        """fmpy's handle of a new instance, its library loaded. BadInput where it can't be."""
+        """fmpy's handle of a new instance, its library loaded. BadInput if loading fails."""
         allowed = f"{self.library.name} of this machine ({fmpy.platform})"
         with _fmpys(lambda said: BadInput(self.path, "FMU", f"a library that can't be loaded ({said})", allowed)):
             return FMU2Slave(
@@ -90,7 +90,7 @@ class Fmu:
             )
 
     def _check_module(self) -> None:
-        """BadInput where the FMU is pythonfmu's and lacks its module: pythonfmu's library would end the process."""
+        """BadInput if the FMU is pythonfmu's and its module is missing: pythonfmu's library would end the process."""
         if NAMES_MODULE.encode() not in self.library.read_bytes():
             return
         resources = self.folder / "resources"
@@ -103,7 +103,8 @@ class Fmu:
             raise BadInput(self.path, "FMU", f"no module {name[:80]}", f"resources/{name[:80]}.py, which {NAMES_MODULE} names")
 
     def check_first_step(self, dt: float) -> None:
-        """Load, start and step (`dt` s) the FMU in another process. BadInput where that ends or hangs: this one goes on."""
+        """Load, start and step (`dt` s) the FMU in another process, so that a crash does not end this one. BadInput if that
+        process dies or hangs."""
         given = {"library": str(self.library), "guid": self.description.guid, "dt": dt}
         given |= {"name": self.description.modelName, "resources": (self.folder / "resources").as_uri()}
         command = [sys.executable, "-m", "vpp_fmu.first_step", json.dumps(given)]
@@ -124,7 +125,7 @@ class Fmu:
         self._scratch.close()
 
     def references(self, names: Iterable[str], causality: str) -> list[int]:
-        """Value references of variables; BadInput names the first that the FMU lacks."""
+        """Value references of variables. BadInput names the first missing one."""
         for name in names:
             if name not in self.variables or self.variables[name].causality != causality:
                 there = ", ".join(v.name for v in self.variables.values() if v.causality == causality)
@@ -133,7 +134,7 @@ class Fmu:
 
 
 class _Block:
-    """Variables of one type: they travel in one call. `positions` are theirs among all that were named."""
+    """Variables of one type, which one call transfers. `positions`: their indices among all named variables."""
 
     def __init__(self, kind: str, references: Mapping[int, int]):
         c_type, self._convert = TYPES[kind]
@@ -142,7 +143,7 @@ class _Block:
         self.arguments = (ctypes.c_uint * n)(*references.values()), ctypes.c_size_t(n), self.values
 
     def put(self, values: Sequence[float]) -> None:
-        """Take this block's among all values."""
+        """Copy this block's values from all values."""
         self.values[:] = [self._convert(values[i]) for i in self.positions]
 
 
@@ -187,13 +188,13 @@ class FmuInstance:
         self._set(values)
         self._call("fmi2ExitInitializationMode")
         shown = self._get()
-        self._messages.clear()  # what it said while all was well explains no later failure
+        self._messages.clear()  # earlier log messages explain no later failure
         return shown
 
     def stepper(self, dt: float) -> Callable[[Sequence[float]], list[float]]:
         """A function that holds inputs for the next `dt` seconds and returns the outputs there; time is counted from 0.
 
-        All that a step needs is bound once: three foreign calls remain.
+        All arguments are bound once, so a step is three foreign calls.
         """
         if [block.kind for block in (*self._writes, *self._reads)] != ["Real", "Real"]:
             return self._stepper_of_any_type(dt)
@@ -216,8 +217,8 @@ class FmuInstance:
         return take
 
     def entry(self) -> Entry | None:
-        """The instance as a compiled master steps it; None where its variables are not all Real, or where its calls come back
-        to Python, which wants to be asked by Python."""
+        """The instance for a compiled master; None if a variable is not Real, or if the FMU itself runs Python, which must be
+        called from Python."""
         if [block.kind for block in (*self._writes, *self._reads)] != ["Real", "Real"] or not self.fmu.is_native:
             return None
         functions = (self._slave.dll[f"fmi2{name}"] for name in ("SetReal", "DoStep", "GetReal"))
@@ -231,12 +232,12 @@ class FmuInstance:
         )
 
     def failed(self, status: int, at: float) -> NoReturn:
-        """SimulationFailed for a step that began at `at` s and came back with this status."""
+        """SimulationFailed for a step that began at `at` s and returned this status."""
         self._check(status, f"the step at {at:.6g} s with inputs {[*self._writes[0].values]}")
         raise SimulationFailed(f"{self.fmu.path}: the step at {at:.6g} s: status {status}")
 
     def _stepper_of_any_type(self, dt):
-        # ctypes makes a function anew each time that it is looked up: four of those cost more than a step.
+        # ctypes creates a function at each look-up: four look-ups cost more than a step.
         dll, component, count = self._slave.dll, self._component, itertools.count()
         setting = [(block, dll[f"fmi2Set{block.kind}"]) for block in self._writes]
         getting = [(block, dll[f"fmi2Get{block.kind}"]) for block in self._reads]
@@ -282,7 +283,7 @@ class FmuInstance:
             raise SimulationFailed(f"{self.fmu.path}: {what}: {self._said() or f'status {STATUS[status]}'}")
 
     def _said(self):
-        """The last line of what the FMU logged last: a Python FMU's traceback ends with what went wrong."""
+        """The last line of the FMU's last log message: a Python FMU's traceback ends with the error."""
         return self._messages[-1].strip().splitlines()[-1] if self._messages else ""
 
     def _make_callbacks(self):
@@ -298,27 +299,26 @@ class FmuInstance:
 
 @contextlib.contextmanager
 def _fmpys(refusal: Callable[[str], VppError]) -> Iterator[None]:
-    """Within, what fmpy raises becomes an error of ours, made of its words on one line."""
+    """Within this context fmpy's exceptions become errors of this project, with its message on one line."""
     before = Path.cwd()
     try:
         yield
         act()
     except Exception as problem:  # it raises Exception itself, and whatever readers of XML raise
         act()
-        os.chdir(before)  # it goes to the library's folder, and stays there if that can't be loaded
+        os.chdir(before)  # fmpy changes to the library's folder, and stays there if loading fails
         said = " ".join(str(problem).split()) or type(problem).__name__
         raise refusal(said if len(said) <= 200 else f"{said[:197]}...") from problem
 
 
 @foreign
 def _end(slave: FMU2Slave) -> None:
-    """Free the instance, but leave its library loaded: unloading one that holds on to the interpreter aborts now and then.
+    """Free the instance, but leave its library loaded: unloading a library that holds the interpreter sometimes aborts.
 
-    A library of pythonfmu's lets go of the interpreter twice as it is unloaded, if only with the process, and the second time
-    writes to memory that is somebody else's by then. Asked to let go before, it does not: instances that live hold on by
-    themselves.
+    A library of pythonfmu's releases the interpreter twice when it is unloaded, also at the end of the process. The second
+    release writes to freed memory. It cannot be released earlier, because live instances hold it.
     """
-    with contextlib.suppress(FMICallException):  # one that has failed, or never got going, can only be freed
+    with contextlib.suppress(FMICallException):  # an instance that failed, or never started, can only be freed
         slave.terminate()
     slave.fmi2FreeInstance(slave.component)
     if let_go := getattr(slave.dll, "finalizePythonInterpreter", None):
@@ -326,14 +326,14 @@ def _end(slave: FMU2Slave) -> None:
 
 
 def problems(path: str | Path) -> list[str]:
-    """What `fmpy validate` has against an FMU, in its words."""
+    """The messages of `fmpy validate` on an FMU."""
     return validate_fmu(str(path))
 
 
 @foreign
 def steps_in_fmpy(path: str | Path, held: Sequence[Mapping[str, float]], step: float, outputs: Sequence[str]) -> np.ndarray:
     """Outputs (points, outputs) of an FMU of any version by fmpy's own simulation, under `held` inputs by name, each for one
-    communication step of `step` seconds; the last one stands for the last point alone. SimulationFailed."""
+    communication step of `step` seconds; the last one only for the last point. SimulationFailed."""
     names = list(held[0])
     rows = [(k * step, *(inputs[name] for name in names)) for k, inputs in enumerate(held)]
     table = np.array(rows, dtype=[(name, float) for name in ("time", *names)]) if names else None
@@ -350,7 +350,7 @@ def simulate_in_fmpy(path: str | Path, record: Record) -> np.ndarray:
     table = np.rec.fromarrays([record[n] for n in names], names=names)
     step = float(np.median(record.steps))
     stop = float(record.time[-1])
-    # Unpacked by fmpy it would stay where something goes wrong.
+    # If fmpy unpacked it, an error would leave the files behind.
     with contextlib.closing(Fmu(path)) as fmu, _fmpys(lambda said: SimulationFailed(f"{path}: {said}")):
         result = fmpy.simulate_fmu(str(fmu.folder), input=table, stop_time=stop, output_interval=step, output=["thrust"])
     return np.interp(record.time, result["time"], result["thrust"])

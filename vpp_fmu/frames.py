@@ -1,4 +1,4 @@
-"""Records as other libraries' frames, and back. None of these libraries is needed: the extra `frames` brings them all."""
+"""Convert records to frames of other libraries, and back. These libraries are optional: the extra `frames` installs them."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -13,7 +13,7 @@ EXTRA = "frames"
 
 
 class Frame(Table):
-    """A table that never was a file: its cells are named by row, from 0."""
+    """A table that was not read from a file: its messages name cells by row, from 0."""
 
     def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
         """The error that names a cell."""
@@ -21,7 +21,7 @@ class Frame(Table):
 
 
 def library(name: str) -> Any:
-    """pandas, polars or xarray. ExtraMissing says how to get it."""
+    """pandas, polars or xarray. ExtraMissing names the command that installs it."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -41,18 +41,18 @@ def to_polars(columns: Mapping[str, np.ndarray]) -> Any:
 
 def to_xarray(columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
     """An xarray.Dataset over the coordinate `time`; `units` become the attribute of that name."""
-    held = {name: ("time", column, _told(units.get(name))) for name, column in columns.items() if name != "time"}
-    return library("xarray").Dataset(held, {"time": ("time", columns["time"], _told(units["time"]))})
+    held = {name: ("time", column, _attributes(units.get(name))) for name, column in columns.items() if name != "time"}
+    return library("xarray").Dataset(held, {"time": ("time", columns["time"], _attributes(units["time"]))})
 
 
-def _told(unit: str | None) -> dict[str, str]:
+def _attributes(unit: str | None) -> dict[str, str]:
     return {} if unit is None else {"units": unit}
 
 
 def frame_table(frame: Any, source: str) -> Frame:
-    """A frame's columns as a table that is checked as a file's is: empty cells where a frame has none or NaN.
+    """A frame's columns as a table, to be checked like that of a file. None and NaN become empty cells.
 
-    A pandas frame may have `time` as its index. BadInput where it is no frame, or has no rows.
+    A pandas frame may have `time` as its index. BadInput: no frame, or no rows.
     """
     columns = {str(name): np.asarray(column) for name, column in _columns(frame, source).items()}
     if not columns or not len(next(iter(columns.values()))):
@@ -80,7 +80,7 @@ def _columns(frame: Any, source: str) -> dict[Any, Any]:
 
 
 def _cells(column: np.ndarray) -> np.ndarray:
-    """float where all are finite numbers, else text as a file would hold it."""
+    """float if all are finite numbers, else text as in a file."""
     if column.dtype.kind in "fiub":
         values = column.astype(float)
         if np.isfinite(values).all():

@@ -1,6 +1,6 @@
-"""What holds for every optional effect, whatever it does: `vpp check-effect` asks it of one's own, the tests of the library's.
+"""Invariants of every optional effect: `vpp check-effect` checks them for a user-defined effect, the tests for the library.
 
-Each invariant takes a `Trial` and gives a number with its unit that shows how it came out, or raises `Broken`.
+Each invariant takes a `Trial` and returns a number with its unit as the result, or raises `Broken`.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,16 +15,16 @@ from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.native import Simulator
 
 STEP = 0.004
-"""s, the paper's."""
+"""The paper's sampling period, s."""
 
 SHOWS = (0.03, 3.0, 0.03)
-"""N, rpm, deg: the probe must move one of the outputs by as much, or nobody could see the effect."""
+"""N, rpm, deg: the probe must change at least one output by this much, or the effect is not visible."""
 
 APART = 1e-3
-"""N by which communication steps of 1 to 8 ms may differ."""
+"""Maximum difference [N] between communication steps of 1 to 8 ms."""
 
 SLOPE = 3e-3
-"""Share of its size by which a sensitivity may miss the central difference."""
+"""Maximum relative error of a sensitivity against the central difference."""
 
 
 class Broken(Exception):
@@ -46,7 +46,7 @@ def random_steps(rows: int, hold: int, seed: int = 0, model: Model = BASE) -> di
 
 
 def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps) -> np.ndarray:
-    """What `Simulator.simulate` returns, from the model's functions as they stand."""
+    """As `Simulator.simulate`, computed by the model's functions in Python."""
     simulation = Simulation(model, parameters)
     names = [s.name for s in model.inputs]
     rows = list(zip(*(np.asarray(inputs[name]).tolist() for name in names), strict=True))
@@ -57,10 +57,10 @@ def reference(model: Model, parameters: Mapping[str, float], inputs: Mapping[str
 
 
 def slopes(model: Model, values: Mapping[str, float], name: str, inputs, steps):
-    """Numeric derivatives of the outputs in a parameter: (central differences, where they are to be trusted, their size).
+    """Numeric derivatives of the outputs in a parameter: (central differences, mask of valid rows, their size).
 
-    A row is trusted where the curve is smooth: both one-sided differences agree, and so do those at h and h / 4: from either
-    side of a kink of twice SLOPE the middle is SLOPE away. What switches at a threshold is flat in it between switches.
+    A row is valid if the curve is smooth there: both one-sided differences agree, and so do those at h and h / 4, since the
+    central difference at a kink of twice SLOPE is off by SLOPE. An output that switches at a threshold is flat in between.
     """
     nominal = next(p.nominal for p in model.parameters if p.name == name)
     h = 1e-5 * max(abs(values[name]), 1e-2 * nominal)
@@ -93,7 +93,7 @@ class Trial:
         return {self.effect.full(name): value for name, value in values.items()}
 
     def both(self, values: Mapping[str, float], inputs, steps) -> np.ndarray:
-        """Outputs of the functions as they stand. Broken where the C differs in a bit, or a number is not finite."""
+        """Outputs of the functions in Python. Broken if the C differs in a bit, or a number is not finite."""
         shown, run = reference(self.model, values, inputs, steps), Simulator(self.model).simulate(values, inputs, steps)
         if not np.isfinite(shown).all():
             raise Broken(f"a number that is not finite at {_words(values)}")
@@ -104,7 +104,7 @@ class Trial:
 
 
 def declared(trial: Trial) -> str:
-    """Off and probe name its parameters, all values lie within their bounds, everything is described."""
+    """`off` and `probe` name the effect's parameters, all values lie within their bounds, everything is described."""
     effect = trial.effect
     own = {p.name: p for p in effect.parameters}
     off = dict(effect.off or {})
@@ -125,7 +125,7 @@ def declared(trial: Trial) -> str:
 
 
 def off_is_nothing(trial: Trial) -> str:
-    """Off, it is the model without it to the bit, at any step."""
+    """Switched off, the model equals the one without the effect to the bit, at any step."""
     effect = trial.effect
     for dt in (0.001, STEP, 0.0073, 0.05):
         inputs, steps = random_steps(300, 20, model=trial.model), np.full(299, dt)
@@ -138,26 +138,26 @@ def off_is_nothing(trial: Trial) -> str:
 
 
 def compiled(trial: Trial) -> str:
-    """The C made from it gives what Python gives, to the bit, at uneven steps."""
+    """The generated C equals Python to the bit, at uneven steps."""
     steps = np.random.default_rng(3).choice([STEP, STEP, 0.0013, 0.011], 1499)
     trial.both(trial.named(trial.effect.probe), random_steps(1500, 150, model=trial.model), steps)
     return "same bits"
 
 
 def visible(trial: Trial) -> str:
-    """The probe shows in an output."""
+    """The probe changes an output."""
     inputs, steps = random_steps(5000, 250, model=trial.model), np.full(4999, STEP)
     inputs["omega_ref"][2000:3000] = 0.0  # a rest, which the start from it needs
     on = Simulator(trial.model).simulate(trial.named(trial.effect.probe), inputs, steps)
     moved = np.abs(on - Simulator(BASE).simulate({}, inputs, steps)).max(axis=0)
-    told = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(moved, ("N", "rpm", "deg"), strict=True))
+    sizes = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(moved, ("N", "rpm", "deg"), strict=True))
     if not (moved > SHOWS).any():
-        raise Broken(f"the probe moves thrust, speed and pitch by {told}")
-    return f"moves {told}"
+        raise Broken(f"the probe moves thrust, speed and pitch by {sizes}")
+    return f"moves {sizes}"
 
 
 def bounded(trial: Trial) -> str:
-    """At every bound all numbers are finite, and C is Python."""
+    """At every bound all numbers are finite, and C equals Python."""
     for dt in (1e-6, STEP, 0.05):
         inputs, steps = random_steps(12, 3, model=trial.model), np.full(11, dt)
         for p in trial.effect.parameters:
@@ -167,7 +167,7 @@ def bounded(trial: Trial) -> str:
 
 
 def step_free(trial: Trial) -> str:
-    """The communication step does not matter: 1, 2 and 4 ms show what 8 ms show."""
+    """The outputs do not depend on the communication step: 1, 2 and 4 ms give those of 8 ms."""
     slow, fast = random_steps(2000, 150, model=trial.model), random_steps(200, 1, model=trial.model)
     coarse, values = {name: np.r_[slow[name], fast[name]] for name in slow}, trial.named(trial.effect.probe)
     run, apart = Simulator(trial.model), 0.0
@@ -182,7 +182,7 @@ def step_free(trial: Trial) -> str:
 
 
 def differentiable(trial: Trial) -> str:
-    """Sensitivities are central differences, away from kinks."""
+    """Sensitivities equal central differences, away from kinks."""
     model, worst = trial.model, 0.0
     wrt = tuple(trial.effect.full(p.name) for p in trial.effect.parameters)
     values, known = model.values(trial.named(trial.effect.probe)), {p.name: p for p in model.parameters}
@@ -191,7 +191,7 @@ def differentiable(trial: Trial) -> str:
     for j, name in enumerate(wrt):
         p = known[name]
         if p.choices or not p.minimum < values[name] < p.maximum:
-            continue  # not a number to vary, or one side only
+            continue  # a discrete parameter, or one-sided
         numeric, smooth, size = slopes(model, values, name, inputs, steps)
         error = float((np.where(smooth, np.abs(tangents[:, :, j] - numeric), 0.0).max(axis=0) / size).max())
         if error > SLOPE:

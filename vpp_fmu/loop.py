@@ -1,4 +1,4 @@
-"""The control loop; there is no other."""
+"""The control loop that all verbs use."""
 
 import contextlib
 from collections.abc import Callable
@@ -22,10 +22,10 @@ def run(
 ) -> Record:
     """Close the loop over the profile `references` (`time` [s], `thrust_set` [N], each held to the next row).
 
-    At each communication point the controller sees the thrust that stands there, and its commands act until the next one.
-    `start`: the commands [rpm, deg] that the plant rests on at time 0. `progress` is told the share done now and then.
+    At each communication point the controller reads the present thrust, and its commands act until the next one. `start`: the
+    commands [rpm, deg] on which the plant is at rest at time 0. `progress` is called with the share done at intervals.
     Returns a record (rows = steps + 1) of `time, thrust_set, omega_ref, beta_ref, thrust, omega, beta`, and what else the
-    plant's samples hold, one row a communication point: what is measured stands before the row's commands act.
+    plant's samples hold, one row per communication point: measured values are from before the row's commands act.
     """
     time, wanted = held(references, plant.dt)
     sample = plant.start(*start)

@@ -1,4 +1,4 @@
-"""What objects look like as the last line of a notebook's cell."""
+"""HTML of objects in a notebook."""
 
 from collections.abc import Iterable, Sequence
 from html import escape

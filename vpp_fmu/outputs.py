@@ -1,10 +1,10 @@
-"""What one run of a verb writes: a set of files that takes the place of the set before it, whole or not at all.
+"""The files that one run of a verb writes: a set that replaces the previous one completely, or not at all.
 
-A folder holds one model. So the files of all verbs that write a parameters.json are one set, whichever of them ran: a new run
-removes what an earlier one left and it does not write itself. What other verbs made of the parameters (gains, FMUs) stays,
-and is named where these were others. A file is removed only if a verb wrote it and nobody has changed it since: names alone
-can't tell whose a file is, so a hidden file of the folder keeps who wrote what of which parameters, with its hash. What speaks
-of no parameters (two records compared, a log read) has one set of names always, and is not in it.
+A folder holds one model, so the files of all verbs that write a parameters.json are one set. A new run removes files of an
+earlier run that it does not write itself. Files that other verbs made from the parameters (gains, FMUs) stay; a message names
+them if they were made from other parameters. A file is removed only if a verb wrote it and it is unchanged. A hidden file in
+the folder therefore records the verb, the parameters and the hash of each file. Verbs without parameters (compare, import)
+always write the same names and are not recorded.
 """
 
 import hashlib
@@ -29,7 +29,7 @@ MODEL_VERBS = ("identify", "diagnose", "demo", "paper")
 
 @dataclass(frozen=True)
 class _Entry:
-    """Who wrote a file, the hash of what was written, and the identity of the parameters that it speaks of."""
+    """The verb that wrote a file, the hash of its content, and the identity of the parameters that it is made from."""
 
     by: str
     sha256: str
@@ -37,10 +37,10 @@ class _Entry:
 
 
 class OutputSet(OutputFolder):
-    """The folder that one run of `verb` writes to: as `OutputFolder`, but nothing stands in it before `finish`.
+    """The folder that one run of `verb` writes to: as `OutputFolder`, but the files appear in it at `finish` only.
 
-    After `finish`: `removed`, names of an earlier run's files that are gone; `kept`, those that someone has changed since;
-    `others`, files of other verbs that speak of other parameters, with who wrote them.
+    After `finish`: `removed`, names of an earlier run's files that are deleted; `kept`, those that the user has changed;
+    `others`, files of other verbs that were made from other parameters, with the verb.
     """
 
     def __init__(self, path: str | os.PathLike, verb: str):
@@ -51,7 +51,7 @@ class OutputSet(OutputFolder):
         self.others: Mapping[str, str] = {}
 
     def write(self, name: str, data: str | bytes) -> Path:
-        """Write the file `name` beside the folder's own; returns the path where it stands until `finish`. BadInput."""
+        """Write the file `name` to a temporary folder; returns its path there until `finish`. BadInput."""
         self._scratch = self._scratch or self._beside()
         content = as_bytes(data)
         write_whole(self._scratch.path / name, content, self.path / name)
@@ -74,8 +74,8 @@ class OutputSet(OutputFolder):
             self.others = {name: entry.by for name, entry in rest.items() if entry.parameters != identity}
             rest |= {name: _Entry(self._verb, sha256, identity) for name, sha256 in new.items()}
         if rest or made:
-            told = {name: vars(entry) for name, entry in sorted(rest.items())}
-            self.write(WRITTEN, json.dumps({"format": FORMAT, "files": told}, indent=2) + "\n")
+            entries = {name: vars(entry) for name, entry in sorted(rest.items())}
+            self.write(WRITTEN, json.dumps({"format": FORMAT, "files": entries}, indent=2) + "\n")
             del self._others[WRITTEN]
         with unbroken():
             self._put()
@@ -115,7 +115,7 @@ def _hash_of(path: Path) -> str | None:
 
 
 def _read(folder: Path) -> dict[str, _Entry]:
-    """Who wrote what in a folder; nothing where nobody has told, or what was told is no longer legible."""
+    """The entries of a folder by file name; empty if there is no record, or an invalid one."""
     try:
         content = read_object(folder / WRITTEN, FORMAT)
         entries = {name: _Entry(e["by"], e["sha256"], e["parameters"]) for name, e in content["files"].items()}

@@ -1,9 +1,9 @@
-"""Effects of one's own: a Python file beside the library, that `--effects-from` takes.
+"""User-defined effects: Python files beside the library, which `--effects-from` reads.
 
-The file is run. It holds EFFECT, a kernel Effect, and says where in the chain that stands: PORT, the name of a port
-(`vpp_fmu.kernel.learned.PORTS`), or BEFORE, the name of an effect of the library; neither: at the chain's end. `vpp diagnose`
-writes such a file for a term that it has learned. An installed package brings effects by entry points of the group
-`vpp.effects`: each names an Effect, or a module that holds what such a file holds.
+The file is executed. It defines EFFECT, a kernel Effect, and its place in the chain: PORT, the name of a port
+(`vpp_fmu.kernel.learned.PORTS`), or BEFORE, the name of an effect of the library; neither: the end of the chain.
+`vpp diagnose` writes such a file for a learned term. An installed package provides effects by entry points of the group
+`vpp.effects`: each names an Effect, or a module with the same content as such a file.
 """
 
 import importlib.util
@@ -23,11 +23,11 @@ from vpp_fmu.units import base_unit
 GROUP = "vpp.effects"
 
 KINDS: Mapping[object, tuple[type, ...]] = {str: (str,), float: (float, int), bool: (bool,)}
-"""Of the fields of a parameter, state or signal, by their declared type."""
+"""Allowed types of the fields of a parameter, state or signal, by their declared type."""
 
 
 def library_with(paths: Iterable[str | os.PathLike], library: Iterable[Effect] = LIBRARY) -> tuple[Effect, ...]:
-    """The library with the effects of these files, each in its place; the library itself where there are none. BadInput."""
+    """The library with the effects of these files, each in its place. BadInput."""
     for entry in entry_points(group=GROUP):
         library = _with(f"entry point {entry.name} of {GROUP}", _loaded(entry), tuple(library))
     for path in paths:
@@ -36,7 +36,7 @@ def library_with(paths: Iterable[str | os.PathLike], library: Iterable[Effect] =
 
 
 def _loaded(entry: EntryPoint) -> Mapping:
-    """What an installed package declares."""
+    """The object of an entry point of an installed package."""
     try:
         found = entry.load()
     except Exception as error:  # somebody else's package may raise anything
@@ -47,8 +47,8 @@ def _loaded(entry: EntryPoint) -> Mapping:
     return vars(found) if isinstance(found, ModuleType) else {"EFFECT": found}
 
 
-def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    effect, names = told.get("EFFECT"), [e.name for e in library]
+def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    effect, names = content.get("EFFECT"), [e.name for e in library]
     if not isinstance(effect, Effect) or not effect.off or not effect.probe:
         found = "nothing" if effect is None else f"a {type(effect).__name__}"
         raise BadInput(path, "EFFECT", found, "a vpp_fmu.kernel.types.Effect with off and probe")
@@ -70,7 +70,7 @@ def _with(path: str | os.PathLike, told: Mapping, library: tuple[Effect, ...]) -
             base_unit(quantity.unit)
         except KeyError as error:
             raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
-    port, before = told.get("PORT"), told.get("BEFORE")
+    port, before = content.get("PORT"), content.get("BEFORE")
     if port is not None:
         if port not in tuple(PORTS):
             raise BadInput(path, "PORT", repr(port), f"one of {', '.join(PORTS)}")
@@ -87,7 +87,7 @@ def _brief(found: object) -> str:
 
 
 def _run(path: str | os.PathLike) -> dict:
-    """What a Python file defines."""
+    """The global names that a Python file defines."""
     read_text(path)  # whether there is such a file, and it is text
     spec = importlib.util.spec_from_file_location("own_effects", path)
     if spec is None or spec.loader is None:

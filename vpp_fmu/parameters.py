@@ -26,7 +26,7 @@ FORMAT = "vpp-parameters/1"
 FILE, KNOWLEDGE = "parameters.json", "identification.json"
 
 LONGEST = 1e6
-"""s that a record, or the time from row to row, may have: eleven days."""
+"""Maximum duration of a record, and of its sampling period [s]: eleven days."""
 
 _SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -34,7 +34,7 @@ _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard deviation, both in `unit`; None: not known, or never estimated."""
+    """A value with its standard deviation, both in `unit`; None: unknown, or never estimated."""
 
     value: float
     std: float | None
@@ -43,7 +43,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """A model and the parameters that someone set; `source` says who: files, method, dates of the data.
+    """A model and its parameters that are set; `source`: origin of the values (files, method, dates of the data).
 
     >>> parameters = vpp.identify(vpp.example_campaign(), starts=1).parameters
     >>> parameters
@@ -84,12 +84,12 @@ class ParameterSet:
 
     @property
     def values(self) -> dict[str, float]:
-        """All of the model's parameter values by full name, defaults where none was set."""
+        """All of the model's parameter values by full name; defaults if not set."""
         return self.model.values({name: estimate.value for name, estimate in self.estimates.items()})
 
     @property
     def identity(self) -> str:
-        """Twelve hex digits of a hash of model, effects and values: the same for the same numbers, whoever set them when."""
+        """Twelve hex digits of a hash of model, effects and values; independent of their source and date."""
         content = [self.model.name, list(self.model.optional), self.values]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
 
@@ -102,24 +102,24 @@ class ParameterSet:
 
     @property
     def rig(self) -> Rig:
-        """The rig that the set is for: as `source` tells, else what the model's scales span."""
+        """The rig that the set is for: from `source`, else the ranges of the model's scales."""
         return rig_of(_scales(self.source, self.values), self.source)
 
     @property
     def sample_period(self) -> float | None:
-        """s from row to row of the record that the set was identified from; None where `source` does not say it."""
+        """Sampling period [s] of the record that the set was identified from; None if `source` does not have it."""
         found = self.source.get("sample_period")
         return float(found) if isinstance(found, int | float) and _is_number(found) and found > 0.0 else None
 
     def replaced(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> "ParameterSet":
-        """This set with other values, in the model's units, and their standard deviations where known. KeyError: unknown."""
+        """This set with other values, in the model's units, and their standard deviations if known. KeyError: unknown name."""
         units = {p.name: p.unit for p in self.model.parameters}
         new = {name: Estimate(float(value), (std or {}).get(name), units[name]) for name, value in values.items()}
         return replace(self, estimates={**self.estimates, **new})
 
 
 def parameters_file(path: str | os.PathLike) -> str:
-    """The parameter file that a path means: the path, or the parameters.json of a folder."""
+    """The parameter file of a path: the path, or the parameters.json of a folder."""
     return os.path.join(path, FILE) if os.path.isdir(path) else os.fspath(path)
 
 
@@ -129,7 +129,7 @@ def beside(path: str | os.PathLike) -> Path:
 
 
 def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], Model]) -> ParameterSet:
-    """Read a parameter file for the model that `build` makes of its effects' names. BadInput names file and field.
+    """Read a parameter file for the model that `build` returns for its effects' names. BadInput names file and field.
 
     `build` is `vpp_fmu.kernel.plant.plant`, or `lambda effects: CONTROLLER`. It may raise KeyError(name of an effect).
     """
@@ -151,8 +151,8 @@ def read_parameters(path: str | os.PathLike, build: Callable[[tuple[str, ...]], 
 
 
 def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str | os.PathLike) -> None:
-    """BadInput where the identification.json at `path` speaks of another model than the parameters that were read from `of`:
-    its covariance belongs to the values and effects that it names. What it doesn't name it can't contradict."""
+    """BadInput if the identification.json at `path` is of another model than the parameters that were read from `of`: its
+    covariance belongs to the values and effects that it names. Names that it does not have are not compared."""
     content = read_object(path, allowed="an identification.json")
     effects, entries = content.get("effects", list(parameters.model.optional)), content.get("parameters", {})
     if not isinstance(effects, list) or not all(isinstance(name, str) for name in effects):
@@ -175,17 +175,17 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _sized(model: Model, entries: Mapping, source: Mapping) -> Model:
-    """The model for the rig whose scales the file names; as it is where they are the ones it has."""
+    """The model with the scales that the file names."""
     scales = _scales(source, {name: entry.get("value") for name, entry in entries.items() if isinstance(entry, dict)})
     return model if scales == PAPER else model.sized(scales)
 
 
 def _scales(source: Mapping, values: Mapping) -> Scales:
-    """The scales among `values`, else those of the rig that `source` tells of, else the paper's."""
+    """The scales among `values`, else those of the rig in `source`, else the paper's."""
     rig = source.get("rig")
-    told = rig.get("scales") if isinstance(rig, dict) else None
-    named = {**(told if isinstance(told, dict) else {}), **values}
-    return PAPER.following({n: v for n, v in named.items() if _is_number(v) and (v > 0.0 or n == "beta_offset")})
+    given = rig.get("scales") if isinstance(rig, dict) else None
+    named = {**(given if isinstance(given, dict) else {}), **values}
+    return PAPER.with_values({n: v for n, v in named.items() if _is_number(v) and (v > 0.0 or n == "beta_offset")})
 
 
 def _content(path: str | os.PathLike) -> dict:
@@ -237,7 +237,7 @@ def _estimate(path: str | os.PathLike, parameter: Parameter, entry: object) -> E
 
 
 def _source(path: str | os.PathLike, found: object) -> dict:
-    """BadInput where an entry that some verb takes is not of its kind."""
+    """BadInput if an entry of `source` that a verb uses has the wrong type."""
     source = _mapping(path, "source", found)
     for name in ("record_seconds", "sample_period"):
         if name in source and not (_is_number(source[name]) and 0.0 < source[name] <= LONGEST):

@@ -11,11 +11,11 @@ from vpp_fmu.record import QUANTITIES, Record
 UNITS = {"time": "s", "omega_wanted": "rpm", "beta_wanted": "deg", "thrust_std": "N"} | {
     n: s.unit for n, s in QUANTITIES.items()
 }
-"""Of a column by its name; what is not here counts something, and its unit is 1."""
+"""Unit of a column by its name; others are counts, in the unit 1."""
 
 
 def check_parquet() -> None:
-    """BadInput where the library that writes it is missing: to be asked before anything is measured."""
+    """BadInput if the library that writes Parquet is missing; call it before a measurement."""
     try:
         import pyarrow.parquet  # noqa: F401, PLC0415  (an extra)
     except ImportError as error:
@@ -24,7 +24,7 @@ def check_parquet() -> None:
 
 
 def as_parquet(record: Record) -> bytes:
-    """The content of a Parquet file. BadInput where pyarrow is missing."""
+    """The content of a Parquet file. BadInput if pyarrow is missing."""
     check_parquet()
     import pyarrow as pa  # noqa: PLC0415
     from pyarrow import parquet  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Plants and controllers by role: the same loop runs the kernel's functions, FMUs, an emulated rig or the real one."""
+"""Plants and controllers: the same loop runs the kernel's functions, FMUs, an emulated rig or the real one."""
 
 import contextlib
 from collections.abc import Mapping
@@ -20,11 +20,11 @@ MEASURED = ("thrust", "omega", "beta")
 WANTED = ("thrust_set", "thrust")
 
 USUAL_STEP = 0.004
-"""s: communication step where neither a user nor a controller names another one."""
+"""Default communication step, s."""
 
 
 class Sample(NamedTuple):
-    """What a plant shows at one instant: thrust [N], rotor speed [rpm], blade pitch [deg]."""
+    """Outputs of a plant at one instant: thrust [N], rotor speed [rpm], blade pitch [deg]."""
 
     thrust: float
     omega: float
@@ -32,25 +32,25 @@ class Sample(NamedTuple):
 
 
 class Plant(Protocol):
-    """Takes commands [rpm, deg] and shows what came of them, one communication step `dt` [s] at a time."""
+    """Takes commands [rpm, deg] and returns its outputs, one communication step `dt` [s] at a time."""
 
     dt: float
 
     def start(self, omega_ref: float, beta_ref: float) -> Sample:
-        """At rest on the commands, at time 0."""
+        """Start at rest on the commands, at time 0."""
 
     def step(self, omega_ref: float, beta_ref: float) -> Sample:
-        """Hold the commands for one step; what stands at its end."""
+        """Hold the commands for one step; returns the outputs at its end."""
 
     def close(self) -> None:
         """Let go of whatever is held."""
 
 
 class Controller(Protocol):
-    """Takes wanted and measured thrust [N], gives commands [rpm, deg] that hold for the next step."""
+    """Takes wanted and measured thrust [N], returns commands [rpm, deg] for the next step."""
 
     def start(self, thrust_set: float, thrust: float) -> None:
-        """Forget the past."""
+        """Reset the states."""
 
     def step(self, thrust_set: float, thrust: float) -> tuple[float, float]:
         """The commands from now on."""
@@ -60,7 +60,7 @@ class Controller(Protocol):
 
 
 class KernelPlant:
-    """The plant's functions as they stand. `parameters`: changes to the defaults, by name."""
+    """The plant's functions in Python. `parameters`: changes to the defaults, by name."""
 
     def __init__(self, model: Model = BASE, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self.dt, self._simulation = dt, Simulation(model, parameters)
@@ -76,7 +76,7 @@ class KernelPlant:
 
 
 def limits_of(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """(least, greatest) of each command [rpm], [deg] by a controller's parameter values; nothing where these name no limits. In
+    """(least, greatest) of each command [rpm], [deg] from a controller's parameter values; empty if these have no limits. In
     speed-only mode the pitch has one value."""
     if not all(f"{u}_{end}" in values for u in ("omega", "beta") for end in ("min", "max")):
         return {}
@@ -86,7 +86,7 @@ def limits_of(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
 
 
 class KernelController:
-    """The controller's functions as they stand. `limits`: of each command, as `limits_of` has them; `sample_time` s."""
+    """The controller's functions in Python. `limits`: of each command, as from `limits_of`; `sample_time` s."""
 
     def __init__(self, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
         self._dt, self._simulation = dt, Simulation(CONTROLLER, parameters)
@@ -104,7 +104,7 @@ class KernelController:
 
 
 class _FmuRole:
-    """An FMU file with one instance at a time; `start` makes a fresh one, since FMI 2.0 leaves a started one started."""
+    """An FMU file with one instance at a time. `start` makes a new one, since FMI 2.0 cannot restart an instance."""
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -134,7 +134,7 @@ class _FmuRole:
         return FmuInstance(self._fmu, self.inputs, self.outputs, self._parameters)
 
     def prepare(self) -> None:
-        """Make the instance that the next `start` takes: that has little left to do then."""
+        """Make the instance for the next `start` in advance, which is then fast."""
         self._ready = self._ready or self._made()
 
     @property
@@ -167,8 +167,8 @@ class FmuPlant(_FmuRole):
 
 
 class FmuController(_FmuRole):
-    """A controller FMU. `limits`: of each command, as `limits_of` has them; none where its parameters name none. `sample_time`
-    s: its own, None where it has none; `dt` None: the same."""
+    """A controller FMU. `limits`: of each command, as from `limits_of`; none if its parameters have none. `sample_time` s: its
+    own, None if it has none; `dt` None: the same."""
 
     inputs, outputs = WANTED, COMMANDS
 
@@ -187,7 +187,7 @@ class FmuController(_FmuRole):
 
 
 def _starts(fmu: Fmu) -> dict[str, float]:
-    """Start values of an FMU's parameters, by name: those that are numbers."""
+    """Start values of an FMU's numeric parameters, by name."""
     found = {}
     for variable in fmu.variables.values():
         if variable.causality == "parameter":
@@ -198,7 +198,7 @@ def _starts(fmu: Fmu) -> dict[str, float]:
 
 
 class FmuTwin:
-    """An adaptive twin FMU: it watches a loop and is no part of it, so that its answers follow from the loop's record."""
+    """An adaptive twin FMU. It does not act on the loop, so its outputs are computed from the loop's record."""
 
     inputs = (*COMMANDS, "thrust", "omega")
     needed = ("predicted_thrust", "predicted_speed", "residual", "band", "alarm", "direction", "changes")
@@ -216,8 +216,8 @@ class FmuTwin:
         self.units = {v.name: v.unit or "1" for v in self._fmu.variables.values()}
 
     def beside(self, record: Record, rest: tuple[float, float]) -> dict[str, np.ndarray]:
-        """What it says of each row of a loop's record (rows,), whose commands act from the row on; the plant stood at the
-        commands `rest` [rpm, deg] before. SimulationFailed."""
+        """Its outputs (rows,) for a loop's record, whose commands act from each row on. Before, the plant is at rest on the
+        commands `rest` [rpm, deg]. SimulationFailed."""
         instance = FmuInstance(self._fmu, self.inputs, self.outputs)
         try:
             given = np.column_stack([record[name] for name in self.inputs]).tolist()

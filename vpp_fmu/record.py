@@ -1,4 +1,4 @@
-"""A record: what was commanded and what was measured, over time. Read, checked, written as CSV."""
+"""A record: commands and measurements over time. Read, checked, written as CSV."""
 
 import csv
 import gzip
@@ -27,7 +27,7 @@ VOLTAGE = Signal("voltage", "V", "supply voltage", 0.0, 100.0, 25.0)
 CURRENT = Signal("current", "A", "supply current", -500.0, 500.0, 10.0)
 MEASURED = (OMEGA, THRUST, BETA, VOLTAGE, CURRENT)
 QUANTITIES = {s.name: s for s in (OMEGA_REF, BETA_REF, *MEASURED, *CONTROLLER.inputs)}
-"""What a column may be, by name, with its unit and range; and `time`."""
+"""Known columns beside `time`, by name, with unit and range."""
 
 COMMANDS = ("time", "omega_ref", "beta_ref")
 
@@ -36,7 +36,7 @@ MOST_POINTS = 2_000_000
 
 
 class RecordWarning(UserWarning):
-    """A file holds something that is kept but that nothing uses."""
+    """A file holds columns that are kept but not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Record:
     """Columns by name, each (n,), in the units of QUANTITIES, and the file they came from.
 
     Commands are zero-order holds: a row's value acts from that row's time on, or from a share `late` (0 to below 1) of the row
-    later. Measured values are sampled at the row's time; NaN where the rig gave none. `sensor`: what measured the speed.
+    later. Measured values are sampled at the row's time; NaN: no reading. `sensor`: the speed sensor.
 
     >>> record = vpp.read_campaign(vpp.example_campaign()).open_loop
     >>> record
@@ -90,7 +90,7 @@ class Record:
         return self.columns, self.steps, self.late
 
     def commands_later(self, rows: float) -> "Record":
-        """The record with commands that act so many rows later, earlier where negative, beside the same readings.
+        """The record with commands that act `rows` rows later (negative: earlier), beside the same readings.
 
         The first command is extended backwards and the last one forwards.
         """
@@ -101,7 +101,7 @@ class Record:
 
     @property
     def period(self) -> float:
-        """s from row to row, the median; NaN for a single row."""
+        """Median time between rows [s]; NaN for a single row."""
         return float(np.median(self.steps)) if len(self) > 1 else math.nan
 
     def __repr__(self) -> str:
@@ -118,7 +118,7 @@ class Record:
 
     @property
     def units(self) -> dict[str, str]:
-        """Of the columns that are known, by name."""
+        """Units of the known columns, by name."""
         known = {"time": "s"} | {name: signal.unit for name, signal in QUANTITIES.items()}
         return {name: known[name] for name in self.columns if name in known}
 
@@ -164,7 +164,7 @@ class Record:
         return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
     def with_columns(self, **arrays: np.ndarray) -> "Record":
-        """This record with columns added or exchanged; each (n,)."""
+        """This record with columns added or replaced; each (n,)."""
         return replace(self, columns={**self.columns, **{name: np.asarray(array) for name, array in arrays.items()}})
 
 
@@ -172,8 +172,8 @@ def read_record(path: str | os.PathLike[str], need: Sequence[str] = COMMANDS, ho
     """Read a record that holds at least the columns `need`, `time` among them.
 
     Measured columns beyond these, and those in `holes`, may have empty cells, which become NaN. Unknown columns are kept, as
-    float where every cell is a finite number, else as str; one RecordWarning names them. BadInput says what else is
-    wrong, and on which line.
+    float if every cell is a finite number, else as str; one RecordWarning names them. BadInput names other errors and their
+    lines.
     """
     table = read_table(path)
     columns = checked_columns(table, need, holes)
@@ -198,7 +198,7 @@ def held(profile: Record, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """The table's columns, those that are known or needed as numbers within their range. BadInput, RecordWarning."""
+    """The table's columns. Known and needed ones are numbers within their range. BadInput, RecordWarning."""
     for name in need:
         if name not in table.columns:
             allowed = f"a header with {', '.join(need)}, separated by commas"
@@ -220,7 +220,7 @@ def checked_columns(table: Table, need: Sequence[str], holes: Sequence[str] = ()
 
 
 def _check_range(table: Table, name: str, values: np.ndarray) -> None:
-    """BadInput where a value of a known quantity is outside its range."""
+    """BadInput if a value of a known quantity is outside its range."""
     signal = QUANTITIES.get(name)
     if signal is None:
         return
@@ -232,7 +232,7 @@ def _check_range(table: Table, name: str, values: np.ndarray) -> None:
 
 
 def check_time(table: Table, time: np.ndarray, first: int = 0, what: str = "record") -> None:
-    """BadInput where `time`, the table's rows from `first` on, does not start at 0 or does not increase by a nanosecond."""
+    """BadInput if `time`, the table's rows from `first` on, does not start at 0 or does not increase by a nanosecond."""
     if time[0] != 0.0:
         raise table.wrong("time", first, f"{time[0]:.12g}", f"0 in the first row of a {what}")
     later = np.round(np.diff(time), 9) > 0.0  # as Record.steps: no step may vanish
@@ -266,7 +266,7 @@ def _cells(name: str, column: np.ndarray) -> list[str]:
 
 
 def _gzipped(data: bytes) -> bytes:
-    """Not gzip.compress: what that puts into the header differs between systems and versions."""
+    """gzip.compress is not used: its header differs between systems and versions."""
     packed = io.BytesIO()
     with gzip.GzipFile(filename="", mode="wb", fileobj=packed, mtime=0) as file:
         file.write(data)

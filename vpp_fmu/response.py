@@ -1,4 +1,4 @@
-"""Figures of merit of a closed loop's steps."""
+"""Figures of merit of a closed loop's step responses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,21 +9,20 @@ import numpy as np
 from vpp_fmu.record import Record
 
 BAND = 0.02
-"""A step has settled once the thrust stays within this share of the step."""
+"""Settling band, as a share of the step."""
 
 TAIL = 0.1
-"""A set-point is out of reach where the commands stand on their limits, and the thrust stands, over this share of the step's
-time at its end."""
+"""A set-point is out of reach if the commands are at their limits and the thrust is constant over this last share of the
+step's duration."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One change of the wanted thrust, from `before` to `after` [N] at `time` [s], judged until `end` [s].
+    """One change of the wanted thrust, from `before` to `after` [N] at `time` [s], evaluated until `end` [s].
 
-    `last`: whether the run ends with it. `settling` s to stay within the band around it; None where it never does. `stuck`:
-    thrust [N], speed [rpm] and pitch [deg] commands at its end where the set-point is out of reach. `overshoot`: how far the
-    thrust goes beyond what is wanted, and `ringing`: its largest swing to either side once it has come back from there, both
-    in % of the step.
+    `last`: whether it is the last step of the run. `settling` [s]: settling time; None if it never settles. `stuck`: thrust
+    [N] and commands of speed [rpm] and pitch [deg] at its end if the set-point is out of reach. `overshoot`: largest thrust
+    beyond the set-point, and `ringing`: its largest deviation to either side after the overshoot, both in % of the step.
     """
 
     time: float
@@ -38,8 +37,8 @@ class Step:
 
 
 def steps(run: Record, band: float = BAND, limits: Mapping[str, tuple[float, float]] | None = None) -> list[Step]:
-    """Every change of `thrust_set` in a run, judged on `thrust` until the next change; `band`: share of the step; `limits`:
-    (least, greatest) of each command by its name, where they are known."""
+    """Every change of `thrust_set` in a run, evaluated on `thrust` until the next change; `band`: share of the step; `limits`:
+    (least, greatest) of each command by its name, if known."""
     wanted, time, thrust = run["thrust_set"], run.time, run["thrust"]
     changes = [*(np.flatnonzero(np.diff(wanted)) + 1), len(wanted)]
     found = []
@@ -62,8 +61,8 @@ def steps(run: Record, band: float = BAND, limits: Mapping[str, tuple[float, flo
 def _stuck(
     run: Record, rows: slice, band: float, limits: Mapping[str, tuple[float, float]]
 ) -> tuple[float, float, float] | None:
-    """Thrust and commands at the end of a step whose commands stand on their limits while the thrust moves by less than `band`
-    [N]; None where they do not."""
+    """Thrust and commands at the end of a step whose commands are at their limits while the thrust changes by less than `band`
+    [N]; None otherwise."""
     tail = slice(rows.stop - max(2, round(TAIL * (rows.stop - rows.start))), rows.stop)
     thrust, ends = run["thrust"][tail], []
     for name, (low, high) in limits.items():
@@ -76,8 +75,8 @@ def _stuck(
 
 
 def swing(missing: np.ndarray) -> float:
-    """The largest |error| (n,) of a step's response from where, having reached what is wanted, it first falls back behind it;
-    0 where it never does."""
+    """The largest |error| (n,) of a step response after it has reached the set-point and first returns behind it; 0 if it
+    never does."""
     reached = int(np.argmax(missing <= 0.0)) if (missing <= 0.0).any() else len(missing)
     behind = missing[reached:] > 0.0
     return float(np.max(np.abs(missing[reached + int(np.argmax(behind)) :]))) if behind.any() else 0.0

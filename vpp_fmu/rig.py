@@ -1,4 +1,4 @@
-"""The rig: what it may do, and the scales of its normalised quantities; declared in `rig.json` or inferred from a campaign."""
+"""The rig: its limits and the scales of its normalised quantities, declared in `rig.json` or inferred from a campaign."""
 
 import math
 import os
@@ -16,7 +16,7 @@ from vpp_fmu.sensors import KINDS, SpeedSensor
 from vpp_fmu.structured import read_object, shown
 
 MOST_MARKS = 1000
-"""Marks a revolution, at most."""
+"""Maximum number of marks per revolution."""
 
 FORMAT = "vpp-rig/1"
 FILE = "rig.json"
@@ -28,21 +28,21 @@ ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Leading digits of a round number."""
 
 PAPERS_SIZE = 2.0
-"""A rig is of the paper's size, and keeps the paper's scales, while no quantity is this many times larger or smaller."""
+"""Maximum ratio of a quantity to the paper's at which a rig keeps the paper's scales."""
 
 NEUTRAL = 0.25
-"""Share of the whole measured pitch below the pitch that is 0 when normalised; the rest is 1. The paper's -5 of -10..10 deg."""
+"""Share of the measured pitch range below the pitch whose normalised value is 0. The paper's: -5 of -10 to 10 deg."""
 
 DECLARED, MEASURED, ASSUMED = "rig.json", "the campaign", "the model's scales"
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What a rig may do: ranges (least, greatest) of commanded `speed` [rpm], `pitch` [deg] and of `thrust` [N]; the steepest
-    commands, `speed_slew` [rpm/s] and `pitch_slew` [deg/s], infinite where steps are allowed. `sensor`: what is declared of the
-    speed sensor, fields of a `SpeedSensor` by name.
+    """Limits of a rig: ranges (least, greatest) of commanded `speed` [rpm], `pitch` [deg] and of `thrust` [N]; maximum slew
+    rates of commands, `speed_slew` [rpm/s] and `pitch_slew` [deg/s], infinite if steps are allowed. `sensor`: declared fields
+    of a `SpeedSensor` by name.
 
-    A range of one value (a fixed pitch) has equal ends. `origin`: by entry, where it comes from.
+    A range of one value (a fixed pitch) has equal ends. `origin`: source of each entry, in words.
     """
 
     name: str = ""
@@ -70,7 +70,7 @@ class Rig:
         }
 
     def lines(self) -> list[str]:
-        """In words, entry by entry, with where each comes from."""
+        """One text for each entry, with its source."""
         s = self.scales
         text = f"w = omega / {s.omega_scale:g} rpm, b = (beta {s.beta_offset:+g} deg) / {s.beta_scale:g} deg, "
         text += f"T = thrust / {s.thrust_scale:g} N ({self.origin.get('scales', ASSUMED)})"
@@ -78,12 +78,12 @@ class Rig:
         return [*(self._range(name) for name in RANGES), *self._slews(), *sensor, text]
 
     def command_lines(self) -> list[str]:
-        """The same of what may be commanded alone."""
+        """The same for commands only."""
         return [*(self._range(name) for name in SLEWS), *self._slews()]
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Of speed and pitch, whose range nobody measured or declared: what the model's scales span is no leave to go there."""
+        """Those of speed and pitch whose range is neither measured nor declared, but only spanned by the model's scales."""
         return tuple(name for name in SLEWS if self.origin.get(name, ASSUMED) == ASSUMED)
 
     def _range(self, name: str) -> str:
@@ -111,19 +111,19 @@ def rounded(size: float) -> float:
 
 
 def rounded_up(size: float) -> float:
-    """The least round number that is no smaller than a positive size."""
+    """The smallest round number that is at least a positive size."""
     power = 10.0 ** math.floor(math.log10(size))
     return _tidy(next(d * power for d in ROUND if d * power >= size * (1.0 - 1e-9)))
 
 
 def _tidy(number: float) -> float:
-    """0.3 for 3 times a tenth."""
+    """Without rounding errors: 0.3 for 3 times 0.1."""
     return float(f"{number:.6g}")
 
 
 def declared_rig(path: str | os.PathLike, rest: Rig | None = None) -> Rig:
-    """The rig that a rig.json declares. What it leaves open is as of `rest`, and so are the scales of the map, which belong to
-    a model; without `rest` the file must tell all three ranges, and its scales are round numbers for these where it tells none.
+    """The rig that a rig.json declares. Missing entries are those of `rest`, and so are the scales of the map, which belong to
+    a model. Without `rest` the file must have all three ranges; scales that it does not have are round numbers for these.
 
     BadInput names the field that is wrong or missing.
     """
@@ -142,14 +142,13 @@ def declared_rig(path: str | os.PathLike, rest: Rig | None = None) -> Rig:
 
 
 def rig_of(scales: Scales, source: Mapping, where: str = "parameters.json: source, rig") -> Rig:
-    """The rig that a parameter file speaks of: what its `source` tells of it, else what the model's scales span. BadInput,
-    naming `where`."""
+    """The rig of a parameter file: from its `source`, else the ranges of the model's scales. BadInput, naming `where`."""
     pitch = scales.absolute(0.0, "position"), scales.absolute(1.0, "position")
     spanned = Rig("", (scales.omega_scale / 3.0, scales.omega_scale), pitch, (0.0, scales.thrust_scale), scales=scales)
-    if not isinstance(told := source.get("rig"), dict) or told.get("format") != FORMAT:
+    if not isinstance(own := source.get("rig"), dict) or own.get("format") != FORMAT:
         return spanned
-    content = {k: v for k, v in told.items() if k not in ("origin", "scales")}
-    declared, origin = _entries(where, content), told.get("origin", {})
+    content = {k: v for k, v in own.items() if k not in ("origin", "scales")}
+    declared, origin = _entries(where, content), own.get("origin", {})
     if not isinstance(origin, dict) or not all(isinstance(text, str) for text in origin.values()):
         raise BadInput(where, "origin", shown(origin), "an object in braces { } of texts")
     return replace(spanned, origin=dict(origin), **declared)
@@ -188,7 +187,7 @@ def _entries(path: str | os.PathLike, content: Mapping) -> dict:
 
 
 def _sensor(path: str | os.PathLike, found: object) -> dict:
-    """What is declared of the speed sensor, as fields of a `SpeedSensor`."""
+    """Declared fields of the speed sensor, as those of a `SpeedSensor`."""
     entry = _object(path, "sensors", found, ("speed",)).get("speed", {})
     entry = _object(path, "sensors, speed", entry, tuple(asdict(SpeedSensor())))
     kind, marks, averaged = (entry.get(n) for n in ("kind", "marks_per_revolution", "averaged"))
@@ -222,7 +221,7 @@ def _number(path: str | os.PathLike, name: str, found: object, low: float, high:
 def infer_rig(records: Iterable[Record], grid: Mapping[str, np.ndarray] | None, declared: Mapping) -> Rig:
     """The rig that `records` and a `grid` of steady points (columns by name; None) were measured on.
 
-    `declared`: what a rig.json says (`read_rig`), which goes first. At least one record or the grid must be there.
+    `declared`: entries of a rig.json (`read_rig`), which take precedence. At least one record or the grid is required.
     """
     records = list(records)
     columns = [r.columns for r in records] + ([grid] if grid is not None else [])
@@ -239,14 +238,14 @@ def infer_rig(records: Iterable[Record], grid: Mapping[str, np.ndarray] | None, 
 
 
 def _span(columns: Iterable[np.ndarray], cut: float = 0.0) -> tuple[float, float]:
-    """Least and greatest of the finite values, without a share `cut` at each end."""
+    """Minimum and maximum of the finite values, without a share `cut` at each end."""
     values = np.concatenate([np.asarray(c, float)[np.isfinite(np.asarray(c, float))] for c in columns] or [np.zeros(1)])
     low, high = np.quantile(values, [cut, 1.0 - cut]) if len(values) else (0.0, 0.0)
     return float(low), float(high)
 
 
 def _inferred(speed: tuple[float, float], pitch: tuple[float, float], thrust: tuple[float, float]) -> tuple[Scales, str]:
-    """(scales, in words where they come from)."""
+    """(scales, their source in words)."""
     top, force = max(speed[1], 1e-3), max(abs(thrust[0]), abs(thrust[1]), 1e-6)
     low, high = ((beta + PAPER.beta_offset) / PAPER.beta_scale for beta in pitch)
     half = PAPERS_SIZE / 4.0

@@ -1,7 +1,7 @@
-"""Folders for what a process needs for a while: they go with their owner, with the process, or with the next one.
+"""Temporary folders: removed with their owner, with the process, or by the next process.
 
-A crash or SIGKILL leaves nobody to remove anything. So an owner holds a lock on its folder while it lives, and whoever makes
-a new one first removes those beside it that nobody holds any more.
+A crash or SIGKILL removes nothing. So an owner holds a lock on its folder, and whoever makes a new folder first removes those
+beside it that are no longer locked.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from pathlib import Path
 
 try:
     import fcntl
-except ImportError:  # Windows: nobody can tell there whether an owner lives, so nothing of others is removed
+except ImportError:  # Windows: locks of other owners cannot be tested, so no other folder is removed
     fcntl = None
 
 _OURS = "vpp-scratch-"
@@ -31,17 +31,17 @@ class Scratch:
         _sweep(place, f"{hidden}{_OURS}")
         fresh = Path(tempfile.mkdtemp(prefix=f"{hidden}vpp-new-", dir=place))
         lock = None
-        with contextlib.suppress(OSError):  # where a file system knows no locks, a sweep gets none either
+        with contextlib.suppress(OSError):  # on a file system without locks, a sweep fails too
             lock = _locked(fresh)
         self.path = fresh.with_name(fresh.name.replace("vpp-new-", _OURS))
-        os.rename(fresh, self.path)  # not before it is locked: a sweep would take it for left behind
+        os.rename(fresh, self.path)  # only once it is locked, or a sweep would remove it
         _open.add(self.path)
         self.close = weakref.finalize(self, _remove, self.path, lock)
         """Remove the folder."""
 
 
 def remove_scratch() -> None:
-    """Remove all of this process's folders, whoever still uses them: for an end that runs no other code."""
+    """Remove all of this process's folders, even those in use: for an exit that runs no other code."""
     for path in tuple(_open):
         shutil.rmtree(path, ignore_errors=True)
 
@@ -54,7 +54,7 @@ def _remove(path: Path, lock: int | None) -> None:
 
 
 def _locked(folder: Path) -> int | None:
-    """A descriptor that holds the folder until it is closed. OSError where someone else does, or where it isn't a folder."""
+    """A descriptor that locks the folder until it is closed. OSError if another process holds it, or it is no folder."""
     if fcntl is None:
         return None
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -67,7 +67,7 @@ def _locked(folder: Path) -> int | None:
 
 
 def _sweep(place: Path, prefix: str) -> None:
-    """Remove what processes that have died left in `place`."""
+    """Remove folders of dead processes in `place`."""
     if fcntl is None:
         return
     for path in place.glob(f"{prefix}*"):

@@ -1,4 +1,4 @@
-"""How a rig's speed sensor makes its readings; declared in `rig.json` or inferred from a record."""
+"""The rig's speed sensor, declared in `rig.json` or inferred from a record."""
 
 from dataclasses import asdict, dataclass
 
@@ -9,16 +9,16 @@ KINDS = {
     ENCODER: "speed at the instant of the reading",
     TELEMETRY: "filtered speed, renewed at a fixed interval and held",
 }
-"""What a reading of each kind is."""
+"""Meaning of a reading, by kind."""
 
 
 @dataclass(frozen=True)
 class SpeedSensor:
-    """A speed sensor. `kind`: one of KINDS, "": not known.
+    """A speed sensor. `kind`: one of KINDS, "": unknown.
 
     `marks_per_revolution`: pulses of a mark sensor. `filter` [s]: time constant of a first-order low-pass. `refresh` [s]:
-    interval between two values, 0: a new value in every row. `delay` [s]: time by which a reading is later than the thrust
-    reading of its row, negative where it is earlier. `averaged`: a reading is the mean over its row, whose middle is its time.
+    interval between two values, 0: a new value in every row. `delay` [s]: delay of a reading against the thrust reading of its
+    row, negative if it is earlier. `averaged`: a reading is the mean over its row, whose middle is its time.
     """
 
     kind: str = ""
@@ -29,7 +29,7 @@ class SpeedSensor:
     averaged: bool = False
 
     def summary(self) -> dict:
-        """The entry of a rig.json, without what is not known."""
+        """The entry of a rig.json, without unknown fields."""
         entry = asdict(self) if self.kind else {}
         if self.kind != MARK:
             entry.pop("marks_per_revolution", None)
@@ -47,4 +47,4 @@ class SpeedSensor:
 
 
 UNKNOWN = SpeedSensor()
-"""A sensor of which nothing is known."""
+"""An unknown sensor."""

@@ -1,8 +1,8 @@
 """The closed loop of plant and controller as one file: System Structure and Parameterization (SSP) 1.0.
 
-One flat system, values bound to components in sets of one name: what libcosim, Ecos, OMSimulator and fmpy all read. What
-nothing inside drives is an input of the system, what the first component shows is its output. libcosim and Ecos refuse a
-connection that leads to the system itself; for them there is the same without the system's own connectors.
+One flat system, with parameter values bound to components in sets of one name: libcosim, Ecos, OMSimulator and fmpy all read
+it. Inputs that no component drives are inputs of the system; the outputs of the first component are its outputs. libcosim and
+Ecos refuse connections to the system itself; a variant without the system's connectors is for them.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 
 WIDTH, HEIGHT, GAP = 40.0, 40.0, 40.0
-"""Size of a component and the room around it, in the picture's units."""
+"""Size of a component and the margin around it, in the diagram's units."""
 
 for prefix, address in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV)):
     ElementTree.register_namespace(prefix, address)
@@ -36,7 +36,7 @@ class _End:
 
 @dataclass(frozen=True)
 class _Box:
-    """A component's place in the picture: its lower left corner, and the signals on its left and right side."""
+    """A component in the diagram: its lower left corner, and the signals on its left and right side."""
 
     x: float
     y: float
@@ -44,7 +44,7 @@ class _Box:
     outputs: tuple[str, ...]
 
     def at(self, name: str, output: bool) -> tuple[float, float]:
-        """Where a connector sits."""
+        """Position of a connector."""
         names = self.outputs if output else self.inputs
         return self.x + WIDTH * output, self.y + HEIGHT * _height(names, name)
 
@@ -95,7 +95,7 @@ def _structure(parts: Mapping[str, ParameterSet], stop: float, connectors: bool)
 
 
 def _connections(parts: Mapping[str, ParameterSet]) -> list[tuple[_End, _End]]:
-    """What leads where: between components, then from the system's inputs, then to its outputs."""
+    """Connections: between components, then from the system's inputs, then to its outputs."""
     driven = {
         (to, signal.name): _End(of, signal)
         for of, source in parts.items()
@@ -111,7 +111,7 @@ def _connections(parts: Mapping[str, ParameterSet]) -> list[tuple[_End, _End]]:
 
 
 def _placed(parts: Mapping[str, ParameterSet], from_outside: set[str]) -> dict[str, _Box]:
-    """Components from left to right: what the outside drives comes first."""
+    """Components from left to right, first those with inputs of the system."""
     order = sorted(parts, key=lambda name: not from_outside & {s.name for s in parts[name].model.inputs})
     return {
         name: _Box(
@@ -124,7 +124,7 @@ def _placed(parts: Mapping[str, ParameterSet], from_outside: set[str]) -> dict[s
 
 
 def _height(names: Iterable[str], name: str) -> float:
-    """Share of a side's height at which one of its connectors sits; the first is on top."""
+    """Position of a connector as a share of a side's height; the first is on top."""
     names = tuple(names)
     return 1.0 - (names.index(name) + 1.0) / (len(names) + 1.0)
 
@@ -186,7 +186,7 @@ def _values(parameters: ParameterSet, starts: Mapping[str, float]) -> bytes:
 
 
 def _system_values(parts: Mapping[str, ParameterSet], starts: Mapping[str, float]) -> bytes:
-    """Start values of the system's own inputs, for importers that hand these on to the components."""
+    """Start values of the system's own inputs, for importers that pass them to the components."""
     root = ElementTree.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=NAME)
     inputs = [start.signal for start, _ in _connections(parts) if start.element is None]
     _add_starts(ElementTree.SubElement(root, f"{{{SSV}}}Parameters"), inputs, starts)

@@ -1,9 +1,9 @@
-"""Ctrl-C, SIGTERM and a closed terminal end a verb in order: what it holds is let go, then one line and the signal's exit code.
+"""Ctrl-C, SIGTERM and a closed terminal end a verb cleanly: resources are released, one line is printed, and the exit code is
+the signal's.
 
-The handler raises in the main thread, so that every `with` and `finally` on the way out does its part. An FMU's own Python
-would take that for an error of its model: within its calls the signal is kept, and acts after them (`foreign`, `act`). Code
-that never comes back to the interpreter (an FMU that hangs) would swallow the signal so: a second thread hears it too and,
-GRACE later, ends the process itself.
+The handler raises in the main thread, so that every `with` and `finally` runs. An FMU's own Python would take the exception
+for an error of its model, so within its calls the signal is deferred until they return (`foreign`, `act`). Code that never
+returns (an FMU that hangs) would suppress the signal. So a second thread receives it too, and ends the process GRACE later.
 """
 
 import contextlib
@@ -19,15 +19,15 @@ from typing import TypeVar
 from vpp_fmu.scratch import remove_scratch
 
 GRACE = 5.0
-"""s from a signal to the end, at most: longer than a fit that runs in another thread, shorter than the 10 s after which
-service managers and containers kill."""
+"""Maximum time from a signal to the end, s: longer than a fit in another thread, shorter than the 10 s after which service
+managers and containers kill."""
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Those of them that the system has."""
+"""The handled signals that the system has."""
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal has asked for the end. `number`: which; `code`: what the process then exits with."""
+    """A signal ended the verb. `number`: of the signal; `code`: the exit code of the process."""
 
     def __init__(self, number: int):
         self.number, self.code = number, 128 + number
@@ -46,20 +46,20 @@ _kept: list[int] = []
 
 
 def foreign(function: F) -> F:
-    """Mark a function that calls somebody else's code: a signal that comes while that runs is kept until `act`."""
+    """Mark a function that calls foreign code: a signal during the call is deferred until `act`."""
     _foreign.add(function.__code__)
     return function
 
 
 def act() -> None:
-    """Raise Stopped for a signal that was kept."""
+    """Raise Stopped for a deferred signal."""
     if _kept:
         raise Stopped(_kept.pop())
 
 
 def _in_foreign(frame: FrameType | None) -> bool:
     while frame:
-        frame = frame.f_back  # the function itself may be left at any point, what it has called may not
+        frame = frame.f_back  # the function itself may be interrupted, the foreign code may not
         if frame and frame.f_code in _foreign:
             return True
     return False
@@ -67,9 +67,9 @@ def _in_foreign(frame: FrameType | None) -> bool:
 
 @contextlib.contextmanager
 def stoppable(verb: str) -> Iterator[None]:
-    """Within: a first signal raises Stopped, further ones do nothing. A signal that is ignored already (nohup) stays ignored.
+    """Within this context a first signal raises Stopped, further ones do nothing. An ignored signal (nohup) stays ignored.
 
-    In another than the main thread, which no signal reaches, this does nothing.
+    Outside of the main thread, which alone receives signals, it does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -77,7 +77,7 @@ def stoppable(verb: str) -> Iterator[None]:
 
     def stop(number, frame):
         for each in before:
-            signal.signal(each, signal.SIG_IGN)  # letting go is not to be torn
+            signal.signal(each, signal.SIG_IGN)  # the release of resources must not be interrupted
         if _in_foreign(frame):
             _kept.append(number)
         else:
@@ -98,12 +98,14 @@ def stoppable(verb: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def unbroken() -> Iterator[None]:
-    """Within, for a few milliseconds: a signal is kept until the end, and acts then."""
+    """Within this context, of a few milliseconds, a signal is deferred until its end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came = []
-    before = {n: signal.getsignal(n) for n in SIGNALS if signal.getsignal(n) is not None}  # None: not of Python's making
+    before = {
+        n: signal.getsignal(n) for n in SIGNALS if signal.getsignal(n) is not None
+    }  # None: a handler that Python did not install
     for number in before:
         signal.signal(number, lambda number, _frame: came.append(number))
     try:
@@ -117,7 +119,7 @@ def unbroken() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _watched(verb: str, numbers, stop) -> Iterator[None]:
-    """A thread that ends the process where the main thread does not within GRACE of a signal."""
+    """A thread that ends the process if the main thread does not within GRACE of a signal."""
     ended, (heard, tell) = threading.Event(), socket.socketpair()  # not a pipe: Windows wants a socket
 
     def watch():

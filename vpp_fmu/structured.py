@@ -1,4 +1,4 @@
-"""JSON and TOML files: read within bounds of size and depth, each name once, numbers finite. Whatever else is a BadInput."""
+"""Read JSON and TOML files with bounded size and depth, unique names and finite numbers. All else raises BadInput."""
 
 import json
 import os
@@ -13,23 +13,23 @@ else:
     import tomli as tomllib
 
 DEEPEST = 50
-"""Objects and lists within each other. What this project writes has 8 at most."""
+"""Maximum nesting of objects and lists. Files of this project have at most 8."""
 
 LARGEST_JSON = 20 * 2**20
-"""Characters. An identification.json has some 100 000."""
+"""Maximum number of characters. An identification.json has some 100 000."""
 
 LARGEST_TOML = 128 * 2**10
 LONGEST_LINE = 4096
-"""Characters. Readers of TOML take a time that is quadratic in the parts of a dotted key."""
+"""Maximum number of characters of a TOML line: reading time is quadratic in the parts of a dotted key."""
 
 GREATEST = 1e300
 
 LONGEST_NUMBER = 400
-"""Digits of whole numbers, which Python reads in a time that is quadratic in them."""
+"""Maximum digits of whole numbers: Python's reading time is quadratic in them."""
 
 
 def read_json(path: str | os.PathLike, allowed: str = "JSON") -> object:
-    """What a JSON file holds. BadInput; `allowed`: what the file should be."""
+    """The content of a JSON file. BadInput; `allowed`: the expected content, in words."""
 
     def once(pairs: list[tuple[str, object]]) -> dict:
         found = dict(pairs)
@@ -55,7 +55,7 @@ def read_json(path: str | os.PathLike, allowed: str = "JSON") -> object:
 
 
 def read_object(path: str | os.PathLike, form: str | None = None, allowed: str = "JSON") -> dict:
-    """What a JSON file holds that is one object, of the format `form` where that is given. BadInput."""
+    """The object in a JSON file, of the format `form` if given. BadInput."""
     found = read_json(path, allowed)
     if not isinstance(found, dict):
         raise BadInput(path, "file", shown(found), "an object in braces { }")
@@ -65,7 +65,7 @@ def read_object(path: str | os.PathLike, form: str | None = None, allowed: str =
 
 
 def read_toml(path: str | os.PathLike, allowed: str = "TOML") -> dict:
-    """What a TOML file holds. BadInput; `allowed`: what the file should be."""
+    """The content of a TOML file. BadInput; `allowed`: the expected content, in words."""
     text = _text(path, LARGEST_TOML, allowed)
     longest, line = max((len(line), k) for k, line in enumerate(text.split("\n"), 1))
     if longest > LONGEST_LINE:
@@ -91,7 +91,7 @@ KINDS = {
 
 
 def check_kinds(path: str | os.PathLike, content: object, kinds: object, place: tuple = ()) -> None:
-    """BadInput where a part of what a file holds is missing or of another kind.
+    """BadInput if a part of a file's content is missing or of another type.
 
     `kinds`: a type (None: anything); `[kinds]` for a list; `{name: kinds}` for an object, in which names that end in "?" may be
     missing or null and "*" is every name.
@@ -117,12 +117,12 @@ def check_kinds(path: str | os.PathLike, content: object, kinds: object, place: 
 
 
 def as_json(content: dict) -> str:
-    """JSON as this project writes it. What is not known is null where the number is made: NaN here is a program's fault."""
+    """JSON text. Unknown numbers must be None already: NaN is a programming error."""
     return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def shown(found: object) -> str:
-    """A value as a message shows it: on one line, not too long."""
+    """A value for a message: on one line, shortened."""
     text = json.dumps(found, default=str)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -135,7 +135,7 @@ def _text(path: str | os.PathLike, most: int, allowed: str) -> str:
 
 
 def _check(path: str | os.PathLike, content: object) -> None:
-    """BadInput where it is too deep, a number is not finite, or a text holds half a character, which no file could take."""
+    """BadInput if the nesting is too deep, a number is not finite, or a text holds half a surrogate pair."""
     level: list[tuple[tuple, object]] = [((), content)]
     for _ in range(DEEPEST):
         below: list[tuple[tuple, object]] = []
@@ -163,7 +163,7 @@ def _check_text(path: str | os.PathLike, place: tuple, text: str) -> None:
 
 
 def _field(place: tuple) -> str:
-    """Where a value stands, from names and numbers that are nested from the last one outwards."""
+    """Path of a value, from nested names and numbers, the innermost first."""
     names: list[str] = []
     while place:
         place, name = place

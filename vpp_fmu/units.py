@@ -1,7 +1,7 @@
-"""Units as FMI and SSP write them: exponents of the SI base units, factor and offset; and others that tools may show.
+"""Units as FMI and SSP write them: exponents of the SI base units, factor and offset; and units for display.
 
 A unit is text such as "rpm.s/deg": a point multiplies, a slash divides by the product behind it, a digit behind a symbol is
-its power. What the symbols mean is pint's to say.
+its power. pint defines the symbols.
 """
 
 import importlib
@@ -22,20 +22,20 @@ BASE = {
 """The base units that FMI 2.0, FMI 3.0 and SSP 1.0 know, by pint's names."""
 
 SHOWN = {"s": ("ms",), "rpm": ("rad/s",), "rad/s": ("rpm",), "deg": ("rad",), "rad": ("deg",), "N": ("gf", "kgf")}
-"""What else a value in a unit may be shown in, for tools that offer a choice."""
+"""Other units in which tools may show a value."""
 
 TRIED = (
     "1, s, ms, Hz, rad, deg, rpm, m, mm, kg, g, N, A, V, W, Ohm, K, degC, Pa, bar, J, %, and products such as N.m/rad or m/s2"
 )
-"""Units that are sure to be understood, for messages."""
+"""Examples of valid units, for messages."""
 
 
 class UnknownUnit(ValueError):
-    """No unit, or none that FMI's base units can say; the text tells why."""
+    """No unit, or one that FMI's base units cannot express; the message says why."""
 
 
 def base_unit(unit: str) -> dict[str, str]:
-    """The attributes of a BaseUnit: `base = factor * value + offset`. UnknownUnit says what is wrong."""
+    """The attributes of a BaseUnit: `base = factor * value + offset`. UnknownUnit."""
     factor, offset, exponents = _in_base_units(unit)
     attributes = {base: str(power) for base, power in exponents.items()}
     attributes |= {} if factor == 1.0 else {"factor": repr(factor)}
@@ -89,6 +89,6 @@ def _pints(unit: str) -> str:
 
 
 def _power(symbol: str) -> str:
-    """`m2` as a power, but `1` as it is."""
+    """`m2` as a power; `1` stays."""
     found = re.fullmatch(r"(\D+?)(-?\d+)", symbol)
     return f"{found[1]}**({found[2]})" if found else "percent" if symbol == "%" else symbol

@@ -1,7 +1,7 @@
 """Frames on the tachometer's serial line: built, and found again in a stream of bytes that may be damaged.
 
 A frame is the sync byte 0x7E, the length of its payload, its type, a sequence number, the payload and a CRC-16, all numbers
-little-endian. The CRC stands in the catalogues as CRC-16/IBM-3740, also called CCITT-FALSE: polynomial 0x1021, start
+little-endian. The CRC is known as CRC-16/IBM-3740, also called CCITT-FALSE: polynomial 0x1021, start
 0xFFFF, not reflected, not inverted; it covers everything between sync and CRC and sees every error of up to three bits
 and every burst of up to 16. `hil/firmware/tachometer/tachometer.h` says the same in C.
 """
@@ -27,7 +27,7 @@ TICK = 4e-6
 """Resolution of the board's timer [s]: 16 MHz / 64."""
 
 STALLED, MEASURED, CLOSED, SILENT = 0x01, 0x02, 0x04, 0x08
-"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened by itself, since no
+"""Flags of an answer: no mark for 200 ms; `period` holds a whole revolution; the relay is closed; it opened automatically: no
 request came, and was not armed since."""
 
 _HELLO, _ANSWER = struct.Struct("<BBHH"), struct.Struct("<LLHHBB")

@@ -31,7 +31,7 @@ class Revolution(NamedTuple):
     """The rotor's last pass of the mark: passes since the board's reset; `period` of the last whole revolution [s], inf where
     none was measured yet; time since the pass [s], at the call that returned this; no pass for 200 ms; the request's number;
     edges that the board rejected since its reset (modulo 256); when the answer was read [s]; whether the relay in the ESC's
-    supply was closed then, and whether it had opened by itself."""
+    supply was closed then, and whether it had opened automatically."""
 
     pulses: int
     period: float
@@ -61,8 +61,8 @@ class Port(Protocol):
 
 
 class Tachometer:
-    """The board at `port`: a device's path, or a function that opens some other Port. `timeout` [s]: how long without an
-    answer is borne.
+    """The board at `port`: a device's path, or a function that opens another Port. `timeout` [s]: tolerated time without an
+    answer.
 
     DeviceFault: NOT_READY from `hello`; from `poll` SILENT (no bytes), GARBLED (bytes, but none that pass), UNPLUGGED,
     RESTARTED. `counters`: requests lost, answers that nobody waits for any more, frames with a wrong CRC, bytes dropped.
@@ -82,7 +82,7 @@ class Tachometer:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What went wrong and was borne."""
+        """Counters of recovered errors."""
         reader = self._reader
         return {"lost": self._lost, "late": self._late, "damaged": reader.damaged, "dropped bytes": reader.dropped}
 

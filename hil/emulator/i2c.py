@@ -24,7 +24,7 @@ conversions stand still; volts added to the input."""
 POWER_UP = {"conversion": 0x0000, "config": 0x0583, "low": 0x8000, "high": 0x7FFF}
 """Registers after a reset; the config's top bit shows whether a conversion runs and is kept apart: it reads 0x8583."""
 TIMEOUT = 1.0
-"""What the kernel waits for a transfer to end, unless it was told otherwise [s]."""
+"""The kernel's default timeout of a transfer, s."""
 
 _READY, _SINGLE = 0x8000, 0x0100
 _SCALES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256)
@@ -52,8 +52,7 @@ class Ads1115Chip:
     """The converting half. `volts(t)`: voltage at input `channel` at time t [s]; `others`: the same of other inputs; what is
     not among them lies at 0 V.
 
-    `clock_error`: by which share its clock is fast; the data sheet allows 0.1 either way. The conversion is what stands at
-    the input at its end.
+    `clock_error`: share by which its clock is fast; the data sheet allows +-0.1. A conversion takes the input at its end.
     """
 
     def __init__(

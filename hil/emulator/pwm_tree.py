@@ -33,7 +33,7 @@ class PwmTree:
                 (self.chip / name).write_text("")
 
     def duty(self, channel: int) -> float | None:
-        """The pulse on the output [s]; None while it is off, or what stands there is no pulse that the kernel would make."""
+        """The pulse on the output [s]; None while it is off, or not a pulse that the kernel would make."""
         files = self._files.get(channel) or self._look(channel)
         if not files:
             return None
@@ -61,8 +61,8 @@ class PwmTree:
 
 @contextlib.contextmanager
 def attached(folder: str | os.PathLike, refuse: Callable[[str], bool] = lambda file: False) -> Iterator[None]:
-    """Within this context the driver's writes below `folder` follow the kernel's rules. `refuse`: told each file's name
-    before a write; True makes it fail with EIO."""
+    """Within this context the driver's writes below `folder` follow the kernel's rules. `refuse`: called with each file's
+    name before a write; True makes it fail with EIO."""
     root, beneath = Path(folder).resolve(), driver.pwrite
 
     def pwrite(file: int, data: bytes, offset: int) -> int:

@@ -1,4 +1,4 @@
-"""A model that goes on in time from where it stands: compiled where there is a compiler, else its functions as they are."""
+"""A model advanced step by step from its present state: compiled, or without a compiler by its functions in Python."""
 
 import ctypes
 import weakref

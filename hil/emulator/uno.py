@@ -123,8 +123,8 @@ class Uno:
                 self.relay.watch(self._ticks(t))
                 self.relay.heard(self._ticks(t))
                 answer = self._rotor.answer(self._ticks(t))
-                told = answer._replace(flags=answer.flags | self.relay.flags)
-                said += encoded(Frame(frames.ANSWER, frame.sequence, told.packed()))
+                flagged = answer._replace(flags=answer.flags | self.relay.flags)
+                said += encoded(Frame(frames.ANSWER, frame.sequence, flagged.packed()))
             elif frame.type == frames.ARM:
                 if frame.payload == frames.WORD:
                     self.relay.arm(self._ticks(t))

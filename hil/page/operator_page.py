@@ -1,7 +1,7 @@
-"""The loop's side of the operator's page: start its process, tell it what is measured, hear that it has gone.
+"""The loop's side of the operator's page: start its process, send it the measurement's plan, notice its end.
 
-The page reads the log's memory and the events beside the log by itself, so a tick does nothing for it; what is told over the
-socket is told between the runs. Back comes a byte for each STOP, and the same signal as from Ctrl-C.
+The page reads the log's memory and the events beside the log directly, so a tick does nothing for it. Messages over the socket
+are sent between the runs. The page returns a byte for each STOP, and the same signal as Ctrl-C.
 """
 
 import contextlib
@@ -20,11 +20,11 @@ from vpp_fmu.stopping import Stopped
 
 STOP = b"stop"
 STARTED = 20.0
-"""s; a page that hasn't started by then won't."""
+"""Timeout of the page's start, s."""
 PATIENCE = 1.0
-"""s that a message may take: a page that takes nothing is given up, and the rig does not wait."""
+"""Timeout of a message, s: a page that does not read is closed, and the rig does not wait."""
 LOOKS = 64
-"""Ticks between two looks at whether the page's process lives: a quarter of a second."""
+"""Ticks between two checks that the page's process lives: a quarter of a second."""
 
 
 class OperatorPage:
@@ -68,7 +68,7 @@ class OperatorPage:
 
     @property
     def broken(self) -> str:
-        """Asked at every tick; it looks now and then."""
+        """Check the process at some of the ticks."""
         self._looks += 1
         if not self._broken and self._looks % LOOKS == 0 and self._process.poll() is not None:
             self._broken = f"its process {self.pid} has died (exit code {self._process.returncode})"
@@ -90,24 +90,24 @@ class OperatorPage:
         self._tell({"part": name, "before": before, **what})
 
     def follow(self, log: ProcessLog) -> None:
-        """Read along with this log."""
+        """Read this log."""
         columns = [[column.name, list(column.words)] for column in log.columns]
         told = {"columns": columns, "slots": log.slots, "events": str(events_of(log.path))}
         self._tell({"log": told}, log.shared)
 
     def end(self, how: str) -> None:
-        """Nothing turns any more, and this is how it ended: STOP does nothing from now on."""
+        """The rotor is at rest and the run ended for this reason: STOP does nothing from now on."""
         self._looks = LOOKS - 1
         if not self.broken:
             self._tell({"ended": how})
 
     def close(self, how: str) -> None:
-        """The end: the page shows it to whoever looks, and goes."""
+        """The end: the page shows it, and its process ends."""
         self.end(how)
         self._socket.close()
         try:
             self._process.wait(PATIENCE + 1.0)
-        except subprocess.TimeoutExpired:  # stopped: it can't harm, but it mustn't stay
+        except subprocess.TimeoutExpired:  # a stopped process does no harm, but must not remain
             self._process.kill()
             self._process.wait()
 

@@ -27,11 +27,11 @@ from hil.page.operator_page import STOP
 from hil.page.story import Story
 
 EVERY = 0.1
-"""s between two looks at the log's memory, and between two messages to a browser."""
+"""Interval between two readings of the log's memory, and between two messages to a browser, s."""
 LINGER = 1.0
-"""s that the end is still told."""
+"""Time for which the end is still shown, s."""
 HOSTS = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?")
-"""The port may be another one: an SSH tunnel's."""
+"""Any port is allowed, because an SSH tunnel may have another one."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src data: blob:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -41,7 +41,7 @@ KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 
 
 class Guarded(RequestHandler):
-    """Answers nobody who does not know the token or comes by another name. `token`: of the address; the rest by `own`."""
+    """Refuses requests without the token or with another host name. `token`: of the address; the rest by `own`."""
 
     def initialize(self, token: str, **own):
         self._token = token
@@ -72,7 +72,7 @@ class Guarded(RequestHandler):
 
 
 class Files(Guarded):
-    """The page and what belongs to it."""
+    """The page and its files."""
 
     def get(self, _token, name):
         if (name or "page.html") not in self.texts:
@@ -93,12 +93,12 @@ class Stream(Guarded):
                 told = self.story.since(number, *seen)
                 number, seen = told["number"], told.pop("seen")
                 self.write(f"data: {json.dumps(told, allow_nan=False)}\n\n")
-                await self.flush()  # a browser that takes nothing holds up itself alone
+                await self.flush()  # a browser that does not read delays only itself
                 await asyncio.sleep(EVERY)
 
 
 class Stop(Guarded):
-    """STOP: what Ctrl-C does, and as often."""
+    """STOP: the same as Ctrl-C."""
 
     def post(self, _token):
         origin, site = (self.request.headers.get(name) for name in ("Origin", "Sec-Fetch-Site"))
@@ -124,14 +124,14 @@ def application(story: Story, token: str, press) -> Application:
 
 
 class Ear:
-    """The loop's process: what it says, that it is gone, and STOP to it."""
+    """The loop's process: its messages, its end, and STOP to it."""
 
     def __init__(self, end: socket.socket, story: Story):
         self._end, self._story, self.gone = end, story, False
         self._loop = os.pidfd_open(os.getppid())
 
     def hear(self) -> None:
-        """What it has said."""
+        """Its messages."""
         with contextlib.suppress(BlockingIOError):
             while not self.gone:
                 data, descriptors, _, _ = socket.recv_fds(self._end, 1 << 20, 1)
@@ -144,7 +144,7 @@ class Ear:
                     os.close(descriptor)  # the memory stays mapped
 
     def press(self) -> None:
-        """The byte first: whoever hears the signal looks for it."""
+        """Send the byte before the signal, since the signal's handler looks for it."""
         with contextlib.suppress(OSError):
             self._end.send(STOP)
         with contextlib.suppress(ProcessLookupError):
@@ -152,7 +152,7 @@ class Ear:
 
 
 async def serve(end: socket.socket, port: int) -> None:
-    """Until the loop's process has said goodbye, or is gone."""
+    """Wait until the loop's process has said goodbye, or has ended."""
     story, token = Story(), secrets.token_urlsafe(24)
     ear = Ear(end, story)
     try:
@@ -177,9 +177,9 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN if number != signal.SIGTERM else signal.SIG_DFL)
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
-        file.write("900")  # memory that runs short takes the page before the rig
+        file.write("900")  # if memory is short, the system kills the page before the rig
     logging.getLogger("tornado").addHandler(logging.NullHandler())
-    logging.getLogger("tornado").propagate = False  # refused requests are nobody's trouble
+    logging.getLogger("tornado").propagate = False  # refused requests are not logged
     asyncio.run(serve(socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])))
 
 

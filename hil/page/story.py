@@ -1,5 +1,5 @@
-"""What the page shows, gathered from the log's memory and the events beside the log: the last minutes in short, what
-happened, how far it is."""
+"""Content of the page from the log's memory and the events beside the log: the last minutes, thinned, the events and the
+progress."""
 
 import json
 import math
@@ -12,13 +12,13 @@ from hil.cycle import PERIOD
 from hil.log import Reader
 
 BIN = 25
-"""Ticks that make a point of a curve: the mean over 0.1 s."""
+"""Ticks per point of a curve, the mean over 0.1 s."""
 KEPT = 1800
-"""Points that are kept for a browser that comes late: three minutes."""
+"""Points that are kept for a browser that connects late: three minutes."""
 
 MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
-"""Of a point, behind its time [s]: N, rpm, N above the twin; the commands as they stood last: N, rpm, deg. Where an adaptive
+"""Of a point, behind its time [s]: N, rpm, N above the twin; the last commands: N, rpm, deg. Where an adaptive
 twin runs its residual [N] is among the means, its band [N] and what it adapts, each in its unit, among the latest."""
 SUPPLY = ("voltage", "current", "temperature")
 RESIDUAL, BAND = f"{LEARNED}residual", f"{LEARNED}band"
@@ -45,7 +45,7 @@ class Story:
         self._events: _Tail | None = None
 
     def tell(self, message: Mapping, descriptors: Sequence[int]) -> None:
-        """What the loop's process says between the runs."""
+        """A message of the loop's process between the runs."""
         if "told" in message:
             self.told = message["told"]
             adapted = self.told.get("adaptive_twin", {}).get("adapted")
@@ -66,7 +66,7 @@ class Story:
             self.ended = message["ended"]
 
     def look(self) -> None:
-        """Take what has come since the last look."""
+        """Take new data since the last call."""
         if self._reader is None:
             return
         rows = self._reader.rows()
@@ -78,7 +78,7 @@ class Story:
             self._show(dict(zip(self._names, rows[-1], strict=True)))
 
     def since(self, number: int, point: int, event: int, mapped: int) -> dict:
-        """What a browser lacks that has seen these so far; all of the part where it has seen another one."""
+        """New data for a browser that has these already; the whole part if it has another one."""
         told: dict = {"now": {**self.now, "age": self._age(), "done": self._done()}, "counters": self.counters}
         if number != self.number:
             point = event = mapped = 0
@@ -110,7 +110,7 @@ class Story:
         point += [_known(sum(columns[name]) / len(self._bin)) for name in self._means]
         self.points.append(point + [_known(columns[name][-1]) for name in self._latest])
         band = columns.get(BAND)
-        if band and math.isfinite(band[-1]):  # else the loop is open, and what it said last stays
+        if band and math.isfinite(band[-1]):  # else the loop is open, and the last values stay
             self._twin = {k.removeprefix(LEARNED): _known(values[-1]) for k, values in columns.items() if k.startswith(LEARNED)}
         self._bin = []
         if len(self.points) > 2 * KEPT:

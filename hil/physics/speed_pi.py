@@ -3,7 +3,7 @@
     throttle = clip(kp e + I),   dI/dt = ki e,   e = omega_ref - omega
 
 The law is one function: an effect of the full model uses it, and so does the rig's software at 250 Hz (`SpeedPi`). An output
-that is held over a step uses the integral at the middle of the step. The integral stops where the throttle stands at a limit
+that is held over a step uses the integral at the middle of the step. The integral stops if the throttle is at a limit
 and the error would drive it further.
 
 The paper states no units. The mean lag of the loop is 1 / K_I (`hil.physics.reduction`): with throttle per rpm, a motor of

@@ -1,1 +1,1 @@
-"""What keeps a spinning propeller safe: states, limits, tare, plausibility, and a process that watches the loop."""
+"""Safety of the spinning propeller: states, limits, tare, plausibility, and a process that monitors the loop."""

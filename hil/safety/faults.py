@@ -1,4 +1,4 @@
-"""Everything that can go wrong on the rig, by name, and what the loop does about each."""
+"""All faults of the rig, by name, and the loop's reaction to each."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -10,15 +10,15 @@ class Reaction(Enum):
     """How the loop leaves RUN."""
 
     RAMP_DOWN = "ramp down"
-    """The loop lives and what it drives by can be trusted far enough: the commands run down along the slew limit to idle."""
+    """The loop and its readings are good enough for a ramp: the commands go down along the slew limit to idle."""
     IDLE = "idle now"
-    """Every further moment of thrust does harm, or nothing is left to ramp by: the idle pulse at once."""
+    """Further thrust does harm, or a ramp is impossible: the idle pulse at once."""
 
 
 class FaultKind(Enum):
     """A kind of fault: its name in logs and in `hil.json`, the reaction, and what it is."""
 
-    # What a device says of itself, once its retries are used up.
+    # Reported by a device, after its retries.
     SILENT = "silent", Reaction.RAMP_DOWN, "no valid answer within the time allowed"
     GARBLED = "garbled", Reaction.RAMP_DOWN, "answers arrive, but none passes its checks"
     UNPLUGGED = "unplugged", Reaction.RAMP_DOWN, "the device has gone from the system"
@@ -30,9 +30,9 @@ class FaultKind(Enum):
     OUTPUT_LOST = "output lost", Reaction.IDLE, "a pulse could not be written or is not what was written"
     NOT_READY = "not ready", Reaction.IDLE, "the device could not be set up before arming"
 
-    # What a reading says when held against physics.
+    # Found by comparing a reading with physics.
     FROZEN = "frozen", Reaction.RAMP_DOWN, "the reading stands still where noise must move it"
-    SATURATED = "saturated", Reaction.RAMP_DOWN, "the reading stands at the end of its range"
+    SATURATED = "saturated", Reaction.RAMP_DOWN, "the reading is at the end of its range"
     NO_ROTATION = "no rotation", Reaction.IDLE, "no revolutions although the throttle is open"
     SPEED_JUMP = "speed jump", Reaction.RAMP_DOWN, "the speed changed faster than torque and inertia allow"
     OVER_SPEED = "over-speed", Reaction.IDLE, "the rotor is faster than allowed"
@@ -43,7 +43,7 @@ class FaultKind(Enum):
     SLOPE = "wrong slope", Reaction.RAMP_DOWN, "pitch changes the thrust by something else than the map says"
     STALE = "stale", Reaction.RAMP_DOWN, "the newest reading is too old"
 
-    # What the loop finds on itself.
+    # Found by the loop on itself.
     TWIN = "twin's alarm", Reaction.RAMP_DOWN, "the rig has left its model's band, and that is to end the run"
     TWIN_NOW = "twin's alarm, at once", Reaction.IDLE, "the same, where it is to end it at once"
     FAILED = "failed", Reaction.RAMP_DOWN, "the controller gave an error instead of commands"
@@ -54,7 +54,7 @@ class FaultKind(Enum):
     RUN_TIME = "run time", Reaction.RAMP_DOWN, "the run has lasted as long as allowed"
     SUPERVISOR_LOST = "supervisor lost", Reaction.RAMP_DOWN, "nobody would stop the rotor if the loop died"
     SUPERVISOR_TRIPPED = "supervisor tripped", Reaction.IDLE, "the supervisor has taken the outputs to idle"
-    TERMINATED = "terminated", Reaction.IDLE, "the process was told to end"
+    TERMINATED = "terminated", Reaction.IDLE, "the process was asked to end"
     INTERRUPTED = "interrupted", Reaction.RAMP_DOWN, "stopped by the operator"
     INTERRUPTED_TWICE = "interrupted twice", Reaction.IDLE, "stopped by the operator, at once"
 

@@ -1,4 +1,4 @@
-"""What the rig may be asked for, whatever the controller says; checked where the commands leave for the outputs."""
+"""Limits of the rig's commands, independent of the controller; checked directly before the outputs."""
 
 import math
 import os
@@ -31,10 +31,10 @@ than the paper's."""
 
 
 def _derived(rig: Rig) -> dict[str, float]:
-    """The limits that follow from a rig, by name: its ranges, and margins over them."""
+    """Default limits of a rig, by name: its ranges, and margins over them."""
     unit, (low, high), (least, most) = rig.scales.time_scale, rig.speed, rig.pitch
     longer = max(unit / PAPER.time_scale, 1.0)
-    turned = max(most - least, PAPER.beta_scale)  # blades that stand, or nearly, still have to come from where they rest
+    turned = max(most - least, PAPER.beta_scale)  # blades with almost no range still have to come from their rest position
     slews = [
         declared if math.isfinite(declared) else share * size / unit
         for declared, share, size in zip((rig.speed_slew, rig.pitch_slew), SLEW, (high, turned), strict=True)
@@ -152,7 +152,7 @@ def _declared(rig: Rig, name: str, value: float) -> str:
 
 
 class Cut(IntFlag):
-    """What a limit took from a command."""
+    """Limits that have changed a command."""
 
     NONE = 0
     OMEGA_RANGE = 1
@@ -172,15 +172,15 @@ class Limited(NamedTuple):
 
 class Limiter:
     """Holds commands to the limits, one tick after another. It starts at `omega_ref` [rpm], `beta_ref` [deg], from where it
-    comes into the ranges along the slopes: a rotor stands at first, and blades may rest where they never work."""
+    comes into the ranges along the slopes: a rotor is at rest at first, and blades may rest outside of their range."""
 
     def __init__(self, limits: Limits, omega_ref: float = 0.0, beta_ref: float = 0.0):
         self.limits, self._omega, self._beta = limits, omega_ref, beta_ref
 
     def apply(self, omega_ref: float, beta_ref: float, dt: float) -> Limited:
-        """What of the controller's commands may go out for the next dt [s].
+        """The limited commands for the next dt [s].
 
-        Commands that are no finite numbers never do: the last ones stand, and the fault says so.
+        For commands that are not finite the last ones are kept, with a fault.
         """
         own = self.limits
         return self._step(omega_ref, own.omega_min, own.omega_slew * dt, beta_ref, own.beta_slew * dt)

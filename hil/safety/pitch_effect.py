@@ -1,13 +1,13 @@
-"""Whether the blades follow their command, seen in the thrust alone: the actuator gives no position back.
+"""Test from the thrust whether the blades follow their command: the actuator has no position feedback.
 
 Over `span` seconds pitch and speed change the thrust. With the map h, the measured speed and the commanded pitch behind its
 two lags, before (0) and now (1):
 
-    G = h(omega1, beta1) - h(omega1, beta0)                    what the blades' move should have done
-    M = (T1 - T0) - (h(omega1, beta0) - h(omega0, beta0))      what is left of the measured change for it
+    G = h(omega1, beta1) - h(omega1, beta0)                    expected change from the blades' move
+    M = (T1 - T0) - (h(omega1, beta0) - h(omega0, beta0))      measured change less that of the speed
 
-M = G for blades that follow, M = 0 for blades that stand. `effect`, the slope of M over G with exponential forgetting, is 1 or
-0 then, and a map that is 15 % wrong makes 0.85 or 1.15 of it.
+M = G for blades that follow, M = 0 for blades that do not move. `effect`, the slope of M over G with exponential forgetting, is
+1 or 0 then, and a map that is 15 % wrong gives 0.85 or 1.15.
 """
 
 from collections import deque
@@ -27,14 +27,14 @@ SPAN = 2.0
 """Between before and now: longer than the pitch actuator takes, shorter than the load cell drifts."""
 
 FORGET = 4.0
-"""Until what was seen counts for 1 / e."""
+"""Forgetting time, to a weight of 1 / e."""
 
 SPEED_UNCERTAINTY = 0.25
 """Share of the speed's part of the change that may be wrong, as a stuck pitch and a wrong map make it."""
 
 
 class PitchEffect:
-    """`effect` [1] and how much command stands behind it: `moved` [N^2 s], the integral of G^2. Both are 0 at the start.
+    """`effect` [1] and its excitation `moved` [N^2 s], the integral of G^2. Both are 0 at the start.
 
     `bound` [1] is as much as the effect can be if the speed's part is uncertain. `parameters`: of the plant, by the kernel's
     names; what it doesn't name has its default. `dt`: s from one `update` to the next; `time_scale` [s]: of the rig.

@@ -1,4 +1,4 @@
-"""Every reading held against what physics allows, once a tick. What a bus or a device says of itself comes as DeviceFault."""
+"""Compare every reading with the limits of physics, once a tick. Errors reported by a bus or a device are DeviceFaults."""
 
 import math
 from collections import Counter
@@ -25,7 +25,7 @@ BEYOND = 2
 
 
 class Reading(NamedTuple):
-    """One tick: what was read, and what stood on the outputs while it came about.
+    """One tick: the readings, and the outputs at that time.
 
     `t` [s]; `counts` of the ADC, whether `saturated`; `thrust` [N] with `thrust_age` [s]; `omega` [rpm] over the last
     revolution; `pulses`, passes of the mark so far; `mark_age` [s] since the last of them; `speed_age` [s] since the
@@ -47,7 +47,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Thresholds:
-    """From what on a reading is a fault.
+    """Thresholds at which a reading is a fault.
 
     `hold` [s]: how long a speed that can't be may last while the speed loop is frozen, three revolutions at least, which are
     those of a rotor at `slow` [rpm] where the bounds know of no faster one. `stale`
@@ -116,7 +116,7 @@ class Plausibility:
         return self._doubted is None
 
     def check(self, now: Reading) -> Fault | None:
-        """The first thing that is wrong with a tick, None if nothing is."""
+        """The first fault of a tick, or None."""
         before, self._last = self._last, now
         if before is None:
             before = now._replace(t=-math.inf, counts=None)

@@ -63,11 +63,11 @@ class Polarity:
 
     @property
     def possible(self) -> bool:
-        """Whether the pitch moves at all."""
+        """Whether the pitch moves."""
         return self.betas[1] > self.betas[0]
 
     def judge(self, low: Level, high: Level) -> Fault | None:
-        """What is wrong with the two levels, if anything is for sure."""
+        """The fault that the two levels show with certainty, or None."""
         rise, error = high.thrust - low.thrust, SURE * (low.error**2 + high.error**2) ** 0.5
         seen = (
             f"from {low.beta:g} to {high.beta:g} deg at {high.omega:.0f} rpm the thrust goes from {low.thrust:.2f} to "

@@ -1,4 +1,4 @@
-"""Between which speeds the rotor can be, from the throttle and the last believed reading: an interval observer.
+"""Interval observer of the rotor speed, from the throttle and the last accepted reading.
 
     upper bound:  d omega/dt = (free (1 + tolerance) throttle - omega) / tau_fast,  never falling
     lower bound:  d omega/dt = (free (1 - tolerance) throttle - omega) / tau

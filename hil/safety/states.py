@@ -3,7 +3,7 @@
     SAFE --tared, arm--> ARMED --run--> RUN --ramp_down--> RAMPDOWN --stopped--> SAFE
       any state --fault--> FAULT (from RUN through RAMPDOWN where the fault allows it) --stopped, reset--> SAFE
 
-A tare is good for one run. A fault stays until someone resets it, and that only once the idle pulse stands.
+A tare is good for one run. A fault stays until it is reset, which needs the idle pulse on the outputs.
 """
 
 from enum import Enum
@@ -81,7 +81,7 @@ class StateMachine:
         self._move(SafetyState.RAMPDOWN if ramp else SafetyState.FAULT, str(fault))
 
     def stopped(self) -> None:
-        """The idle pulse stands on every output. Ends RAMPDOWN (in FAULT if there was one), disarms ARMED."""
+        """The idle pulse is on every output. Ends RAMPDOWN (in FAULT if there was one), disarms ARMED."""
         self._only_in("stopped", SafetyState.RAMPDOWN, SafetyState.ARMED, SafetyState.FAULT)
         self.idle, self.tare = True, None
         self.state = SafetyState.FAULT if self.faults else SafetyState.SAFE

@@ -9,7 +9,7 @@ from hil.safety.faults import Fault, FaultKind
 class StopSignals:
     """While entered, signals only leave a mark that the loop reads between ticks: nothing is torn out of a bus transfer.
 
-    Enter it in the main thread. The handlers that stood before come back at the end. `pressed`: whether an interrupt was STOP
+    Enter it in the main thread. The previous handlers are restored at the end. `pressed`: whether an interrupt was STOP
     on the operator's page, which sends the same signal.
     """
 

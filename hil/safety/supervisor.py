@@ -73,8 +73,8 @@ class Supervisor:
         while not self._page[watchdog.READY]:
             if self._process.poll() is not None or time.monotonic() > end:
                 self._process.kill()
-                _, told = self._process.communicate()
-                detail = " ".join(told.decode(errors="replace").split()) or "it did not start"
+                _, output = self._process.communicate()
+                detail = " ".join(output.decode(errors="replace").split()) or "it did not start"
                 raise DeviceFault("supervisor", FaultKind.NOT_READY, detail)
             time.sleep(0.002)
 

@@ -79,7 +79,7 @@ def tare(counts: Sequence[float], newton_per_count: float, calibrated_zero: floa
     if drift * scale > gate.drift_max + SURE * still * scale:
         raise TareRefused(
             f"tare: the reading moved by {drift * scale:.3g} N from first to second half, allowed is {gate.drift_max:g} N: "
-            "wait until the rotor stands and the amplifier is warm"
+            "wait until the rotor is at rest and the amplifier is warm"
         )
     offset = abs(zero - calibrated_zero) * scale
     if offset > gate.offset_max:

@@ -74,11 +74,11 @@ def _trip(numbers: memoryview, outputs: list[tuple[int, bytes]], report: int, wh
     # The page first: a loop that comes back to life between the two must see it before it writes a pulse.
     numbers[TRIPPED] = time.monotonic()
     failed = write_idle(outputs)
-    stood = time.monotonic()
+    written = time.monotonic()
     for descriptor, _ in outputs:
         with contextlib.suppress(OSError):  # sysfs has nothing to sync
             os.fsync(descriptor)
-    _tell(report, f"the loop is {why}; " + ("; ".join(failed) or "idle pulse written"), stood)
+    _tell(report, f"the loop is {why}; " + ("; ".join(failed) or "idle pulse written"), written)
 
 
 def _tell(report: int, what: str, at: float | None = None) -> None:
@@ -135,8 +135,8 @@ if __name__ == "__main__":
         signal.signal(number, signal.SIG_IGN)
     shared, file, allowed, patience, hurried, *rest = sys.argv[1:]
     try:
-        told = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        log = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         opened = [(os.open(duty, os.O_WRONLY), b"%d\n" % int(idle)) for duty, idle in zip(rest[::2], rest[1::2], strict=True)]
     except OSError as error:
         sys.exit(f"{error.filename}: {error.strerror}")
-    sys.exit(main(int(shared), told, float(allowed), float(patience), hurried.split(","), opened))
+    sys.exit(main(int(shared), log, float(allowed), float(patience), hurried.split(","), opened))

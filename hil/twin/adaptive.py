@@ -28,7 +28,7 @@ def adaptable(parameters: ParameterSet, where: str, adapted: Sequence[str] | Non
     model = parameters.model
     brought = tuple(e for e in LIBRARY if e.name in BROUGHT and e.name not in model.optional)
     order = {e.name: k for k, e in enumerate(LIBRARY)}
-    sized = tuple(e.sized(Scales().following(parameters.values)) for e in brought)
+    sized = tuple(e.sized(Scales().with_values(parameters.values)) for e in brought)
     effects = list(model.effects)
     for e in sized:
         before = [k for k, other in enumerate(effects) if order.get(other.name, -1) < order[e.name]]

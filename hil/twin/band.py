@@ -53,7 +53,7 @@ def read_band(path: str | os.PathLike) -> Band:
     try:
         floor, error = float(content["noise_floor_thrust"]), content["model_error"]
         if error is None:
-            found = "null: no static map and no repeat told it"
+            found = "null: neither a static map nor a repeat determined it"
             raise BadInput(path, "model_error", found, "an identification with a static.csv, which a twin's band is made of")
         steady, moving, freedom = (float(error[name]) for name in ("steady", "moving", "freedom"))
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -7,7 +7,7 @@ from vpp_fmu.record import Record
 STILL = 5.0
 """A command constant for this long [s] counts as still: the channel has settled and its lags have no influence."""
 
-WORTH = 1.0
+SHORTEST = 1.0
 """Minimum duration of a section, s."""
 
 NAMES = ("speed only", "pitch only", "both", "steady")
@@ -18,7 +18,7 @@ def sections(record: Record) -> dict[str, np.ndarray]:
     speed, pitch = (_still(record.time, record[name]) for name in ("omega_ref", "beta_ref"))
     masks = (pitch & ~speed, speed & ~pitch, ~speed & ~pitch, speed & pitch)
     row = (record.time[-1] - record.time[0]) / max(1, len(record) - 1)
-    return {name: mask for name, mask in zip(NAMES, masks, strict=True) if mask.sum() * row >= WORTH}
+    return {name: mask for name, mask in zip(NAMES, masks, strict=True) if mask.sum() * row >= SHORTEST}
 
 
 def _still(time: np.ndarray, command: np.ndarray) -> np.ndarray:

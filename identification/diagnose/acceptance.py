@@ -54,30 +54,34 @@ class Judge:
 
     def __call__(self, effect: str, with_it: Fit, without: Fit) -> Judgement:
         """Judge one effect of a set."""
-        falls, by_forms = self.likelihood_gain(with_it, without)
-        fall, more = sum(falls.values()), max(1, len(with_it.free) - len(without.free))
-        evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - fall)
+        gains, by_forms = self.likelihood_gain(with_it, without)
+        likelihood_gain, more = sum(gains.values()), max(1, len(with_it.free) - len(without.free))
+        evidence = evidence_over(with_it, without) - (0.5 * (without.deviance - with_it.deviance) - likelihood_gain)
         needed = chance_threshold(more, self.searcher.points) + by_forms
         gain = self.held_out(with_it).gain(self.held_out(without))
         declared = next(e for e in with_it.problem.model.effects if e.name == effect)
         size, least, material = self._size(with_it, without, declared.common)
         carries_over = bool(declared.common) or self._carries_over(with_it, without)
-        refused = refusals(fall, needed, evidence, gain, more, material, carries_over)
+        refused = refusals(likelihood_gain, needed, evidence, gain, more, material, carries_over)
         if not refused and (unsure := _may_be_off(with_it, declared)):
             refused.append(unsure)
-        return Judgement(effect, float(fall), needed, float(evidence), gain, size, least, tuple(refused))
+        return Judgement(effect, float(likelihood_gain), needed, float(evidence), gain, size, least, tuple(refused))
 
     def likelihood_gain(self, with_it: Fit, without: Fit) -> tuple[dict[str, float], float]:
         """(log-likelihood gain of an effect by channel; how much of it errors in the forms of the others may cause). A band
         counts by the noise power that it holds."""
-        falls, explained, by_forms = with_it.score.fall(without.score), without.score.fall(self.base.score), 0.0
-        for channel in [c for c, fall in falls.items() if fall > 0.0]:
+        gains, explained, by_forms = (
+            with_it.score.gain_over(without.score),
+            without.score.gain_over(self.base.score),
+            0.0,
+        )
+        for channel in [c for c, likelihood_gain in gains.items() if likelihood_gain > 0.0]:
             (known, gained), level = gains_in_bands((self.base, without, with_it), channel)
-            gained = falls[channel] * gained / (gained.sum() or 1.0) / level
-            falls[channel] = float(np.clip(gained.sum(), 0.0, falls[channel]))
+            gained = gains[channel] * gained / (gained.sum() or 1.0) / level
+            gains[channel] = float(np.clip(gained.sum(), 0.0, gains[channel]))
             if explained[channel] > 0.0:
                 by_forms += model_form_allowance(gained, explained[channel] * known / (known.sum() or 1.0) / level)
-        return falls, by_forms
+        return gains, by_forms
 
     def lack(self, fit: Fit) -> LackOfFit:
         """Run the checks of lack of fit."""
@@ -133,7 +137,7 @@ def _may_be_off(fit: Fit, effect: Effect) -> str:
     empty."""
     sizes = {effect.full(name): off for name, off in (effect.off or {}).items()}
     sizes = {name: off for name, off in sizes.items() if name in fit.free}
-    std, told = fit.std(), []
+    std, intervals = fit.std(), []
     if not sizes or any(std[name] is None for name in sizes):  # only a combination of sizes is known, and it is not "off"
         return ""
     for name, off in sizes.items():
@@ -141,8 +145,8 @@ def _may_be_off(fit: Fit, effect: Effect) -> str:
         low, high = fit.thresholds.get(name, (fit.values[name] - half, fit.values[name] + half))
         if not low <= off <= high or half == 0.0:
             return ""
-        told.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
-    return f"its size may be zero: {', '.join(told)}"
+        intervals.append(f"{name} {fit.values[name]:.3g} (95 %: {low:.3g} to {high:.3g})")
+    return f"its size may be zero: {', '.join(intervals)}"
 
 
 def predicted_rows(fit: Fit, experiment) -> np.ndarray:
@@ -170,8 +174,8 @@ def gains_in_bands(fits: Sequence[Fit], channel: str) -> tuple[np.ndarray, np.nd
         for b in last.blocks
         if b.channel == channel
     ]
-    falls, levels = zip(*parts, strict=True)
-    return np.hstack(falls), np.concatenate(levels)
+    gains, levels = zip(*parts, strict=True)
+    return np.hstack(gains), np.concatenate(levels)
 
 
 def gains_in_bands_of(rows: Sequence[np.ndarray], fitted: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -179,6 +183,6 @@ def gains_in_bands_of(rows: Sequence[np.ndarray], fitted: np.ndarray | None) -> 
     None: the noise power is known."""
     powers = [mean_powers(each[None]) for each in rows]
     first = starts(len(powers[0]))
-    falls = np.array([np.add.reduceat(old - new, first) for old, new in pairwise(powers)])
+    gains = np.array([np.add.reduceat(old - new, first) for old, new in pairwise(powers)])
     level = np.ones(len(first)) if fitted is None else np.maximum(noise_levels(powers[-1], mean_powers(fitted))[0][first], 1.0)
-    return falls, level
+    return gains, level

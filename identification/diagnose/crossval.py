@@ -156,8 +156,8 @@ def informed_inverse(part: np.ndarray, whole: np.ndarray, least: float) -> np.nd
     known = power > 1e-12 * power[-1]
     unit = (axes[:, known] / np.sqrt(power[known])) / size[:, None]
     share, turned = np.linalg.eigh(unit.T @ part @ unit)
-    told = unit @ turned[:, share > least]
-    return (told / share[share > least]) @ told.T
+    estimable = unit @ turned[:, share > least]
+    return (estimable / share[share > least]) @ estimable.T
 
 
 def _alternatives(fit: Fit) -> list[dict[str, float]]:

@@ -60,7 +60,7 @@ class Guess:
 def best_guess(
     judge: Judge,
     selection: Selection,
-    lacks: tuple[LackOfFit, LackOfFit],
+    findings: tuple[LackOfFit, LackOfFit],
     refuted: str,
     partly: bool,
     tried: Callable[[], Tried],
@@ -68,10 +68,10 @@ def best_guess(
 ) -> Guess | None:
     """The best guess at the missing effect; None without candidates.
 
-    `lacks`: lack of fit of the base and of the selected set. `refuted`: why that set is refuted, else "". `partly`: the set is
-    used, and the guess is for the remaining lack of fit. `tried()`: candidates beside the accepted effects, the best first.
+    `findings`: lack of fit of the base and of the selected set. `refuted`: why that set is refuted, else "". `partly`: the set
+    is used, and the guess is for the remaining lack of fit. `tried()`: candidates beside the accepted effects, best first.
     """
-    before, after = lacks
+    before, after = findings
     base, final = judge.base, selection.final
     if final.effects and not partly:
         explains = share_explained(base, final, before, after)

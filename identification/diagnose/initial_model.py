@@ -169,7 +169,7 @@ def _fitted_base(
         return searcher, searcher.fit((), {}, (), values)
 
     searcher, base = fitted(values, WIDEST)
-    if at.knowledge and (prior := base.told(at.knowledge)):
+    if at.knowledge and (prior := base.prior(at.knowledge)):
         searcher, base = fitted(base.values, disagreement(prior, base.uncertainty))
     return searcher, base
 

@@ -60,12 +60,12 @@ the rotor frequency, to count as lack of fit."""
 class Judgement:
     """Statistics of one effect of a set, against the set without it.
 
-    `fall`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and from the
-    forms of the other effects. `evidence`: the gain less the BIC penalty. `gain`: cross-validated log-likelihood ratio by
-    channel. `size` [N]: rms change of the thrust below SLOW; `least`: the minimum size. `refused`: reasons; empty: accepted."""
+    `likelihood_gain`: gain of log-likelihood on the fitted records. `needed`: its threshold, from chance at the level ALPHA and
+    from the forms of the other effects. `evidence`: the gain less the BIC penalty. `gain`: cross-validated log-likelihood ratio
+    by channel. `size` [N]: rms change of the thrust below SLOW; `least`: its minimum. `refused`: reasons; empty: accepted."""
 
     effect: str
-    fall: float
+    likelihood_gain: float
     needed: float
     evidence: float
     gain: Mapping[str, float]
@@ -81,10 +81,9 @@ def chance_threshold(parameters: int, comparisons: int) -> float:
     return 0.5 * float(chi2.isf(ALPHA / max(comparisons, 1), max(parameters, 1)))
 
 
-def model_form_allowance(fall: np.ndarray, explained: np.ndarray) -> float:
-    """Part of a log-likelihood gain `fall` (bands,) that errors in the forms of other effects, which `explained` (bands,), may
-    cause."""
-    return float(np.sum(np.minimum(np.maximum(fall, 0.0), FORM * np.maximum(explained, 0.0))))
+def model_form_allowance(likelihood_gain: np.ndarray, explained: np.ndarray) -> float:
+    """Part of `likelihood_gain` (bands,) that errors in the forms of other effects, which `explained` (bands,), may cause."""
+    return float(np.sum(np.minimum(np.maximum(likelihood_gain, 0.0), FORM * np.maximum(explained, 0.0))))
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class Smallest:
 
 
 def refusals(
-    fall: float,
+    likelihood_gain: float,
     needed: float,
     evidence: float,
     gain: Mapping[str, float],
@@ -111,8 +110,8 @@ def refusals(
     one; a clean speed signal must not pay for more.
     """
     found = []
-    if fall < needed:
-        found.append(f"log-likelihood rises by {fall:.1f}; chance, and what forms leave, reach {needed:.1f}")
+    if likelihood_gain < needed:
+        found.append(f"log-likelihood increases by {likelihood_gain:.1f}; chance and errors of form reach {needed:.1f}")
     if evidence <= MIN_EVIDENCE:
         found.append(f"evidence too weak: {evidence:.1f} after the penalty for its parameters, {MIN_EVIDENCE:g} is asked for")
     total = sum(gain.values())

@@ -163,9 +163,9 @@ def lack_of_fit(fit: Fit, least: float, least_speed: float = 0.0) -> LackOfFit:
     p = -float(np.expm1(len(tests) * np.log1p(-smallest))) if smallest < 1.0 else 1.0
     sizes = [np.sqrt(max(sum(b.power for b in bands), 0.0)) if bands else 0.0, _score_size(fit, score)]
     share = structured_speed_share(fit)
-    worth, rpm = thrust_equivalent(fit, share) if share > MAJORITY else (0.0, 0.0)
+    equivalent, rpm = thrust_equivalent(fit, share) if share > MAJORITY else (0.0, 0.0)
     moving = transient_power_share(fit, "thrust")
-    return LackOfFit(bands, score, p, float(max(sizes)), least, bool(fit.effects), share, worth, rpm, least_speed, *moving)
+    return LackOfFit(bands, score, p, float(max(sizes)), least, bool(fit.effects), share, equivalent, rpm, least_speed, *moving)
 
 
 def with_rotor_order(lack: LackOfFit, fit: Fit) -> LackOfFit:
@@ -321,8 +321,8 @@ def thrust_equivalent(fit: Fit, share: float) -> tuple[float, float]:
             error = sensor.shows(outputs[:, 1]) - sensor.measured
             own, readings = own + float(error @ error), readings + len(error)
             wrong = np.interp(e.record.time, e.record.time[sensor.rows], error)
-            worth = e.slow_thrust(to_speed * wrong)
-            power, count = power + float(worth @ worth), count + len(worth)
+            equivalent = e.slow_thrust(to_speed * wrong)
+            power, count = power + float(equivalent @ equivalent), count + len(equivalent)
     return float(np.sqrt(share * power / max(count, 1))), float(np.sqrt(share * own / max(readings, 1)))
 
 

@@ -72,8 +72,8 @@ def score_test(fit: Fit) -> ScoreTest:
         return left[None, i], np.vstack([directions, fitted[:, i]])
 
     own = [turned @ columns[:, i] for i in parts]
-    told = [noise_of(e, i, d) for e, i, d in zip(fit.problem.experiments, parts, own, strict=True)]
-    covariance, bands = scores_covariance([(d, *noise) for d, noise in zip(own, told, strict=True)])
+    noises = [noise_of(e, i, d) for e, i, d in zip(fit.problem.experiments, parts, own, strict=True)]
+    covariance, bands = scores_covariance([(d, *noise) for d, noise in zip(own, noises, strict=True)])
     return ScoreTest(0.5 * float(score @ np.linalg.solve(covariance, score) - len(score)), len(score), bands)
 
 
@@ -114,13 +114,13 @@ def orthonormal_scores(about: Linearised, columns: np.ndarray, at: slice) -> tup
     in each). `columns` (k, n), of the rows `at`, are orthogonalised and normalised in place."""
     followed, whole = columns @ about.residual[at], np.einsum("kn,kn->k", columns, columns)
     gram = about.channel_orthogonal_gram(columns, at)
-    told = np.diag(gram) > np.finfo(float).eps * whole  # of a rotor that stands, nothing but rounding
-    if not told.any():
+    informative = np.diag(gram) > np.finfo(float).eps * whole  # with a rotor at rest only rounding remains
+    if not informative.any():
         return np.zeros((0, len(columns))), np.zeros(0)
-    size = np.sqrt(np.where(told, np.diag(gram), 1.0))
+    size = np.sqrt(np.where(informative, np.diag(gram), 1.0))
     columns /= size[:, None]
-    columns[~told] = 0.0
-    power, directions = np.linalg.eigh(np.where(np.outer(told, told), gram, 0.0) / np.outer(size, size))
+    columns[~informative] = 0.0
+    power, directions = np.linalg.eigh(np.where(np.outer(informative, informative), gram, 0.0) / np.outer(size, size))
     kept = power > DEPENDENT**2 * power[-1]
     turned = (directions[:, kept] / np.sqrt(power[kept])).T
     return turned, turned @ (followed / size)  # a fitted residual is orthogonal to the parameters

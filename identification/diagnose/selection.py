@@ -126,7 +126,7 @@ def _next_best(judge: Judge, found: Selection) -> tuple[Fit, dict[str, Judgement
 
 
 def alternatives(searcher: Searcher, found: Selection, judge: Judge) -> Iterator[tuple[str, str, Selection]]:
-    """(effect, its rival, the selection with the rival in its place), by falling evidence."""
+    """(effect, its rival, the selection with the rival in its place), by decreasing evidence."""
     pairs = [(effect, name) for effect, fits in found.rivals.items() for name in fits]
     for effect, name in sorted(pairs, key=lambda pair: found.rivals[pair[0]][pair[1]].bic()):
         fit = found.rivals[effect][name]
@@ -140,7 +140,7 @@ Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
 
 
 def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], pool) -> Tried:
-    """Candidates beside the final set, by falling evidence: those of the last round, or the most promising one, refitted."""
+    """Candidates beside the final set, by decreasing evidence: those of the last round, or the most promising one, refitted."""
     searcher, final = judge.searcher, found.final
     last = found.rounds[-1] if found.rounds else []
     if not last or key(final)[0] != tuple(sorted(last[0].beside)):
@@ -149,7 +149,7 @@ def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], pool) 
     if last and not refits:
         candidate, at = screened(searcher, final, [t.candidate for t in last], pool)[0]
         fit = refitted(searcher, final, candidate, at)
-        refits = [CandidateFit(candidate, final.effects, at.fall, fit, evidence_over(fit, final))]
+        refits = [CandidateFit(candidate, final.effects, at.likelihood_gain, fit, evidence_over(fit, final))]
     fits = []
     for t in _ranked(refits):
         fit = _bounded(searcher, final, t) if t.fit.at_bound else t.fit
@@ -175,7 +175,7 @@ SAME = 1.0
 
 
 def _ranked(refits: Sequence[CandidateFit]) -> list[CandidateFit]:
-    """By falling evidence; a special case precedes its generalisation if that fits no better."""
+    """By decreasing evidence; a special case precedes its generalisation if that fits no better."""
     ranked = sorted(refits, key=lambda t: -t.evidence)
     for t in list(ranked):
         wider = [k for k, w in enumerate(ranked) if t.candidate.name in w.candidate.effect.contains]
@@ -211,10 +211,10 @@ def _pruned(searcher: Searcher, base: Fit, fit: Fit, judge: Judge) -> tuple[Fit,
     while True:
         rests = {effect: without(searcher, base, fit, effect) for effect in fit.effects}
         judged = {effect: judge(effect, fit, rest) for effect, rest in rests.items()}
-        fallen = [effect for effect, j in judged.items() if j.evidence <= MIN_EVIDENCE or j.fall < j.needed]
-        if not fallen:
+        weak = [effect for effect, j in judged.items() if j.evidence <= MIN_EVIDENCE or j.likelihood_gain < j.needed]
+        if not weak:
             return fit, judged
-        fit = rests[min(fallen, key=lambda effect: judged[effect].evidence)]
+        fit = rests[min(weak, key=lambda effect: judged[effect].evidence)]
 
 
 def _prefer_special_cases(searcher: Searcher, found: Selection, judge: Judge) -> None:

@@ -83,7 +83,7 @@ class Score:
         """-2 log-likelihood, noise variances unknown, up to a constant."""
         return float(sum(n * np.log(max(self.squares[c], 1e-300)) for c, n in self.counts.items()))
 
-    def fall(self, other: "Score") -> dict[str, float]:
+    def gain_over(self, other: "Score") -> dict[str, float]:
         """Log-likelihood gain over `other`, by channel."""
         ratio = {c: max(other.squares[c], 1e-300) / max(self.squares[c], 1e-300) for c in self.counts}
         return {c: 0.5 * n * float(np.log(ratio[c])) for c, n in self.counts.items()}

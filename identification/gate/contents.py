@@ -102,7 +102,7 @@ def _unit(name: str) -> str | None:
     return QUANTITIES[name].unit if name in QUANTITIES else known.get(name)
 
 
-def lacks(campaign: Campaign, files: Sequence[File]) -> dict[str, str]:
+def missing(campaign: Campaign, files: Sequence[File]) -> dict[str, str]:
     """Missing files and columns, with the consequence."""
     found = {f"{name}.csv": MISSING[name] for name in NAMES if f"{name}.csv" in campaign.missing}
     if campaign.static is None and campaign.static_raw is not None:

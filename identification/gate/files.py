@@ -54,7 +54,7 @@ SLOPE = 0.1
 ONE_DEGREE = 1.0
 """deg: at this pitch from zero thrust blades give little of their thrust, so no rig has such a small range."""
 
-FOLLOWING = (0.8, 1.25)
+GAIN_RANGE = (0.8, 1.25)
 """Range of settled measured over commanded speed; saturation and a sagging supply stay within it."""
 
 AGREE = 1.25
@@ -411,7 +411,7 @@ def _speed_off(files: Sequence[File], known: set[str]) -> Iterator[Finding]:
         omega, command = file.column("omega"), file.column("omega_ref")
         seen = np.isfinite(omega)
         together = np.corrcoef(omega[seen], command[seen])[0, 1] if min(np.ptp(omega[seen]), np.ptp(command)) > 0.0 else 1.0
-        if not FOLLOWING[0] < ratio < FOLLOWING[1]:
+        if not GAIN_RANGE[0] < ratio < GAIN_RANGE[1]:
             message = f"measured speed is {ratio:.4g} of the commanded one"
             cause = "a wrong number of marks or pole pairs, or a command that is no speed"
             yield Finding("speed_off", file.where, "omega", ratio, "1", message, cause)

@@ -31,10 +31,10 @@ EXPLAINED = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A speed map, and its origin in words (`told`)."""
+    """A speed map, and its origin in words (`origin`)."""
 
     map: SpeedMap
-    told: str
+    origin: str
 
 
 FILE = "speed_map.json"

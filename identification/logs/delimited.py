@@ -78,7 +78,7 @@ def read_delimited(path: str | os.PathLike, given: Mapping[str, str]) -> RawTabl
         columns=columns,
         lines=np.array([i for i, _ in data]),
         units=found,
-        told=how,
+        how_read=how,
         read=read,
         left_out={reason: number for reason, number in left_out.items() if number},
         decimal=decimal,

@@ -50,13 +50,13 @@ class Taken:
         return Record({n: c for n, c in self.columns.items() if n in ("time", *RANGE)}, self.source)
 
 
-def signal_range(sheet: RawTable, plan: Plan) -> SignalRange | None:
+def signal_range(table: RawTable, plan: Plan) -> SignalRange | None:
     """Range of the plan's signal, from its unit; None without a signal."""
     return RANGES[SIGNALS[signal_unit(plan.columns["signal"].unit)]] if "signal" in plan.columns else None
 
 
 def take_in(
-    sheet: RawTable,
+    table: RawTable,
     plan: Plan,
     kind: str,
     speed_map: SpeedMap | None = None,
@@ -65,20 +65,20 @@ def take_in(
 ) -> Taken:
     """Convert a table for a campaign's file of a `kind`. `speed_map`: from signal to speed; None: fitted to the log.
     `propeller`: of a table of coefficients; `force`: accept a speed that looks electrical. BadInput."""
-    _check(sheet, plan, kind)
-    clock, rows, said = None, np.arange(len(sheet)), []
+    _check(table, plan, kind)
+    clock, rows, said = None, np.arange(len(table)), []
     if "time" in plan.columns:
-        clock = _clock(sheet, plan, kind)
+        clock = _clock(table, plan, kind)
         rows, said = clock.rows, [f"time 0 is {clock.start} of the log", *clock.said]
     columns = {"time": clock.time} if clock else {}
     for quantity, column in plan.columns.items():
         if quantity != "time":
-            columns[quantity] = values_of(sheet, quantity, column)[rows]
+            columns[quantity] = values_of(table, quantity, column)[rows]
     if "ct" in columns:
-        columns, told = thrust_of(columns | _fixed_speed(plan, columns), propeller or Propeller(), sheet.source)
-        said += told
+        columns, notes = thrust_of(columns | _fixed_speed(plan, columns), propeller or Propeller(), table.source)
+        said += notes
     if not force and (contradiction := electrical(plan.columns, columns)):
-        raise BadInput(sheet.source, f"omega, column {plan.columns['omega'].name}", *contradiction)
+        raise BadInput(table.source, f"omega, column {plan.columns['omega'].name}", *contradiction)
     if clock and len(clock.restarts) > 1 and "run" not in columns:
         columns["run"] = np.searchsorted(clock.restarts, np.arange(len(rows)), side="right").astype(float)
         said.append(f"time: begins anew {len(clock.restarts) - 1} times, each a run")
@@ -86,22 +86,22 @@ def take_in(
         if not np.isfinite(column).any():
             if name in ("thrust", "omega_ref", "beta_ref", "signal"):
                 raise BadInput(
-                    sheet.source, f"{name}, column {plan.columns[name].name}", "empty cells only", QUANTITIES[name].meaning
+                    table.source, f"{name}, column {plan.columns[name].name}", "empty cells only", QUANTITIES[name].meaning
                 )
             del columns[name]
             said.append(f"{name}: no value in any row, left out")
-    columns, told = _held(columns)
-    said += told
-    columns, told, speed_map = _commanded(sheet, plan, columns, clock, kind, speed_map)
-    taken = Taken(columns, clock, (*said, *told), sheet.source, speed_map)
-    _check_ranges(sheet, plan, taken)
+    columns, notes = _held(columns)
+    said += notes
+    columns, notes, speed_map = _commanded(table, plan, columns, clock, kind, speed_map)
+    taken = Taken(columns, clock, (*said, *notes), table.source, speed_map)
+    _check_ranges(table, plan, taken)
     return taken
 
 
-def values_of(sheet: RawTable, quantity: str, column: Column) -> np.ndarray:
+def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
     """A column (n,) in the record's unit. BadInput for a cell that is not a number."""
     factor, offset = scale_of(QUANTITIES[quantity], column.unit)
-    return sheet.numbers(column.name) * factor + offset
+    return table.numbers(column.name) * factor + offset
 
 
 def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str] | None:
@@ -124,11 +124,11 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
     return found, f"--map 'omega={column.name}:{unit}'{also}, or --force to take it as it is"
 
 
-def _no_angle(sheet: RawTable, plan: Plan) -> tuple[str, str] | None:
+def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str] | None:
     """(what was found, what is allowed) if the plan has no pitch, and the log has one that is not an angle; else None."""
     if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
         return None
-    if (other := pitch_in_other_unit(sheet, {c.name for c in plan.columns.values()})) is None:
+    if (other := pitch_in_other_unit(table, {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
     found = f"no column in deg, but {name}, which is pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
@@ -136,10 +136,10 @@ def _no_angle(sheet: RawTable, plan: Plan) -> tuple[str, str] | None:
     return found, f"--map {points}, A and B the pitch there in deg; or --fixed beta_ref=8:deg if the pitch is fixed"
 
 
-def contradictions(sheet: RawTable, plan: Plan) -> list[str]:
+def contradictions(table: RawTable, plan: Plan) -> list[str]:
     """Reasons to refuse a plan, one per line: a speed that looks electrical, a pitch that is not an angle."""
-    speeds = {q: values_of(sheet, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
-    found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(sheet, plan)}
+    speeds = {q: values_of(table, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
+    found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(table, plan)}
     return [f"{name}: {pair[0]}; allowed is {pair[1]}" for name, pair in found.items() if pair]
 
 
@@ -149,34 +149,34 @@ def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.
     return {} if speed is None or "omega" in columns else {"omega": np.full(len(columns["ct"]), speed)}
 
 
-def _check(sheet: RawTable, plan: Plan, kind: str) -> None:
+def _check(table: RawTable, plan: Plan, kind: str) -> None:
     if "ct" in plan.columns and kind != "static":
-        raise BadInput(sheet.source, f"ct, column {plan.columns['ct'].name}", "coefficients, steady points", "--as static")
+        raise BadInput(table.source, f"ct, column {plan.columns['ct'].name}", "coefficients, steady points", "--as static")
     if not {"thrust", "ct"} & {*plan.columns}:
-        raise BadInput(sheet.source, "thrust", f"no column for it among {_names(sheet)}", "--map thrust=COLUMN:UNIT")
+        raise BadInput(table.source, "thrust", f"no column for it among {_names(table)}", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
         allowed = "--map time=COLUMN:UNIT, or time=row:4ms where rows are that far apart"
-        raise BadInput(sheet.source, "time", f"no column for it among {_names(sheet)}", allowed)
+        raise BadInput(table.source, "time", f"no column for it among {_names(table)}", allowed)
     known = {"omega_ref", "signal"} & {*plan.columns, *plan.fixed} or (kind == "static" and "omega" in plan.columns)
     if not known:
         allowed = (
             "--map omega_ref=COLUMN:rpm, or signal=COLUMN:us with a measured omega; thrust against measured speed alone: the "
             "measured column as omega_ref"
         )
-        raise BadInput(sheet.source, "omega_ref", f"no column for the command of speed among {_names(sheet)}", allowed)
+        raise BadInput(table.source, "omega_ref", f"no column for the command of speed among {_names(table)}", allowed)
 
 
-def _names(sheet: RawTable) -> str:
-    text = ", ".join(sheet.columns)
+def _names(table: RawTable) -> str:
+    text = ", ".join(table.columns)
     return text if len(text) < 200 else f"{text[:197]}..."
 
 
-def _clock(sheet: RawTable, plan: Plan, kind: str) -> Clock:
+def _clock(table: RawTable, plan: Plan, kind: str) -> Clock:
     column = plan.columns["time"]
-    if column.name == ROWS and ROWS not in sheet.columns:
+    if column.name == ROWS and ROWS not in table.columns:
         step = factor_of(QUANTITIES["time"], column.unit)
-        return Clock(np.arange(len(sheet)), step * np.arange(len(sheet)), f"row 1, rows are {column.unit} apart", ())
-    return read_clock(sheet, column.name, column.unit, runs=kind == "steps")
+        return Clock(np.arange(len(table)), step * np.arange(len(table)), f"row 1, rows are {column.unit} apart", ())
+    return read_clock(table, column.name, column.unit, runs=kind == "steps")
 
 
 def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -199,13 +199,13 @@ def _held(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[s
     return columns, said
 
 
-def _commanded(sheet: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
+def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, kind: str, speed_map: SpeedMap | None):
     """(columns with both commands, messages, the speed map)."""
     rows, said = len(columns["thrust"]), []
     if "signal" in columns and "omega_ref" not in columns:
-        span = signal_range(sheet, plan)
+        span = signal_range(table, plan)
         signal = columns.pop("signal")
-        _check_signal(sheet, plan, signal, span)
+        _check_signal(table, plan, signal, span)
         volts = _filled(columns["voltage"]) if "voltage" in columns else None
         points = clock is None or clock.step > FASTER
         if speed_map is not None:
@@ -213,12 +213,12 @@ def _commanded(sheet: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
             found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
         elif "omega" not in columns:
             allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
-            raise BadInput(sheet.source, "omega_ref", "a signal and no measured speed", allowed)
+            raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed)
         else:
             args = (signal, columns["omega"], volts, span)
-            found = averaged_map(sheet.source, *args) if points else fitted_map(sheet.source, columns["time"], *args)
+            found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args)
         speed_map = found.map
-        said.append(f"speed map: {found.told}")
+        said.append(f"speed map: {found.origin}")
         columns["omega_ref"] = speed_map.omega_ref(signal)
     elif "signal" in columns:
         del columns["signal"]
@@ -232,10 +232,10 @@ def _commanded(sheet: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         if pitch is not None and np.nanmax(pitch) - np.nanmin(pitch) > 1.0:
             found = f"a measured pitch from {np.nanmin(pitch):.4g} to {np.nanmax(pitch):.4g} deg and no command of it"
             raise BadInput(
-                sheet.source, "beta_ref", found, "--map beta_ref=COLUMN:deg, the measured column if there is no other"
+                table.source, "beta_ref", found, "--map beta_ref=COLUMN:deg, the measured column if there is no other"
             )
-        if no_angle := _no_angle(sheet, plan):
-            raise BadInput(sheet.source, "beta_ref", *no_angle)
+        if no_angle := _no_angle(table, plan):
+            raise BadInput(table.source, "beta_ref", *no_angle)
         value = 0.0 if pitch is None else float(np.nanmean(pitch))
         columns["beta_ref"] = np.full(rows, value)
         said.append(
@@ -251,15 +251,15 @@ def _filled(column: np.ndarray) -> np.ndarray:
     return np.interp(rows, rows[there], column[there])
 
 
-def _check_signal(sheet: RawTable, plan: Plan, signal: np.ndarray, span: SignalRange) -> None:
+def _check_signal(table: RawTable, plan: Plan, signal: np.ndarray, span: SignalRange) -> None:
     low, high = (600.0, 2400.0) if span.kind == "PWM" else (span.low, span.high)
     if signal.min() < low or signal.max() > high:
         found = f"{signal.min():.6g} to {signal.max():.6g}"
         allowed = f"{low:g} to {high:g} of {span.kind}; the unit is us, % or 1, or none of DShot"
-        raise BadInput(sheet.source, f"signal, column {plan.columns['signal'].name}", found, allowed)
+        raise BadInput(table.source, f"signal, column {plan.columns['signal'].name}", found, allowed)
 
 
-def _check_ranges(sheet: RawTable, plan: Plan, taken: Taken) -> None:
+def _check_ranges(table: RawTable, plan: Plan, taken: Taken) -> None:
     """BadInput for a column beyond a record's limits, usually because of a wrong unit."""
     for name, values in taken.columns.items():
         quantity = RANGE.get(name)
@@ -269,4 +269,4 @@ def _check_ranges(sheet: RawTable, plan: Plan, taken: Taken) -> None:
             row = int(np.argmax(outside))
             field = f"{name}, column {column.name} in {column.unit}" if column else name
             allowed = f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}; is it the right unit?"
-            raise BadInput(sheet.source, field, f"{values[row]:.6g} {quantity.unit} in {int(outside.sum())} rows", allowed)
+            raise BadInput(table.source, field, f"{values[row]:.6g} {quantity.unit} in {int(outside.sum())} rows", allowed)

@@ -95,7 +95,7 @@ class Plan:
         return " ".join(["--map", *(f"'{p}'" if re.search(r"[^\w=:./%-]", p) else p for p in pairs), *fixed])
 
 
-def parse_pairs(pairs: Iterable[str], sheet: RawTable, force: bool = False) -> dict[str, Column | None]:
+def parse_pairs(pairs: Iterable[str], table: RawTable, force: bool = False) -> dict[str, Column | None]:
     """The columns of NAME=COLUMN:UNIT, named as in the table; without :UNIT the unit is the header's; None for NAME=-.
 
     `force`: accept a unit that contradicts the header. BadInput.
@@ -108,8 +108,8 @@ def parse_pairs(pairs: Iterable[str], sheet: RawTable, force: bool = False) -> d
             raise BadInput("command line", "--map", shown(pair), allowed)
         if quantity in found:
             raise BadInput("command line", f"--map {quantity}", "twice", "each quantity once")
-        left_out = rest.strip() == LEAVE_OUT and LEAVE_OUT not in sheet.columns
-        found[quantity] = None if left_out else _pair(quantity, rest.strip(), sheet, force)
+        left_out = rest.strip() == LEAVE_OUT and LEAVE_OUT not in table.columns
+        found[quantity] = None if left_out else _pair(quantity, rest.strip(), table, force)
     return found
 
 
@@ -131,26 +131,26 @@ def parse_fixed(pairs: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def _pair(quantity: str, text: str, sheet: RawTable, force: bool) -> Column:
+def _pair(quantity: str, text: str, table: RawTable, force: bool) -> Column:
     """COLUMN or COLUMN:UNIT; a column's own name may hold a colon."""
     name, colon, unit = text.rpartition(":")
-    if not colon or text in sheet.columns:
+    if not colon or text in table.columns:
         name, unit = text, None
     unit = None if unit is None else unit.strip()
-    counts_rows = quantity == "time" and name == ROWS and ROWS not in sheet.columns
-    name = ROWS if counts_rows else sheet.find(name)
+    counts_rows = quantity == "time" and name == ROWS and ROWS not in table.columns
+    name = ROWS if counts_rows else table.find(name)
     if unit is None:
-        unit = CALENDAR if quantity == "time" and is_calendar(sheet.columns[name]) else sheet.unit(name)
+        unit = CALENDAR if quantity == "time" and is_calendar(table.columns[name]) else table.unit(name)
         if unit is None and not QUANTITIES[quantity].unit:
             unit = ""
     if unit is None or (not _fits(quantity, unit)):
         found = "no unit, in the log or behind the column" if unit is None else f"the unit {shown(unit)}"
-        raise BadInput(sheet.source, f"{quantity}={name}", found, _allowed(quantity))
-    header = None if counts_rows or unit == CALENDAR else sheet.unit(name)
+        raise BadInput(table.source, f"{quantity}={name}", found, _allowed(quantity))
+    header = None if counts_rows or unit == CALENDAR else table.unit(name)
     if header and not force and contradicts(QUANTITIES[quantity], unit, header):
         found = f"the unit {shown(unit)} for a column whose header says {shown(header)}"
         raise BadInput(
-            sheet.source, f"{quantity}={name}", found, f"{quantity}={name}:{header}, or --force if the header is wrong"
+            table.source, f"{quantity}={name}", found, f"{quantity}={name}:{header}, or --force if the header is wrong"
         )
     return Column(name, unit)
 
@@ -172,14 +172,14 @@ def _allowed(quantity: str) -> str:
     return f"a unit that pint can turn into {unit}, with a factor if need be: {quantity}=COLUMN:{unit}" if unit else "no unit"
 
 
-def propose(sheet: RawTable, without: Collection[str] = ()) -> dict[str, Column]:
+def propose(table: RawTable, without: Collection[str] = ()) -> dict[str, Column]:
     """Propose a column for each quantity from the header; of equal candidates, the first. `without`: columns of another rotor,
     or already in use."""
     best: dict[str, tuple[tuple, Column]] = {}
-    for place, name in enumerate(sheet.columns):
-        if name not in without and (found := proposed(sheet, name)):
+    for place, name in enumerate(table.columns):
+        if name not in without and (found := proposed(table, name)):
             quantity, score, column = found
-            _, moving = _alive(sheet, name, quantity)
+            _, moving = _alive(table, name, quantity)
             if column.sure == GUESS and not moving:
                 continue
             key = (moving, score, -place)
@@ -200,13 +200,13 @@ _DECIDE = ("time", "omega_ref", "beta_ref", "thrust", "signal", "ct", "advance_r
 
 
 def completed(
-    sheet: RawTable, own: Mapping[str, Column | None], fixed: Mapping[str, float], without: Collection[str], accept: bool
+    table: RawTable, own: Mapping[str, Column | None], fixed: Mapping[str, float], without: Collection[str], accept: bool
 ) -> tuple[dict[str, Column], list[str]]:
     """(a user's columns, completed by the proposal; messages). `accept`: also guessed units. BadInput if a quantity of _DECIDE
     has a guessed unit that is not accepted."""
     taken = {column.name for column in own.values() if column}
     given = {*own, *fixed}
-    columns = {q: c for q, c in propose(sheet, {*without, *taken}).items() if q not in given}
+    columns = {q: c for q, c in propose(table, {*without, *taken}).items() if q not in given}
     columns = {q: c for q, c in columns.items() if not any(other in given for other in _REPLACED.get(q, ()))}
     doubtful = {} if accept else {q: c for q, c in columns.items() if c.sure in (NAMED, GUESS)}
     deciding = [q for q in doubtful if not own or q in _DECIDE]
@@ -214,33 +214,33 @@ def completed(
     if deciding:
         found = ", ".join(f"{c.name} as {q}{f' in {c.unit}' if c.unit else ''}" for q, c in doubtful.items())
         plan = Plan({q: c for q, c in (columns | mapped).items() if q not in fixed}, fixed)
-        raise BadInput(sheet.source, "columns", f"guessed units: {found}", f"these with --yes, or others with {plan.words()}")
+        raise BadInput(table.source, "columns", f"guessed units: {found}", f"these with --yes, or others with {plan.words()}")
     said = [f"{c.name}: not taken as {q}, its unit is a guess; --yes takes it in {c.unit}" for q, c in doubtful.items()]
     columns = {q: c for q, c in columns.items() if q not in doubtful} | mapped
     return {q: columns[q] for q in QUANTITIES if q in columns}, said
 
 
-def pitch_in_other_unit(sheet: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
+def pitch_in_other_unit(table: RawTable, taken: Collection[str]) -> tuple[str, str, float, float] | None:
     """(column, unit, smallest and largest number) of a column that is pitch by its name but not an angle: a servo's pulse, a
     stroke, counts. None if there is none, or if it is empty or always 0."""
-    for name in sheet.columns:
-        quantity, _, tokens, _ = _meant(sheet, name)
-        unit = sheet.unit(name) or _ending(name) or None
+    for name in table.columns:
+        quantity, _, tokens, _ = _meant(table, name)
+        unit = table.unit(name) or _ending(name) or None
         plainly = quantity in ("beta", "beta_ref") and any(_is(token, word) for token in tokens for word in _PITCH)
-        if name in taken or not plainly or not _numeric(sheet, name):
+        if name in taken or not plainly or not _numeric(table, name):
             continue
         if unit is not None and (_fits(quantity, unit) or is_rate(unit)):
             continue
-        seen = _seen(sheet, name)
+        seen = _seen(table, name)
         if seen.any() and (unit is not None or np.abs(seen).max() > STEEP):
             return name, unit or "", float(seen.min()), float(seen.max())
     return None
 
 
-def _seen(sheet: RawTable, name: str) -> np.ndarray:
+def _seen(table: RawTable, name: str) -> np.ndarray:
     """The finite numbers of a column; empty if a cell is not a number, which is an error only when the column is read."""
     try:
-        values = sheet.numbers(name)
+        values = table.numbers(name)
     except BadInput:
         return np.zeros(0)
     return values[np.isfinite(values)]
@@ -252,7 +252,7 @@ def _ending(name: str) -> str:
     return "" if found is None else "%" if found[0] == "%" else "us"
 
 
-def _meant(sheet: RawTable, name: str) -> tuple[str, float, list[str], str]:
+def _meant(table: RawTable, name: str) -> tuple[str, float, list[str], str]:
     """(quantity, score, words, last word as written) of a header's name; quantity "" if the name suggests none."""
     base, _ = split_unit(name)
     text = re.sub(r"(?i)\bload[ _]cell\b", "loadcell", re.sub(r"(?<=[a-zäöü])(?=[A-Z])", " ", base))
@@ -269,7 +269,7 @@ def _meant(sheet: RawTable, name: str) -> tuple[str, float, list[str], str]:
     scores = {q: _score([t for t in tokens if t not in _COMMAND], words.split()) for q, words in _WORDS.items()}
     if scores["beta"] > 0.0:
         scores["signal"] = 0.0  # "servo pwm" is no motor's
-    if set(tokens) <= _COMMAND | _NOISE and _fits("omega", sheet.unit(name) or ""):
+    if set(tokens) <= _COMMAND | _NOISE and _fits("omega", table.unit(name) or ""):
         scores["omega"] = 0.5  # "target (rpm)" says by its unit alone what it is
     quantity = max(scores, key=scores.get)
     score = scores[quantity]
@@ -278,19 +278,19 @@ def _meant(sheet: RawTable, name: str) -> tuple[str, float, list[str], str]:
     return f"{quantity}_ref" if command and quantity in ("omega", "beta") else quantity, score, tokens, tail
 
 
-def proposed(sheet: RawTable, name: str) -> tuple[str, float, Column] | None:
+def proposed(table: RawTable, name: str) -> tuple[str, float, Column] | None:
     """(quantity, score, column) of a header's name; None if the name suggests no quantity."""
-    quantity, score, tokens, tail = _meant(sheet, name)
+    quantity, score, tokens, tail = _meant(table, name)
     if not quantity:
         return None
-    unit, sure = sheet.unit(name), SURE
+    unit, sure = table.unit(name), SURE
     if quantity == "omega" and unit and unit.casefold() == "erpm":
         unit = "rpm"  # until the command tells the pole pairs
-    if quantity == "time" and is_calendar(sheet.columns[name]):
+    if quantity == "time" and is_calendar(table.columns[name]):
         return quantity, score, Column(name, CALENDAR, SURE)
-    if not _numeric(sheet, name):
+    if not _numeric(table, name):
         return None
-    if unit is None and quantity in QUANTITIES and {"omega_ref", "beta_ref"} <= set(sheet.columns):
+    if unit is None and quantity in QUANTITIES and {"omega_ref", "beta_ref"} <= set(table.columns):
         own = split_unit(name)[0].casefold().replace(" ", "_") == quantity
         unit = QUANTITIES[quantity].unit if own else None  # a record in this project's own names, which has its own units
     if unit is None and quantity in ("omega", "omega_ref") and "rpm" in tokens:
@@ -298,13 +298,13 @@ def proposed(sheet: RawTable, name: str) -> tuple[str, float, Column] | None:
     if quantity in ("signal", "beta", "beta_ref"):
         tail = _ending(name) or tail
     if unit is None and tail and (tail == _ending(name) or (QUANTITIES[quantity].unit and _fits(quantity, tail))):
-        unit, sure = tail, LIKELY if _assumed(sheet, name, quantity) == (tail, LIKELY) else NAMED
+        unit, sure = tail, LIKELY if _assumed(table, name, quantity) == (tail, LIKELY) else NAMED
     if unit is not None and not _fits(quantity, unit):  # "motor cmd (us)" is no speed
         is_signal = quantity in ("omega", "omega_ref") and unit and factor_of(QUANTITIES["signal"], unit) is not None
         return ("signal", 0.5, Column(name, unit, LIKELY)) if is_signal else None
     if unit is None:
-        unit, sure = _assumed(sheet, name, quantity)
-    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(_seen(sheet, name)) > STEEP):
+        unit, sure = _assumed(table, name, quantity)
+    if quantity in ("beta", "beta_ref") and sure == GUESS and np.any(np.abs(_seen(table, name)) > STEEP):
         return None
     return None if unit is None else (quantity, score, Column(name, unit, sure))
 
@@ -328,13 +328,13 @@ def _commands(token: str) -> bool:
     return token in _COMMAND or any(len(word) >= 4 and token.startswith(word) for word in _COMMAND) or token.endswith("cmd")
 
 
-def _assumed(sheet: RawTable, name: str, quantity: str) -> tuple[str | None, str]:
+def _assumed(table: RawTable, name: str, quantity: str) -> tuple[str | None, str]:
     """(unit, confidence) of a column without a unit."""
     if quantity == "time":
-        unit = guessed_unit(sheet.numbers(name))
+        unit = guessed_unit(table.numbers(name))
         return unit or "s", LIKELY if unit else GUESS
     if quantity == "signal":
-        values = sheet.numbers(name)
+        values = table.numbers(name)
         seen = values[np.isfinite(values)]
         if not len(seen):
             return None, GUESS
@@ -348,20 +348,20 @@ def _assumed(sheet: RawTable, name: str, quantity: str) -> tuple[str | None, str
     return unit, LIKELY if quantity in ("voltage", "current") and len(name) > 1 else GUESS
 
 
-def _numeric(sheet: RawTable, name: str) -> bool:
+def _numeric(table: RawTable, name: str) -> bool:
     """Whether most cells are numbers; the others are reported when the column is read."""
-    if sheet.columns[name].dtype.kind != "O":
-        return sheet.columns[name].dtype.kind == "f"
-    texts = [plain(cell, sheet.decimal) for cell in sheet.columns[name].tolist()[:1000]]
+    if table.columns[name].dtype.kind != "O":
+        return table.columns[name].dtype.kind == "f"
+    texts = [plain(cell, table.decimal) for cell in table.columns[name].tolist()[:1000]]
     filled = [text for text in texts if text]
     return 2 * sum(bool(_NUMBER.fullmatch(text)) for text in filled) > len(filled)
 
 
-def _alive(sheet: RawTable, name: str, quantity: str) -> tuple[bool, bool]:
+def _alive(table: RawTable, name: str, quantity: str) -> tuple[bool, bool]:
     """(whether a column has values, whether they vary): of two speed sensors, selects the connected one."""
-    if quantity == "time" or sheet.columns[name].dtype.kind == "O":
+    if quantity == "time" or table.columns[name].dtype.kind == "O":
         return True, True
-    values = sheet.numbers(name)
+    values = table.numbers(name)
     seen = values[np.isfinite(values)]
     return len(seen) > 0, len(seen) > 1 and bool(np.ptp(seen) > 0.0)
 

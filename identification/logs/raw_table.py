@@ -21,7 +21,7 @@ class RawTable:
     """`columns` by name in the file's order, (n,) float, datetime64[ns] or str; `units` by name, if the file has them; `lines`
     (n,): number of each row, counted in `rows_are` ("line" of a text, "row" of a container).
 
-    `told`: how the file was read, in words; `read`: the same as options; `left_out`: numbers of skipped lines by reason;
+    `how_read`: how the file was read, in words; `read`: the same as options; `left_out`: numbers of skipped lines by reason;
     `decimal`: the decimal mark of cells that are text.
     """
 
@@ -29,7 +29,7 @@ class RawTable:
     columns: Mapping[str, np.ndarray]
     lines: np.ndarray
     units: Mapping[str, str] = field(default_factory=dict)
-    told: str = ""
+    how_read: str = ""
     read: Mapping[str, str] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
     decimal: str = "."

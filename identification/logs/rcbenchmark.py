@@ -1,4 +1,4 @@
-"""Read logs of RCbenchmark (Tyto Robotics) stands with fixed pitch, and remove cells that are not measurements.
+"""Read logs of an RCbenchmark (Tyto Robotics) stand with fixed pitch, and remove cells that are not measurements.
 
 Properties of the logger, from two logs of 80 to 120 rows a second (notes/identification.md):
 
@@ -39,7 +39,7 @@ COARSE = 10.0
 are equal by chance. The logs have 900."""
 
 SAMPLED = 0.04
-"""Longest median interval [s] of samples: stands sample every 8 to 12 ms; rows 125 ms apart are averages."""
+"""Longest median interval [s] of samples: a stand samples every 8 to 12 ms; rows 125 ms apart are averages."""
 
 POINTS = 1.0
 """Median interval [s] above which each row is a steady point."""
@@ -64,7 +64,7 @@ _UNITS = {
 """Factors to the units of a record, by quantity and unit in lower case."""
 
 _SPEEDS = ("motor optical speed", "motor electrical speed")
-"""By preference: the electrical speed needs the right number of poles, and some stands write zeros there."""
+"""By preference: the electrical speed needs the right number of poles, and is sometimes logged as zeros."""
 
 
 @dataclass(frozen=True, eq=False)

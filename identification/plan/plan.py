@@ -37,7 +37,7 @@ class Plan:
     model; `rig`: its ranges and slew rates limit the commands.
 
     Forecasts of standard errors: `before` the experiment (None: no prior), `after` it, and after a plan of the `paper` of the
-    same length (median of DRAWS). `untold`: parameters that are not identifiable, with the reason; they are held fixed.
+    same length (median of DRAWS). `not_identifiable`: parameters that are held fixed, with the reason.
     """
 
     commands: Record
@@ -49,7 +49,7 @@ class Plan:
     before: Forecast | None
     after: Forecast
     paper: Forecast
-    untold: Mapping[str, str]
+    not_identifiable: Mapping[str, str]
 
     @property
     def gain(self) -> float:
@@ -67,7 +67,7 @@ class Plan:
             "seed": self.seed,
             "gain_over_paper_plan": self.gain,
             **{name: forecast and _summary(forecast) for name, forecast in forecasts.items()},
-            "not_identifiable": dict(self.untold),
+            "not_identifiable": dict(self.not_identifiable),
         }
 
 
@@ -128,7 +128,7 @@ def plan(
         before=None if knowledge is None else information.forecast(search.known),
         after=information.forecast(search.known + information.of(commands, step)),
         paper=_paper(search, np.random.default_rng([seed, 1])),
-        untold=unidentifiable,
+        not_identifiable=unidentifiable,
     )
 
 

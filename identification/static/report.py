@@ -26,9 +26,12 @@ def add_static(page: Page, found: Identification) -> None:
         _add_line(page, static, points, found.parameters.values)
     else:
         _add_point(page, static, points)
-    if static.untold:
+    if static.not_identifiable:
         where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
-        page.note(f"{where} identify only combinations of {', '.join(static.untold)} with others: they stay near the paper's.")
+        page.note(
+            f"{where} identify only combinations of {', '.join(static.not_identifiable)} with others: they stay near the "
+            "paper's."
+        )
     elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
         _add_selection(page, select_terms(points, found.parameters.values))
     _add_samples(page, found)

@@ -38,7 +38,7 @@ class StaticFit:
     """A fitted map: coefficients by name (normalised), covariance (terms, terms), residuals, and quality of fit.
 
     `used` (n,): the points of the campaign with pitch inside `pitch` [deg]; `residual` (points used,) N, measured minus fitted.
-    `untold`: coefficients that are not identifiable, such as the pitch's at a single pitch.
+    `not_identifiable`: coefficients that are not identifiable, such as the pitch's at a single pitch.
     """
 
     coefficients: Mapping[str, float]
@@ -48,7 +48,7 @@ class StaticFit:
     r2_adjusted: float | None
     rmse: float
     pitch: tuple[float, float]
-    untold: tuple[str, ...] = ()
+    not_identifiable: tuple[str, ...] = ()
 
     @property
     def std(self) -> dict[str, float]:
@@ -64,7 +64,7 @@ class StaticFit:
             "rmse": self.rmse,
             "points": int(self.used.sum()),
             "pitch": list(self.pitch),
-            "not_identifiable": list(self.untold),
+            "not_identifiable": list(self.not_identifiable),
         }
 
     def uncertainty(self, omega: np.ndarray, beta: np.ndarray, scales: Mapping[str, float]) -> np.ndarray:
@@ -133,11 +133,15 @@ def static_fit(campaign: Campaign, scales: Mapping[str, float]) -> StaticFit | N
         return whole
     inside = (static.beta_ref >= commanded[0]) & (static.beta_ref <= commanded[1])
     degrees = int(inside.sum()) - len(TERMS)
-    if inside.all() or degrees < 1 or whole.untold:
+    if inside.all() or degrees < 1 or whole.not_identifiable:
         return whole
     part = fit_static_map(static, scales, commanded)
     more = _scatter(static, scales, whole) / _scatter(static, scales, part)
-    return part if f_distribution.sf(more, len(whole.residual) - len(TERMS), degrees) < ALIKE and not part.untold else whole
+    return (
+        part
+        if f_distribution.sf(more, len(whole.residual) - len(TERMS), degrees) < ALIKE and not part.not_identifiable
+        else whole
+    )
 
 
 def _commanded_pitch(campaign: Campaign) -> tuple[float, float] | None:
@@ -180,7 +184,7 @@ def fit_static_map(static: StaticMap, scales: Mapping[str, float], pitch: tuple[
         r2_adjusted=1.0 - float(residual @ residual) / (n - rank) / r.total if n > max(rank, 1) and r.total > 0.0 else None,
         rmse=float(np.sqrt(np.mean(residual**2))) * scales["thrust_scale"],
         pitch=(float(static.beta_ref[r.used].min()), float(static.beta_ref[r.used].max())),
-        untold=tuple(name for name, std in zip(TERMS, spread, strict=True) if std > UNKNOWN),
+        not_identifiable=tuple(name for name, std in zip(TERMS, spread, strict=True) if std > UNKNOWN),
     )
 
 

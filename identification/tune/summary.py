@@ -165,7 +165,7 @@ def margin_words(margins: Margins) -> str:
 
 def change_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
     """(step, settling, overshoot, ringing), before and after, of each step."""
-    return [(s.name, *(c.told() + (" worse" if c.worse else "") for c in s.changes)) for s in verdict.steps]
+    return [(s.name, *(c.text() + (" worse" if c.worse else "") for c in s.changes)) for s in verdict.steps]
 
 
 def margin_rows(verdict: Verdict) -> list[tuple[str, str]]:

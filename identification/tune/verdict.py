@@ -43,7 +43,7 @@ class Change:
         """Whether the figure has decreased."""
         return -self.grown > self.tolerance
 
-    def told(self) -> str:
+    def text(self) -> str:
         """Both values with their unit."""
         digits = ".3g" if self.name == "settling" else ".2f"
         first, other = ("not settled" if v is None else f"{v:{digits}}" for v in (self.first, self.other))
@@ -89,7 +89,7 @@ class Verdict:
 
     def gains(self) -> list[str]:
         """Figures that are better, in words."""
-        found = [f"{c.name} {c.told()} on the step {s.name}" for s in self.steps for c in s.changes if c.better]
+        found = [f"{c.name} {c.text()} on the step {s.name}" for s in self.steps for c in s.changes if c.better]
         first, other = (m and m.sensitivity for m in self.margins)
         if first and other and other <= SLACK * self.sensitivity < first:
             found.append(f"sensitivity {first:.3g} → {other:.3g}, limit {self.sensitivity:g}")
@@ -140,7 +140,7 @@ def verdict(
         for first, own in pairs
     )
     ends = least(margins[0]), least(margins[1])
-    worse = [f"{c.name} {c.told()} on the step {s.name}" for s in changed for c in s.changes if c.worse]
+    worse = [f"{c.name} {c.text()} on the step {s.name}" for s in changed for c in s.changes if c.worse]
     worse += _worse_margins(*ends, objective.sensitivity)
     return Verdict(changed, ends, penalised, tuple(worse), objective.overshoot, objective.sensitivity)
 

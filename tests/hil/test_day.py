@@ -105,7 +105,7 @@ def test_the_search_goes_where_it_costs_less():
         logs = np.log([[each[name] / SETTINGS[name] for name in GAINS] for each in asked])
         assert np.abs(logs).max() <= FARTHEST + 1e-12
         assert all(each["beta_max"] == SETTINGS["beta_max"] for each in asked)
-        search.told((1.0 + np.sum((logs - best) ** 2, axis=1)).tolist())
+        search.tell((1.0 + np.sum((logs - best) ** 2, axis=1)).tolist())
     assert np.sum((np.median(logs, axis=0) - best) ** 2) < 0.1 * len(GAINS) * best**2
     there = np.log([search.favourite[name] / SETTINGS[name] for name in GAINS])
     assert np.sum((there - best) ** 2) < 0.1 * len(GAINS) * best**2

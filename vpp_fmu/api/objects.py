@@ -1,4 +1,4 @@
-"""What the verbs take: a path, or the object that would be read from it. Nothing here loads what only a fit needs."""
+"""Arguments of the verbs: a path, or the object that is read from it. This module does not import the fit."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,8 +32,8 @@ def example_campaign() -> Path:
 def read_campaign(folder: PathLike) -> Campaign:
     """Read a campaign: a folder with any of static, steps, open_loop, repeat and validation (.csv or .csv.gz), and rig.json.
 
-    Speed in rpm, pitch in deg, thrust in N, time in s from 0. BadInput: no folder, none of the files, whatever is wrong in one
-    (file, column, line), a repeat with other commands than the open loop.
+    Speed in rpm, pitch in deg, thrust in N, time in s from 0. BadInput: no folder, none of the files, an invalid file (with
+    column and line), a repeat with other commands than the open loop.
 
     >>> vpp.read_campaign(vpp.example_campaign()).open_loop["thrust"].shape
     (22500,)
@@ -48,7 +48,7 @@ def read_campaign(folder: PathLike) -> Campaign:
 def read_record(path: PathLike, need: Sequence[str] = COMMANDS) -> Record:
     """Read a record, a CSV with at least the columns `need`: columns by name, each (n,), in s, rpm, deg, N, V, A.
 
-    BadInput names column and line; a RecordWarning names columns that nothing here knows, which are kept.
+    BadInput names column and line; a RecordWarning names unknown columns, which are kept.
 
     >>> record = vpp.read_record(vpp.example_campaign() / "validation.csv.gz")
     >>> float(record.time[-1]), record.period
@@ -59,8 +59,8 @@ def read_record(path: PathLike, need: Sequence[str] = COMMANDS) -> Record:
 
 def read_parameters(path: PathLike, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
     """Read a parameters.json of a plant, with the effects it names, or a gains.json of the controller: values with their
-    standard deviations. `effects_from`: files of effects that the library does not have. BadInput names the field that is not
-    known, out of range, or in another unit.
+    standard deviations. `effects_from`: files of user-defined effects. BadInput names a field that is unknown, out of range, or
+    in another unit.
 
     >>> saved = vpp.identify(vpp.example_campaign(), starts=1).save("out")
     >>> vpp.read_parameters("out/parameters.json").estimates["tau_beta_1"].unit
@@ -70,12 +70,12 @@ def read_parameters(path: PathLike, effects_from: Iterable[PathLike] = ()) -> Pa
 
 
 def as_campaign(given: PathLike | Campaign) -> Campaign:
-    """A campaign, read where a path is given."""
+    """A campaign, read if a path is given."""
     return given if isinstance(given, Campaign) else read_campaign(given)
 
 
 def as_record(given: Any, need: Sequence[str] = COMMANDS) -> Record:
-    """A record: as it is, read from a path, or made of a frame."""
+    """A record: unchanged, read from a path, or converted from a frame."""
     if isinstance(given, Record):
         for name in need:
             if name not in given:
@@ -89,7 +89,7 @@ def as_record(given: Any, need: Sequence[str] = COMMANDS) -> Record:
 
 
 def as_parameters(given: Any, effects_from: Iterable[PathLike] = ()) -> ParameterSet:
-    """Parameters: a set, a file, or what a verb has found."""
+    """Parameters: a set, a file, or the result of a verb."""
     if isinstance(given, ParameterSet):
         return given
     if isinstance(given, str | os.PathLike):
@@ -111,7 +111,7 @@ def as_gains(given: Any) -> ParameterSet:
 
 
 def changed(parameters: ParameterSet, values: Mapping[str, float]) -> ParameterSet:
-    """The set with other values. BadInput names one that the model does not have, or that is out of its range."""
+    """The set with other values. BadInput names an unknown one, or one out of its range."""
     known = {p.name: p for p in parameters.model.parameters}
     for name, value in values.items():
         if name not in known:

@@ -1,4 +1,4 @@
-"""What the verbs give back: a few numbers to print, all of it as a dictionary, files in a folder, and figures."""
+"""Results of the verbs: key figures to print, all numbers as a dictionary, files in a folder, and figures."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -44,13 +44,13 @@ KeyFigures = list[tuple[str, str, str]]
 
 
 class Result(ABC):
-    """What a verb found. `verb`: whose files `save` writes."""
+    """The result of a verb. `verb`: its name; `save` writes its files."""
 
     verb: ClassVar[str]
 
     @abstractmethod
     def key_figures(self) -> KeyFigures:
-        """(label, value, note) of what one must know first."""
+        """Key figures (label, value, note)."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
@@ -66,19 +66,19 @@ class Result(ABC):
 
     @property
     def identity(self) -> str | None:
-        """Of the parameters that the files speak of."""
+        """Identity of the parameters of the files."""
         return None
 
     def save(self, folder: PathLike) -> Path:
-        """Write what `vpp VERB -o folder` writes, and return the folder: an earlier run's files of the same model go, files of
-        anyone else stay. BadInput where it can't be written."""
+        """Write the files of `vpp VERB -o folder`, and return the folder. An earlier run's files of the same model are removed,
+        other files stay. BadInput if it can't be written."""
         target = OutputSet(folder, self.verb)
         self._write(target)
         target.finish(self.identity)
         return target.path
 
     def plot(self, figure: int = 1) -> go.Figure:
-        """A figure of the report, numbered from 1 as there. BadInput where it has no such figure."""
+        """A figure of the report by its number, from 1. BadInput if it has no such figure."""
         figures = self.page().figures
         if not 1 <= figure <= len(figures):
             allowed = f"1 to {len(figures)}" if figures else "none, there is nothing to draw"
@@ -93,7 +93,7 @@ class Result(ABC):
 
 
 class CheckResult(Result):
-    """What a campaign's files are, hold and lack. `found`: all of it."""
+    """A campaign's files, missing data and quality problems. `found`: the whole check."""
 
     verb = "check"
 
@@ -102,12 +102,12 @@ class CheckResult(Result):
 
     @property
     def ok(self) -> bool:
-        """Whether `identify` and `diagnose` take the campaign."""
+        """Whether `identify` and `diagnose` accept the campaign."""
         return not self.found.errors
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What was found against the data, a line each, errors first."""
+        """Quality problems of the data, one per line, errors first."""
         return tuple(finding.text for finding in self.found.findings)
 
     def key_figures(self) -> KeyFigures:
@@ -132,7 +132,7 @@ class CheckResult(Result):
 
 
 class IdentifyResult(Result):
-    """A campaign's parameters, and how far to trust them. `found`: all of it, with predictions and the search."""
+    """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
 
@@ -162,7 +162,7 @@ class IdentifyResult(Result):
 
 
 class DiagnoseResult(Result):
-    """What the model lacks, and the model with it. `found`: all of it."""
+    """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
 
     verb = "diagnose"
 
@@ -176,17 +176,17 @@ class DiagnoseResult(Result):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects that the final model has beyond the plain plant."""
+        """Names of the final model's effects."""
         return self.parameters.model.optional
 
     @property
     def parameters(self) -> ParameterSet:
-        """Of the final model."""
+        """Parameters of the final model."""
         return self.found.parameters(self.found.final)
 
     @property
     def base(self) -> ParameterSet:
-        """Of the model without what was found."""
+        """Parameters of the model without the found effects."""
         return self.found.parameters(self.found.base)
 
     @property
@@ -208,7 +208,7 @@ class DiagnoseResult(Result):
 
 
 class PlanResult(Result):
-    """The next experiment. `found`: all of it; `inflation`: of what was known before, by the residuals' colour."""
+    """The next experiment. `found`: the whole plan; `inflation` of the present intervals by the residuals' colour."""
 
     verb = "plan"
 
@@ -241,7 +241,7 @@ class PlanResult(Result):
 
 
 class TuneResult(Result):
-    """Gains for both actuators and for speed alone. `found`: all of it."""
+    """Gains for both actuators and for speed alone. `found`: the whole tuning."""
 
     verb = "tune"
 
@@ -250,7 +250,7 @@ class TuneResult(Result):
 
     @property
     def gains(self) -> dict[str, ParameterSet]:
-        """The controllers' values by name, "dual" and "speed_only": what export_fmu and run_loop take."""
+        """The controllers' values by name, "dual" and "speed_only", for export_fmu and run_loop."""
         return {name: gains_of(self.found, name) for name in self.found.tuned}
 
     @property
@@ -287,7 +287,7 @@ class SimulateResult(Result):
 
     @property
     def rmse_thrust(self) -> float | None:
-        """N, against the record; None where that holds no thrust."""
+        """Error against the record, N; None if that has no thrust."""
         p = self.prediction
         return rmse(p.thrust - p.record["thrust"]) if "thrust" in p.record else None
 
@@ -332,12 +332,12 @@ class LoopResult(Result):
 
     verb = "cosim"
 
-    def __init__(self, record: Record, told: str, limits: Mapping[str, tuple[float, float]] | None = None):
-        self.record, self._told, self._limits = record, told, limits
+    def __init__(self, record: Record, title: str, limits: Mapping[str, tuple[float, float]] | None = None):
+        self.record, self._title, self._limits = record, title, limits
 
     @property
     def steps(self) -> list[Step]:
-        """Every change of the wanted thrust, with the time that it took to settle and its overshoot."""
+        """Every change of the wanted thrust, with its settling time and overshoot."""
         return steps(self.record, limits=self._limits)
 
     def key_figures(self) -> KeyFigures:
@@ -353,7 +353,7 @@ class LoopResult(Result):
         return {"steps": [vars(step) for step in self.steps], "columns": columns}
 
     def page(self) -> Page:
-        return loop_page(self.record, self._told, self._limits)
+        return loop_page(self.record, self._title, self._limits)
 
     def _write(self, folder: OutputFolder) -> None:
         write_record(folder, "run.csv", self.record)

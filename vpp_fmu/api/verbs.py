@@ -1,4 +1,4 @@
-"""The command's verbs as functions. They take paths or objects and write nothing that they are not asked to write."""
+"""The command's verbs as functions. They take paths or objects, and write files only on request."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -49,10 +49,10 @@ FLAVOURS = {"python": ("python",), "native": ("native",), "both": ("python", "na
 
 
 def check(campaign: PathLike | Campaign, accept: Iterable[str] = ()) -> CheckResult:
-    """What a campaign's files are, hold and lack, and whether they can be trusted: the first thing to run on one's own data.
+    """Check a campaign: its files, missing data and quality problems. Run it first on new data.
 
-    `accept`: codes of findings to go on in spite of (`vpp check --help` lists them). What is wrong with the data is in the
-    result (`ok`, `findings`); BadInput is for files that can't be read, and for codes that do not exist.
+    `accept`: codes of findings to ignore (`vpp check --help` lists them). Problems of the data are in the result (`ok`,
+    `findings`); BadInput is for files that can't be read, and for unknown codes.
 
     >>> vpp.check(vpp.example_campaign()).ok
     True
@@ -69,10 +69,10 @@ def identify(
     workers: int = 1,
     accept: Iterable[str] = (),
 ) -> IdentifyResult:
-    """A campaign's parameters: lags in s, coefficients of the map in normalised units, each with its standard deviation.
+    """Identify the parameters: lags in s, coefficients of the map in normalised units, each with its standard deviation.
 
     `records`: further ones to fit, by name (paths, Records or frames). `starts` of the search; `bootstrap`: resamples of a
-    block bootstrap by `workers` processes. BadInput for what the quality gate refuses, and where nothing tells a parameter.
+    block bootstrap by `workers` processes. BadInput: data that the quality gate refuses, or no identifiable parameter.
 
     >>> found = vpp.identify(vpp.example_campaign(), starts=1)
     >>> found.parameters.values["tau_beta_1"] > found.parameters.values["tau_beta_2"]
@@ -102,12 +102,12 @@ def diagnose(
     accept: Iterable[str] = (),
     effects_from: Iterable[PathLike] = (),
 ) -> DiagnoseResult:
-    """What the model lacks, and the model with it.
+    """Find the effects that the model lacks, and add them.
 
-    `parameters`: a model to start from and to judge against (a file, a set, a result); else the campaign is identified first.
-    `effects`: names of the candidates, else the whole library. `smallest` N, `smallest_speed` rpm: the least rms changes of
-    thrust and of speed that are of interest. `effects_from`: Python files with effects of one's own. BadInput: no record to
-    fit, data that the gate refuses, an effect that the library does not have.
+    `parameters`: initial and reference model (a file, a set, a result); None: the campaign is identified first. `effects`:
+    names of the candidates; None: the whole library. `smallest` N, `smallest_speed` rpm: minimum rms changes of thrust and
+    speed of interest. `effects_from`: Python files with user-defined effects. BadInput: no record to fit, data that the gate
+    refuses, an unknown effect.
 
     >>> found = vpp.diagnose(vpp.example_campaign(), effects=["pitch_command_deadband", "pitch_backlash"])
     >>> found.verdict, found.effects
@@ -133,7 +133,7 @@ def diagnose(
 
 
 def _chosen(library: tuple[Effect, ...], names: Iterable[str] | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
-    """The effects to choose from: all, or those named, and what the model has already."""
+    """The candidate effects: all, or those named, and those of the model."""
     if names is None:
         return library
     chosen, known = list(names), [e.name for e in library if e.off is not None]
@@ -152,11 +152,11 @@ def plan(
     seed: int = 0,
     effects_from: Iterable[PathLike] = (),
 ) -> PlanResult:
-    """The next experiment for a model: commands that would tell most about it, within the range and slew of the `rig`.
+    """Plan the next experiment: the most informative commands within the range and slew rates of the `rig`.
 
-    `rig`: a Rig, or a rig.json; None: as the parameters' campaign was measured. `seconds` of commands, `step` s between them
-    and between readings, `noise` N of one reading. `knowledge`: what is known already (an identification.json, or the result).
-    BadInput where a range is neither measured nor declared, or an argument makes no sense on this rig.
+    `rig`: a Rig, or a rig.json; None: that of the parameters' campaign. `seconds` of commands, `step` s between them and
+    between readings, `noise` N of one reading. `knowledge`: prior information (an identification.json, or the result).
+    BadInput: a range is neither measured nor declared, or an argument is invalid for this rig.
 
     >>> found = vpp.plan(vpp.identify(vpp.example_campaign(), starts=1), seconds=30)
     >>> found.commands
@@ -193,12 +193,12 @@ def tune(
     workers: int = 1,
     effects_from: Iterable[PathLike] = (),
 ) -> TuneResult:
-    """Gains for a model: both actuators, and speed alone.
+    """Tune gains for a model: both actuators, and speed alone.
 
-    `assume`: parameters that the design takes instead, as the paper does with tau_beta_2 = 0.05 s. `gains`: limits, filter,
-    sample time and first gains of the controller. `profile`: `time` [s], `thrust_set` [N]; None: 0.1 to 0.8 of the thrust scale
-    and back, as far as the rig reaches. `noise` N of a reading. `robust`: "worst" or "mean" over plants drawn from the
-    parameters' uncertainty. BadInput for names that the model does not have and a profile that is too short.
+    `assume`: parameters that the design replaces, as the paper does with tau_beta_2 = 0.05 s. `gains`: limits, filter, sample
+    time and initial gains of the controller. `profile`: `time` [s], `thrust_set` [N]; None: 0.1 to 0.8 of the thrust scale and
+    back, within the rig's reach. `noise` N of a reading. `robust`: "worst" or "mean" over plants drawn from the parameters'
+    uncertainty. BadInput: unknown names, or a profile that is too short.
 
     >>> found = vpp.tune(vpp.identify(vpp.example_campaign(), starts=1), assume={"tau_beta_2": 0.05})
     >>> sorted(found.gains), found.save("gains").joinpath("gains.json").exists()
@@ -237,8 +237,8 @@ def tune(
 def simulate(record: Any, parameters: Any, effects_from: Iterable[PathLike] = ()) -> SimulateResult:
     """The model's open-loop response to the commands of a record: thrust [N], speed [rpm], pitch [deg], each (n,).
 
-    `record`: a path, a Record, or a frame with `time`, `omega_ref`, `beta_ref`; where it holds `thrust`, the error is told.
-    BadInput for what is wrong with either.
+    `record`: a path, a Record, or a frame with `time`, `omega_ref`, `beta_ref`; with `thrust` the result has the error.
+    BadInput: invalid arguments.
 
     >>> found = vpp.simulate({"time": [0.0, 1.0, 2.0], "omega_ref": [4000, 5000, 5000], "beta_ref": [5, 5, 5]}, vpp.identify(
     ...     vpp.example_campaign(), starts=1))
@@ -261,11 +261,11 @@ def export_fmu(
 ) -> dict[str, Path]:
     """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
 
-    `gains`: the controller's (a file, a set, values by name; None: published ones, at the rig's pace), within the limits of the
-    parameters' rig. `flavour`: "python", "native" (compiled C that
-    needs no Python) or "both". `platforms`: "host", or "all" for Linux, Windows and macOS (native, needs the extra `cross`).
-    `fmi`: "2.0" or "3.0" (native). Returns the paths by name. BadInput for options that say nothing together;
-    CompilerMissing where native FMUs need a compiler that is not there.
+    `gains`: the controller's (a file, a set, values by name; None: the published ones, scaled to the rig's time constant),
+    within the limits of the parameters' rig. `flavour`: "python", "native" (compiled C without Python) or "both".
+    `platforms`: "host", or "all" for Linux, Windows and macOS (native, needs the extra `cross`). `fmi`: "2.0" or "3.0"
+    (native). Returns the paths by name. BadInput: options that do not fit together; CompilerMissing: no compiler for native
+    FMUs.
 
     >>> files = vpp.export_fmu(vpp.identify(vpp.example_campaign(), starts=1), "fmus")
     >>> [name for name in files if name.endswith(".fmu")]
@@ -295,10 +295,10 @@ def run_loop(
 ) -> LoopResult:
     """The closed loop over a profile of `time` [s] and wanted thrust `thrust_set` [N], each held to the next row.
 
-    `plant`, `controller`: paths of FMUs, parameters (the functions as they stand run), or anything with the methods of
-    `vpp_fmu.plants.Plant` and `Controller`, a rig of one's own among them. Gains beside parameters fly within the limits of the
-    parameters' rig. `dt` s: the communication step; None: the controller's sample time, else 0.004. `start`: commands
-    [rpm, deg] that the plant rests on at first. BadInput for a file that is no such FMU; SimulationFailed says which step.
+    `plant`, `controller`: paths of FMUs, parameters (run in Python), or any object with the methods of `vpp_fmu.plants.Plant`
+    and `Controller`, such as a user's rig. Gains with parameters are limited to the range of the parameters' rig. `dt` s: the
+    communication step; None: the controller's sample time, else 0.004. `start`: commands [rpm, deg] on which the plant is at
+    rest at first. BadInput: a file that is no such FMU; SimulationFailed names the step.
 
     >>> profile = {"time": [0.0, 1.0, 4.0], "thrust_set": [1.5, 12.0, 12.0]}
     >>> found = vpp.run_loop(vpp.identify(vpp.example_campaign(), starts=1), {}, profile, dt=0.004)
@@ -327,7 +327,7 @@ def _plant(given: Any, dt: float) -> Plant:
 
 
 def _controller(given: Any, dt: float | None, plant: ParameterSet | None) -> Controller:
-    """`plant`: the parameters whose rig it flies, where they are known."""
+    """The controller of `run_loop`. `plant`: parameters whose rig limits the commands, if known."""
     if _is_fmu(given):
         return FmuController(given, dt=dt)
     if hasattr(given, "step") and hasattr(given, "start"):
@@ -343,7 +343,7 @@ def _is_fmu(given: Any) -> bool:
 
 
 def write_report(result: Result, path: PathLike) -> Path:
-    """Write a result's report, one HTML file that opens without a network and for good; returns its path. BadInput.
+    """Write a result's report, a self-contained HTML file; returns its path. BadInput.
 
     >>> vpp.write_report(vpp.check(vpp.example_campaign()), "check.html").name
     'check.html'

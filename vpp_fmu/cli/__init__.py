@@ -1,4 +1,4 @@
-"""The command `vpp`: one verb a file, each calls what the library offers."""
+"""The command `vpp`: one verb per file, each a call of the library."""
 
 import argparse
 import importlib
@@ -17,39 +17,39 @@ from vpp_fmu.record import RecordWarning
 from vpp_fmu.stopping import Stopped, said, stoppable
 
 VERBS = {
-    "demo": "the whole job on the campaign that ships with the project",
-    "check": "what a campaign's files are, hold and lack, and whether they can be trusted",
-    "identify": "a campaign to parameters",
-    "diagnose": "what the model lacks, and the model with it",
-    "tune": "gains for a model",
-    "export": "parameters to FMUs",
+    "demo": "all steps on the campaign that ships with the project",
+    "check": "check a campaign: its files, missing data and quality problems",
+    "identify": "identify parameters from a campaign",
+    "diagnose": "find effects that the model lacks, and add them",
+    "tune": "tune controller gains for a model",
+    "export": "export parameters as FMUs",
     "cosim": "the closed loop of two FMUs",
     "simulate": "the open-loop response to a record",
-    "compare": "two records side by side",
-    "plan": "the next experiment for a model: commands, and what they would tell",
-    "import": "somebody's log to a file of a campaign",
+    "compare": "compare two records",
+    "plan": "plan the next experiment: commands, and the expected accuracy",
+    "import": "convert a log to a file of a campaign",
     "effects": "the effects that the model may have, and a page of their theory",
-    "check-effect": "what holds for an effect of one's own",
+    "check-effect": "check a user-defined effect",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "twin": "a rig's day: model and controller improve each other, round by round",
-    "cache": "the compiled models that are kept, and their end",
+    "cache": "show or delete the cached compiled models",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
 
 GROUP = "vpp.verbs"
-"""Entry points of installed packages: each names a verb, and its module with `configure(parser)`, `run(options)`, EXAMPLE and a
-docstring, as those of this folder."""
+"""Group of entry points of installed packages: each names a verb, and a module with `configure(parser)`, `run(options)`,
+EXAMPLE and a docstring, as in this folder."""
 
 READER_GONE = 141
-"""Exit code where whoever read standard output has closed it: 128 + SIGPIPE, as of any other program in a pipe."""
+"""Exit code if the reader of standard output has closed it: 128 + SIGPIPE, as of any other program in a pipe."""
 
 
 class BadCall(VppError):
-    """The command line is not what the verb takes."""
+    """The command line is invalid."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line. An option is written in full: a part of one may be another option tomorrow."""
+    """A parser with messages of one line. Options cannot be abbreviated, since a later option may begin in the same way."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, allow_abbrev=False, **kwargs)
@@ -73,8 +73,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one verb; returns the exit code: 0, or 2 where the input is bad, after one line on standard error; 128 and its number
-    where a signal ended it."""
+    """Run one verb; returns the exit code: 0; 2 for bad input, after one line on standard error; 128 plus the number of the
+    signal that ended it."""
     _prepare_streams()
     arguments = sys.argv[1:] if arguments is None else arguments
     verb = f"vpp {arguments[0]}" if arguments and arguments[0] in known_verbs() else "vpp"
@@ -83,16 +83,16 @@ def main(arguments: list[str] | None = None) -> int:
             warnings.simplefilter("always", RecordWarning)
             warnings.showwarning = _one_line
             _run(arguments)
-            sys.stdout.flush()  # a full disk or a closed pipe is to be told here, not by the interpreter's end
+            sys.stdout.flush()  # a full disk or a closed pipe is reported here, not when the interpreter ends
     except BadCall as error:
         return _refused(str(error))
     except VppError as error:
-        words = str(error)  # which begin with the verb where no file is at fault
+        words = str(error)  # messages begin with the verb if no file is at fault
         return _refused(words if words.startswith((f"{verb}:", f"{verb} ")) else f"{verb}: {words}", error.code)
     except BrokenPipeError:
         _give_up(sys.stdout)
         return READER_GONE
-    except OSError as error:  # what no reader or writer of a file has put into words of its own
+    except OSError as error:  # errors that no reader or writer of a file has handled
         _give_up(sys.stdout)
         where, field = (error.filename, "file or folder") if error.filename else ("the system", "output")
         return _refused(f"{verb}: {BadInput(where, field, f'not usable ({reason(error)})', 'what can be read and written')}")
@@ -115,7 +115,7 @@ def _run(arguments: list[str]) -> None:
 
 
 def known_verbs() -> dict[str, str]:
-    """What each verb does, those of installed packages among them; the house's own go first."""
+    """A description of each verb, this project's first, then those of installed packages."""
     return {e.name: f"of {e.dist.name if e.dist else e.value}" for e in entry_points(group=GROUP)} | VERBS
 
 
@@ -125,7 +125,7 @@ def _module(verb: str):
     (entry,) = [e for e in entry_points(group=GROUP) if e.name == verb][:1]
     try:
         module = entry.load()
-    except Exception as error:  # somebody else's package may raise anything
+    except Exception as error:  # a foreign package may raise any exception
         said = f"{type(error).__name__}: {error}".splitlines()[0]
         raise BadInput(f"entry point {verb} of {GROUP}", entry.value, said, "a module that can be imported") from error
     if missing := [name for name in ("configure", "run", "EXAMPLE") if not hasattr(module, name)]:
@@ -143,9 +143,9 @@ def parser_of(verb: str):
 
 
 def _prepare_streams() -> None:
-    """A stream that is closed is empty or swallows all; one that is not UTF-8 gets "?" for what it cannot show."""
+    """Replace a closed stream by the null device; a stream that is not UTF-8 writes "?" for unknown characters."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # in this order each gets the number that is free, which no file must
+        if getattr(sys, name) is None:  # in this order each gets its free descriptor, before a file takes it
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -153,7 +153,7 @@ def _prepare_streams() -> None:
 
 
 def _give_up(stream: TextIO) -> None:
-    """Drop what a stream refuses, where it does: the interpreter would complain of it once more at its end."""
+    """Drop output that a stream refuses, or the interpreter reports the error again at its end."""
     try:
         stream.flush()
     except OSError:
@@ -170,7 +170,7 @@ def _one_line(message, *_):
 
 
 def _complain(line: str) -> None:
-    """On standard error, where that takes anything."""
+    """Print on standard error, if it is open."""
     try:
         print(line, file=sys.stderr, flush=True)
     except OSError:

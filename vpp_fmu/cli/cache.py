@@ -1,4 +1,4 @@
-"""Show the compiled models that are kept for the next run, or delete them. The least recently used go by themselves."""
+"""Show the compiled models that are kept for the next run, or delete them. The least recently used are deleted first."""
 
 from vpp_fmu.native.compiler import LARGEST, cache_folder, clear, kept
 
@@ -6,7 +6,7 @@ EXAMPLE = "vpp cache --clear"
 
 
 def configure(parser):
-    parser.add_argument("--clear", action="store_true", help="delete them all; what is needed is compiled again")
+    parser.add_argument("--clear", action="store_true", help="delete all; the next run compiles again")
 
 
 def run(options):

@@ -1,14 +1,14 @@
-"""What a campaign's files are, hold and lack, and whether they can be trusted: the first thing to run on data of one's own.
+"""Check a campaign: its files, missing data and quality problems. Run it first on new data.
 
-Errors (exit code 2) are what nothing sane can follow; identify and diagnose refuse them in the same words. Warnings stand in
-their reports. Where nothing forbids it, the model is fitted as identify does it, for what only a fit shows.
+Errors (exit code 2) make a fit meaningless; identify and diagnose refuse such data with the same message, and list warnings in
+their reports. Without errors the model is fitted as by identify, to find problems that only a fit shows.
 """
 
 from dataclasses import dataclass
 
 from tqdm import tqdm
 
-from identification.gate.contents import COLUMNS, FileContents, contents, lacks
+from identification.gate.contents import COLUMNS, FileContents, contents, missing
 from identification.gate.files import File, files_of, least_diameter
 from identification.gate.finding import ERROR, KINDS, Finding, check_accepted, settled
 from identification.gate.gate import look
@@ -33,7 +33,7 @@ def configure(parser):
     add_accept(parser)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder to write check.json to (default: only print)")
     lines = [f"  {code:14} {kind.meaning}" + f" [--accept {kind.accept}]" * bool(kind.accept) for code, kind in KINDS.items()]
-    parser.epilog += "\n\nwhat may be found:\n" + "\n".join(lines)
+    parser.epilog += "\n\npossible findings:\n" + "\n".join(lines)
 
 
 def run(options):
@@ -62,8 +62,8 @@ def run(options):
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """A campaign's `files` with their contents (`held`), what is `missing` and what that costs, the gate's `findings`, and the
-    `logger` that wrote the records, None where no model can be fitted."""
+    """A campaign's `files` with their contents (`held`), the `missing` ones with the consequence, the gate's `findings`, and
+    the model of the `logger` of the records, None if no model can be fitted."""
 
     campaign: Campaign
     files: list[File]
@@ -74,7 +74,7 @@ class Checked:
 
     @property
     def errors(self) -> list[Finding]:
-        """What nothing sane can follow."""
+        """Findings that forbid a fit."""
         return [f for f in self.findings if f.level == ERROR]
 
     def summary(self) -> dict:
@@ -90,10 +90,10 @@ class Checked:
 
 
 def checked(campaign: Campaign, accept: frozenset[str], stage=lambda text: None) -> Checked:
-    """Everything that the files show, and a fit of them where nothing forbids one. `stage` is told what begins."""
+    """Check the files, and fit them unless there is an error. `stage` receives the name of each stage."""
     files = files_of(campaign, {})
     findings, logger = _fitted(campaign, look(campaign, accept=accept).findings, accept, stage)
-    return Checked(campaign, files, contents(files), lacks(campaign, files), findings, logger)
+    return Checked(campaign, files, contents(files), missing(campaign, files), findings, logger)
 
 
 def write_check(folder: OutputFolder, found: Checked) -> None:
@@ -104,15 +104,15 @@ def write_check(folder: OutputFolder, found: Checked) -> None:
 def _fitted(
     campaign: Campaign, findings: tuple[Finding, ...], accept: frozenset[str], stage
 ) -> tuple[tuple[Finding, ...], Logger | None]:
-    """The findings, with those of a fit where nothing forbids one, and the logger that it was corrected for."""
+    """The findings, with those of a fit unless there is an error, and the model of the logger."""
     if any(f.level == ERROR for f in findings):
         return findings, None
     try:
         found = identify(campaign, accept=accept, stage=stage)
         return found.quality, found.logger
     except BadInput as refused:
-        told = f"found {refused.found}, needed is {refused.allowed}"
-        unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", told, "what is missing")
+        evidence = f"found {refused.found}, needed is {refused.allowed}"
+        unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", evidence, "what is missing")
     except VppError as refused:
         unfit = Finding("no_fit", str(campaign.folder), "fit", 0.0, "1", str(refused), "the data tell too little")
     return settled([*findings, unfit], accept), None

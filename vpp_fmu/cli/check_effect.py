@@ -1,6 +1,6 @@
-"""Try an effect of one's own: everything that holds for the effects of the library, before it is fitted to anything.
+"""Check a user-defined effect before it is fitted: all invariants of the library's effects.
 
-The file holds EFFECT, a vpp_fmu.Effect, and perhaps PORT or BEFORE, its place in the chain; README.md shows one."""
+The file defines EFFECT, a vpp_fmu.Effect, and optionally its place in the chain, PORT or BEFORE; see README.md."""
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.invariants import INVARIANTS, Broken, Trial
@@ -21,15 +21,15 @@ def run(options):
     print(f"{effect.name}: {effect.description}")
     for name, invariant in INVARIANTS.items():
         try:
-            told = f"yes  {invariant(trial)}"
+            result = f"yes  {invariant(trial)}"
         except Broken as why:
             broken[name] = str(why)
-            told = f"NO   {why}"
-        except Exception as error:  # it is anybody's code, and may fail in any way; a traced `if` is a TypeError
+            result = f"NO   {why}"
+        except Exception as error:  # foreign code may raise any exception; a traced `if` is a TypeError
             broken[name] = " ".join(f"{type(error).__name__}: {error}".split())
-            told = f"NO   {broken[name]}"
-        print(f"  {name:32} {told}")
+            result = f"NO   {broken[name]}"
+        print(f"  {name:32} {result}")
     if broken:
         first, why = next(iter(broken.items()))
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
-        raise BadInput(options.file, f"EFFECT {effect.name}: {first}", f"{why}{more}", "all of what is said above")
+        raise BadInput(options.file, f"EFFECT {effect.name}: {first}", f"{why}{more}", "an effect that passes all checks above")

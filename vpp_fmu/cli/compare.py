@@ -1,4 +1,4 @@
-"""Hold two records side by side, at the times of the first."""
+"""Compare two records, at the times of the first."""
 
 from vpp_fmu.cli.output import add_output, say_written
 from vpp_fmu.comparison import compare

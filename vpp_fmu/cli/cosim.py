@@ -27,7 +27,7 @@ def configure(parser):
     parser.add_argument("plant", metavar="PLANT", help="plant FMU: omega_ref, beta_ref to thrust, omega, beta")
     parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
     parser.add_argument("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
-    text = "twin FMU that watches the loop (vpp export --twin): its outputs in the CSV and on the page"
+    text = "twin FMU that monitors the loop (vpp export --twin): its outputs in the CSV and on the page"
     parser.add_argument("--twin", metavar="TWIN", help=text)
     text = f"communication step in s (default: the controller's sample_time, else {USUAL_STEP:g})"
     parser.add_argument("--step", type=real(1e-6, 1.0, "s"), metavar="S", help=text)
@@ -52,21 +52,21 @@ def run(options):
         done = Record({**done.columns, **watched}, done.source)
     write_record(folder, "run.csv", done)
     folder.write("report.html", page.html())
-    say_written(folder, lines=map(told, steps(done, limits=controller.limits)))
+    say_written(folder, lines=map(sentence, steps(done, limits=controller.limits)))
 
 
-def add_twin(page: Page, time: np.ndarray, told: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
-    """What an adaptive twin said, by its outputs (rows,), with the units of its variables."""
-    page.figure(residual_in_band(time, told), f"Measured thrust less the twin's. {thinning(len(time))}")
+def add_twin(page: Page, time: np.ndarray, outputs: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
+    """Add the outputs (rows,) of an adaptive twin by name, with the units of its variables."""
+    page.figure(residual_in_band(time, outputs), f"Measured thrust less the twin's. {thinning(len(time))}")
     own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
-    page.figure(adapted_parameters(time, told, own), "What the twin made of its parameters.")
+    page.figure(adapted_parameters(time, outputs, own), "The twin's adapted parameters.")
 
 
 def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
     """The report of a closed loop's run; `limits` as of `vpp_fmu.response.steps`."""
     found = steps(done, limits=limits)
     page = Page("Closed loop", summary)
-    title = told(found[0]) if found else "Thrust under a constant set-point"
+    title = sentence(found[0]) if found else "Thrust under a constant set-point"
     drawn = closed_loop({"loop": done.columns}, title, limits)
     page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
     page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
@@ -83,7 +83,7 @@ def row(step: Step) -> tuple:
     return step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
 
 
-def told(step: Step) -> str:
+def sentence(step: Step) -> str:
     """A step in words."""
     change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s"
     if step.stuck:

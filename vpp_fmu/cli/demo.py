@@ -1,4 +1,4 @@
-"""The whole job on the campaign that ships with the project: identify, diagnose, augment, export, simulate, close the loop."""
+"""All steps on the campaign that ships with the project: identify, diagnose, augment, export, simulate, close the loop."""
 
 import time
 
@@ -11,7 +11,7 @@ from identification.found_report import add_found
 from identification.identify import Identification
 from identification.static.report import add_static
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli.cosim import STEP_COLUMNS, row, told
+from vpp_fmu.cli.cosim import STEP_COLUMNS, row, sentence
 from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.cli.export import exported
 from vpp_fmu.cli.options import WORKERS
@@ -30,7 +30,7 @@ EXAMPLE = "vpp demo -o demo"
 
 def configure(parser):
     parser.add_argument(
-        "--workers", type=WORKERS, default=2, metavar="N", help="fits that run side by side (default: %(default)s)"
+        "--workers", type=WORKERS, default=2, metavar="N", help="number of parallel fits (default: %(default)s)"
     )
     add_output(parser)
     parser.set_defaults(output="demo")
@@ -50,13 +50,13 @@ def run(options):
         bar.set_description("report")
         _write(folder, done)
     lines = [f"{label}: {value} ({note})" for label, value, note in key_figures(done)]
-    lines += [f"{name}: {told(step)}" for name, loop in done.loops.items() for step in steps(loop)]
+    lines += [f"{name}: {sentence(step)}" for name, loop in done.loops.items() for step in steps(loop)]
     lines.append(f"{time.perf_counter() - began:.1f} s")
     say_written(folder, done.diagnosis.parameters(done.diagnosis.final), lines)
 
 
 def _write(folder: OutputFolder, done: Demo) -> None:
-    """What the other verbs would have written on the way, and the report."""
+    """Write the files of the other verbs, and the report."""
     found = done.diagnosis
     write_diagnosis(folder, found)
     for name, gains in (("gains.json", DUAL), ("gains_speed_only.json", SPEED_ONLY)):
@@ -71,7 +71,7 @@ def _write(folder: OutputFolder, done: Demo) -> None:
 
 
 def key_figures(done: Demo) -> list[tuple[str, str, str]]:
-    """(label, value, note): as of the diagnosis, with the errors through the FMUs."""
+    """(label, value, note): those of the diagnosis, and the errors of the FMUs."""
     before, after = done.rmse["before"], done.rmse["after"]
     note = f"unseen record, noise of one reading {number(done.diagnosis.noise.floor)} N"
     through = ("thrust error, FMU in fmpy", f"{number(before)} → {number(after)} N", note)
@@ -79,14 +79,14 @@ def key_figures(done: Demo) -> list[tuple[str, str, str]]:
 
 
 def demo_page(done: Demo) -> Page:
-    """The report of the whole job."""
+    """The report of all steps."""
     found, validation = done.diagnosis, done.validation
     described = {e.name: e.description for e in found.final.problem.model.effects}
     effects = " and ".join(f"{name} ({described[name]})" for name in found.final.effects) or "nothing"
     before, after = done.rmse["before"], done.rmse["after"]
     page = Page(
         "From rig data to FMUs",
-        f"A measured campaign becomes a plant model; its residual tells what the model lacks: {effects}. The model before and "
+        f"A measured campaign becomes a plant model; its residual shows what the model lacks: {effects}. The model before and "
         f"after is exported as FMUs, and fmpy runs them on a record that no fit has seen: {number(before)} N before, "
         f"{number(after)} N after; the noise alone is {number(found.noise.floor)} N.",
         found.campaign.label,
@@ -114,8 +114,8 @@ def demo_page(done: Demo) -> Page:
 
 
 def _add_identification(page: Page, found: Identification) -> None:
-    """Parameters, their uncertainty and the static map; how it predicts is shown above."""
-    text = "The plain model, without the effects, fitted to the campaign: what the diagnosis began with."
+    """Parameters, their uncertainty and the static map; the prediction is shown above."""
+    text = "The plain model, without the effects, fitted to the campaign: the start of the diagnosis."
     page.section("Where this started: the identification", text)
     add_found(page, found)
     if found.static is not None:

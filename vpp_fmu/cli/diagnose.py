@@ -1,6 +1,6 @@
-"""Trace a campaign's residual to what the model lacks, add it, and report the error before and after.
+"""Find the effects that the model lacks from a campaign's residual, add them, and report the error before and after.
 
-Of several campaigns, a fleet, each is diagnosed by itself into a folder of its own, and one table tells of all.
+Of several campaigns, a fleet, each is diagnosed alone into its own folder, and a table summarises all.
 """
 
 import traceback
@@ -34,20 +34,20 @@ EXAMPLE = "vpp diagnose campaigns/monday -o out"
 
 
 def configure(parser):
-    text = "folder of the campaign; of several, each is diagnosed by itself, and one table tells of all"
+    text = "folder of the campaign; of several, each is diagnosed alone, and a table summarises all"
     parser.add_argument("campaigns", metavar="CAMPAIGN", nargs="+", help=text)
-    text = "a model to start from and to judge against, with the effects it has; else the campaign is identified first"
+    text = "initial and reference model, with its effects (default: identify the campaign first)"
     parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
     parser.add_argument("--effects", metavar="A,B", help="candidates (default: the whole library)")
     add_effects_from(parser)
     parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
-    text = "least size of interest: what an effect must change the thrust by, rms (default: a small share of the noise)"
+    text = "minimum size of interest: rms change of the thrust by an effect (default: a small share of the noise)"
     parser.add_argument("--smallest", type=Number(0.0, 1e5, "N"), metavar="N", help=text)
-    text = "least size of interest of the speed, rms (default: the uncertainty of the sensor's readings)"
+    text = "minimum size of interest of the speed, rms (default: the uncertainty of the sensor's readings)"
     parser.add_argument("--smallest-speed", type=Number(0.0, 1e5, "rpm"), metavar="RPM", help=text)
-    text = "fits that run side by side, of several campaigns the campaigns (default: %(default)s)"
+    text = "number of parallel fits; for several campaigns, of parallel campaigns (default: %(default)s)"
     parser.add_argument("--workers", type=WORKERS, default=2, metavar="N", help=text)
-    text = "a Dask scheduler to diagnose several campaigns on instead; its workers read the same folders"
+    text = "Dask scheduler for several campaigns instead; its workers read the same folders"
     parser.add_argument("--scheduler", metavar="ADDRESS", help=text)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of random starts (default: %(default)s)")
     add_accept(parser)
@@ -63,7 +63,7 @@ def run(options):
     _one(options, options.campaigns[0])
 
 
-@threadpool_limits.wrap(limits=1)  # as in a fleet, to the last digit
+@threadpool_limits.wrap(limits=1)  # the same digits as in a fleet
 def _one(options, campaign: str) -> None:
     asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
     folder = OutputSet(options.output, "diagnose")
@@ -81,7 +81,7 @@ def _one(options, campaign: str) -> None:
 
 
 def _model(options) -> dict:
-    """What of the options is the same for every campaign, as `diagnose` takes it. BadInput."""
+    """The options common to all campaigns, as arguments of `diagnose`. BadInput."""
     whole = library_with(options.effects_from)
     given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
     library = _library(options.effects, given.model.optional if given else (), whole)
@@ -90,8 +90,8 @@ def _model(options) -> dict:
 
 
 def _of_fleet(job: tuple) -> Entry:
-    """Diagnose one campaign of a fleet into a folder of its own, wherever this runs: what is done stands, however the rest
-    ends. A campaign that is refused is no reason for the others not to be diagnosed."""
+    """Diagnose one campaign of a fleet into its own folder. It is complete whatever happens to the others, and a refused
+    campaign does not stop them."""
     options, name, campaign, output = job
     try:
         found = diagnose(read_campaign(campaign), workers=1, **_model(options))
@@ -108,12 +108,12 @@ def _of_fleet(job: tuple) -> Entry:
 
 
 def _fleet(options) -> None:
-    """Each campaign into a folder of its name; the table of all beside them. BadInput at the end where any was refused."""
+    """Diagnose each campaign into a folder of its name, and write a table of all. BadInput at the end if any was refused."""
     if options.record:
         raise BadInput("command line", "--record", "several campaigns", "one campaign, to which the record belongs")
-    _model(options)  # what is wrong for all is refused once
+    _model(options)  # errors common to all campaigns are reported once
     folder = OutputSet(options.output, "diagnose several")
-    there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask's may stand elsewhere
+    there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask may have another working folder
     jobs = [
         (options, name, str(own), str(Path(options.output, name).resolve()))
         for name, own in zip(_names(there), there, strict=True)
@@ -125,11 +125,11 @@ def _fleet(options) -> None:
     folder.write("report.html", fleet_page(entries).html())
     say_written(folder, lines=[one.line for one in entries])
     if refused := [e.name for e in entries if e.refused]:
-        raise BadInput("fleet", "campaigns", f"{len(refused)} refused: {', '.join(refused)}", "what can be diagnosed")
+        raise BadInput("fleet", "campaigns", f"{len(refused)} refused: {', '.join(refused)}", "campaigns that can be diagnosed")
 
 
 def _names(campaigns: Sequence[Path]) -> list[str]:
-    """A folder's name for each campaign: its own, with a number where another one has it already."""
+    """A folder's name for each campaign: its own, with a number if another campaign has it."""
     found: list[str] = []
     for campaign in campaigns:
         own = campaign.name or "campaign"
@@ -139,14 +139,14 @@ def _names(campaigns: Sequence[Path]) -> list[str]:
 
 
 def _library(names: str | None, kept: tuple[str, ...], whole: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """The effects of a library to choose from: all, or those named, and what the model has already."""
+    """The candidate effects of a library: all, or those named, and those of the model."""
     if names is None:
         return whole
     chosen = [n.strip() for n in names.split(",") if n.strip()]
     known = [e.name for e in whole if e.off is not None]
     unknown = [n for n in chosen if n not in known]
     if unknown or not chosen:
-        allowed = f"names, parted by commas, of {', '.join(known)}{near(unknown[0], known) if unknown else ''}"
+        allowed = f"names, separated by commas, of {', '.join(known)}{near(unknown[0], known) if unknown else ''}"
         raise BadInput("command line", "--effects", ", ".join(unknown) or "none", allowed)
     return tuple(e for e in whole if e.off is None or e.name in chosen or e.name in kept)
 
@@ -155,7 +155,7 @@ def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | None = 
     """All files of a diagnosis but its page. `given`: the file that its starting model was read from, if any.
 
     parameters.json, parameters.ssv and identification.json are of the final model, parameters_base.json and
-    identification_base.json of the one without what was found.
+    identification_base.json of the one without the found effects.
     """
     folder.write("diagnosis.json", as_json(summary(found)))
     parent = {"descends": (given, found.given)} if found.given and given else {}

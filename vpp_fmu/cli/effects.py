@@ -1,4 +1,4 @@
-"""The effects that the model may have: their equations, parameters and responses, from their declarations."""
+"""List the effects of the library: equations, parameters and responses, from their declarations."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def run(options):
 
 
 def effects_page(effects: list[Effect], library: tuple[Effect, ...]) -> Page:
-    """A section an effect, in the order of the chain."""
+    """A section for each effect, in the order of the chain."""
     text = "Each is declared once; simulation, C, sensitivities, FMU variables and this page are made from the declaration."
     page = Page(
         "The effects", f"{len(effects)} effects that the plant may have, in their order from command to reading. {text}"
@@ -59,10 +59,10 @@ def effects_page(effects: list[Effect], library: tuple[Effect, ...]) -> Page:
 
 
 def theory(effect: Effect) -> str:
-    """What the effect's file says of it, which may be one of one's own: equation, source, where it departs from that."""
+    """The docstring of the effect's file, also of a user-defined one: equation, source, departures from it."""
     if effect.delays:
-        told = " and ".join(f"    {u}(t) acts at t + {p}" for u, p in effect.delays.items())
-        return f"{told}\n\nExact at any step: what waits is kept with the time at which it acts."
+        equations = " and ".join(f"    {u}(t) acts at t + {p}" for u, p in effect.delays.items())
+        return f"{equations}\n\nExact at any step: delayed commands are kept with the time at which they act."
     return (effect.step.__globals__.get("__doc__") or "").strip("\n")
 
 
@@ -75,7 +75,7 @@ def _add_parameters(page: Page, effect: Effect) -> None:
 
 
 def _add_response(page: Page, effect: Effect, library, commands, steps, without: np.ndarray) -> None:
-    """Of the output that it moves most, in shares of what one would notice."""
+    """The output that it changes most, relative to the visible change."""
     model, values = plant([effect.name], library), {effect.full(name): value for name, value in effect.probe.items()}
     on = Simulator(model).simulate(values, commands, steps)
     moved = np.sqrt(np.mean((on - without) ** 2, axis=0))

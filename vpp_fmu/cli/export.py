@@ -1,7 +1,7 @@
 """Export plant, controller and adaptive twin as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
 
-The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Beside each FMU stand its
-parameters (.ssv), and inputs with the outputs they must give (_in.csv, _ref.csv, _ref.opt)."""
+The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Written beside each FMU: its
+parameters (.ssv), and inputs with their reference outputs (_in.csv, _ref.csv, _ref.opt)."""
 
 import importlib
 import io
@@ -108,7 +108,7 @@ def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]
 
 
 def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
-    """The oldest GNU C library that all Linux libraries among the FMUs run with; None where there are none."""
+    """The oldest GNU C library with which all Linux libraries of the FMUs run; None without any."""
     found = []
     for name, content in files.items():
         if name.endswith((f"{SUFFIX['native']}.fmu", f"{FMI_3}.fmu")):
@@ -119,7 +119,7 @@ def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
 
 
 def _check(options) -> None:
-    """BadInput for options that say nothing together."""
+    """BadInput for options that do not fit together."""
     native = options.flavour != "python"
     if options.twin is not None and (options.model or not options.parameters):
         given = "--model" if options.model else "no --parameters"
@@ -150,12 +150,12 @@ def _plant_and_controller(options) -> list[ParameterSet]:
 
 
 def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
-    """The adaptive twin of --parameters, with the band that the identification.json of --twin (default: the one beside) tells.
-    BadInput."""
+    """The adaptive twin of --parameters, with the band from the identification.json of --twin (default: the one beside the
+    parameters). BadInput."""
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    told = options.twin or beside(options.parameters)
-    band = read_band(told)
-    check_same_model(told, parameters, options.parameters)
+    known_in = options.twin or beside(options.parameters)
+    band = read_band(known_in)
+    check_same_model(known_in, parameters, options.parameters)
     own = adaptable(parameters, "vpp export", options.adapt)
     return adaptive(own, band, options.adapt, sample_time=parameters.sample_period)
 
@@ -168,14 +168,14 @@ def _own(options) -> list[ParameterSet]:
 
 
 def find_model(where: str) -> Model:
-    """The model that `package.module:NAME` names; modules are also found in the current folder. BadInput: what is wrong with
-    the module, or which of the model's declarations can't become an FMU."""
+    """The model `package.module:NAME`; modules are also found in the current folder. BadInput: an invalid module, or a
+    declaration that can't become an FMU."""
     module, _, name = where.partition(":")
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
     try:
         found = getattr(importlib.import_module(module), name)
-    except Exception as error:  # somebody's own module may raise anything
+    except Exception as error:  # a user's module may raise any exception
         field, said = at_line("--model", error), " ".join(str(error).split())
         raise BadInput("vpp export", field, f"{where} ({said})", "package.module:NAME of a kernel Model") from error
     if not isinstance(found, Model):
@@ -190,8 +190,8 @@ def _suffix(flavour: str, fmi: str) -> str:
 
 
 def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
-    usual, told = Experiment(), parts[0].source.get("record_seconds")
-    stop = float(told) if isinstance(told, int | float) else usual.stop
+    usual, seconds = Experiment(), parts[0].source.get("record_seconds")
+    stop = float(seconds) if isinstance(seconds, int | float) else usual.stop
     return Experiment(stop=stop, step=parts[0].sample_period or usual.step)
 
 
@@ -202,8 +202,7 @@ def exported(
     author: str = AUTHOR,
     fmi: str = "2.0",
 ) -> dict[str, bytes | str]:
-    """All files by name; nothing is written before all of them are made. Of two parts or more, the first two
-    also give their closed loop."""
+    """All files by name, made before any is written. Of two parts or more, the first two also give their closed loop."""
     experiment = _experiment(parts)
     make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
     found: dict[str, bytes | str] = {}
@@ -212,7 +211,7 @@ def exported(
         fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
         found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
         if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
-            loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin watches it and is no part of it
+            loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin monitors the loop and is no part of it
             wanted = {"thrust_set": float(f"{0.5 * sum(reach(parts[0], parts[1].values)):.2g}")}  # halfway
             for flat in (False, True):
                 ssp = loop_ssp(loop, wanted, experiment.stop, connectors=not flat)
@@ -224,6 +223,6 @@ def exported(
 
 
 def _origins(parameters: ParameterSet) -> dict[str, str]:
-    """Where values come from, for those that were estimated."""
+    """Source of each estimated value."""
     known = {name: e for name, e in parameters.estimates.items() if e.std is not None}
     return {name: f"estimated, standard deviation {e.std:.3g} {e.unit}".removesuffix(" 1") for name, e in known.items()}

@@ -5,7 +5,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from identification.fit.refine import METHODS
-from identification.found_report import untold
+from identification.found_report import not_identifiable
 from identification.identify import Identification, identify
 from identification.report import identification_page, key_figures, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
@@ -58,7 +58,7 @@ def run(options):
         write_identification(folder, found)
     lines = [finding.text for finding in found.quality]
     lines += [f"your logger: {line}" for line in found.logger.lines]
-    lines += [*remarks(found), *untold(found)]
+    lines += [*remarks(found), *not_identifiable(found)]
     lines += [f"{label}: {value} ({note})" for label, value, note in key_figures(found)]
     say_written(folder, found.parameters, lines)
 
@@ -72,7 +72,7 @@ def write_identification(folder: OutputFolder, found: Identification) -> None:
 
 
 def named_records(paths: list[str]) -> dict[str, Record]:
-    """Records by the file's name; by its whole path where the name is taken."""
+    """Records by the file's name, or by its path if the name occurs twice."""
     records = {}
     for path in paths:
         name = Path(path).name.removesuffix(".gz").removesuffix(".csv")

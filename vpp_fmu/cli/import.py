@@ -1,6 +1,6 @@
-"""Somebody's log as a file of a campaign: any table, or the log of an RCbenchmark stand.
+"""Convert a log to a file of a campaign: any table, or the log of an RCbenchmark stand.
 
-What was read as what is printed and stands in the folder beside the record; so does all that was mended or left out."""
+The mapping of columns, and all corrections and omissions, are printed and saved in the folder beside the record."""
 
 import importlib
 

@@ -1,4 +1,4 @@
-"""Any table as a file of a campaign: CSV with any delimiter, decimal mark, head, encoding and clock; Parquet, MAT, HDF5.
+"""Convert a table to a file of a campaign: CSV of any delimiter, decimal mark, header, encoding, clock; Parquet, MAT, HDF5.
 
 --map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
 ("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
@@ -88,17 +88,17 @@ def configure(parser):
 
 def run(options):
     section = _section(options)
-    sheet = _sheet(options, section.get("read", {}))
-    print(f"{Path(sheet.source).name}: {sheet.told}; {len(sheet)} rows, {len(sheet.columns)} columns")
-    if sheet.left_out:
-        print(f"left out: {', '.join(f'{reason} {count}' for reason, count in sheet.left_out.items())}")
+    table = _table(options, section.get("read", {}))
+    print(f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns")
+    if table.left_out:
+        print(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
     if options.propose is not None:
-        _propose(sheet, options)
+        _propose(table, options)
         return
-    plan = _plan(options, section, sheet)
+    plan = _plan(options, section, table)
     if options.diameter and "ct" not in plan.columns:
         raise BadInput(options.log, "ct", "no column of thrust coefficients", "--map ct=COLUMN, or no --diameter")
-    span = signal_range(sheet, plan)
+    span = signal_range(table, plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
         raise BadInput(
@@ -106,21 +106,21 @@ def run(options):
         )
     beside = map_beside(options.output, span, options.log) if span and given is None else None
     propeller = Propeller(options.diameter, options.density)
-    taken = take_in(sheet, plan, options.kind, given or beside, propeller, options.force)
+    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force)
     folder, said = _written(options, plan, taken)
-    _say_columns(sheet, plan, taken)
+    _say_columns(table, plan, taken)
     say_written(folder, lines=[*taken.said, *said])
 
 
 def _section(options) -> dict:
-    """What the import.toml among --map says, empty without one. BadInput."""
+    """Content of the import.toml among --map, empty without one. BadInput."""
     files = [word for word in options.map if "=" not in word]
     if len(files) > 1 or (files and not files[0].endswith(".toml")):
         raise BadInput("command line", "--map", " ".join(files), "NAME=COLUMN:UNIT, one or more, and at most one FILE.toml")
     return section_of(files[0], options.kind) if files else {}
 
 
-def _sheet(options, read: dict) -> RawTable:
+def _table(options, read: dict) -> RawTable:
     if options.encoding is not None:
         try:
             codecs.lookup(options.encoding)
@@ -131,51 +131,51 @@ def _sheet(options, read: dict) -> RawTable:
     decimal = {"point": ".", "comma": ","}.get(options.decimal)
     own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
     given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
-    sheet = read_container(options.log)
-    return read_delimited(options.log, given) if sheet is None else sheet
+    table = read_container(options.log)
+    return read_delimited(options.log, given) if table is None else table
 
 
-def _plan(options, section: dict, sheet: RawTable) -> Plan:
-    """Pairs of the command line before the TOML's, which is complete; else the proposal completes them. BadInput."""
-    own = parse_pairs([word for word in options.map if "=" in word], sheet, options.force)
+def _plan(options, section: dict, table: RawTable) -> Plan:
+    """The plan of columns: pairs of the command line override those of a TOML, or else a proposal completes them. BadInput."""
+    own = parse_pairs([word for word in options.map if "=" in word], table, options.force)
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
     fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
     if saved and options.rotor:
         raise BadInput("command line", "--rotor", options.rotor, "none beside an import.toml, which names its columns")
     if saved:
-        columns, said = parse_pairs(saved, sheet, options.force) | own, []
+        columns, said = parse_pairs(saved, table, options.force) | own, []
     else:
-        others, said = chosen(sheet, options.rotor, [c.name for c in own.values() if c])
+        others, said = chosen(table, options.rotor, [c.name for c in own.values() if c])
         for line in said:
             print(line)
-        columns, said = completed(sheet, own, fixed, others, options.yes)
+        columns, said = completed(table, own, fixed, others, options.yes)
     for line in said:
         print(line)
     columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
     if options.speed_from == "measured":
         if "omega" not in columns:
-            raise BadInput(sheet.source, "omega", "no measured speed", "--map omega=COLUMN:rpm, or --speed-from command")
+            raise BadInput(table.source, "omega", "no measured speed", "--map omega=COLUMN:rpm, or --speed-from command")
         columns = {"omega_ref": columns.pop("omega"), **{q: c for q, c in columns.items() if q not in ("omega_ref", "signal")}}
         fixed.pop("omega_ref", None)
-    return Plan(columns, fixed, sheet.read)
+    return Plan(columns, fixed, table.read)
 
 
-def _propose(sheet: RawTable, options) -> None:
+def _propose(table: RawTable, options) -> None:
     fixed = parse_fixed(options.fixed)
-    others, said = chosen(sheet, options.rotor, ())
-    columns = propose(sheet, others)
-    plan = Plan(columns, fixed, sheet.read)
+    others, said = chosen(table, options.rotor, ())
+    columns = propose(table, others)
+    plan = Plan(columns, fixed, table.read)
     width = max((len(c.name) for c in columns.values()), default=0)
     for quantity, column in columns.items():
         note = {"": ""}.get(column.unit, f"in {column.unit}")
         print(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
-    unused = [name for name in sheet.columns if name not in {c.name for c in columns.values()}]
+    unused = [name for name in table.columns if name not in {c.name for c in columns.values()}]
     for line in said:
         print(line)
     print(f"not used: {', '.join(unused) or 'none'}")
     if columns:
         print(f"as options: {plan.words()}")
-    for line in contradictions(sheet, plan):
+    for line in contradictions(table, plan):
         print(line)
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
@@ -185,7 +185,7 @@ def _propose(sheet: RawTable, options) -> None:
         print(f"saved in {options.propose}")
 
 
-def _say_columns(sheet: RawTable, plan: Plan, taken: Taken) -> None:
+def _say_columns(table: RawTable, plan: Plan, taken: Taken) -> None:
     for quantity, column in plan.columns.items():
         values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
         span = ""
@@ -200,7 +200,7 @@ def _say_columns(sheet: RawTable, plan: Plan, taken: Taken) -> None:
 
 
 def _written(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
-    """The campaign's file, the mapping, the speed map: all of them or none. Where they are, and what is said of them."""
+    """Write the campaign's file, the mapping and the speed map, all or none; returns their paths and remarks."""
     place = Path(options.output)
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}
     folder, said = placed(place, options.kind, taken, options.replace, options.mend)

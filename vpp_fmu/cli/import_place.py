@@ -1,4 +1,4 @@
-"""Where an imported log goes in a campaign's folder: one file of its kind, and never silently over another log's."""
+"""Place of an imported log in a campaign's folder: one file per kind, which never replaces another log's silently."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def add_speed_from(parser) -> None:
 
 
 def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = False) -> tuple[OutputSet, list[str]]:
-    """(the folder with the file KIND.csv written but not yet put into its place, what is to be said of it). BadInput."""
+    """(the output folder with the file KIND.csv, not yet in its place; remarks). BadInput."""
     if kind == "static":
         static, said = static_of(taken)
     elif kind == "steps":
@@ -59,13 +59,13 @@ def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, l
     if mend:
         record, said = mended(record)
     if kind == "repeat" and (first := there(place, "open_loop")):
-        record, told = repeat_of(record, read_record(first, holes=("thrust",)))
-        said += told
+        record, remarks = repeat_of(record, read_record(first, holes=("thrust",)))
+        said += remarks
     if taken.speed_map is not None:
         said += said_of_speed(record)
     return record, [*said, *said_of_rows(record), *(f.text for f in findings(record))]
 
 
 def there(folder: Path, kind: str) -> Path | None:
-    """A kind's file in a folder, packed or not; None without one."""
+    """The file of a kind in a folder, packed or not; None without one."""
     return next((path for suffix in ("csv", "csv.gz") if (path := folder / f"{kind}.{suffix}").exists()), None)

@@ -1,8 +1,7 @@
-"""A thrust stand's log as a file of a campaign: the ESC's signal becomes omega_ref through a map fitted to its steady parts.
+"""Convert a thrust stand's log to a file of a campaign: a map fitted to steady parts converts the ESC's signal to omega_ref.
 
-Logs of one stand share one map: that which another log has left in the folder is taken over. The pitch is fixed: beta_ref is 0,
-or what --fixed says. Empty in the record: what the log did not measure, or measured before the time it says. Rows that are
-averages become static.csv.
+Logs of one stand share the map of the first log in the folder. The pitch is fixed: beta_ref is 0, or the value of --fixed.
+Quantities that the log did not measure, or measured before the row's time, are empty. Rows of averages become static.csv.
 """
 
 import warnings
@@ -46,7 +45,7 @@ def run(options):
     measured = options.speed_from == "measured"
     known = None if measured else _speed_map(options, log)
     speed_map = known and known.map.reaching(log.steady_points().turns_from)
-    figures = told(log, speed_map, options.keep_stalls)
+    figures = findings(log, speed_map, options.keep_stalls)
     kind = options.kind or ("static" if log.averaged else "record")
     tare = log.tare()
     omega_ref = log.filled_speed() if measured else speed_map.omega_ref(log.signal)
@@ -67,7 +66,7 @@ def run(options):
 
 
 def _pitch(options, log: Log) -> float:
-    """deg, the fixed pitch. BadInput where it is not declared and the log has a servo's column that is in use."""
+    """The fixed pitch, deg. BadInput if it is not declared and the log has a servo's column with changing values."""
     if options.fixed is not None:
         if [*(fixed := parse_fixed([options.fixed]))] != ["beta_ref"]:
             raise BadInput("command line", "--fixed", options.fixed, "beta_ref=VALUE:UNIT, such as beta_ref=8:deg")
@@ -87,7 +86,7 @@ class Known:
 
 
 def _speed_map(options, log: Log) -> Known:
-    """The map that is given, else the folder's, else one fitted to the log. BadInput for one of another kind of signal."""
+    """The given map, else the folder's, else one fitted to the log. BadInput for a map of another kind of signal."""
     beside = None if options.speed_map else map_beside(options.output, log.span, options.log)
     found = read_speed_map(options.speed_map) if options.speed_map else beside or fitted(log)
     if found.signal != log.span:
@@ -97,7 +96,7 @@ def _speed_map(options, log: Log) -> Known:
 
 
 def said_of_averages(log: Log, kind: str) -> list[str]:
-    """That rows are no samples, where they are none."""
+    """A remark if rows are averages, not samples."""
     if not log.averaged:
         return []
     rows = f"rows lie {number(1e3 * log.interval)} ms apart, where the stand takes a sample every 8 to 12 ms: averages"
@@ -112,8 +111,8 @@ def fitted(log: Log) -> SpeedMap:
     return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
 
 
-def told(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
-    """The content of import.json: what the log was, and what was done to it. No `speed_map`: the speed is the measured one."""
+def findings(log: Log, speed_map: SpeedMap | None, keep_stalls: bool) -> dict:
+    """The content of import.json: the log, and its corrections. `speed_map` None: the speed is the measured one."""
     filled, behind = np.isfinite(log.thrust), log.stalled & ~log.repeated
     emptied = behind & (not keep_stalls)
     gaps, tare = np.diff(log.time)[log.late[1:]], log.tare()
@@ -166,14 +165,14 @@ def said_of_rows(figures: dict) -> str:
 
 
 def said_of_clock(back: dict) -> str:
-    """What was mended, as a line of its own; "" where nothing was."""
+    """A line about corrections of the clock; "" without any."""
     if not back["rows"]:
         return ""
     return f"clock: goes back in {back['rows']} rows, by {1e3 * back['seconds']:.3g} ms at most, less than a row: mended\n"
 
 
 def said_of_thrust(figures: dict) -> list[str]:
-    """What became of the thrust, and why, in words."""
+    """The treatment of the thrust and its reason, in words."""
     thrust, stalls, tare = (figures[name] for name in ("thrust", "stalls", "tare"))
     lines = [
         f"thrust: {thrust['filled']} cells filled; {thrust['repeated']} repeat the last value, {thrust['behind_stalls']} more "
@@ -198,7 +197,7 @@ def said_of_thrust(figures: dict) -> list[str]:
 
 
 def said_of_map(figures: dict, known: Known) -> list[str]:
-    """Where the map is from and how it fits, in words."""
+    """Source and fit of the map, in words."""
     here = figures["here"]
     own = f"rms {figures['rms']:.0f} rpm, nominal {figures['nominal_voltage']:.2f} V"
     worst = f"at most {here['largest']:.0f} rpm at signal {here['largest_at']:g}" if here["points"] else ""
@@ -216,7 +215,7 @@ def said_of_map(figures: dict, known: Known) -> list[str]:
 
 
 def warn_beyond(record: Record) -> None:
-    """A RecordWarning for each column that a reader of the record will refuse: better now than then."""
+    """A RecordWarning for each column that `read_record` refuses later."""
     for name, column in record.columns.items():
         signal, seen = QUANTITIES.get(name), column[np.isfinite(column)]
         if signal is not None and len(seen) and not signal.minimum <= seen.min() <= seen.max() <= signal.maximum:

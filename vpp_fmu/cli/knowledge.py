@@ -1,4 +1,4 @@
-"""What is known of a parameter set beside its values: the identification.json that is named, or that stands beside its file."""
+"""Uncertainty of a parameter set: from the named identification.json, or the one beside the parameter file."""
 
 from identification.assessment.information import read_knowledge
 from identification.fit.problem import Prior
@@ -7,10 +7,9 @@ from vpp_fmu.parameters import ParameterSet, beside, check_same_model
 
 
 def knowledge_of(options, parameters: ParameterSet) -> tuple[str | None, tuple[Prior, float] | None]:
-    """(the file, as --knowledge or beside --parameters; what `read_knowledge` finds in it); twice None where neither is there.
+    """(the file, from --knowledge or beside --parameters; its content by `read_knowledge`); None twice if neither exists.
 
-    BadInput for a named file that can't be read, or is of another model. One that nobody named is then passed over, which is
-    printed.
+    BadInput for a named file that can't be read, or is of another model. Such a file that is not named is ignored with a note.
     """
     of = options.parameters or "the paper's fine-tuned set"
     if options.knowledge:

@@ -1,4 +1,4 @@
-"""Numbers on the command line: each option declares what it may be, and whatever else is typed is one line and exit code 2."""
+"""Numbers on the command line: each option declares its range; any other input gives one line and exit code 2."""
 
 import argparse
 import difflib
@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Number:
-    """What an option takes, as the `type` of an argument: a number from `low` to `high`, or one of `also`.
+    """The `type` of an argument: a number from `low` to `high`, or one of `also`.
 
-    `above`: `low` itself is too low. `whole`: no fractions. NaN and infinities are never in a range. argparse names the option
-    in front of the message.
+    `above`: `low` is excluded. `whole`: whole numbers only. NaN and infinities are never in a range. argparse puts the option
+    before the message.
     """
 
     low: float
@@ -52,20 +52,20 @@ def whole(low: int, high: int, unit: str = "", also: tuple[int, ...] = ()) -> Nu
 
 
 def shortened(text: str) -> str:
-    """What was typed, as a message shows it: on one line, not too long."""
+    """User input for a message: on one line, shortened."""
     short = text if len(text) <= 40 else f"{text[:37]}..."
     return short if short.strip() and short.isprintable() else repr(short)
 
 
 def near(word: str, known: Iterable[str]) -> str:
-    """What a user may have meant by a word that is not known, as the end of a message; "" where nothing is like it."""
+    """The end of a message about an unknown word: the most similar known word; "" without one."""
     folded = {name.casefold(): name for name in known}
     found = difflib.get_close_matches(word.casefold(), folded)
     return f". Did you mean {' or '.join(folded[name] for name in found)}?" if found else ""
 
 
 SEED = whole(0, 2**32 - 1)
-"""Of a random generator: what numpy, and C where it takes one, hold in 32 bits."""
+"""Seed of a random generator, 32 bits in numpy and C."""
 
 WORKERS = whole(1, 256)
-"""Processes or threads side by side: more than a machine's cores only cost memory, some 100 MB each."""
+"""Number of parallel processes or threads. More than the machine's cores only cost memory, some 100 MB each."""

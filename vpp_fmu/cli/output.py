@@ -1,4 +1,4 @@
-"""What the verbs share: where they write, how their results say where they come from, and what they say at the end."""
+"""Output common to all verbs: the folder, the provenance of results, and the final messages."""
 
 import contextlib
 import os
@@ -29,14 +29,14 @@ def add_accept(parser) -> None:
 
 
 def add_effects_from(parser) -> None:
-    """The option that adds effects of one's own to the library."""
+    """The option that adds user-defined effects to the library."""
     text = "a Python file with an effect of one's own, such as learned_effect.py, added to the library; "
     text += "it runs its author's code; may be repeated"
     parser.add_argument("--effects-from", action="append", default=[], metavar="FILE.py", help=text)
 
 
 def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, ParameterSet]) -> ParameterSet:
-    """The set with version, date and identity in its source, and what it comes from: `parents`, (file, its content) by role."""
+    """The set with version, date and identity in its source, and its inputs: `parents`, (file, its content) by role."""
     came = {role: {"file": Path(path).name, "identity": held.identity} for role, (path, held) in parents.items()}
     own = {"version": __version__, "date": now(), "identity": parameters.identity}
     return replace(parameters, source={**parameters.source, **own, **came})
@@ -44,7 +44,7 @@ def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, Param
 
 @contextlib.contextmanager
 def stages(verb: str) -> Iterator[Callable[[str], None]]:
-    """What is told of each stage of long work: on a terminal the present one, in a pipe a line for each on standard error."""
+    """Progress by stage: on a terminal the present stage, in a pipe a line per stage on standard error."""
     if sys.stderr.isatty():
         with tqdm(leave=False, bar_format="{desc} {elapsed}") as bar:
             yield bar.set_description
@@ -54,16 +54,16 @@ def stages(verb: str) -> Iterator[Callable[[str], None]]:
 
 
 def say_written(folder: OutputFolder, parameters: ParameterSet | None = None, lines: Iterable[str] = ()) -> None:
-    """Put a set into its place, then print the results' `lines`, and what the set took the place of: standard output may fail.
-    `parameters`: those that the results speak of."""
+    """Put a set of files into its place, then print the results' `lines` and the replaced files, since standard output may
+    fail. `parameters`: those of the results."""
     if isinstance(folder, OutputSet):
         folder.finish(parameters and parameters.identity)
     for line in lines:
         print(line)
     if isinstance(folder, OutputSet):
-        told = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
-        told["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
-        for what, names in told.items():
+        notes = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
+        notes["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
+        for what, names in notes.items():
             if names:
                 print(f"in {folder.path}, {what}: {', '.join(names)}")
     if folder.replaced:

@@ -1,5 +1,5 @@
-"""The paper's study from end to end on the emulated rig: campaign, model, fine-tuning, controllers, and every number beside the
-paper's. In virtual time; on a real rig its campaign would take an hour."""
+"""Repeat the paper's study on the emulated rig: campaign, model, fine-tuning, controllers, and every number beside the paper's.
+In virtual time; on a real rig the campaign would take an hour."""
 
 import sys
 import time
@@ -52,7 +52,7 @@ def run(options):
 
 
 def _write(folder: OutputFolder, done: Study) -> None:
-    """What `vpp identify`, `vpp tune` and `vpp export` would have written of the campaign."""
+    """Write the files of `vpp identify`, `vpp tune` and `vpp export` for the campaign."""
     parameters, gains = done.found.parameters, {}
     folder.write("parameters.json", to_json(dated(parameters)))
     folder.write("parameters.ssv", to_ssv(parameters, "parameters"))

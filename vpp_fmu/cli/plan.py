@@ -1,6 +1,6 @@
-"""Plan the next experiment: commands that shrink the model's weakest direction, and what they would bring.
+"""Plan the next experiment: commands that reduce the uncertainty of the model's weakest direction, and the expected accuracy.
 
-They stay within the range that the parameters' campaign was measured over, or that its rig.json declares."""
+They stay within the range of the parameters' campaign, or of its rig.json."""
 
 import sys
 from collections.abc import Sequence
@@ -35,10 +35,10 @@ from vpp_fmu.structured import as_json
 EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
 
 UNKNOWN = 10.0
-"""A standard deviation of more than so many times the size counts as no knowledge."""
+"""Ratio of standard deviation to size above which a parameter counts as unknown."""
 
 COLOURED = 1.5
-"""What was known before counts as hampered by coloured residuals when its intervals are wider by this factor."""
+"""Factor by which coloured residuals must widen the present intervals for a remark."""
 
 OPTIONS = {
     "--seconds": Number(0.01, 1e6, "s"),
@@ -50,10 +50,10 @@ OPTIONS = {
     "--noise": Number(0.0, 1e6, "N", above=True),
     "--omega-noise": Number(0.0, 1e6, "rpm", above=True),
 }
-"""What the options may be on any rig."""
+"""Ranges of the options on any rig."""
 
 ASKED = "the command line"
-"""Where a range comes from that the user named."""
+"""Origin of a range that the user named."""
 
 
 def configure(parser):
@@ -87,7 +87,7 @@ def configure(parser):
 
 @dataclass(frozen=True)
 class Basis:
-    """What a plan stands on: the `rig`, the `noise` of a thrust reading [N] and where it comes from, the `step` [s] or None."""
+    """Assumptions of a plan: the `rig`, the `noise` of a thrust reading [N] and its source, the `step` [s] or None."""
 
     rig: Rig
     noise: float
@@ -103,9 +103,9 @@ class Basis:
 def run(options):
     library = library_with(options.effects_from)
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    told, known = knowledge_of(options, parameters)
+    known_in, known = knowledge_of(options, parameters)
     knowledge, inflation = known or (None, 1.0)
-    basis = _basis(options, parameters, told)
+    basis = _basis(options, parameters, known_in)
     check_signal(options, parameters, basis)
     folder = OutputSet(options.output, "plan")
     found = plan(
@@ -126,7 +126,7 @@ def run(options):
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
-    """What a reader must be told of a plan. `inflation`: of the intervals so far, by the residuals' colour."""
+    """Remarks on a plan. `inflation` of the present intervals by the residuals' colour."""
     return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
 
 
@@ -140,8 +140,8 @@ def write_plan(
 
 
 def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
-    """Ask where the thrust at rest changes by less than one reading's noise over a range that the user named: such an
-    experiment tells next to nothing. BadInput where nobody is there to answer."""
+    """Ask for confirmation if the static thrust changes by less than one reading's noise over a range that the user named:
+    such an experiment has almost no information. BadInput without a terminal."""
     if options.yes or (options.omega is None and options.pitch is None):
         return
     model, thrust = parameters.model, []
@@ -159,7 +159,7 @@ def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
     raise BadInput("command line", option, found, "a wider range, or --yes to go on")
 
 
-def _basis(options, parameters: ParameterSet, told: str | None) -> Basis:
+def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
     campaign = read_campaign(options.campaign) if options.campaign else None
     rig = parameters.rig
     if campaign is not None:
@@ -170,11 +170,11 @@ def _basis(options, parameters: ParameterSet, told: str | None) -> Basis:
     if rig.unknown:
         allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
         raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
-    return Basis(rig, *_noise(options, campaign, parameters, told), _step(options, campaign, parameters))
+    return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters))
 
 
 def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
-    """s, as asked for, or as the rig was sampled; None: nobody knows."""
+    """Sampling period [s]: from the command line, or the rig's; None: unknown."""
     if options.step is not None:
         return options.step
     records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()
@@ -183,7 +183,7 @@ def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float
 
 
 def _narrowed(rig: Rig, options) -> Rig:
-    """The rig within what the command line asks for, which a range that is known must hold."""
+    """The rig with the ranges of the command line, which must lie within known ranges."""
     changes, origin = {}, dict(rig.origin)
     for name, asked in (("speed", options.omega), ("pitch", options.pitch)):
         if asked is None:
@@ -210,12 +210,12 @@ def _narrowed(rig: Rig, options) -> Rig:
     return replace(rig, **changes, origin=origin)
 
 
-def _noise(options, campaign: Campaign | None, parameters: ParameterSet, told: str | None) -> tuple[float, str]:
-    """(standard deviation of a thrust reading [N], where it comes from). `told`: an identification.json, or None."""
+def _noise(options, campaign: Campaign | None, parameters: ParameterSet, known_in: str | None) -> tuple[float, str]:
+    """(standard deviation of a thrust reading [N], its source). `known_in`: an identification.json, or None."""
     if options.noise is not None:
         return options.noise, ASKED
-    if told and (options.knowledge or campaign is None):  # a campaign that was named goes before a file that was not
-        found = read_noise(told)
+    if known_in and (options.knowledge or campaign is None):  # a named campaign takes precedence over a default file
+        found = read_noise(known_in)
         if found and found[0] > 0.0:
             return found
     if campaign is not None:
@@ -227,7 +227,7 @@ def _noise(options, campaign: Campaign | None, parameters: ParameterSet, told: s
 
 
 def _overload(found: Plan) -> list[str]:
-    """What to say where the predicted thrust leaves what is declared for the rig."""
+    """Remark if the predicted thrust is outside of the rig's declared range."""
     low, high = found.rig.thrust
     least, most = float(found.thrust.min()), float(found.thrust.max())
     if found.rig.origin.get("thrust") != DECLARED or (low <= least and most <= high):
@@ -239,7 +239,7 @@ def _overload(found: Plan) -> list[str]:
 
 
 def key_figures(found: Plan) -> list[tuple[str, str, str]]:
-    """(label, value, note) of what a reader must know first."""
+    """Key figures (label, value, note)."""
     figures = []
     stages = (("before", found.before), ("with the paper's plan", found.paper), ("with this plan", found.after))
     for when, forecast in stages:
@@ -252,11 +252,11 @@ def key_figures(found: Plan) -> list[tuple[str, str, str]]:
 
 
 def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = "") -> Page:
-    """The report of a plan; what it stands on (`basis`) and `remarks` stand above its figures; `source`: of the parameters."""
+    """The report of a plan; its assumptions (`basis`) and `remarks` are above its figures; `source`: of the parameters."""
     after = found.after
     page = Page(
         "The next experiment",
-        f"{_seconds(found)} s of commands, and what they would tell about the model, if a thrust reading every "
+        f"{_seconds(found)} s of commands, and the expected accuracy of the model, if a thrust reading every "
         f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
         "noise, widens all intervals.",
         source,
@@ -266,7 +266,7 @@ def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (
         page.note(f"{line[0].upper()}{line[1:]}.")
     for remark in remarks:
         page.note(remark)
-    for name, why in found.untold.items():
+    for name, why in found.not_identifiable.items():
         page.note(f"{name} is not planned for and counts as known: {why}.")
     title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
     widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
@@ -301,7 +301,7 @@ def _add_tables(page: Page, found: Plan) -> None:
 
 
 def combination(names, direction: np.ndarray, most: int = 3) -> str:
-    """A direction in words: its largest parts, in their order of size."""
+    """A direction in words: its largest components, by decreasing size."""
     largest = [k for k in np.argsort(-np.abs(direction))[:most] if abs(direction[k]) > 0.2]
     return " ".join(f"{direction[k]:+.2f} {names[k]}" for k in largest).removeprefix("+")
 

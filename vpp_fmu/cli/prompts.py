@@ -1,4 +1,4 @@
-"""Questions to whoever stands at the rig, and the answers: typed, or the lines of a file."""
+"""Questions to the operator at the rig; the answers are typed, or lines of a file."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -12,9 +12,9 @@ Answer = TypeVar("Answer")
 
 
 class Prompts:
-    """Asks, and waits for an answer. On a terminal a wrong one is asked for again; elsewhere it is a BadInput with its line.
+    """Asks, and waits for an answer. On a terminal a wrong answer is asked for again; otherwise BadInput names its line.
 
-    `path`: a file of answers, a line each; one that begins with `#` is a remark (None: standard input).
+    `path`: a file of answers, one per line; lines that begin with `#` are ignored (None: standard input).
     """
 
     def __init__(self, path: str | None):
@@ -22,11 +22,11 @@ class Prompts:
         self._lines = iter(sys.stdin if path is None else read_text(path).splitlines())
 
     def do(self, what: str) -> None:
-        """Something to be done; Enter when it is."""
+        """Wait until an action is done, confirmed by Enter."""
         self._asked(f"{what}, then Enter", self._nothing, "an empty line")
 
     def read(self, what: str) -> float:
-        """A number to be read off."""
+        """Ask for a number."""
         return self._asked(what, float, "a number")
 
     def choice(self, what: str, words: Sequence[str]) -> str:
@@ -37,7 +37,7 @@ class Prompts:
     def numbers(
         self, what: str, default: Sequence[float], good: Callable[[Sequence[float]], bool], allowed: str
     ) -> tuple[float, ...]:
-        """Numbers parted by spaces; Enter for the default."""
+        """Numbers separated by spaces; Enter for the default."""
 
         def read(text: str) -> tuple[float, ...]:
             found = tuple(map(float, text.split())) or tuple(default)

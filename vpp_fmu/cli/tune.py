@@ -1,8 +1,8 @@
 """Tune the controller for a model: the paper's cost, within limits on overshoot and sensitivity; both actuators, speed alone.
 
-The controller samples, saturates and sees thrust through a converter as on the rig, whose ranges are its limits. Gains are
-handed out only if no step settles later, overshoots or rings more than under those that the search starts from, or else these.
-The result is run again through both FMUs. With --robust, gains are sought for the worst case, or the mean, over plants drawn
+The controller samples, saturates and reads thrust through a converter as on the rig, whose ranges are its limits. New gains
+are accepted only if no step settles later, overshoots or rings more than with the initial gains, which are kept otherwise. The
+result is simulated again with both FMUs. With --robust, gains are optimised for the worst case, or the mean, over plants drawn
 from the parameters' uncertainty."""
 
 import os
@@ -53,10 +53,10 @@ RANGES = {
     "seed": SEED,
     "workers": WORKERS,
 }
-"""What the options may be."""
+"""Ranges of the options."""
 
 PAPERS = "the paper's fine-tuned set"
-"""The parameters that stand where no file is named."""
+"""Default parameters."""
 
 
 def configure(parser):
@@ -81,7 +81,7 @@ def configure(parser):
     number("overshoot", 1.0, "largest overshoot in %% of a step")
     number("sensitivity", 2.0, "largest amplification of a disturbance around the operating points")
     number("noise", None, "standard deviation of a thrust reading in N (default: that of --knowledge, else 0)")
-    number("delay", 1.0 / CONVERSIONS, "how late a thrust reading is in s", "S")
+    number("delay", 1.0 / CONVERSIONS, "delay of a thrust reading in s", "S")
     number("lag", 0.0, "time constant of the thrust reading in s", "S")
     number("resolution", None, "step of the converter in N (default: 2e-4 of the thrust scale, the paper's)")
     parser.add_argument("--robust", choices=("worst", "mean"), help="tune over many plants as well")
@@ -90,7 +90,7 @@ def configure(parser):
     text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside --parameters)"
     parser.add_argument("--knowledge", metavar="F", help=text)
     number("seed", 0, "of plants and noise", "N")
-    number("workers", 1, "searches that run side by side", "N")
+    number("workers", 1, "number of parallel searches", "N")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler to run the searches on instead")
     add_output(parser)
 
@@ -110,7 +110,7 @@ def run(options):
 
 
 def _results(found: Tuning) -> Iterator[str]:
-    """What was found, in lines."""
+    """The result as lines of text."""
     for name, tuned in found.tuned.items():
         for which, verdict in tuned.verdicts.items():
             yield f"{NAMES[name]}, {found.task.reference} → {which}"
@@ -123,7 +123,7 @@ def _results(found: Tuning) -> Iterator[str]:
 
 
 def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.PathLike[str], ParameterSet]) -> None:
-    """All files of a tuning. `came`: (file, its content) that the plant's parameters come from."""
+    """All files of a tuning. `came`: (file, its content) of the plant's parameters."""
     for name in found.tuned:
         folder.write(FILES[name], to_json(dated(gains_of(found, name), **came)))
     folder.write("tuning.json", as_json(summary(found)))
@@ -132,7 +132,7 @@ def write_tuning(folder: OutputFolder, found: Tuning, **came: tuple[str | os.Pat
 
 
 def _setting(task: Task, starts) -> list[str]:
-    """What the rig gives: limits, sampling, the profile, and what it can't have."""
+    """Conditions from the rig: limits, sampling, the profile, and controllers that it can't have."""
     rig, settings = task.parameters.rig, next(iter(starts.values()))
     ends = ((f"{settings[f'{u}_min']:.6g}", f"{settings[f'{u}_max']:.6g}", unit) for u, unit in UNITS_OF.items())
     limits = (f"{low} {unit}" if low == high else f"{low} to {high} {unit}" for low, high, unit in ends)
@@ -150,7 +150,7 @@ def _setting(task: Task, starts) -> list[str]:
 def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping[str, float]]]:
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     assumed = dict(_assumed(text, parameters) for text in options.assume)
-    told, knowledge = knowledge_of(options, parameters)
+    known_in, knowledge = knowledge_of(options, parameters)
     parameters = parameters.replaced(assumed)
     own = controllers(parameters, given, options.sample_time, options.gains)
     period = next(iter(own.settings.values()))["sample_time"]
@@ -168,7 +168,7 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         profile=profile,
         assumed=tuple(assumed),
         chain={"time_constant": options.lag, "delay": options.delay / period, "resolution": resolution},
-        noise_std=_noise(options, told),
+        noise_std=_noise(options, known_in),
         alpha=options.alpha,
         overshoot=options.overshoot / 100.0,
         sensitivity=options.sensitivity,
@@ -184,11 +184,11 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     return task, own.settings
 
 
-def _noise(options, told: str | None) -> float:
-    """N: what is asked for, else what the identification in the file `told` found; 0 without either."""
-    if options.noise is not None or not told:
+def _noise(options, known_in: str | None) -> float:
+    """Noise [N]: from the command line, else from the identification in the file `known_in`; 0 without either."""
+    if options.noise is not None or not known_in:
         return options.noise or 0.0
-    found = read_noise(told)
+    found = read_noise(known_in)
     return found[0] if found else 0.0
 
 
@@ -208,7 +208,7 @@ def _assumed(text: str, parameters: ParameterSet) -> tuple[str, float]:
 
 
 def gains_of(found: Tuning, name: str) -> ParameterSet:
-    """What is handed out for the controller `name`, "dual" or "speed_only"."""
+    """The parameter set of the controller `name`, "dual" or "speed_only"."""
     tuned = found.tuned[name]
     source = {
         "made_by": "vpp tune",

@@ -1,10 +1,10 @@
-"""A rig's day: model and controller improve each other round by round, while the rig flies.
+"""A rig's day: model and controller improve each other round by round, during operation.
 
-Each round flies a mission with the adaptive twin beside it. After an alarm, or where the model predicts the mission worse than
-the last one, and the adapted model does not explain it, the mission's own record goes to the diagnosis against the twin's
-model; the model that predicts the next mission best goes on. Gains are retuned on that model and
-searched on the rig, the model refusing what breaks limits; those that cost least on the rig fly next. Nothing that is worse
-than what flies takes its place. On the real rig each flight waits for the operator's word."""
+Each round flies a mission beside the adaptive twin. A diagnosis of the mission's record follows if there is an alarm, or the
+model predicts worse than before, and the adapted model does not explain it. The model that predicts the next mission best is
+kept. Gains are retuned on that model and searched on the rig; the model rejects gains that break limits. The gains with the
+least cost on the rig fly next, if they are better than the present ones. On the real rig each flight waits for the operator's
+consent."""
 
 import math
 from collections.abc import Mapping
@@ -31,17 +31,18 @@ EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json
 
 
 def configure(parser):
-    parser.add_argument("day", metavar="DAY", help="folder of the day, which must not be there yet")
+    parser.add_argument("day", metavar="DAY", help="folder of the day, which must not exist")
     parser.add_argument("--rounds", type=whole(1, 50), default=4, metavar="N", help="(default: %(default)s)")
-    text = "the model that the day begins with; its band is in the identification.json beside it"
+    text = "the initial model; its band is in the identification.json beside it"
     parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
     parser.add_argument("--gains", metavar="G", help=text)
-    text = "where the next gains come from (default: %(default)s; fixed: from nowhere)"
+    text = "source of the next gains (default: %(default)s; fixed: the gains stay)"
     parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
-    text = "of the emulated rig: from which round on what --hide names is there (default: %(default)s)"
+    text = "of the emulated rig: first round with the effects of --hide (default: %(default)s)"
     parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
-    parser.add_argument("--workers", type=WORKERS, default=2, help="fits of a diagnosis side by side (default: %(default)s)")
+    text = "number of parallel fits of a diagnosis (default: %(default)s)"
+    parser.add_argument("--workers", type=WORKERS, default=2, help=text)
     hil.add_rig(parser)
 
 
@@ -52,9 +53,9 @@ def run(options):
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
         raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
-    told = beside(options.parameters)
-    band = read_band(told)
-    check_same_model(told, parameters, options.parameters)
+    known_in = beside(options.parameters)
+    band = read_band(known_in)
+    check_same_model(known_in, parameters, options.parameters)
     setup = replace(setup, plant=parameters.values)
     hil.say_allowed(setup.allowed)
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
@@ -82,7 +83,7 @@ def _check_new(path: str) -> None:
 
 
 def _rig(options, setup: Setup) -> Rig:
-    """The rig of the options; what is hidden in the emulated one comes in a later round, and each flight has its own noise."""
+    """The rig of the options. Hidden effects of the emulated rig appear in a later round; each flight has its own noise."""
     hidden = setup.emulated.hidden if setup.emulated else ()
 
     def there(number: int) -> tuple[str, ...]:
@@ -130,7 +131,7 @@ def _models(done: Round) -> str:
 
 
 def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> None:
-    """What stands after a round: its model and gains, and the day so far."""
+    """Files after a round: its model and gains, and the day so far."""
     gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
     gains = gains.replaced({n: v for n, v in done.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
     model = replace(

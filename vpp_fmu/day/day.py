@@ -1,10 +1,9 @@
 """The rounds of a day.
 
-In each a mission is flown with the twin beside it. An alarm, or that the model predicts the mission worse than when it was
-flown before, is explained where the adapted model leaves none of it; what is not goes to the diagnosis, the mission's own
-record against the twin's model. Gains are retuned on the model and searched on the rig; the better of them, by what the rig
-measures, flies next, and nothing that is worse than what flies takes its place (Reinforcement Twinning: Schena, Marques,
-Poletti, Ahizi, Van den Berghe, Mendez, 2024).
+In each round a mission is flown beside the twin. If there is an alarm, or the model predicts a repeated mission worse than
+before, and the adapted model does not explain it, the mission's record is diagnosed against the twin's model. Gains are retuned
+on the model and searched on the rig. The gains with the lower measured cost fly next, if they are better than the present ones
+(Reinforcement Twinning: Schena, Marques, Poletti, Ahizi, Van den Berghe, Mendez, 2024).
 """
 
 from collections.abc import Callable, Mapping
@@ -36,27 +35,27 @@ from vpp_fmu.record import Record
 FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "model-free", "both")
 
 DIAGNOSED = "diagnosed"
-"""Name of the model that a diagnosis made of a mission."""
+"""Name of the model from the diagnosis of a mission."""
 
 TIMES = 4
-"""How often a finalist goes through the profile: the step's cost scatters by 2 % from one time to the next, the best gains are
-that much better than fair ones, and each time lasts as long as a try of the search."""
+"""Flights of the profile per finalist: the cost scatters by 2 % between flights, which is the difference between the best and
+fair gains, and each flight takes as long as a trial of the search."""
 
 BETTER = 0.1
-"""Probability with which gains that are no better than what flies take its place (t test): lowered, better ones are passed
-over, which may come again in the next round."""
+"""Level of the t test that new gains are better than the present ones. A lower level rejects more better gains, which may
+return in the next round."""
 
 WORSE = 0.01
-"""Probability with which a mission that is flown again counts as predicted worse: one needless alarm in a hundred rounds."""
+"""Level of the test that a repeated mission is predicted worse: one false alarm in a hundred rounds."""
 
 LEFT = 0.1
-"""The same after an alarm: a diagnosis for nothing costs a minute, an effect that passes for a changed parameter stays."""
+"""The same after an alarm: a needless diagnosis costs a minute, a missed effect stays in the model as a changed parameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model that the rig may be: `name`, its `parameters`, and the rms error of its thrust [N] in the mission that it was
-    made from, and in the next one, which it never saw."""
+    """A candidate model of the rig: `name`, its `parameters`, and the rms thrust error [N] in the mission of its fit, and
+    in the next one, a hold-out."""
 
     name: str
     parameters: ParameterSet
@@ -66,10 +65,10 @@ class Model:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Modelled:
-    """A round's model: `mission`: as it was flown; `alarm`: (s, what it pointed to), None without; `models`: those that were
-    compared after it, the `chosen` by its error on a mission that none of them saw; `named`: effects that the diagnosis added,
-    and its `verdict`, "" where none was asked for. `wanted`: the round's last mission, which the next one flies again, and
-    `usual` the chosen model's mean square error at each of its levels, (levels,) N^2.
+    """A round's model: `mission`: its record; `alarm`: (s, its cause), or None; `models`: the compared ones, of which `chosen`
+    has the least error on a hold-out mission; `named`: effects that the diagnosis added, and its `verdict`, "" without a
+    diagnosis. `wanted`: the round's last mission, which the next round repeats, and `usual` the chosen model's mean square
+    error at each of its levels, (levels,) N^2.
     """
 
     mission: Flight
@@ -84,10 +83,10 @@ class Modelled:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Round(Modelled):
-    """A round, its `number` from 1, with what was `hidden` in the rig.
+    """A round, its `number` from 1, with the effects `hidden` in the rig.
 
-    `costs`: by branch, what the finalists cost on the rig, time by time; `tries`: single flights of the search, `refused`:
-    how many of its gains the model did not let fly. `winner`: the branch that flies next, with `settings`.
+    `costs`: by branch, measured costs of the finalists by flight; `tries`: single flights of the search, `refused`: number of
+    gains that the model rejected. `winner`: the branch that flies next, with `settings`.
     """
 
     number: int
@@ -100,13 +99,13 @@ class Round(Modelled):
 
     @property
     def cost(self) -> float:
-        """Of what flies next."""
+        """Cost of the gains that fly next."""
         return float(np.mean(self.costs[self.winner]))
 
 
 @dataclass(eq=False)
 class Day:
-    """A day's rounds, and what it began with. `search`: on the rig, from round to round while it goes on from what flies."""
+    """A day's rounds, and its initial model and gains. `search`: on the rig, continued while the gains stay."""
 
     begun: ParameterSet
     settings: Mapping[str, float]
@@ -116,18 +115,18 @@ class Day:
 
     @property
     def parameters(self) -> ParameterSet:
-        """The model as it is now."""
+        """The present model."""
         return self.rounds[-1].chosen.parameters if self.rounds else self.begun
 
     @property
     def flies(self) -> Mapping[str, float]:
-        """The controller's values as they are now."""
+        """The controller's present values."""
         return self.rounds[-1].settings if self.rounds else self.settings
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """What flies: `setup(round, flight)` is the rig in it; `word(what)` waits until somebody lets `what` fly."""
+    """Access to the rig: `setup(round, flight)` returns the rig; `word(what)` waits for the operator's consent to `what`."""
 
     setup: Callable[[int, int], Setup]
     word: Callable[[str], None]
@@ -142,7 +141,7 @@ def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
 def next_round(
     day: Day, rig: Rig, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
 ) -> Round:
-    """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended before its time."""
+    """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early."""
     number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
     flies = day.flies
     modelled = _modelled(day, flights, band, seed, workers, stage)
@@ -164,7 +163,7 @@ def next_round(
     costs = {name: flights(name, each, day.profile, times=TIMES).costs for name, each in finalists.items()}
     winner = best_of(costs)
     if winner == MODEL_BASED:
-        day.search = None  # it was about other gains
+        day.search = None  # it searched about other gains
     return Round(
         **vars(modelled),
         number=number,
@@ -178,7 +177,7 @@ def next_round(
 
 
 def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int, stage: Callable[[str], None]) -> Modelled:
-    """Fly the round's missions, and choose the model that goes on."""
+    """Fly the round's missions, and choose the next model."""
     number, model, flies = len(day.rounds) + 1, day.parameters, day.flies
     low, high = common_reach(model, {"dual": flies})
     low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
@@ -215,10 +214,10 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
 
     if alarm and not (len(models) > 1 and explains(models[1].parameters)):
         stage("diagnose")
-        # The rig waits, and a mission is too short to learn a term of no list from.
+        # The rig waits, and a mission is too short to learn a term of unknown form.
         found = diagnose(_campaign(first.record, flights.folder, model), given=model, workers=workers, thorough=False)
         verdict = found.verdict
-        # What explains a part competes, too: another mission decides here.
+        # A model that explains a part is a candidate, too, because another mission decides.
         best = found.final if found.final.effects else found.selection.final
         if best.effects and not found.refuted:
             named = tuple(e for e in best.effects if e not in model.model.optional)
@@ -241,20 +240,20 @@ def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int
 
 
 def best_of(costs: Mapping[str, tuple[float, ...]]) -> str:
-    """Whose gains fly next: the cheapest, or what flew, which comes first, where that may well be as cheap."""
+    """The branch whose gains fly next: the cheapest, or the first, the present gains, if the test finds no difference."""
     flew, best = next(iter(costs)), min(costs, key=lambda name: float(np.mean(costs[name])))
     return best if best == flew or ttest_ind(costs[best], costs[flew], alternative="less").pvalue < BETTER else flew
 
 
 def diagnosed(done: Round) -> str:
-    """What a round's diagnosis found, in words; "" where none was asked for."""
+    """A round's diagnosis in words; "" without one."""
     if done.verdict in CHANGED or not done.named:
         return f"{done.verdict} {' + '.join(done.named)}".strip()
     return f"{done.verdict}: a part by {' + '.join(done.named)}"
 
 
 def error(parameters: ParameterSet, record: Record) -> float:
-    """N: rms of the thrust that the model predicts for a record's commands."""
+    """rms error of the model's thrust for a record's commands, N."""
     return float(predict(parameters.model, parameters.values, _measured(record)).rmse_thrust)
 
 
@@ -266,11 +265,10 @@ def by_level(parameters: ParameterSet, record: Record, profile: Record) -> np.nd
 
 
 def worse(errors: np.ndarray, usual: np.ndarray) -> float:
-    """How rarely a mission that was flown before is predicted so much worse by chance, (levels,) mean squares level for level
-    (signed ranks of their ratios; Wilcoxon, Biometrics Bulletin 1, 1945): what lies within a model's own error everywhere
-    shows in the sum."""
+    """p-value of the hypothesis that a repeated mission is predicted as well as before, from (levels,) mean squares (signed
+    ranks of their ratios; Wilcoxon, Biometrics Bulletin 1, 1945). The test detects small errors at many levels."""
     ratio = np.log(errors / usual)
-    ratio = ratio[np.isfinite(ratio)]  # not of a level without readings
+    ratio = ratio[np.isfinite(ratio)]  # without levels that have no readings
     return float(wilcoxon(ratio, alternative="greater").pvalue) if len(ratio) else 1.0
 
 
@@ -288,7 +286,7 @@ def _alarms(parameters: ParameterSet, band: Band, record: Record) -> bool:
 
 
 def _measured(record: Record) -> Record:
-    """A run as a campaign's record: the commands that acted, and what was read."""
+    """A run as a campaign's record: the commands that acted, and the readings."""
     return Record({name: record[name] for name in ("time", "omega_ref", "beta_ref", "thrust", "omega")}, record.source)
 
 
@@ -303,15 +301,15 @@ def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _moved(model: ParameterSet, flight: Flight) -> bool:
-    """Whether the adapted model is one to look at; which one goes on is decided by another mission."""
+    """Whether the adapted model is a candidate; another mission decides."""
     before, (own, std) = adaptable(model, "vpp twin").values, _learned(flight)
     return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
 
 
 def _adapted(model: ParameterSet, flight: Flight) -> Model:
-    """The model with what the twin had made of its parameters in the end: those that show at rest together, which it knows
-    together, and each that shows on the way alone; of these the ones with which the mission is predicted best. A twin goes on
-    learning a lag from moves that are none's, beside an actuator at its limit, and what it learns there holds nowhere else."""
+    """The model with the twin's adapted parameters: statically visible ones together, because they are correlated, and each
+    dynamic one separately; those that predict the mission best are taken. The twin also adapts a lag from moves at an
+    actuator's limit, which holds nowhere else."""
     wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
     at_rest = watched(wider.model, tuple(own))
     groups = [[name for name in own if name in at_rest], *([name] for name in own if name not in at_rest)]
@@ -333,7 +331,7 @@ class _Flights:
     def __call__(
         self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None, times: int = 1
     ) -> Flight:
-        """RunEnded for one that ended early: whoever stopped it, or whatever tripped, does not want the next one to begin."""
+        """RunEnded for a flight that ended early, so that the next one does not begin."""
         self._rig.word(f"round {self._number}: {what}")
         self._count += 1
         setup = self._rig.setup(self._number, self._count)
@@ -346,10 +344,11 @@ class _Flights:
 def _searched(
     day: Day, flights: _Flights, referee: Referee, flies: Mapping[str, float], seed: int
 ) -> tuple[Mapping[str, float] | None, list[float], int]:
-    """(where the search's next generation has led it, None: none flew, or the model refuses that; the costs of those that flew;
-    how many were refused).
+    """(the search's mean after its next generation, None: none flew, or the model rejects it; the costs of those that flew;
+    the number of rejected ones).
 
-    A refused one costs what the model predicts, against what flies. The cheapest of a generation would owe it to its noise."""
+    A rejected one has the cost that the model predicts, relative to the present gains. The mean is used, since the cheapest of
+    a generation is so by noise."""
     if day.search is None:
         day.search = Search(flies, GAINS, seed)
     generation = day.search.asked()
@@ -361,6 +360,6 @@ def _searched(
     flew = [cost for cost in costs if np.isfinite(cost)]
     if flew:
         usual = float(np.median(flew))
-        day.search.told([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
+        day.search.tell([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
     there = day.search.favourite
     return there if flew and referee.predicted(there)[1] else None, flew, int(np.isnan(costs).sum())

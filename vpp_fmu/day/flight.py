@@ -1,4 +1,4 @@
-"""One flight: the rig under a controller over a profile, what it cost, and what the twins beside it made of it."""
+"""One flight: the rig under a controller over a profile, its cost, and the twins' results."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ GAINS = tuple(DUAL)
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """`record`: as run.csv has it; `twin`: outputs of the adaptive twin (rows,) by name, none where none ran; `alarms`: (s from
-    the record's start, in words) of both twins; `costs`: the paper's (eq. 21), of measured thrust, each time that the profile
-    was gone through, none where it ended early; `ended`: why it did, ""."""
+    """`record`: as in run.csv; `twin`: outputs of the adaptive twin (rows,) by name, empty without one; `alarms`: (s from the
+    record's start, in words) of both twins; `costs`: the paper's (eq. 21), of measured thrust, of each repetition of the
+    profile, empty if it ended early; `ended`: the reason for that, else ""."""
 
     record: Record
     twin: Mapping[str, np.ndarray]
@@ -39,19 +39,19 @@ class Flight:
 
     @property
     def cost(self) -> float:
-        """Their mean."""
+        """Mean cost."""
         return float(np.mean(self.costs))
 
 
 @dataclass(frozen=True, eq=False)
 class Twins:
-    """The model beside the rig, twice: as it is, which tells when the rig is not it; and one that learns."""
+    """The model beside the rig, twice: a fixed one, which detects deviations, and an adaptive one."""
 
     parameters: ParameterSet
     band: Band
 
     def beside(self, setup: Setup) -> tuple[Twin, Adaptive]:
-        """Both, for a flight."""
+        """Both twins for a flight."""
         as_it_is = Twin(KernelPlant(self.parameters.model, self.parameters.values), self.band, rig=setup.allowed)
         return as_it_is, Adaptive(adaptive(adaptable(self.parameters, "vpp twin"), self.band), PERIOD)
 
@@ -59,25 +59,25 @@ class Twins:
 def fly(
     setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twins: Twins | None = None, times: int = 1
 ) -> Flight:
-    """Close the loop on the rig over a profile, gone through so many `times`, under the controller's `settings`; log and
-    run.csv go to `folder`. BadInput."""
+    """Close the loop on the rig over a profile, repeated `times` times, under the controller's `settings`; log and run.csv go
+    to `folder`. BadInput."""
     OutputFolder(folder)
     twin, learning = twins.beside(setup) if twins else (None, None)
     done = run_on_rig(setup, KernelController(settings, PERIOD), repeated(profile, times), folder, twin=twin, adaptive=learning)
     write_run(folder / "run.csv", done.record)
     rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
-    told = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
+    learned = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
     found = [(at, f"most like {twin.cause}") for at, _ in done.session.rig.alarms] if twin else []
     found += [(at, f"most like {what}") for at, what in learning.alarms] if learning else []
     began = float(done.log.time[rows[0]]) if len(rows) else 0.0
     alarms = tuple((at - began, what) for at, what in sorted(found))
     went = [] if done.ended else passes(done.record, profile, times)
     costs = tuple(measured_cost(done.record.part(rows), settings) for rows in went)
-    return Flight(done.record, told, alarms, costs, done.ended)
+    return Flight(done.record, learned, alarms, costs, done.ended)
 
 
 def repeated(profile: Record, times: int) -> Record:
-    """A profile gone through several times without a pause; its last row stands for the first of the next."""
+    """A profile repeated without a pause; its last row replaces the first of the next repetition."""
     length = float(profile.time[-1] - profile.time[0])
     rows = {n: np.concatenate([*(times - 1) * [column[:-1]], column]) for n, column in profile.columns.items()}
     counts = [*(times - 1) * [len(profile) - 1], len(profile)]
@@ -85,30 +85,30 @@ def repeated(profile: Record, times: int) -> Record:
 
 
 def passes(record: Record, profile: Record, times: int) -> list[slice]:
-    """Rows of a run over a profile `repeated` so many `times`, each time that it was gone through."""
+    """Rows of each repetition of a run over a profile `repeated` `times` times."""
     length = float(profile.time[-1] - profile.time[0])
     edges = np.searchsorted(record.time - record.time[0], length * np.arange(1, times) - 0.5 * PERIOD)
     return [slice(a, b) for a, b in pairwise([0, *edges.tolist(), len(record)])]
 
 
 def measured_cost(record: Record, settings: Mapping[str, float]) -> float:
-    """Integral of the squared error over the thrust's scale [s], and what the gains cost."""
+    """Integral of the squared error over the thrust's scale [s], and the cost of the gains."""
     error = (record["thrust_set"] - record["thrust"]) / settings["thrust_scale"]
     gains = np.array([settings[name] for name in GAINS])
     return float(np.sum(error**2) * PERIOD + ALPHA * gains @ gains)
 
 
 HOLDS = 1.5, 6.0
-"""s that a level of a mission is held on a rig of the paper's pace: what moves settles in the shorter ones, and stands for a
-visit of the twin's in the longer (`hil.twin.directions.SPAN`)."""
+"""Range of the hold time [s] of a mission's levels on a rig of the paper's time scale: transients settle in the shorter ones,
+and the longer ones count as a visit for the twin (`hil.twin.directions.SPAN`)."""
 
 MISSION = 90.0
-"""s of a mission there: some 25 levels, as a campaign's open loop has."""
+"""Duration of a mission there, s: some 25 levels, as in a campaign's open loop."""
 
 
 def mission(low: float, high: float, pace: float, seed: int) -> Record:
-    """Random levels of wanted thrust [N] between `low` and `high`, for a rig that is `pace` times as slow as the paper's: what
-    a twin can learn from. `time` [s], `thrust_set` [N]."""
+    """Random levels of wanted thrust [N] between `low` and `high`, for a rig `pace` times as slow as the
+    paper's. `time` [s], `thrust_set` [N]."""
     rng, seconds = np.random.default_rng(seed), MISSION * pace
     time = np.cumsum(np.r_[0.0, rng.uniform(*HOLDS, int(seconds / (HOLDS[0] * pace))) * pace])
     time = np.r_[time[time < seconds - HOLDS[0] * pace], seconds]  # the last level, too, is held as long

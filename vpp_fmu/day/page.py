@@ -71,13 +71,13 @@ def day_page(day: Day) -> Page:
         thinning(len(last.mission.record)),
     )
     page.section("The paper's framework, and what stands for its parts here")
-    told = {
+    statements = {
         **{name: f"{np.mean(c):.4f}" for name, c in last.costs.items()},
         "twin": f"{_error(last):.3g} N off",
         "flies": f"{last.winner}, {last.cost:.4f}",
     }
     title = "Twin and policies teach each other; the rig's measured cost decides"
-    page.diagram(framework(told), title, f"With what each had to say in round {last.number}.")
+    page.diagram(framework(statements), title, f"With what each had to say in round {last.number}.")
     page.table(("Reinforcement Twinning", "here"), FRAMEWORK, "Who gives what.")
     return page
 

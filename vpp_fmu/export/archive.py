@@ -4,7 +4,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 
-EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date a zip can hold: a build's date would make each build differ
+EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip: the date of the build would change the bytes
 
 
 def archive(files: Mapping[str, bytes]) -> bytes:

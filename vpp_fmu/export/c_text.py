@@ -1,4 +1,4 @@
-"""The one C file of a native FMU: what FMI fixes, the traced model with its tables and tangents, schedule and shell."""
+"""The C file of a native FMU: FMI's declarations, the traced model with tables and tangents, schedule and FMI functions."""
 
 from collections.abc import Mapping
 from hashlib import sha256
@@ -32,7 +32,7 @@ COMPILERS = """\
 
 
 SHELLS = {"2.0": ("fmi2.h", "shell2.c"), "3.0": ("fmi3.h", "shell3.c")}
-"""What each version of the standard fixes, and its calls; all that lies between is the same."""
+"""Declarations and functions of each version of the standard; all between is common."""
 
 TYPES = {"Real": "REAL", "Integer": "INTEGER", "Boolean": "BOOLEAN"}
 
@@ -55,10 +55,10 @@ def c_text(model: Model, values: Mapping[str, float], guid: str, version: str = 
 
 
 def tangent_source(model: Model) -> str:
-    """`start_along(v, a)` and `step_along(v, dt, dt_along, a)`: by how much outputs and states move along one direction.
+    """`start_along(v, a)` and `step_along(v, dt, dt_along, a)`: directional derivatives of outputs and states.
 
-    `a` is laid out as the values are and holds the moves of inputs, parameters and, before a step, states; those of outputs
-    and states are filled in. `v` holds what stands before the step.
+    `a` has the layout of the values and holds the direction in inputs, parameters and, before a step, states; the derivatives
+    of outputs and states are filled in. `v` holds the values before the step.
     """
     layout, graph = Layout.of(model), Graph()
     inputs, parameters, states = (
@@ -88,7 +88,7 @@ def tangent_source(model: Model) -> str:
 
 
 def _tables(model: Model, values: Mapping[str, float], guid: str) -> str:
-    """Names, types, start values and ranges, for the shell's checks and messages."""
+    """Names, types, start values and ranges, for checks and messages."""
     ranges = [
         f"{{{_number(p.minimum)}, {_number(p.maximum)}, {_string(in_unit(p))}, {_string(allowed(p))}}}"
         for p in model.parameters

@@ -1,4 +1,4 @@
-"""Whether a model that somebody wrote on the kernel can become an FMU; if not, which declaration is at fault, in one line."""
+"""Check whether a user's kernel model can become an FMU; if not, name the invalid declaration in one line."""
 
 import ast
 import inspect
@@ -23,19 +23,19 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 HERE = Path(vpp_fmu.__file__).parent
 STANDARD = sysconfig.get_paths()["stdlib"]
-TRY_STEP = 0.01  # s; any step shows what a function reads, sets and returns
+TRY_STEP = 0.01  # s; any step shows the inputs and outputs of a function
 
 
 def check_model(where: str, model: Model) -> None:
-    """BadInput(where, declaration, found, allowed) for the first fault; `where` is what the user calls the model.
+    """BadInput(where, declaration, found, allowed) for the first fault; `where`: the user's name of the model.
 
-    The functions are run on numbers and on symbols, as they will be traced; nothing is compiled.
+    The functions are run on numbers and on symbols, as in the trace; nothing is compiled.
     """
     _Check(where, model).all()
 
 
 def at_line(field: str, error: Exception) -> str:
-    """The field, with the line of the user's own code that the error came from."""
+    """The field, with the line of the user's code that raised the error."""
     own = _own_frame(error)
     return f"{field}, {Path(own.filename).name} line {own.lineno}" if own else field
 
@@ -48,7 +48,7 @@ def _own_frame(error: Exception) -> traceback.FrameSummary | None:
 
 
 def _spelled(error: Unseen) -> str:
-    """What the error came from, as it is written in the user's own line: Python asks `if` and `and` for the same thing."""
+    """The construct in the user's line that raised the error: Python calls the same method for `if` and `and`."""
     own = _own_frame(error)
     try:
         tree = ast.parse(Path(own.filename).read_text(encoding="utf-8")) if own else ast.Module([], [])
@@ -59,12 +59,12 @@ def _spelled(error: Unseen) -> str:
         name, place = _asking(node, error.method)
         if name and place.lineno <= own.lineno <= place.end_lineno and _holds(place, own):
             size = place.end_lineno - place.lineno, place.end_col_offset - place.col_offset
-            found.append((*size, name in ("if", "while", "assert"), name))  # of `if a and b`, the and asks first
+            found.append((*size, name in ("if", "while", "assert"), name))  # in `if a and b`, the `and` is evaluated first
     return min(found)[-1] if found else error.what
 
 
 def _asking(node: ast.AST, method: str) -> tuple[str, ast.AST]:
-    """How a piece of Python that asks a value for `method` is written, if this is one, and where it asks."""
+    """The Python construct that calls `method` of a value, if this node is one, and its position."""
     if method in ("__bool__", "__float__", "__int__", "__abs__", "__round__") and isinstance(node, ast.Call):
         name = ast.unparse(node.func)
         return ("" if name.startswith("ops.") else f"{name}()"), node
@@ -87,17 +87,17 @@ def _asking(node: ast.AST, method: str) -> tuple[str, ast.AST]:
 
 
 def _holds(place: ast.AST, frame: traceback.FrameSummary) -> bool:
-    """Whether the instruction that failed lies there; Python 3.10 knows its line alone."""
+    """Whether the failed instruction is there; Python 3.10 knows only its line."""
     at = getattr(frame, "colno", None)
     return at is None or (place.lineno, place.col_offset) <= (frame.lineno, at) <= (place.end_lineno, place.end_col_offset)
 
 
 class _Missing(AttributeError):
-    """A name that a function asked for and that is not there."""
+    """A function used an unknown name."""
 
 
 class _Given(SimpleNamespace):
-    """What a function of an effect is handed: knows what it is, for the message when it lacks something."""
+    """Arguments of an effect's function, with their description for the message about an unknown name."""
 
     __slots__ = ("_what",)
 
@@ -134,7 +134,7 @@ class _Check:
             self.chain(graph)
 
     def tuples(self, where: str, declared: Model | Effect, fields: Iterable[str]) -> None:
-        """A comma that lacks, as in effects=(ROOM), leaves no tuple."""
+        """A missing comma, as in effects=(ROOM), gives no tuple."""
         for name in fields:
             value = getattr(declared, name)
             if not isinstance(value, tuple | list):
@@ -254,7 +254,7 @@ class _Check:
             self.end(s)
 
     def call(self, field: str, function: Callable, *arguments):
-        """What a function of the model gives; whatever it raises, in words that name it."""
+        """The result of a model's function; an exception becomes a message that names the function."""
         try:
             inspect.signature(function).bind(*arguments)
         except TypeError as error:
@@ -272,7 +272,7 @@ class _Check:
             found = f"what can't be traced ({' '.join(str(error).split())[:120]})"
             allowed = "+ - * / < > and ops.where, ops.exp ... in place of if, and, ==, max, math or numpy"
             raise BadInput(self.where, at_line(field, error), found, allowed) from error
-        except Exception as error:  # somebody's own code may raise anything
+        except Exception as error:  # user code may raise any exception
             found = f"{type(error).__name__}: {error}"
             raise BadInput(self.where, at_line(field, error), found, "a function that works on start values") from error
 
@@ -282,7 +282,7 @@ class _Check:
         if not good:
             self.refuse(field, f"a {type(returned).__name__} returned", "a pair: signals by name, next states by name")
         for name, number in (*returned[0].items(), *returned[1].items()):
-            if isinstance(number, _Given):  # an effect may hand its own parameters on to those behind it
+            if isinstance(number, _Given):  # an effect may pass its own parameters to later effects
                 continue
             if not isinstance(number, float | int) and type(number).__name__ != "Node":
                 self.refuse(field, f"{name} is a {type(number).__name__}", "numbers")

@@ -1,4 +1,4 @@
-"""Inputs and the outputs they must give, beside an FMU, as the FMI cross-check rules ask: for users to test importers with."""
+"""Inputs and reference outputs of an FMU, by the FMI cross-check rules, for users to test importers with."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -8,13 +8,13 @@ from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Signal
 
 LEVELS = (0.6, 0.35, 0.8, 0.5)  # of an input's nominal value
 TOLERANCE = 1e-6
-LONGEST = 10.0  # s; enough to see an importer go wrong
+LONGEST = 10.0  # s; long enough to show an importer's errors
 
 
 def reference_files(model: Model, values: Mapping[str, float], experiment: Experiment) -> dict[str, str]:
     """`{name}_in.csv`, `{name}_ref.csv`, `{name}_ref.opt` by name, from the model's own functions.
 
-    Each input starts at its start value and takes a few levels in turn, at other times than the other inputs.
+    Each input starts at its start value and takes a few levels in turn, at different times than the other inputs.
     """
     count = round(min(experiment.stop, LONGEST) / experiment.step)
     simulation, held = Simulation(model, values), course(model, count)
@@ -51,11 +51,11 @@ The inputs are discrete: each row's values hold from its time to the next row's,
 def cross_check_folder(
     model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, tool: str, platform: str
 ) -> dict[str, bytes]:
-    """What the FMI project's cross-check wants of an exporting tool, by place in its repository: the FMU, its reference files,
-    and how to check against them. `tool`: name and version as folders; `platform`: as FMI 2.0 calls it."""
+    """The files that the FMI project's cross-check requires of an exporting tool, by path in its repository: the FMU, its
+    reference files, and how to check them. `tool`: name and version as folders; `platform`: FMI 2.0's name."""
     stop = round(min(experiment.stop, LONGEST) / experiment.step) * experiment.step
-    told = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
-    files = {f"{model.name}.fmu": fmu, "README.md": told.encode()}
+    read_me = READ_ME.format(name=model.name, command=COMMAND.format(name=model.name, stop=stop, step=experiment.step))
+    files = {f"{model.name}.fmu": fmu, "README.md": read_me.encode()}
     files |= {name: text.encode() for name, text in reference_files(model, values, experiment).items()}
     return {f"fmus/2.0/cs/{platform}/{tool}/{model.name}/{name}": content for name, content in files.items()}
 
@@ -66,7 +66,7 @@ def course(model: Model, count: int) -> list[dict[str, float]]:
 
 
 def _level(u: Signal, k: int, share: float) -> float:
-    """Input number `k` at a share of the time. A Boolean takes turns, an Integer whole numbers."""
+    """Input number `k` at a share of the time. A Boolean alternates, an Integer has whole numbers."""
     at = int(len(LEVELS) * share - 0.1 - 0.3 * k)
     if len(LEVELS) * share < 0.1 + 0.3 * k:
         return u.start

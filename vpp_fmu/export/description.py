@@ -1,4 +1,4 @@
-"""modelDescription.xml of a model, for both flavours, from its declarations: what all versions of FMI share, and FMI 2.0's."""
+"""modelDescription.xml of a model, from its declarations: the part common to all FMI versions, and FMI 2.0."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from vpp_fmu.tracer import Layout
 from vpp_fmu.units import base_unit, display_units
 
 AUTHOR = "vpp-fmu"
-"""Who made the model, where nobody says."""
+"""Default author of the model."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """The default experiment: how long, and at what step [s]."""
+    """The default experiment: duration and step [s]."""
 
     stop: float = 10.0
     step: float = 0.004
@@ -30,7 +30,7 @@ TEN_SECONDS = Experiment()
 
 @dataclass(frozen=True)
 class Flavour:
-    """In what the flavours' descriptions differ: the tool that made the FMU, what it can do, its source files."""
+    """Differences between the flavours' descriptions: the generation tool, capabilities, source files."""
 
     tool: str
     capabilities: Mapping[str, bool]
@@ -38,14 +38,14 @@ class Flavour:
 
 
 def guid(*content: str | bytes) -> str:
-    """A GUID made from what the FMU is made of: the same content has the same one, on any day."""
+    """A GUID from the content of the FMU: the same content has the same GUID."""
     h = sha256(b"\0".join(c.encode() if isinstance(c, str) else c for c in content)).hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
 def variable_names(model: Model) -> list[str]:
-    """FMU variable of each value, in the order of value references. States get a `state.` before, for an output may share
-    a state's name."""
+    """FMU variable of each value, in the order of value references. States have the prefix `state.`, since an output may have
+    the same name."""
     layout = Layout.of(model)
     return [*layout.inputs, *layout.outputs, *layout.parameters, *(f"state.{x}" for x in layout.states)]
 
@@ -56,8 +56,8 @@ def variable_types(model: Model) -> list[str]:
 
 
 def start_values(model: Model, values: Mapping[str, float]) -> list[float]:
-    """What each value is before anything was set, in the order of value references: states as they settle on the inputs'
-    start values. `values`: every parameter's."""
+    """Start value of each variable, in the order of value references: states settled on the inputs' start values. `values`: of
+    every parameter."""
     simulation = Simulation(model, values)
     settled = [simulation.states[x.name] for x in model.states]
     first = [*(u.start for u in model.inputs), *[0.0] * len(model.outputs)]
@@ -65,7 +65,7 @@ def start_values(model: Model, values: Mapping[str, float]) -> list[float]:
 
 
 def in_unit(parameter: Parameter) -> str:
-    """What follows a number of this parameter in a message."""
+    """The unit of this parameter for a message."""
     return "" if parameter.unit == "1" else f" {parameter.unit}"
 
 
@@ -76,7 +76,7 @@ def allowed(parameter: Parameter) -> str:
 
 @dataclass(frozen=True)
 class Variable:
-    """One FMU variable: what both versions of the standard write, each in its own form."""
+    """One FMU variable, for both versions of the standard."""
 
     name: str
     reference: int
@@ -92,7 +92,7 @@ class Variable:
     start: float | None
 
     def typed(self) -> dict[str, str]:
-        """The attributes that go with the type."""
+        """The attributes of the type."""
         if self.kind == BOOLEAN:
             return {} if self.start is None else {"start": str(self.start != 0.0).lower()}
         real = {"min": self.minimum, "max": self.maximum} | ({"nominal": self.nominal} if self.kind == REAL else {})
@@ -104,14 +104,14 @@ class Variable:
 
 
 DISPLAYED = {"s": "ms"}
-"""What parameters that are small in their unit are shown in."""
+"""Display unit of parameters that are small in their unit."""
 
 
 def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
     """All variables in the order of value references. `values`: every parameter's start value.
 
-    Inputs are held between communication points, and said so (`discrete`): an importer must not interpolate a command. A
-    state starts settled on the inputs, or where the importer sets it (`approx`).
+    Inputs are held between communication points and declared so (`discrete`): an importer must not interpolate a command. A
+    state starts settled on the inputs, or at the importer's value (`approx`).
     """
     moves = "discrete" if model.sample_time else "continuous"
     starts = start_values(model, values)
@@ -127,13 +127,13 @@ def variables(model: Model, values: Mapping[str, float]) -> list[Variable]:
     ):
         low, high, nominal = _span(model, q.unit) if causality == "local" else (q.minimum, q.maximum, q.nominal)
         start = None if causality == "output" else starts[r]
-        told = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
-        found.append(Variable(name, r, kind, *told))
+        attributes = (causality, variability, initial, q.description, q.unit, low, high, nominal, start)
+        found.append(Variable(name, r, kind, *attributes))
     return found
 
 
 def dependencies(model: Model) -> list[int]:
-    """Value references of what each output starts from.
+    """Value references on which the start value of each output depends.
 
     At a communication point no output depends on an input directly. At the start those of a model in continuous time are
     settled on all inputs and parameters; those of a sampled law are start values until its first sample, and depend on nothing.
@@ -165,7 +165,7 @@ def log_categories() -> Element:
 
 
 def about(model: Model, flavour: Flavour, author: str) -> dict[str, str]:
-    """Who made what with which tool: attributes of the root in both versions of the standard."""
+    """Attributes of the root (name, author, tool) in both versions of the standard."""
     return {
         "modelName": model.name,
         "description": model.description,
@@ -218,7 +218,7 @@ def model_description(
 
 
 def _span(model: Model, unit: str) -> tuple[float, float, float]:
-    """(minimum, maximum, nominal) of a state: those of the signals in its unit, else wide around the size of a parameter."""
+    """(minimum, maximum, nominal) of a state: those of the signals in its unit, else a wide range around a parameter's size."""
     like = [s for s in (*model.outputs, *model.inputs) if s.unit == unit]
     if like:
         return min(s.minimum for s in like), max(s.maximum for s in like), like[0].nominal

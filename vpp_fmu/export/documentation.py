@@ -1,4 +1,4 @@
-"""What an FMU says about itself to people: a page with equations and parameters, licences, an icon."""
+"""Documentation of an FMU: a page with equations and parameters, licences, an icon."""
 
 import importlib
 import struct
@@ -53,8 +53,8 @@ def documents(
 ) -> dict[str, bytes]:
     """The files by their place in an FMU.
 
-    `values`: every parameter's start value. `origins`: where values come from, by name, for those of which that is known;
-    the others are defaults, or were set at the export. `packages`: whose code travels along, besides this project's.
+    `values`: every parameter's start value. `origins`: known sources of values, by name; the others are defaults, or were set
+    at the export. `packages`: other packages whose code is in the FMU.
     """
     licences = {f"documentation/licenses/{name}.txt": _licence(name).encode() for name in packages}
     return {
@@ -113,7 +113,7 @@ def _origin(model: Model, parameter, values: Mapping[str, float], origins: Mappi
 
 
 def _equations(model: Model) -> list[str]:
-    """One part for each file that brings effects, with what its docstring says."""
+    """One part for each file that defines effects, with its docstring."""
     parts: dict[str, list[str]] = {}
     for effect in model.effects:
         parts.setdefault(_theory(effect), []).append(effect.name)
@@ -121,7 +121,7 @@ def _equations(model: Model) -> list[str]:
 
 
 def _theory(effect: Effect) -> str:
-    """What the file that an effect's equation stands in says, be it of the library or of one's own; a delay has no equation."""
+    """The docstring of the file with an effect's equation, of the library or user-defined; a delay has no equation."""
     if effect.step is not no_step:
         return effect.step.__globals__.get("__doc__") or effect.description
     own = f"{EFFECTS}.{effect.name}"
@@ -129,7 +129,7 @@ def _theory(effect: Effect) -> str:
 
 
 def _prose(text: str) -> str:
-    """Paragraphs; equations, which are indented or have an equals sign in each line, as they stand."""
+    """Paragraphs; equations, which are indented or have an equals sign in each line, unchanged."""
     out = []
     for part in text.strip("\n").split("\n\n"):
         equations = all(line.startswith("    ") or " = " in line for line in part.split("\n"))
@@ -145,7 +145,7 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def _licence(package: str) -> str:
-    """The licence that a package was installed with."""
+    """The licence of an installed package."""
     for file in distribution(package).files or ():
         if file.name == "LICENSE":
             return file.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The native FMU: one generated C file, compiled; it needs no Python where it runs."""
+"""The native FMU: one generated C file, compiled; it runs without Python."""
 
 from collections.abc import Iterable, Mapping
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -23,7 +23,7 @@ def native_fmu(
 ) -> bytes:
     """An FMU of `model` in compiled C, with its source; its bytes depend on the arguments and the compiler alone.
 
-    `parameters`, `origins`, `author`: as `python_fmu` has them. `platforms`: "host" for this machine, "all" or names
+    `parameters`, `origins`, `author`: as in `python_fmu`. `platforms`: "host" for this machine, "all" or names
     of `toolchain.TARGETS` with Zig's compiler. `version`: of FMI, 2.0 or 3.0. CompilerMissing where there is no compiler.
     """
     values = model.values(parameters)
@@ -47,8 +47,8 @@ def native_fmu(
 
 
 def _build_description(name: str, source: str) -> bytes:
-    """What FMI 3.0 tools read to compile the sources; those for FMI 2.0 look into the model description. No compiler's options:
-    they may not be given for all compilers alike, and what matters of them (no fused multiply-add) the source says itself."""
+    """Build description for FMI 3.0 tools; FMI 2.0 has it in the model description. It has no compiler options, because they
+    differ between compilers; the source itself disables fused multiply-adds."""
     root = Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = SubElement(root, "BuildConfiguration", modelIdentifier=name)
     files = SubElement(configuration, "SourceFileSet", language="C99")

@@ -36,12 +36,12 @@ def python_fmu(
 ) -> bytes:
     """An FMU of `model` that runs under Python; its bytes depend on the arguments and versions alone.
 
-    `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values. `origins`: where
-    values come from, by name, for the FMU's documentation. `author`: of the model, for its description.
+    `parameters`: changes to the defaults (KeyError names an unknown one); they become the start values. `origins`: sources of
+    values, by name, for the FMU's documentation. `author`: of the model, for its description.
     """
     values = model.values(parameters)
     source = module_source(model, values)
-    # Python modules share one namespace in a process: the name must tell apart whatever differs in content.
+    # Python modules share one namespace in a process, so modules of different content need different names.
     module = f"{model.name.lower()}_{sha256(source.encode()).hexdigest()[:16]}"
     flavour = Flavour(f"pythonfmu {version('pythonfmu')}", {"needsExecutionTool": True})
     identity = guid(source, model_description(model, values, "", flavour, experiment, author))
@@ -59,8 +59,8 @@ def python_fmu(
 def _pythonfmu(name: str) -> dict[str, bytes]:
     """pythonfmu's binaries and modules, by their place in an FMU.
 
-    As its own builder packs them. That one takes the pythonfmu that is imported, and in a process that has run a Python FMU
-    it may be the FMU's, which carries no binaries; and it runs the script once more.
+    As packed by pythonfmu's builder, which is not used: it takes the imported pythonfmu, which may be that of a loaded FMU,
+    without binaries; and it runs the script once more.
     """
     folder = Path(distribution("pythonfmu").locate_file("pythonfmu"))
     modules = {f"resources/pythonfmu/{file.name}": file.read_bytes() for file in folder.glob("*.py")}
@@ -69,7 +69,7 @@ def _pythonfmu(name: str) -> dict[str, bytes]:
 
 
 def module_source(model: Model, values: Mapping[str, float]) -> str:
-    """The one file that travels: schedule, table of calls, slave, generated functions and the class that ties them."""
+    """The FMU's Python file: schedule, table of calls, slave, generated functions and their class."""
     program, layout = trace(model), Layout.of(model)
     at = layout.index
     way = "Sampled" if model.sample_time else "Exact" if is_exact(model) else "Scheduled"
@@ -105,7 +105,7 @@ def module_source(model: Model, values: Mapping[str, float]) -> str:
 
 
 def _text(package: str, name: str) -> str:
-    """A source file without its imports of this project: what they bring stands in the same file."""
+    """A source file without its imports of this project, whose code is in the same file."""
     text = (files(package) / name).read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
     for statement in ast.parse(text).body:

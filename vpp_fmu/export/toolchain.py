@@ -1,4 +1,4 @@
-"""C text to shared libraries: for this machine with its own compiler, for every platform with Zig's."""
+"""Compile C text to shared libraries: for this machine with its own compiler, for every platform with Zig's."""
 
 import os
 import platform
@@ -24,7 +24,7 @@ TARGETS = {
     "darwin64": ("x86_64-macos.11.0", "dylib"),
     "aarch64-darwin": ("aarch64-macos.11.0", "dylib"),
 }
-"""FMI 2.0.4's platform folders: Zig's name for each, and its libraries' ending. The oldest C libraries Zig knows."""
+"""FMI 2.0.4's platform folders: Zig's target and the libraries' suffix, for the oldest C libraries that Zig supports."""
 
 TUPLES = {
     "linux64": "x86_64-linux",
@@ -33,17 +33,17 @@ TUPLES = {
     "darwin64": "x86_64-darwin",
     "aarch64-darwin": "aarch64-darwin",
 }
-"""FMI 3.0's names of the same."""
+"""FMI 3.0's names of the platforms."""
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0", "-w")
-"""Not what `vpp_fmu.native` uses: compiled once and shipped. No debug information, for that names folders."""
+"""Options for shipped libraries, other than those of `vpp_fmu.native`. No debug information, which has names of folders."""
 
 UCRT = (
     *CALLS,
     *("ceil", "malloc", "calloc", "realloc", "free", "memcpy", "memmove", "memset", "strcmp", "strlen", "strcpy", "strchr"),
     *("strtod", "atoi", "__stdio_common_vsprintf"),
 )
-"""What an FMU asks of Windows' C library."""
+"""Functions of Windows' C library that an FMU uses."""
 
 
 def host() -> str:
@@ -61,8 +61,8 @@ def host() -> str:
 
 
 def binaries(name: str, text: str, platforms: str | Iterable[str], version: str = "2.0") -> dict[str, bytes]:
-    """Shared libraries of the C text by their place in an FMU. `platforms`: "host", "all", or names of TARGETS. `version`: of
-    FMI, since 3.0 names the places in its own way.
+    """Shared libraries of the C text by their path in an FMU. `platforms`: "host", "all", or names of TARGETS. `version`: of
+    FMI; 3.0 has other names of paths.
 
     Importers differ about where 64-bit ARM is found. An FMU for the machine it was made on has its library under the names
     of both; one for all platforms keeps FMI's names, and a library for both kinds of Mac under the older one.
@@ -87,15 +87,15 @@ def binaries(name: str, text: str, platforms: str | Iterable[str], version: str 
 
 
 def _for_this_machine(name: str, text: str) -> bytes:
-    """With Zig's compiler where it is installed, on Linux: it links to the oldest C library that serves, so that the FMU also
-    runs on older systems than this one. This machine's own compiler links to this machine's."""
+    """Compile for Linux with Zig's compiler if it is installed: it links to the oldest suitable C library, so that the FMU also
+    runs on older systems. This machine's compiler links to this machine's C library."""
     if platform.system() == "Linux" and find_spec("ziglang"):
         return _with_zig(name, text, host())
     return _with_own_compiler(text)
 
 
 def needs_glibc(library: bytes) -> str | None:
-    """The oldest GNU C library that a Linux library runs with, such as "2.29"; None where it asks for none."""
+    """The oldest GNU C library with which a Linux library runs, such as "2.29"; None if it needs none."""
     found = {tuple(map(int, version.split(b"."))) for version in re.findall(rb"GLIBC_(\d+\.\d+(?:\.\d+)?)\0", library)}
     return ".".join(map(str, max(found))) if found else None
 
@@ -141,7 +141,7 @@ def _link_for_windows(cc: list[str], zig: list[str], library: str, work: str) ->
 
 
 def _run(command: list[str], work: str) -> None:
-    """In the folder `work`, with relative names only: a library must not depend on where it was made."""
+    """Compile in the folder `work` with relative names only, so that the library does not depend on its path."""
     cache = str(cache_folder() / ZIG)
     environment: Mapping[str, str] = {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache, **os.environ}
     done = subprocess.run(command, cwd=work, env=environment, check=False, capture_output=True, text=True)
@@ -151,13 +151,13 @@ def _run(command: list[str], work: str) -> None:
 
 
 def _without_date(library: bytes) -> bytes:
-    """A Windows library without the time of its build: the third field of its COFF header."""
+    """A Windows library without its build time, the third field of its COFF header."""
     at = struct.unpack_from("<I", library, 0x3C)[0] + 8
     return library[:at] + bytes(4) + library[at + 4 :]
 
 
 def _universal(*slices: bytes) -> bytes:
-    """One macOS library for several processors: a table of where each one's library starts, then the libraries."""
+    """One macOS library for several processors: a table of offsets, then the libraries."""
     align, table, body = 14, struct.pack(">II", 0xCAFEBABE, len(slices)), b""
     start = 1 << align
     for part in slices:

@@ -1,4 +1,4 @@
-"""An FMU tried before it is handed out: read by an importer, and run beside the functions that it was made from."""
+"""Test an FMU before it is written: an importer reads it, and its outputs are compared with the model's functions."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ STEPS = 100
 
 
 def expected(where: str, model: Model, values: Mapping[str, float], experiment: Experiment) -> list[list[float]]:
-    """The outputs of the model's own functions at STEPS + 1 communication points. BadInput where they give no numbers."""
+    """The outputs of the model's own functions at STEPS + 1 communication points. BadInput if they are not finite."""
     held, shown = course(model, STEPS), []
     try:
         simulation = Simulation(model, values)
@@ -47,8 +47,8 @@ COMMUNICATION_STEPS = (0.004, 0.4, 40.0)
 
 
 def step_dependence(model: Model, values: Mapping[str, float]) -> str:
-    """How a model that says it takes any communication step at once answers one step other than two halves of it, in words;
-    nothing where both are the same to TOLERANCE of an output's nominal value, or where the model names its steps itself."""
+    """Difference, in words, between one step and two half steps of a model that declares no largest step; "" if both agree to
+    TOLERANCE of an output's nominal value, or if the model declares its steps."""
     if model.sample_time is not None or any(e.largest_step is not None for e in model.effects):
         return ""
     for step in COMMUNICATION_STEPS:
@@ -58,7 +58,7 @@ def step_dependence(model: Model, values: Mapping[str, float]) -> str:
                 whole = simulations[0].advance(inputs, step)
                 halves = [simulations[1].advance(inputs, 0.5 * step) for _ in range(2)][-1]
             except (ArithmeticError, ValueError, DelayFull):
-                break  # steps that long give no numbers at all
+                break  # such long steps give no finite numbers
             for s in model.outputs:
                 one, two = whole[s.name], halves[s.name]
                 if abs(one - two) > TOLERANCE * max(s.nominal, abs(two)):
@@ -68,8 +68,8 @@ def step_dependence(model: Model, values: Mapping[str, float]) -> str:
 
 
 def try_fmu(where: str, model: Model, values: Mapping[str, float], experiment: Experiment, fmu: bytes, fmi: str) -> None:
-    """BadInput where fmpy finds the FMU at fault, or where it doesn't give the functions' numbers: to the bit, of FMI 3.0 to
-    what fmpy's own counting of time leaves of them."""
+    """BadInput if fmpy rejects the FMU, or if its outputs differ from the functions': compared to the bit, for FMI 3.0 within
+    the error of fmpy's own time."""
     exact, held = expected(where, model, values, experiment), course(model, STEPS)
     scratch = Scratch()
     path = Path(scratch.path, f"{model.name}.fmu")

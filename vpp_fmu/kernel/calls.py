@@ -1,4 +1,4 @@
-"""In what states an FMU's instance takes which calls: the one table that all flavours' state machines are made from.
+"""Allowed calls of an FMU's instance by state: the common table of all flavours' state machines.
 
 After FMI 2.0.4, section 4.2.4, and FMI 3.0, section 4.2; where the standard leaves it open, the narrower reading. An error is
 a state of its own: values can still be read, and a reset or a saved state brings the instance back. This file travels inside
@@ -26,16 +26,15 @@ IN_WORDS = {
 }
 
 SLACK = 1e-3
-"""How far, in communication steps, a step may begin from where the last one ended: importers count time in their own ways. A
-nanosecond a second is allowed besides, for those whose steps are very short."""
+"""Maximum distance, in communication steps, between the end of a step and the start of the next: importers round time in
+different ways. A nanosecond per second is allowed besides, for very short steps."""
 
 LOG_CATEGORIES = {
-    "logEvents": "what the instance was brought to: initialised, tuned, terminated; told only where logging is on",
+    "logEvents": "what the instance was brought to: initialised, tuned, terminated; only if logging is on",
     "logStatusWarning": "what was ignored, and why",
     "logStatusDiscard": "questions without an answer",
     "logStatusError": "calls that failed, and why",
     "logStatusFatal": "calls after which the instance is lost",
     "logAll": "all of them",
 }
-"""Names as FMI 2.0 standardises them. What fails is told unless it is switched off: whoever asks for no debugging still wants
-to know why nothing works."""
+"""Names as FMI 2.0 standardises them. Errors are logged unless they are switched off, also without debug logging."""

@@ -1,4 +1,4 @@
-"""The controller: the paper's dual PID as a sampled model of its own."""
+"""The controller: the paper's dual PID as a sampled model."""
 
 from vpp_fmu.kernel.effects.dual_pid import DUAL_PID
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST

@@ -1,8 +1,8 @@
-"""Forward derivatives on top of any arithmetic: what runs on floats or is traced runs on dual numbers, too.
+"""Forward derivatives on any arithmetic: functions for floats or traced values also run on dual numbers.
 
     f(x + e d) = f(x) + e f'(x) d,   e^2 = 0        (Griewank and Walther, Evaluating Derivatives, ch. 3)
 
-The tracer's tangents (`vpp_fmu.tracer.tangents`) differentiate what was recorded; these are part of what is recorded, so that a
+The tracer's tangents (`vpp_fmu.tracer.tangents`) differentiate a recorded graph; these are part of the record, so that a
 law may compute with the derivatives of a plant. A tangent that is zero by structure is None and costs nothing: which ones are
 depends on the model alone, not on the numbers, and so floats and trace do the same operations in the same order.
 """
@@ -66,7 +66,7 @@ class Duals(Ops):
         self.ops, self._none = ops, (None,) * width
 
     def constant(self, value: Any) -> Dual:
-        """A number that depends on no direction; a dual one stays as it is."""
+        """A dual number without derivatives; a dual argument is returned unchanged."""
         return value if isinstance(value, Dual) else Dual(value, self._none)
 
     def where(self, condition, yes, no):
@@ -87,7 +87,7 @@ class Duals(Ops):
         return self._apply(x, self.ops.expm1, lambda u, f: f + 1.0)
 
     def sqrt(self, x):
-        # At 0 the slope is infinite. Where the physics takes a root of 0 it does not depend on it: 1 / tiny is cut off there.
+        # At 0 the slope is infinite. Physical results do not depend on a root of 0, so 1 / tiny limits the slope.
         return self._apply(x, self.ops.sqrt, lambda u, f: 0.5 / self.ops.maximum(f, TINY))
 
     def sin(self, x):
@@ -110,7 +110,7 @@ class Duals(Ops):
 
 
 TINY = 1e-150
-"""Below any root of a physical quantity; its inverse is still a number."""
+"""Smaller than any root of a physical quantity; its inverse is finite."""
 
 
 def _dual(x: Any, like: Dual) -> Dual:

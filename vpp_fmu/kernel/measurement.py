@@ -1,14 +1,14 @@
-"""The measurement chain of the thrust as a sampled model of its own: what a controller sees of a plant."""
+"""The measurement chain of the thrust as a sampled model: from the plant's thrust to the controller's input."""
 
 from vpp_fmu.kernel.effects.thrust_reading import THRUST_READING
 from vpp_fmu.kernel.plant import THRUST
 from vpp_fmu.kernel.types import Model, Signal
 
 CONVERSIONS = 860.0
-"""Readings a second of the rig's converter (ADS1115). On average the middle of the newest one is one conversion old."""
+"""Readings per second of the rig's converter (ADS1115). On average the middle of the newest one is one conversion old."""
 
 RESOLUTION = 98.07 / 2**15
-"""N a count: the rig's 10 kg load cell over half the converter's 16 bits."""
+"""N per count: the rig's 10 kg load cell over half the converter's 16 bits."""
 
 MEASUREMENT = Model(
     "ThrustMeasurement",

@@ -1,8 +1,8 @@
-"""The few primitives that physics is written in, and what is built on them.
+"""The primitives of the physics, and functions built on them.
 
 An effect computes only through `+ - * /`, the comparisons `<` and `>`, and the methods below. On floats they are the
-maths library's (`Numbers`); on traced values they record what was computed (`vpp_fmu.tracer`). Both inherit what is
-built on the primitives, so a limit or a lag is one formula whoever runs it.
+maths library's (`Numbers`); on traced values they record the operations (`vpp_fmu.tracer`). Both inherit the functions
+built on the primitives, so a limit or a lag has one formula.
 """
 
 import math
@@ -14,7 +14,7 @@ SERIES_TERMS = 13
 """0.3**13 / 14! < 1e-17: the series is exact to rounding where it is used."""
 
 WHOLE = 1.5 * 2.0**52
-"""Added and subtracted again it leaves a whole number: doubles of this size have no other digits."""
+"""Adding and subtracting it rounds to a whole number: doubles of this size have no fraction."""
 
 
 INSTEAD = {
@@ -36,11 +36,11 @@ INSTEAD = {
     "__round__": ("round()", "ops.whole(x)"),
     "__iter__": ("a loop over a value", "loops over plain numbers"),
 }
-"""What Python does by itself with a number, and what is written for it where the number may be a symbol."""
+"""Python constructs on numbers, and their replacements for symbols."""
 
 
 class Unseen(TypeError):
-    """Something was done with a value that only `Ops` and + - * / < > may be done with: what, and what to write `instead`."""
+    """An operation other than `Ops` and + - * / < > on a symbol: the operation, and what to write `instead`."""
 
     def __init__(self, method: str):
         self.method = method
@@ -49,7 +49,7 @@ class Unseen(TypeError):
 
 
 class Symbolic:
-    """A value that refuses whatever would go unseen."""
+    """A value that refuses operations that are not recorded."""
 
     __slots__ = ()
 
@@ -66,7 +66,7 @@ for _method in INSTEAD:
 
 
 class Ops:
-    """What every arithmetic has; subclasses bring `exp expm1 sqrt sin cos tanh whole where`."""
+    """Base of every arithmetic; subclasses define `exp expm1 sqrt sin cos tanh whole where`."""
 
     def abs(self, x):
         """|x|, same unit."""
@@ -112,7 +112,7 @@ class Ops:
         Written so that equal time constants need no case of their own: with the slower and the faster constant,
         e_fast = e_slow exp(-d), d = dt (slow - fast) / (slow fast) >= 0, and the quotient becomes `relaxation(d)`.
         """
-        # At a tie each picks another one, so that each constant gets its half of the slope.
+        # For equal constants each picks another one, so that each gets half of the slope.
         slow, fast = self.maximum(tau_1, tau_2), self.minimum(tau_2, tau_1)
         apart = dt * (slow - fast) / (slow * fast)
         left = self.exp(-dt / slow)

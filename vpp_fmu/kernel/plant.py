@@ -94,7 +94,7 @@ _DECLARED: tuple[Effect, ...] = (
     dead_time.SPEED,
     row_clock.EFFECT,
 )
-"""Every effect there is, each where it acts between command and reading. A new effect is one file and one line here."""
+"""All effects, in their order between command and reading. A new effect is one file and one line here."""
 
 
 def sized(library: Iterable[Effect], scales: Scales) -> tuple[Effect, ...]:
@@ -103,7 +103,7 @@ def sized(library: Iterable[Effect], scales: Scales) -> tuple[Effect, ...]:
 
 
 LIBRARY = sized(_DECLARED, PAPER)
-"""Every effect there is, as it is on the paper's rig; `sized` makes it another's."""
+"""All effects for the paper's rig; `sized` scales them to another."""
 
 OMEGA_REF = Signal("omega_ref", "rpm", "commanded rotor speed", 0.0, 2e5, 6000.0, scale="speed")
 BETA_REF = Signal("beta_ref", "deg", "commanded blade pitch", -90.0, 90.0, 15.0, scale="pitch")
@@ -163,7 +163,7 @@ BASE = Model(
 def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, scales: Scales | None = None) -> Model:
     """The Wiener plant with the named effects on. KeyError names an effect that the library doesn't have.
 
-    `scales`: of the rig it is for; None: as the library's effects stand, the paper's.
+    `scales`: of its rig; None: those of the library's effects, the paper's.
     """
     names, library = frozenset(effects), tuple(library)
     for unknown in names - {e.name for e in library if e.off is not None}:
@@ -176,5 +176,5 @@ def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, scal
 
 @cache
 def _own(names: frozenset[str], scales: Scales) -> Model:
-    """One model for one set of names and scales: what was derived from it need not be derived again."""
+    """The same model object for the same names and scales, so that derived data are reused."""
     return compose(BASE, LIBRARY, names).sized(scales)

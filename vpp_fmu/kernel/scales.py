@@ -1,16 +1,16 @@
-"""The sizes by which a rig's quantities are measured: what an effect declares in shares becomes absolute for one rig.
+"""The scales of a rig's quantities, which convert an effect's relative declarations to absolute values.
 
-A threshold of a tenth of the pitch's span means the same for a micro rotor and for one of two metres. A parameter that goes
+A threshold of a tenth of the pitch's span means the same for a micro rotor and for one of two metres. A parameter that scales
 with the rig names its scale, a product of the words speed, pitch, thrust and time such as "speed.time/pitch"; its default,
-bounds and nominal are shares of that. Two words stand alone: a "position" of pitch counts from the pitch that is 0 when
-normalised; an "offset" is what is added to a pitch before it is normalised.
+bounds and nominal are shares of that. Two words are used alone: a "position" of pitch counts from the pitch whose normalised
+value is 0; an "offset" is added to a pitch before it is normalised.
 """
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
 WORDS = {"speed": "omega_scale", "pitch": "beta_scale", "thrust": "thrust_scale", "time": "time_scale"}
-"""What each word of a declared scale stands for."""
+"""Scale of each word."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Scales:
     time_scale: float = 0.5
 
     def absolute(self, share: float, scale: str) -> float:
-        """A share of a declared scale in the quantity's own unit; "" leaves it as it is. KeyError names a word not known."""
+        """A share of a declared scale in the quantity's unit; unchanged for "". KeyError names an unknown word."""
         if scale == "":
             return share
         if scale == "position":
@@ -46,8 +46,8 @@ class Scales:
                 factor = factor * size if power > 0 else factor / size
         return factor
 
-    def following(self, values: Mapping[str, float]) -> "Scales":
-        """These scales with those among parameter `values` in their place."""
+    def with_values(self, values: Mapping[str, float]) -> "Scales":
+        """These scales, replaced by those among parameter `values`."""
         own = asdict(self)
         return replace(self, **{name: float(values[name]) for name in own if name in values})
 

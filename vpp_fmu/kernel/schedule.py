@@ -1,4 +1,4 @@
-"""When a model takes its steps: one communication step becomes pieces, each with inputs that really are held.
+"""The schedule of a model's steps: a communication step is cut into pieces in which all inputs are constant.
 
 A piece ends where a delayed command begins to act, and is cut into equal steps no longer than the model's largest step. A
 delay is thus exact at any communication step, and every form that is exact for held inputs stays exact behind it. A
@@ -8,7 +8,7 @@ order, since results are compared bit by bit. This file travels inside the Pytho
 
 from math import ceil, isinf
 
-NOW = 1e-9  # s; what is due within a nanosecond is due now: rounding must not cut slivers off a step
+NOW = 1e-9  # s; events within a nanosecond are simultaneous, so that rounding cuts no tiny steps
 NUDGE = 1e-7  # s; short enough for a derivative at an instant, long enough to keep its digits
 SLOTS = 4096  # commands that may wait in one delay; C needs the bound, so Python has it too
 PIECES = 100_000  # of the model's own steps in one communication step of an FMU: seconds of work, where 1e9 s would not return
@@ -20,7 +20,7 @@ class DelayFull(OverflowError):
 
 
 class DelayLine:
-    """A command on its way: changes wait until their delay has passed, the last one that did is in force."""
+    """A delayed command: changes wait until their delay has passed."""
 
     def __init__(self, value):
         self.acting = self.latest = value
@@ -38,7 +38,7 @@ class DelayLine:
         self.latest, self.span = value, delay
 
     def act(self):
-        """Put in force whatever is due now. True if anything was."""
+        """Apply all changes that are due. True if any was."""
         changed = False
         while self.waits and self.waits[0] <= NOW:
             left = self.waits.pop(0)
@@ -48,7 +48,7 @@ class DelayLine:
         return changed
 
     def pass_time(self, piece):
-        """`piece` seconds go by."""
+        """Advance the time by `piece` seconds."""
         if self.waits:
             self.waits[0] -= piece
             self.span -= piece
@@ -58,8 +58,8 @@ def run_held(lines, delays, inputs, span, largest, step, nudge=None):
     """Advance a continuous model by `span` seconds under `inputs` that the caller holds.
 
     `lines`: DelayLine or None for each input; `delays`: the seconds each is held back; `largest`: the longest step allowed.
-    `step(acting inputs, dt)` takes one step. Where a delayed command begins to act, `nudge(k, old, new)` is told: the delay
-    of the k-th delayed input decides how long the inputs `old` stood where `new` stand now. Only tangents need to know.
+    `step(acting inputs, dt)` takes one step. When a delayed command begins to act, `nudge(k, old, new)` is called, for the
+    tangents: the delay of the k-th delayed input determines when the inputs change from `old` to `new`.
     """
     delayed = [(i, line) for i, line in enumerate(lines) if line is not None]
     for i, line in delayed:

@@ -1,4 +1,4 @@
-"""A model run as it stands: the reference that generated code is held against."""
+"""Run a model's functions in Python: the reference for generated code."""
 
 from collections.abc import Mapping
 
@@ -53,7 +53,7 @@ class Simulation:
 
     @property
     def outputs(self) -> dict[str, float]:
-        """The outputs by name, as they stand."""
+        """The present outputs by name."""
         return {s.name: self.signals[s.name] for s in self.model.outputs}
 
     def _complete(self, inputs: Mapping[str, float]) -> dict[str, float]:

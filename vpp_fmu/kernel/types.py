@@ -1,4 +1,4 @@
-"""What a model is made of: parameters, signals, states, effects; and one step of it on any arithmetic.
+"""The parts of a model: parameters, signals, states, effects; and one step of it on any arithmetic.
 
 A model is a chain. Its inputs are signals; each effect in turn reads signals, sets signals, and moves its own states; the
 signals at the end are the outputs. An effect never sees another's state: what it may know of the past is published as a
@@ -15,13 +15,13 @@ from typing import Any
 from vpp_fmu.kernel.scales import Scales
 
 SETTLING = 6
-"""How often a chain that feeds back is gone through to settle it: what is fed back with a share k is then k^6 off."""
+"""Passes through a chain with feedback to settle it: the error of a feedback with gain k is then k^6."""
 
 REAL, INTEGER, BOOLEAN = "Real", "Integer", "Boolean"
-"""What a quantity is to an importer, in FMI's words; within the model all are floats, a Boolean 0 or 1."""
+"""FMI type of a quantity; within the model all are floats, a Boolean 0 or 1."""
 
 INSTANT = 1e-9
-"""The shortest time the kernel tells apart, s. Two events closer than this are one; settling takes one such step."""
+"""Time resolution of the kernel, s. Two events closer than this are one; settling takes one such step."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Parameter:
     `limit_form`: what the effect becomes at a bound, where that is a form of its own and no sign of a misfit.
     `scale`: the rig's scale (`Scales.absolute`) that default, bounds and nominal are shares of, as the effect declares them;
     "": they are absolute. `unlimited`: the value, in the unit and on any rig, that stands for no limit at all. `kind`: as a
-    signal's. `tunable`: an importer may change it while the model runs, between two steps. `initial`: where something stood
-    when a record began, which is anywhere else in another record.
+    signal's. `tunable`: an importer may change it while the model runs, between two steps. `initial`: an initial condition,
+    which differs between records.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class State:
-    """What one effect remembers.
+    """A state of an effect.
 
     `start(ops, signals, parameters)` is its value on settled inputs, from the signals that reach the effect. `closed_by`
     names the signal whose value at the end of the chain is the next state, where the effect's own step does not return it.
@@ -147,7 +147,7 @@ class Effect:
     ahead: Mapping[str, str] = field(default_factory=dict)
 
     def sized(self, scales: Scales) -> "Effect":
-        """The effect with absolute numbers for a rig of these scales, whatever rig it was sized for before."""
+        """The effect with absolute numbers for a rig of these scales."""
         own = self.declared or self
         by_name = {p.name: p for p in own.parameters}
 
@@ -200,8 +200,8 @@ class Model:
 
     @cached_property
     def links(self) -> tuple[tuple[Effect, str, tuple, tuple, tuple], ...]:
-        """Of each effect: itself, what stands before its full names, and (name, full name) of its states and of its parameters;
-        (full name, signal) of states that a signal closes. A step needs them, and would spend half its time on making them."""
+        """For each effect: itself, the prefix of its full names, and (name, full name) of its states and of its parameters;
+        (full name, signal) of states that a signal closes. Cached, since making them takes half the time of a step."""
         return tuple(
             (
                 e,
@@ -215,26 +215,26 @@ class Model:
 
     @cached_property
     def memo(self) -> dict:
-        """What tools made of this model, by tool and options: a model never changes, and tracing one costs more than a run."""
+        """Derived data of this model, by tool and options: a model is immutable, and tracing one costs more than a run."""
         return {}
 
     @cached_property
     def measured_inputs(self) -> dict[str, float]:
-        """Inputs that effects brought along, with the value they have where nobody measures them."""
+        """Inputs of effects, with their value if they are not measured."""
         return {u.name: u.start for e in self.effects for u in e.inputs}
 
     @cached_property
     def optional(self) -> tuple[str, ...]:
-        """Names of the effects in this model that it could do without."""
+        """Names of the optional effects in this model."""
         return tuple(e.name for e in self.effects if e.off is not None)
 
     def sized(self, scales: Scales) -> "Model":
-        """The model for a rig of these scales: bounds, nominal values, and defaults where the rig decides them."""
+        """The model for a rig of these scales: bounds, nominal values, and defaults that depend on the rig."""
         inputs, outputs = (tuple(s.sized(scales) for s in signals) for signals in (self.inputs, self.outputs))
         return replace(self, inputs=inputs, outputs=outputs, effects=tuple(e.sized(scales) for e in self.effects))
 
     def values(self, changes: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Parameter values by full name: the defaults with `changes` laid over. KeyError names an unknown parameter."""
+        """Parameter values by full name: the defaults with `changes`. KeyError names an unknown parameter."""
         values = {p.name: p.default for p in self.parameters}
         for name, value in (changes or {}).items():
             if name not in values:
@@ -244,7 +244,7 @@ class Model:
 
 
 def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Model:
-    """`model` with what is always present and the named effects of `library`, in the library's order."""
+    """`model` with the permanent and the named effects of `library`, in the library's order."""
     wanted = set(names)
     effects = tuple(e for e in library if e.off is None or e.name in wanted)
     return replace(model, inputs=model.inputs + tuple(u for e in effects for u in e.inputs), effects=effects)
@@ -299,7 +299,7 @@ def _started(model: Model, ops: Any, inputs: Mapping, ahead: Mapping, parameters
 
 
 def largest_step(model: Model, ops: Any, parameters: Mapping) -> Any:
-    """The longest step [s] that every effect's form allows; infinite where all are exact. What is off allows any."""
+    """The longest step [s] that all active effects allow; infinite if all are exact."""
     longest = float("inf")
     for e in model.effects:
         if e.largest_step is None:

@@ -1,4 +1,4 @@
-"""Gradients over whole records by reverse mode: all parameters for the price of a few simulations, however many there are."""
+"""Gradients over whole records by reverse mode: all parameters at the cost of a few simulations."""
 
 import ctypes
 from collections.abc import Iterable, Mapping
@@ -18,7 +18,7 @@ FAILURES = {-1: "out of memory", -2: "too many command changes wait in a delay"}
 
 
 class Adjoint:
-    """A model ready for gradients in the parameters `wrt` (default: all). CompilerMissing where there is no C compiler."""
+    """A model ready for gradients in the parameters `wrt` (default: all). CompilerMissing: no C compiler."""
 
     def __init__(self, model: Model, wrt: Iterable[str] | None = None):
         names = [p.name for p in model.parameters]
@@ -27,12 +27,12 @@ class Adjoint:
         self._inputs = [s.name for s in model.inputs]
         self._record, self._pull_back = _compiled(model)
         self._entry = len(model.inputs) + len(model.states) + 1 + len(model.delays)
-        self._a_row = 1.0  # entries; learned where steps are cut
+        self._a_row = 1.0  # entries; grows when steps are cut
 
     def record(
         self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray, late: float = 0.0
     ) -> "Tape":
-        """Run a record (arguments as `Simulator.simulate`) and keep what the way back needs: memory is linear in its steps."""
+        """Run a record (arguments as `Simulator.simulate`) and keep the data of the reverse sweep, linear in its steps."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = completed(self.model, inputs, steps)
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
@@ -61,7 +61,7 @@ class Adjoint:
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """A record that was run: its `outputs` (rows, outputs), and the way back over it, for any number of times."""
+    """A simulated record: its `outputs` (rows, outputs), and the reverse sweep, which can be repeated."""
 
     outputs: np.ndarray
     _adjoint: Adjoint

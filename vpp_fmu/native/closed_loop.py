@@ -1,6 +1,6 @@
-"""The closed loop of `vpp_fmu.loop`, in one compiled function: plant, measurement chain and controller over a profile.
+"""The closed loop of `vpp_fmu.loop` in one compiled function: plant, measurement chain and controller over a profile.
 
-For searches and for many sets of parameters at once. The numbers are those of `vpp_fmu.loop.run`, to the bit.
+For searches and many sets of parameters. The numbers equal those of `vpp_fmu.loop.run` to the bit.
 """
 
 import ctypes
@@ -21,18 +21,18 @@ from vpp_fmu.native.simulator import _say_once
 from vpp_fmu.record import Record, held
 
 JUMP = 0.05
-"""Changes of the wanted thrust that are smaller than this share of its span are no steps to be judged."""
+"""Changes of the wanted thrust below this share of its span are not evaluated as steps."""
 
 ROW = ("omega_ref", "beta_ref", "thrust", "omega", "beta")
-"""What a run shows at each communication point."""
+"""Outputs of a run at each communication point."""
 
 FAILURES = {1: "out of memory", 2: f"more than {SLOTS} command changes wait in one delay"}
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What a loop is asked to follow: `wanted` thrust and `noise` of its reading (points,) N, one communication point every
-    `dt` seconds. The plant rests on the commands `rest` [rpm, deg] before. Errors are divided by `scale` [N]."""
+    """Inputs of a loop: `wanted` thrust and `noise` of its reading (points,) N, one communication point every `dt` seconds. The
+    plant is at rest on the commands `rest` [rpm, deg] before. Errors are divided by `scale` [N]."""
 
     wanted: np.ndarray
     noise: np.ndarray
@@ -42,18 +42,18 @@ class Course:
 
     @property
     def jump(self) -> float:
-        """The least change of `wanted` that counts as a step, N."""
+        """Minimum change of `wanted` that counts as a step, N."""
         return JUMP * float(np.ptp(self.wanted))
 
     @classmethod
     def of(cls, references: Record, dt: float, scale: float, noise: np.ndarray | None = None, **more) -> "Course":
-        """The course of a profile (`time` [s], `thrust_set` [N], each held to the next row), as `vpp_fmu.loop.run` has it."""
+        """The course of a profile (`time` [s], `thrust_set` [N], each held to the next row), as in `vpp_fmu.loop.run`."""
         _, wanted = held(references, dt)
         return cls(wanted, np.zeros(len(wanted)) if noise is None else noise, dt, scale, **more)
 
 
 class ClosedLoop:
-    """A plant under the project's controller, ready to run. Inputs that the plant's effects measure stay at their start."""
+    """A plant with the project's controller, ready to run. Measured inputs of the plant's effects keep their start values."""
 
     def __init__(self, plant: Model):
         self.models = plant, MEASUREMENT, CONTROLLER
@@ -64,19 +64,19 @@ class ClosedLoop:
         self._run = memo[made]
 
     def vectors(self, plant: Mapping, chain: Mapping, gains: Mapping) -> tuple[np.ndarray, ...]:
-        """Changes to the defaults of plant, measurement chain and controller, as their whole sets (parameters,)."""
+        """Complete parameter sets (parameters,) of plant, measurement chain and controller, from changes to the defaults."""
         changes = zip(self.models, (plant, chain, gains), strict=True)
         return tuple(np.array(list(model.values(change).values())) for model, change in changes)
 
     def run(self, sets: Sequence[np.ndarray], course: Course) -> Record:
-        """One run with the sets of `vectors`, as the record that `vpp_fmu.loop.run` gives. SimulationFailed."""
+        """One run with the sets of `vectors`, as the record of `vpp_fmu.loop.run`. SimulationFailed."""
         rows = self.rows(sets, course)[1]
         time = np.arange(len(rows)) * course.dt
         columns = dict(zip(ROW, rows.T, strict=True))
         return Record({"time": time, "thrust_set": course.wanted, **columns}, source="closed loop")
 
     def rows(self, sets: Sequence[np.ndarray], course: Course) -> tuple[np.ndarray, np.ndarray]:
-        """One run: its `merits` (2,), and what it shows at each communication point (points, ROW). SimulationFailed."""
+        """One run: its `merits` (2,), and its outputs at each communication point (points, ROW). SimulationFailed."""
         merits, rows = np.empty((1, 2)), np.empty((len(course.wanted), len(ROW)))
         self._run(_batch(sets), course, (*course.rest, *self._extra), merits, rows)
         return merits[0], rows
@@ -85,7 +85,7 @@ class ClosedLoop:
         """(count, 2) for each row of the sets, (count, parameters) or shared: the integral of the squared error over `scale`
         [s], and the largest overshoot of a step of the wanted thrust as a share of it. SimulationFailed.
 
-        Infinite where a run left all bounds.
+        Infinite if a run diverged.
         """
         sets = _batch(sets)
         merits = np.empty((max(len(each) for each in sets), 2))

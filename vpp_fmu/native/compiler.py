@@ -1,7 +1,7 @@
-"""Finds a C compiler, compiles, and keeps what was compiled under a name made from its source.
+"""Finds a C compiler, compiles, and caches libraries under the hash of their source.
 
-A cut-off library ends the process with SIGBUS as it is loaded, and a foreign one may do anything. So a library ends with a hash
-of what precedes it, and none is loaded that fails this check, belongs to another user or may be written by others.
+A truncated library ends the process with SIGBUS when it is loaded, and a foreign one may run any code. So a library ends with a
+hash of its content, and it is loaded only if the hash is right and only this user owns it and can write it.
 """
 
 import contextlib
@@ -23,15 +23,15 @@ FLAGS = (
     *("-std=c11", "-O1", "-ftree-loop-vectorize", "-fPIC", "-shared"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-w"),
 )
-"""-O1 runs such straight lines as fast as -O2 and compiles them in two thirds of the time; runs side by side are loops. No
-contraction into fused multiply-adds: they round once where Python rounds twice, and the bits would differ. Nobody reads errno
-or the exception flags: without them roots are one instruction, and choices need no branch."""
+"""-O1 code of straight lines is as fast as -O2 and compiles in two thirds of the time; parallel runs are loops. No fused
+multiply-adds: they round once where Python rounds twice. Neither errno nor the exception flags are read: without them roots are
+one instruction, and choices need no branch."""
 
 LARGEST = 100 * 2**20
-"""Bytes of all kept libraries: some 2000. A long diagnosis needs some hundred."""
+"""Maximum bytes of all cached libraries: some 2000 of them. A long diagnosis needs some hundred."""
 
 ZIG = "zig"
-"""Folder of the compiler for other platforms, which looks after it itself."""
+"""Cache folder of the compiler for other platforms, which manages it."""
 
 HASH = hashlib.sha256
 OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -39,7 +39,7 @@ OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 @cache
 def compiler() -> str:
-    """Path of the C compiler: `$CC`, or the first of cc, gcc, clang. CompilerMissing where there is none."""
+    """Path of the C compiler: `$CC`, or the first of cc, gcc, clang. CompilerMissing."""
     wanted = [os.environ["CC"]] if "CC" in os.environ else ["cc", "gcc", "clang"]
     for name in wanted:
         if path := shutil.which(name):
@@ -56,7 +56,7 @@ def compiled(source: str) -> ctypes.CDLL:
 
 
 def compiled_as(name: str, source: Callable[[], str]) -> ctypes.CDLL:
-    """The same under a `name` that no other source text has. `source` is only called where the library is not kept yet."""
+    """The same under a `name` that no other source text has. `source` is called only if the library is not cached."""
     cc = compiler()
     tag = HASH("\0".join([name, cc, *FLAGS, platform.machine()]).encode()).hexdigest()[:24]
     for folder in (cache_folder, private_folder):
@@ -71,7 +71,7 @@ def compiled_as(name: str, source: Callable[[], str]) -> ctypes.CDLL:
 
 
 def _loaded(library: Path) -> ctypes.CDLL | None:
-    """A kept library, marked as used now; None, and the file deleted, where it cannot be trusted or loaded."""
+    """A cached library, marked as used now; None, and the file deleted, if a check or loading fails."""
     try:
         if not _is_sound(library):
             raise OSError
@@ -88,7 +88,7 @@ def _loaded(library: Path) -> ctypes.CDLL | None:
 
 
 def _is_sound(library: Path) -> bool:
-    """Whether the file is this user's alone and whole. OSError."""
+    """Whether only this user owns and can write the file, and it is complete. OSError."""
     with open(os.open(library, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as file:
         status = os.fstat(file.fileno())
         if not _is_own(status) or status.st_mode & OTHERS:
@@ -103,7 +103,7 @@ def _is_own(status: os.stat_result) -> bool:
 
 
 def _build(cc: str, source: str, library: Path) -> None:
-    """Whole or not at all: several processes may compile the same, and a power cut may come. OSError, CompilerMissing."""
+    """Compile to a file atomically: processes may compile the same, and the power may fail. OSError, CompilerMissing."""
     with contextlib.closing(Scratch(library.parent)) as work:
         (work.path / "model.c").write_text(source, encoding="utf-8")
         _run([cc, *FLAGS, "model.c", "-o", "model.so", "-lm"], work.path)
@@ -112,14 +112,14 @@ def _build(cc: str, source: str, library: Path) -> None:
             digest = HASH(file.read()).digest()
             file.write(digest)
             file.flush()
-            os.fsync(file.fileno())  # else a power cut can leave the new name with no content
+            os.fsync(file.fileno())  # without it a power cut can leave an empty file
         built.chmod(0o600)
         os.replace(built, library)
     _evict(library)
 
 
 def _run(command: list[str], work: Path) -> None:
-    """CompilerMissing where the compiler fails: a machine without the C library's headers has none that serves."""
+    """Run the compiler. CompilerMissing if it fails, for example without the C library's headers."""
     try:
         done = subprocess.run(command, cwd=work, check=False, capture_output=True, text=True, errors="replace")
         errors = [line.partition("error: ")[2] for line in done.stderr.splitlines() if "error: " in line]
@@ -131,7 +131,7 @@ def _run(command: list[str], work: Path) -> None:
 
 
 def kept() -> list[tuple[Path, os.stat_result]]:
-    """The kept libraries with what the system says of them, the least recently used first."""
+    """The cached libraries with their file status, the least recently used first."""
     found = []
     for path in cache_folder().glob("*.so"):
         with contextlib.suppress(OSError):  # another process has just deleted it
@@ -140,14 +140,14 @@ def kept() -> list[tuple[Path, os.stat_result]]:
 
 
 def clear() -> None:
-    """Delete all kept libraries, and what the compiler for other platforms keeps beside them."""
+    """Delete all cached libraries, and the cache of the compiler for other platforms."""
     for path, _ in kept():
         path.unlink(missing_ok=True)
     shutil.rmtree(cache_folder() / ZIG, ignore_errors=True)
 
 
 def _evict(newest: Path) -> None:
-    """Delete the least recently used until LARGEST holds the rest. A process that has loaded one keeps it."""
+    """Delete the least recently used until the rest is below LARGEST. Loaded libraries stay usable."""
     libraries = kept()
     excess = sum(status.st_size for _, status in libraries) - LARGEST
     for path, status in libraries:
@@ -160,8 +160,8 @@ def _evict(newest: Path) -> None:
 
 @cache
 def cache_folder() -> Path:
-    """`$XDG_CACHE_HOME/vpp-fmu` where that is absolute, else `~/.cache/vpp-fmu`; a temporary folder where it is another user's
-    or cannot be written."""
+    """`$XDG_CACHE_HOME/vpp-fmu` if that is absolute, else `~/.cache/vpp-fmu`; a temporary folder if it is another user's or
+    cannot be written."""
     try:
         base = Path(os.environ.get("XDG_CACHE_HOME", ""))
         folder = (base if base.is_absolute() else Path.home() / ".cache") / "vpp-fmu"
@@ -171,16 +171,16 @@ def cache_folder() -> Path:
         status = folder.stat()
         if not _is_own(status):
             return private_folder()
-        if status.st_mode & OTHERS:  # who may write into the folder may exchange a library after its check
+        if status.st_mode & OTHERS:  # whoever can write to the folder can replace a library after its check
             folder.chmod(0o700)
         Scratch(folder).close()
-    except (OSError, RuntimeError):  # RuntimeError: nobody knows where home is
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
         return private_folder()
     return folder
 
 
 def private_folder() -> Path:
-    """A folder that goes with the process."""
+    """A folder that is removed with the process."""
     return _own().path
 
 

@@ -1,4 +1,4 @@
-"""The control loop over two FMU instances in one compiled function; the numbers are those of `vpp_fmu.loop`, to the bit."""
+"""The control loop over two FMU instances in one compiled function; the numbers equal those of `vpp_fmu.loop` to the bit."""
 
 import ctypes
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import numpy as np
 from vpp_fmu.native.compiler import compiled
 
 CHUNK = 1000
-"""Communication points between two looks at the world: signals are handled and progress is told then."""
+"""Communication points between two returns to Python, which handle signals and report progress."""
 
 
 class Entry(NamedTuple):
@@ -35,7 +35,7 @@ class _Side(ctypes.Structure):
 
 
 class Failed(NamedTuple):
-    """Which side (0: controller, 1: plant) failed at which communication point, with which of FMI's statuses."""
+    """A failed step: its side (0: controller, 1: plant), communication point and FMI status."""
 
     side: int
     point: int
@@ -46,9 +46,9 @@ def run_together(
     controller: Entry, plant: Entry, wanted: np.ndarray, dt: float, progress: Callable[[float], None]
 ) -> np.ndarray | Failed:
     """Rows (points, 5) of speed and pitch command [rpm, deg], thrust [N], speed [rpm] and pitch [deg] at each communication
-    point, `dt` seconds apart, under `wanted` thrust (points,) N; or what failed. CompilerMissing without a compiler.
+    point, `dt` seconds apart, under `wanted` thrust (points,) N; or the failure. CompilerMissing.
 
-    The plant rests and the controller is fresh; inputs and outputs are in the order of `vpp_fmu.plants`.
+    The plant is at rest and the controller new; inputs and outputs are in the order of `vpp_fmu.plants`.
     """
     run, count = _run_master(), len(wanted)
     sides = (_Side * 2)(_Side(*controller), _Side(*plant))

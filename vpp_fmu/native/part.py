@@ -12,7 +12,7 @@ from vpp_fmu.tracer import c_source, python_source, trace
 
 
 class CompiledPart:
-    """A model's library, and the addresses of its functions as `loop.c` wants them. CompilerMissing without a compiler."""
+    """A model's library, and the addresses of its functions for `loop.c`. CompilerMissing."""
 
     def __init__(self, model: Model):
         source = c_source(trace(model)) + (files("vpp_fmu.kernel") / "schedule.c").read_text()
@@ -31,7 +31,7 @@ class InterpretedPart:
         self._first, self._last = len(model.inputs), len(model.inputs) + len(model.outputs)
 
     def begin(self, parameters: Sequence[float], inputs: Sequence[float]) -> list[float]:
-        """At rest on `inputs`; the outputs."""
+        """Start at rest on `inputs`; returns the outputs."""
         layout, model = self._layout, self._model
         self._v = [*inputs, *[0.0] * len(layout.outputs), *parameters, *[0.0] * len(layout.states)]
         self._delays, self._wait, self._prepared = [None] * self._first, 0.0, (None, None)
@@ -45,7 +45,7 @@ class InterpretedPart:
         return self._v[self._first : self._last]
 
     def advance(self, inputs: Sequence[float], span: float) -> list[float]:
-        """Hold `inputs` for `span` seconds; the outputs at the end. DelayFull where commands change too often."""
+        """Hold `inputs` for `span` seconds; returns the outputs at the end. DelayFull if commands change too often."""
         if self._model.sample_time is None:
             run_held(self._lines, self._delays, list(inputs), span, self._largest, self._step)
         else:

@@ -1,4 +1,4 @@
-"""Whole records through a traced model: compiled where there is a compiler, else as generated Python; the same numbers."""
+"""Simulate whole records with a traced model: compiled, or without a compiler as generated Python; the same numbers."""
 
 import ctypes
 import hashlib
@@ -19,8 +19,8 @@ from vpp_fmu.native.compiler import compiled, compiled_as
 from vpp_fmu.tracer import LANES, Program, c_lanes, c_source, python_source, trace
 
 PIECE = 4096
-"""Rows that are run at a time where a record's sensitivities need not be held at once: few enough to stay in a core's cache,
-which is three times as fast as memory, and enough for what a piece costs by itself not to count."""
+"""Rows per piece if a record's sensitivities need not be held at once: few enough for a core's cache, which is three times as
+fast as memory, and enough to make the overhead of a piece negligible."""
 
 
 class Simulator:
@@ -38,8 +38,8 @@ class Simulator:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
 
         `parameters`: changes to the defaults, by name. `inputs`: one array (rows,) for each of the model's inputs, held from
-        its row to the next; those that effects brought may be missing. `steps` (rows - 1,): seconds from row to row. `late`:
-        share of its row, from 0 to below 1, after which a command acts.
+        its row to the next; those of effects may be missing. `steps` (rows - 1,): seconds from row to row. `late`: share of its
+        row, from 0 to below 1, after which a command acts.
         """
         outputs = np.empty((len(steps) + 1, len(self.outputs)))
         for _ in self._run_pieces(parameters, inputs, steps, late, len(outputs), outputs, None):
@@ -53,9 +53,9 @@ class Simulator:
         steps: np.ndarray,
         late: float = 0.0,
     ) -> np.ndarray:
-        """The same for several sets of parameters: outputs (rows, outputs, points), each to the bit what `simulate` gives.
+        """The same for several sets of parameters: outputs (rows, outputs, points), equal to `simulate` to the bit.
 
-        A step is a chain of operations that wait for each other: LANES runs side by side take little longer than one.
+        A step is a chain of dependent operations, so LANES parallel runs take little longer than one.
         """
         found = np.empty((len(self.outputs), len(steps) + 1, len(points)))
         for first in range(0, len(points), LANES):
@@ -82,9 +82,9 @@ class Simulator:
     def pieces(
         self, parameters, inputs, steps, late: float = 0.0, rows: int = PIECE
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """The same in pieces of `rows` rows, each (its rows, outputs, derivatives): a long record's need not be held at once.
+        """The same in pieces of `rows` rows, each (its rows, outputs, derivatives), to save memory.
 
-        Both are overwritten by the next piece.
+        The next piece overwrites both.
         """
         size = min(rows, len(steps) + 1)
         outputs, tangents = np.empty((size, len(self.outputs))), np.empty((size, len(self.outputs), len(self.wrt)))
@@ -92,7 +92,7 @@ class Simulator:
             yield at, outputs[: at.stop - at.start], tangents[: at.stop - at.start]
 
     def _run_pieces(self, parameters, inputs, steps, late, size, outputs, tangents) -> Iterator[slice]:
-        """Fill `outputs` and, unless it is None, `tangents`, both of `size` rows, over and over: the rows that stand there."""
+        """Fill `outputs` and, unless it is None, `tangents`, both of `size` rows, repeatedly; yields the rows in them."""
         values, columns, steps, rows = self._prepared(parameters, inputs, steps, late)
         if rows is None:
             yield from self._run_whole(values, columns, steps, size, outputs, tangents)
@@ -111,7 +111,7 @@ class Simulator:
             first += len(own)
 
     def _run_whole(self, values, columns, steps, ends, outputs, tangents) -> Iterator[slice]:
-        """The same of rows that are all wanted. `ends`: of each piece, or rows a piece."""
+        """The same for all rows. `ends`: of each piece, or rows per piece."""
         ends = range(ends, len(columns) + ends, ends) if isinstance(ends, int) else ends.tolist()
         with closing(self._run(values, columns, steps, tangents is None)) as run:
             next(run)
@@ -124,14 +124,14 @@ class Simulator:
                 first = at.stop
 
     def _prepared(self, parameters, inputs, steps, late):
-        """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order, and of rows that were split for `late`
-        commands the indices of the whole ones; None where none was."""
+        """(parameters, inputs (rows, inputs), steps), contiguous, in the model's order, and if rows were split for `late`
+        commands the indices of the original ones; else None."""
         values = np.array(list(self.model.values(parameters).values()))
         inputs = completed(self.model, inputs, steps)
         rows = {name: len(inputs[name]) for name in self._inputs}
         if set(rows.values()) != {len(steps) + 1}:
-            told = ", ".join(f"{name} has {count}" for name, count in rows.items())
-            raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {told}")
+            counts = ", ".join(f"{name} has {count}" for name, count in rows.items())
+            raise SimulationFailed(f"{self.model.name}: {len(steps)} steps need {len(steps) + 1} rows, {counts}")
         columns = np.column_stack([inputs[name] for name in self._inputs]).astype(float, order="C", copy=False)
         commanded = np.array([name not in self.model.measured_inputs for name in self._inputs])
         return values, *split(columns, np.ascontiguousarray(steps, float), commanded, late)
@@ -140,8 +140,8 @@ class Simulator:
 def split(
     columns: np.ndarray, steps: np.ndarray, commanded: np.ndarray, late: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """(inputs (rows + splits, inputs), steps, indices (rows,) of the rows as they were, None where none was split): each row in
-    which a command changes becomes two, the first of the share `late` of its time with the commands (inputs,) before."""
+    """(inputs (rows + splits, inputs), steps, indices (rows,) of the original rows, None if none was split): each row in which
+    a command changes becomes two, the first of the share `late` of its time with the previous commands (inputs,)."""
     if not late:
         return columns, steps, None
     changes = np.flatnonzero((columns[1:-1, commanded] != columns[:-2, commanded]).any(axis=1)) + 1
@@ -156,7 +156,7 @@ def split(
 
 
 def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray) -> dict[str, np.ndarray]:
-    """Inputs by name, each (rows,), with those that effects brought and nobody measured; rows last `steps` (rows - 1,) s."""
+    """Inputs by name, each (rows,), completed by unmeasured inputs of effects; rows last `steps` (rows - 1,) s."""
     rows = len(steps) + 1
     own = {name: np.full(rows, value) for name, value in model.measured_inputs.items()}
     own |= {u.name: np.append(steps, steps[-1:])[:rows] for u in model.inputs if u.clock and rows > 1}
@@ -164,7 +164,7 @@ def completed(model: Model, inputs: Mapping[str, np.ndarray], steps: np.ndarray)
 
 
 class _Chain:
-    """A model as what is traced of it: two of the same effects, whatever rig they were sized for, are one."""
+    """Cache key of a model: models with the same effects have the same trace, whatever their scales."""
 
     def __init__(self, model: Model):
         self.model = model
@@ -180,9 +180,9 @@ class _Chain:
 
     @property
     def text(self) -> str:
-        """What is traced of it, in names; "" where an effect is none of the library's, whose name says nothing of its text.
+        """The traced content, in names; "" if an effect is not of the library, since its name does not determine its text.
 
-        Tracing a model takes as long as some twenty runs of a record, and compiled ones are kept from one diagnosis to another.
+        Tracing a model takes as long as some twenty runs of a record, and compiled models are cached between diagnoses.
         """
         if not {id(e) for e in self._effects} <= {id(e.declared) for e in LIBRARY}:
             return ""
@@ -192,7 +192,7 @@ class _Chain:
 
 @cache
 def _library_text() -> str:
-    """A hash of all files that a library of effects, a trace of them, and the C about it are made from."""
+    """A hash of all files that determine the effects, their trace and the C."""
     folders = [files("vpp_fmu.kernel"), files("vpp_fmu.kernel.effects"), files("vpp_fmu.tracer"), files("vpp_fmu.native")]
     parts = sorted((path.name, path.read_bytes()) for folder in folders for path in folder.iterdir() if path.is_file())
     return hashlib.sha256(repr(parts).encode()).hexdigest()
@@ -200,9 +200,9 @@ def _library_text() -> str:
 
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
-    """(a generator function (parameters, inputs, steps, plain): each (rows, outputs, tangents) sent to it is filled in; a plain
-    run has no tangents, None; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows, LANES)) that fills the
-    last in: whether these runs stay in step; None where none do)."""
+    """(a generator function (parameters, inputs, steps, plain) that fills each (rows, outputs, tangents) sent to it; tangents:
+    None in a plain run; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows, LANES)) that fills the
+    outputs and returns whether these runs take the same steps; None if no runs do)."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
@@ -235,8 +235,8 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
                 last = at.stop == len(inputs)
                 moves = None if tangents is None else tangents.ctypes.data
                 if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, moves):
-                    told = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
-                    raise SimulationFailed(f"{name}: {told}")
+                    cause = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
+                    raise SimulationFailed(f"{name}: {cause}")
                 asked = yield
         finally:
             library.end(begun)

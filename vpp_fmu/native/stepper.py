@@ -1,4 +1,4 @@
-"""A traced model in this process, one step at a time: compiled where there is a compiler, else as generated Python."""
+"""A traced model in this process, one step at a time: compiled, or without a compiler as generated Python."""
 
 import ctypes
 from collections.abc import Mapping, Sequence
@@ -51,7 +51,7 @@ class Stepper:
         self.start, self._advance = start, step
 
     def step(self, inputs: Sequence[float], dt: float) -> list[float]:
-        """Hold the inputs for dt seconds; the outputs at the end. SimulationFailed."""
+        """Hold the inputs for dt seconds; returns the outputs at the end. SimulationFailed."""
         try:
             return self._advance(inputs, dt)
         except DelayFull as full:

@@ -1,4 +1,4 @@
-"""Figures of the static characterisation: thrust coefficient, how means settle, how well the map is known."""
+"""Figures of the static characterisation: thrust coefficient, convergence of means, uncertainty of the map."""
 
 import numpy as np
 from plotly import graph_objects as go
@@ -10,7 +10,7 @@ from vpp_fmu.report import style
 def thrust_coefficients(
     speeds: np.ndarray, pitches: np.ndarray, ct: np.ndarray, title: str, label: str = "C_T [-]"
 ) -> go.Figure:
-    """A coefficient of thrust over pitch, a line a speed: ct (m, k) over speeds (m,) [rpm] and pitches (k,) [deg].
+    """A thrust coefficient over pitch, one line per speed: ct (m, k) over speeds (m,) [rpm] and pitches (k,) [deg].
 
     NaN where not measured. Colours go from slow to fast. `label`: of its axis.
     """
@@ -33,9 +33,9 @@ def thrust_coefficients(
 def mean_convergence(
     m: np.ndarray, std: np.ndarray, white: np.ndarray, title: str, wanted: tuple[int, float] | None = None
 ) -> go.Figure:
-    """Standard deviation [N] of the mean of m readings, measured and were the readings independent; all (k,), log-log.
+    """Standard deviation [N] of the mean of m readings: measured, and for independent readings; all (k,), log-log.
 
-    `wanted`: (readings, standard deviation [N]) that the reader is to see; beyond the measured line it is extrapolated.
+    `wanted`: a marked point (readings, standard deviation [N]); beyond the measured line it is extrapolated.
     """
     fig = style.figure(title, 400)
     hover = {"hovertemplate": "%{y:.2~g} N for %{x} readings<extra></extra>"}

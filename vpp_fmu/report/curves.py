@@ -1,4 +1,4 @@
-"""Figures of what one effect does: reached against commanded, thrust behind it against thrust before it, and over time."""
+"""Figures of one effect: static response over the command, change of thrust over thrust, and response over time."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from vpp_fmu.report.panels import add_line, panels
 def reached_against_commanded(
     commanded: np.ndarray, reached: Mapping[str, np.ndarray], title: str, quantity: str, unit: str
 ) -> go.Figure:
-    """What is reached at rest, lines (n,) by name in the order they were gone through, over what was commanded (n,)."""
+    """Static response, lines (n,) by name in the order of the sweep, over the command (n,)."""
     fig = style.figure(title, 440)
     colours = style.colours(reached)
     ends = [float(np.min(commanded)), float(np.max(commanded))]
@@ -27,7 +27,7 @@ def reached_against_commanded(
 
 
 def behind_against_before(before: np.ndarray, change: np.ndarray, time: np.ndarray, title: str) -> go.Figure:
-    """What an effect does to the thrust: its change [N] over the thrust before it [N], coloured by the time [s]; all (n,)."""
+    """Change of the thrust by an effect [N] over the thrust without it [N], coloured by the time [s]; all (n,)."""
     fig = style.figure(title, 440, legend=False)
     fig.add_scatter(
         x=before,

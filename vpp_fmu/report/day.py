@@ -1,4 +1,4 @@
-"""Figures of a rig's day, round by round: how far the model is off, and what each branch's gains cost on the rig."""
+"""Figures of a rig's day by round: error of the model, and cost of each branch's gains on the rig."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -10,8 +10,8 @@ from vpp_fmu.report import style
 
 
 def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str], noise: float) -> go.Figure:
-    """rms error [N] of each model by name, one mapping a round, in a mission that it did not see where there was one; `chosen`
-    goes on; `noise` [N] of a reading."""
+    """rms error [N] of each model by name, one mapping per round, on an unseen mission if there was one; `chosen`: the accepted
+    model; `noise` [N] of a reading."""
     first, last = (e[name] for e, name in ((errors[0], chosen[0]), (errors[-1], chosen[-1])))
     fig = style.figure(f"Error of the model's thrust: {first:.3g} N in the first round, {last:.3g} N in the last", 360)
     rounds = np.arange(1, len(errors) + 1)
@@ -35,8 +35,8 @@ def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str]
 def costs_by_round(
     costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequence[Sequence[float]], winners: Sequence[str]
 ) -> go.Figure:
-    """Measured cost of each branch's finalists, time by time, one mapping a round, and whose fly next; `tries`: the search's
-    single flights."""
+    """Measured cost of each branch's finalists by flight, one mapping per round, and the next branch; `tries`: the single
+    flights of the search."""
     flies = np.array([np.mean(each[name]) for each, name in zip(costs, winners, strict=True)])
     first, last = np.mean(next(iter(costs[0].values()))), flies[-1]
     fig = style.figure(f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end", 360)
@@ -48,9 +48,13 @@ def costs_by_round(
     colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
     for name in names:
         at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ())]
-        told = np.array(at).reshape(-1, 2)
+        points = np.array(at).reshape(-1, 2)
         fig.add_scatter(
-            x=told[:, 0], y=told[:, 1], mode="markers", name=name, marker={"color": colours.get(name, style.FIT), "size": 10}
+            x=points[:, 0],
+            y=points[:, 1],
+            mode="markers",
+            name=name,
+            marker={"color": colours.get(name, style.FIT), "size": 10},
         )
     fig.add_scatter(
         x=np.arange(1, len(flies) + 1), y=flies, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}
@@ -85,7 +89,7 @@ WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
 
 
 def framework(numbers: Mapping[str, str]) -> str:
-    """SVG of the parts of Reinforcement Twinning and who tells whom; `numbers`: what each has to say, by the names of BOXES."""
+    """SVG of the parts of Reinforcement Twinning and the data flow between them; `numbers`: results by the names of BOXES."""
     at = {name: (20 + column * ACROSS, 10 + row * DOWN) for name, (column, row, _) in BOXES.items()}
     parts = []
     for one, other in ARROWS:

@@ -1,9 +1,8 @@
-"""A plotly figure as the few lists that `draw.js` draws.
+"""Convert a plotly figure to the data that `draw.js` draws.
 
-plotly's own script is 4.8 MB in every page, 2.0 MB packed as a browser can unpack it, and no Python package has a part of it.
-The pages need lines, markers, bars and heat maps over plain axes: `draw.js` draws these, in the colours of the page, light or
-dark, at any width. Figures stay plotly's for who imports them. What a figure asks for and `draw.js` doesn't know is refused
-here: nothing is left out in silence.
+plotly's own script takes 4.8 MB in every page, 2.0 MB packed. The pages need only lines, markers, bars and heat maps over plain
+axes: `draw.js` draws these in the colours of the page, light or dark, at any width. In Python the figures stay plotly's.
+A property of a figure that `draw.js` does not support is refused here, not dropped silently.
 """
 
 import base64
@@ -38,21 +37,21 @@ _KNOWN = {
     "layout": """title height margin template legend hovermode hoversubplots showlegend bargap bargroupgap barmode shapes
         annotations""",
 }
-"""All that a figure may ask for, by what asks."""
+"""Supported properties, by the kind of object."""
 
 _LOWEST = 84
-"""Pixels that a plot is high at least: the title of its axis stands beside it."""
+"""Minimum height of a plot, in pixels, for the title of its axis."""
 
 
 class Arrays:
-    """Numbers as base64 of 32-bit floats, seven digits, each array once a page: figures repeat their times."""
+    """Numbers as base64 of 32-bit floats, seven digits. Each array is stored once per page, since figures share their times."""
 
     def __init__(self):
         self._places: dict[str, int] = {}
         self._new: list[str] = []
 
     def add(self, values) -> int:
-        """The place of an array."""
+        """Index of an array."""
         packed = base64.b64encode(np.asarray(values, np.float32).tobytes()).decode()
         if packed not in self._places:
             self._places[packed] = len(self._places)
@@ -60,15 +59,15 @@ class Arrays:
         return self._places[packed]
 
     def new(self) -> list[str]:
-        """What was added since this was asked last."""
+        """Arrays added since the last call."""
         new, self._new = self._new, []
         return new
 
 
 def drawing(fig: go.Figure, arrays: Arrays) -> str:
-    """The figure as JSON for `draw`, with those of its `arrays` that the page has not yet.
+    """The figure as JSON for `draw`, with those of its `arrays` that are not yet in the page.
 
-    ValueError names what can't be drawn.
+    ValueError names an unsupported property.
     """
     for trace in fig.data:
         if trace.type not in ("scatter", "bar", "heatmap"):
@@ -118,7 +117,7 @@ def heading(fig: go.Figure) -> str:
 
 
 def _check(kind: str, asked: dict, within: str = "") -> None:
-    """Refuses what `draw.js` doesn't know."""
+    """ValueError for properties that `draw.js` does not support."""
     known = _KNOWN[kind].split()
     for key, value in asked.items():
         name = within + key
@@ -130,12 +129,12 @@ def _check(kind: str, asked: dict, within: str = "") -> None:
 
 
 def _short(key: str) -> str:
-    """plotly's name of an axis as traces call it: xaxis2 is x2."""
+    """Name of an axis in traces: x2 for xaxis2."""
     return key[0] + key[5:]
 
 
 def _words(text: str | None) -> str:
-    """Text for the page, which escapes it itself: without plotly's tags."""
+    """Text without plotly's tags; the page escapes it."""
     return html.unescape(re.sub(r"</?b>|<extra></extra>", "", (text or "").replace("<br>", "\n")))
 
 
@@ -261,7 +260,7 @@ def _scale(colours, least: float, most: float, title: str | None) -> dict[str, A
 
 
 def _shape(shape, key: str) -> dict[str, Any]:
-    """A line or a band right across a panel."""
+    """A line or a band across a panel."""
     _check("shape", shape.to_plotly_json())
     xref, yref = shape.xref or "x", shape.yref or "y"
     lying = xref.endswith("domain")
@@ -281,7 +280,7 @@ def _shape(shape, key: str) -> dict[str, Any]:
 
 
 def _entry(mark: dict) -> dict[str, Any]:
-    """A mark's place in the legend."""
+    """A mark's entry in the legend."""
     entry = {name: mark.get(name) for name in ("key", "name", "colour", "wide", "dash", "symbol", "size", "opacity")}
     if mark["kind"] == "bar":
         return entry | {"box": True}
@@ -302,7 +301,7 @@ def _plot_height(fig: go.Figure) -> float:
 
 
 def _panels(fig: go.Figure, axes: dict) -> list[dict[str, Any]]:
-    """Each pair of axes that a trace uses: where it stands, from the top and from the left, in shares of the plot."""
+    """Each pair of axes that a trace uses, with its position from the top left, in shares of the plot."""
     pairs = list(dict.fromkeys((trace.xaxis or "x", trace.yaxis or "y") for trace in fig.data))
     found = []
     for x, y in pairs:
@@ -324,7 +323,7 @@ def _heading(fig: go.Figure, x: str) -> str | None:
 
 
 def _bare(value):
-    """Without what is None, False or empty, which `draw.js` takes for granted; 0 stays."""
+    """Without entries that are None, False or empty, which are defaults of `draw.js`; 0 is kept."""
     if isinstance(value, dict):
         return {k: _bare(v) for k, v in value.items() if v is not None and v is not False and v != ""}
     return [_bare(v) for v in value] if isinstance(value, list) else value

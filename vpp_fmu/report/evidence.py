@@ -1,4 +1,4 @@
-"""The figure of what speaks for each candidate, and at which gate it failed."""
+"""The figure of each candidate's evidence, and the reason for its rejection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
 COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
 
 _LEAST = 1.0
-"""Where bars begin: on a logarithmic axis there is no zero."""
+"""Start of the bars on the logarithmic axis."""
 
 
 @dataclass(frozen=True)
@@ -20,29 +20,29 @@ class Bar:
     """A candidate: its evidence [nat], its outcome (a key of COLOURS) and why, in a few words."""
 
     name: str
-    fall: float
+    likelihood_gain: float
     outcome: str
     why: str
 
 
 def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | None = None) -> go.Figure:
-    """Candidates by their evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
+    """Candidates by evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
 
-    `taken`: evidence of the one that was taken; within `gate` of it lie those that fit as well, in a shaded band. What has less
-    than 1 has no bar.
+    `taken`: evidence of the accepted candidate. A shaded band marks candidates within `gate` of it, which fit as well.
+    Candidates below 1 have no bar.
     """
-    ranked = sorted(bars, key=lambda bar: -bar.fall)
+    ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
     fig = style.figure(title, 140 + 30 * len(ranked))
     for outcome, colour in COLOURS.items():
         own = [bar for bar in ranked if bar.outcome == outcome]
         if own:
             fig.add_bar(
                 y=[style.escaped(bar.name) for bar in own],
-                x=[max(bar.fall, _LEAST) for bar in own],
+                x=[max(bar.likelihood_gain, _LEAST) for bar in own],
                 orientation="h",
                 name=outcome,
                 marker_color=colour,
-                text=[f"{bar.fall:,.0f}  {style.escaped(bar.why)}" for bar in own],
+                text=[f"{bar.likelihood_gain:,.0f}  {style.escaped(bar.why)}" for bar in own],
                 textposition="outside",
                 textfont={"size": 12},
                 cliponaxis=False,
@@ -52,8 +52,8 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
     fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", layer="below", showlegend=True)
     if taken is not None:
         fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
-    reach = np.log10(max(10.0 * gate, *(bar.fall for bar in ranked)))
-    # The reasons stand behind the bars: half of the width is theirs.
+    reach = np.log10(max(10.0 * gate, *(bar.likelihood_gain for bar in ranked)))
+    # The reasons are beside the bars and take half of the width.
     fig.update_xaxes(title_text="evidence [nat]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
     order = [style.escaped(bar.name) for bar in ranked]
     fig.update_yaxes(title_text="candidate [-]", type="category", categoryorder="array", categoryarray=order[::-1])

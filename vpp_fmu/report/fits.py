@@ -1,4 +1,4 @@
-"""Figures of a fit: what it did to the parameters, how they hang together, how it converged."""
+"""Figures of a fit: change and correlation of the parameters, convergence."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ from vpp_fmu.report import style
 def parameter_change(
     names: Sequence[str], start: np.ndarray, final: np.ndarray, low: np.ndarray, high: np.ndarray, title: str
 ) -> go.Figure:
-    """Parameters before and after the fit with their 95 % interval low to high, as change in % of the start; arrays (n,).
+    """Parameters before and after the fit with the 95 % interval low to high, as change in % of the start; arrays (n,).
 
-    The labels hold the values. What starts from 0 has no relative change and shows in its label only; nan stands for a
-    bound that isn't known.
+    The labels hold the values. A parameter that starts from 0 has no relative change and is shown in its label only; nan: an
+    unknown bound.
     """
     start, final, low, high = (np.asarray(values, float) for values in (start, final, low, high))
     scale = np.where(start == 0.0, np.nan, np.abs(start)) / 100.0
@@ -45,7 +45,7 @@ def parameter_change(
 
 
 def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
-    """The correlation of n parameters, matrix (n, n), with its values written in; the ones of the diagonal stay blank."""
+    """The correlation matrix (n, n) of n parameters with its values; the diagonal is blank."""
     labels = [style.escaped(name) for name in names]
     fig = style.figure(title, 170 + max(28 * len(labels), 200), legend=False)
     fig.add_heatmap(
@@ -68,14 +68,14 @@ def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) ->
 
 
 def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quantity: str = "cost [-]") -> go.Figure:
-    """The cost at each of n evaluations, both (n,), and the best one so far; cost on a logarithmic axis."""
+    """The cost at each of n evaluations, both (n,), and the lowest so far; cost on a logarithmic axis."""
     fig = style.figure(title, 340)
     fig.add_scatter(x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 5, "color": style.SET_POINT})
     best = np.fmin.accumulate(np.asarray(cost, float))
     fig.add_scatter(
         x=evaluations, y=best, mode="lines", name="best so far", line={"color": style.AFTER, "width": 2, "shape": "hv"}
     )
-    fig.update_xaxes(title_text="evaluations [-]", dtick=1 if len(cost) <= 20 else None)  # there is no half evaluation
+    fig.update_xaxes(title_text="evaluations [-]", dtick=1 if len(cost) <= 20 else None)  # whole evaluations only
     fig.update_yaxes(title_text=quantity, type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
     return fig
 
@@ -93,7 +93,7 @@ def _ticks(cost: np.ndarray) -> str | int:
 
 
 def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
-    """The range [%] that shows every change and the typical interval: one hopeless parameter must not flatten the rest."""
+    """The range [%] that shows every change and the typical interval, so that one unidentifiable parameter does not set it."""
     known = np.isfinite(change)
     if not known.any():
         return [-1.0, 1.0]

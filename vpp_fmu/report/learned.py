@@ -1,4 +1,4 @@
-"""The figure of a learned term: its curve with a band over the driver, and below it where the data were."""
+"""The figure of a learned term: its curve with a band over the driver, and below it the distribution of the data."""
 
 from collections.abc import Mapping
 

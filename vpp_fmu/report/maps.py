@@ -10,9 +10,9 @@ from vpp_fmu.report import style
 def map_lines(
     speeds: np.ndarray, pitches: np.ndarray, thrust: np.ndarray, points: tuple[np.ndarray, np.ndarray, np.ndarray], title: str
 ) -> go.Figure:
-    """The map over pitch, a line a speed: thrust (m, n) [N] over speeds (m,) [rpm] and pitches (n,) [deg].
+    """The map over pitch, one line per speed: thrust (m, n) [N] over speeds (m,) [rpm] and pitches (n,) [deg].
 
-    `points`, measured: (speed [rpm], pitch [deg], thrust [N]), each (k,), in the colour of the nearest of the speeds.
+    `points`, measured: (speed [rpm], pitch [deg], thrust [N]), each (k,), in the colour of the nearest speed.
     """
     fig = style.figure(title, 520)
     omega, beta, measured = points
@@ -57,7 +57,7 @@ def map_section(
 def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, title: str) -> go.Figure:
     """Measured - map [N] at the points of a grid: arrays (k,) with omega [rpm] and beta [deg] as commanded.
 
-    Points that the campaign left out stay empty.
+    Points that the campaign does not have are empty.
     """
     speeds, column = np.unique(omega, return_inverse=True)
     pitches, row = np.unique(beta, return_inverse=True)

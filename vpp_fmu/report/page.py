@@ -1,4 +1,4 @@
-"""One HTML page that opens from a file, without a network and for good."""
+"""A self-contained HTML page that opens from a file without a network."""
 
 from collections.abc import Sequence
 from html import escape
@@ -14,15 +14,15 @@ from vpp_fmu.report.sheet import SHEET
 from vpp_fmu.report.table import table
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
-"""Forbids the browser to fetch anything."""
+"""Forbids all requests of the browser."""
 
 _HINT = "Figures: point at a line to read it, drag to zoom, double-click to go back, click on a name to hide it."
 
 
 class Page:
-    """A report, built from top to bottom; `tiles` always stand above everything else.
+    """A report, built from top to bottom; `tiles` are always above everything else.
 
-    `source`: what was measured and when; it stands above the title, with the date of the report.
+    `source`: the measurement and its date; it is above the title, with the date of the report.
     """
 
     def __init__(self, title: str, summary: str, source: str = ""):
@@ -37,7 +37,7 @@ class Page:
         self._tables = 0
 
     def tiles(self, tiles: Sequence[tuple[str, object, str]]) -> None:
-        """Key figures (label, value, note): what the reader of the first screen must know."""
+        """Key figures (label, value, note) at the top of the page."""
         for label, value, note in tiles:
             self._tiles.append(
                 f'<div class="tile"><div class="label">{escape(label).replace("_", "_<wbr>")}</div>'
@@ -45,7 +45,7 @@ class Page:
             )
 
     def section(self, title: str, text: str = "") -> None:
-        """A heading and its paragraphs, parted by empty lines."""
+        """A heading and its paragraphs, separated by empty lines."""
         self._sections.append(title)
         self._parts.append(f'<h2 id="section-{len(self._sections)}">{escape(title)}</h2>\n{_paragraphs(text)}')
 
@@ -66,16 +66,16 @@ class Page:
         self._parts.append(f"<figure><h3>{escape(title)}</h3>\n{svg}\n<figcaption>{escape(caption)}</figcaption></figure>")
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
-        """A table; the columns' names bear the units. Reals show four significant digits, texts as they are."""
+        """A table; the columns' names include the units. Reals have four significant digits."""
         self._tables += 1
         self._parts.append(table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
 
     def note(self, text: str) -> None:
-        """A remark that must not be missed."""
+        """An important remark."""
         self._parts.append(f"<aside>{_paragraphs(text)}</aside>")
 
     def html(self) -> str:
-        """The page, the same bytes for the same input."""
+        """The page; the same input gives the same bytes."""
         script = f"<script>\n{SCRIPT}</script>\n" if self.figures else ""
         hint = f'<p class="hint">{_HINT}</p>\n' if self.figures else ""
         source = " · ".join(filter(None, (self.source, f"report of {now()[:10]}")))
@@ -92,7 +92,7 @@ class Page:
         )
 
     def _contents(self) -> str:
-        """Links to the sections, once there are enough to lose one's way."""
+        """Links to the sections, if there are many."""
         if len(self._sections) < 3:
             return ""
         links = (f'<a href="#section-{k}">{escape(title)}</a>' for k, title in enumerate(self._sections, start=1))
@@ -100,7 +100,7 @@ class Page:
 
 
 def _paragraphs(text: str) -> str:
-    """Text parted by empty lines as escaped paragraphs; what is indented, an equation, line by line."""
+    """Text, split at empty lines, as escaped paragraphs; indented text, an equation, line by line."""
     parts = [part for part in text.split("\n\n") if part.strip()]
     return "\n".join(
         f"<pre>{escape(dedent(part))}</pre>" if part.startswith("    ") else f"<p>{escape(part.strip())}</p>" for part in parts

@@ -1,4 +1,4 @@
-"""Panels over one common time axis: zoom and hover act on all of them."""
+"""Panels over a common time axis: zoom and hover act on all of them."""
 
 import re
 import textwrap
@@ -34,7 +34,7 @@ def panels(title: str, labels: Sequence[str], heights: Sequence[int]) -> go.Figu
 def add_line(
     fig: go.Figure, panel: int, time: np.ndarray, values: np.ndarray, name: str, line: dict, group: str | None = None
 ) -> None:
-    """A line in the given panel (from 0). With a `group` it has no legend entry and goes on and off with the line so named."""
+    """A line in the given panel (from 0). With a `group` it has no legend entry and is shown with the line of that name."""
     fig.add_scatter(
         x=time,
         y=values,
@@ -48,7 +48,7 @@ def add_line(
 
 
 def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
-    """A band around zero over the lines of a panel: behind them a dense residual would hide it."""
+    """A band around zero, drawn over the lines of a panel, or a dense residual would hide it."""
     axis = _axis("y", panel)
     fig.add_shape(
         type="rect",
@@ -68,7 +68,7 @@ def add_band(fig: go.Figure, panel: int, half_width: float, name: str) -> None:
 def add_envelope(
     fig: go.Figure, panel: int, time: np.ndarray, low: np.ndarray, high: np.ndarray, name: str, colour: str
 ) -> None:
-    """A band of a colour from `low` to `high`, both (n,), over the time [s]; of one name, only the first is in the legend."""
+    """A coloured band from `low` to `high`, both (n,), over the time [s]; only the first of a name is in the legend."""
     shown = not any(trace.name == style.escaped(name) for trace in fig.data)
     shared = {"mode": "lines", "legendgroup": name, "yaxis": _axis("y", panel), "line": {"width": 0}, "hoverinfo": "skip"}
     fig.add_scatter(x=time, y=low, showlegend=False, **shared)
@@ -77,11 +77,11 @@ def add_envelope(
 
 
 def _folded(label: str, height: int) -> str:
-    """The label broken into lines that fit along `height` pixels, at some 8 pixels a letter."""
+    """The label in lines that fit along `height` pixels, at some 8 pixels per letter."""
     at_dots = re.sub(r"\.(?=[a-z])", ". ", label)  # an effect's name, and its parameter's
     return "<br>".join(line.replace(". ", ".") for line in textwrap.wrap(at_dots, height // 8))
 
 
 def _axis(kind: str, panel: int) -> str:
-    """Plotly's name of an axis: the first bears no number."""
+    """Plotly's name of an axis: the first has no number."""
     return kind if panel == 0 else f"{kind}{panel + 1}"

@@ -10,7 +10,7 @@ from vpp_fmu.report.panels import add_line, panels
 from vpp_fmu.report.thinning import places
 
 MOST = 300.0
-"""Half-widths beyond this, in %, stand at the edge: nothing is known, and how little does not matter."""
+"""Half-widths beyond this, in %, are drawn at the edge: the parameter is unknown."""
 
 
 def planned_commands(
@@ -27,9 +27,9 @@ def planned_commands(
 
 
 def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], title: str) -> go.Figure:
-    """Half-widths of 95 % intervals of n parameters in % of their size, each (n,), by what they follow from; the last is best.
+    """Half-widths of 95 % intervals of n parameters in % of their size, each (n,), by data set; the last is best.
 
-    A line a parameter joins the widest with the last.
+    A line per parameter joins the widest with the last.
     """
     labels = [style.escaped(name) for name in names]
     shown = {name: np.minimum(np.asarray(values, float), MOST) for name, values in widths.items()}

@@ -1,4 +1,4 @@
-"""Figures over time: measured against predicted, closed loop, one record against another."""
+"""Figures over time: measurement and prediction, closed loop, two records."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ from vpp_fmu.report.thinning import places
 _NORMAL_95 = 1.959963984540054
 
 _HELD = "hv"
-"""Commands are held until the next one."""
+"""Line shape of commands, which are held until the next one."""
 
 _LOOP = ("thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
 
@@ -29,10 +29,10 @@ def measured_against_predicted(
     noise: float | None = None,
     band: np.ndarray | None = None,
 ) -> go.Figure:
-    """Measured and predicted values, measured - predicted with a band of +-2 `noise`, and a panel a command; over time [s].
+    """Measured and predicted values, their difference with a band of +-2 `noise`, and a panel per command; over time [s].
 
-    All arrays are (n,), values and `noise` (standard deviation) in `unit`. Commands go by their column's name. `band`: standard
-    deviation of a reading about the first prediction, drawn at 1.96 of it around the prediction and in the residual.
+    All arrays are (n,), values and `noise` (standard deviation) in `unit`. Commands are by column name. `band`: standard
+    deviation of a reading about the first prediction; 1.96 of it are drawn around the prediction and in the residual.
     """
     commands = commands or {}
     labels = [f"{quantity} [{unit}]", f"residual [{unit}]", *map(style.label, commands)]
@@ -66,10 +66,10 @@ def closed_loop(
     runs: Mapping[str, Mapping[str, np.ndarray]], title: str, limits: Mapping[str, tuple[float, float]] | None = None
 ) -> go.Figure:
     """Thrust with its set-point [N], speed [rpm] and pitch [deg] of each run over time [s]; commands dotted. `limits`: (least,
-    greatest) of each command by its name, drawn where they are known.
+    greatest) of each command by its name, drawn if known.
 
-    A run holds arrays (n,) by column name: time, thrust_set, thrust, omega_ref, omega, beta_ref, beta. What a rig doesn't
-    measure may be missing. The set-point is drawn once if all runs share it.
+    A run holds arrays (n,) by column name: time, thrust_set, thrust, omega_ref, omega, beta_ref, beta. Unmeasured ones may
+    be missing. The set-point is drawn once if all runs share it.
     """
     fig = panels(title, [style.label(name) for name in ("thrust", "omega", "beta")], [260, 150, 150])
     colours = style.colours(runs)
@@ -116,7 +116,7 @@ def two_records(
     quantity: str,
     unit: str,
 ) -> go.Figure:
-    """Two records over time [s], values in `unit`, and b - a at the times of a that both cover, b joined by straight lines."""
+    """Two records over time [s], values in `unit`, and b - a at the common times of a, with b interpolated linearly."""
     fig = panels(title, [f"{quantity} [{unit}]", f"difference [{unit}]"], [260, 160])
     time_a, a, time_b, b = (np.asarray(values, float) for values in (time_a, a, time_b, b))
     colours = style.colours((name_a, name_b))
@@ -125,7 +125,7 @@ def two_records(
     kept_a, kept_b = places([a, difference]), places([b])
     if np.array_equal(time_a, time_b):
         kept_a = kept_b = places([a, b, difference])
-    # Records that agree hide each other: the first shows as a seam around the second.
+    # Equal records hide each other, so the first is a wide line under the second.
     add_line(fig, 0, time_a[kept_a], a[kept_a], name_a, {"color": colours[name_a], "width": 2.6})
     add_line(fig, 0, time_b[kept_b], b[kept_b], name_b, {"color": colours[name_b], "width": 1})
     line = {"color": style.MEASURED, "width": 1}

@@ -1,4 +1,4 @@
-"""Figures of what two models leave over, before and after: what it goes with, at which frequencies, after which moves."""
+"""Figures of two models' residuals, before and after: correlations, spectrum, and means after moves of commands."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,9 +11,10 @@ from vpp_fmu.report.panels import add_band, add_line, panels
 
 
 def correlations(lags_s: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]], band: float, title: str) -> go.Figure:
-    """A panel for each of the `rows`, named by what the residual is held against: lines (n,) by name over the lag [s].
+    """A panel for each of the `rows`, named by the signal that is correlated with the residual: lines (n,) by name over the lag
+    [s].
 
-    Within +-band a correlation can't be told from none.
+    Correlations within +-band are not significant.
     """
     fig = panels(title, [f"{name} [-]" for name in rows], [110] * len(rows))
     colours = style.colours(next(iter(rows.values())))
@@ -29,7 +30,7 @@ def correlations(lags_s: np.ndarray, rows: Mapping[str, Mapping[str, np.ndarray]
 
 
 def residual_spectrum(frequency: np.ndarray, power: Mapping[str, np.ndarray], noise: np.ndarray, title: str) -> go.Figure:
-    """Power density [N^2/Hz] of residuals by name and of the noise, all (n,), over the frequency [Hz]; NaN: none there."""
+    """Power density [N^2/Hz] of residuals by name and of the noise, all (n,), over the frequency [Hz]; NaN: no value."""
     fig = style.figure(title, 420)
     hover = {"hovertemplate": "%{y:.2e} N²/Hz at %{x:.2f} Hz"}
     line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
@@ -56,8 +57,8 @@ def residual_by_move(
 ) -> go.Figure:
     """Mean residual [N] after each move of a command, by name, over the move's size; all (n,).
 
-    `label` is the axis label of the size with its unit. `reversed_before`: whether the move goes the other way than the one
-    before; such moves are open diamonds. `noise`: standard deviation [N] that noise alone would give such a mean.
+    `label` is the axis label of the size with its unit. `reversed_before`: whether the move is opposite to the one before; such
+    moves are open diamonds. `noise`: standard deviation [N] of such a mean from noise alone.
     """
     fig = style.figure(title, 400)
     colours = style.colours(residuals)
@@ -82,11 +83,11 @@ def residual_by_move(
     return fig
 
 
-def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, told: float = 0.5) -> go.Figure:
-    """Squared cosines (n, n) of the traces of n effects, 0 to 1; each pair once, numbers from `told` on."""
+def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
+    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from `least` on."""
     labels = [style.escaped(name) for name in names]
     shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
-    texts = np.where(shown >= told, np.char.mod("%.2f", np.nan_to_num(shown)), "")
+    texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
     fig = style.figure(title, 190 + max(30 * len(labels), 120), legend=False)
     fig.add_heatmap(
         x=labels[:-1],

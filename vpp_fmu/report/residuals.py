@@ -1,4 +1,4 @@
-"""Figures of what the model leaves over."""
+"""Figures of the model's residual."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,7 +12,7 @@ from vpp_fmu.report import style
 def residual_by_section(
     labels: Sequence[str], before: np.ndarray, after: np.ndarray, noise: float | None, title: str
 ) -> go.Figure:
-    """The rmse [N] of each section before and after, both (n,), over the line that noise alone draws."""
+    """The rmse [N] of each section before and after, both (n,), with a line for the noise alone."""
     sections = [style.escaped(label) for label in labels]
     fig = style.figure(title, 380)
     for name, values, colour in (("before", before, style.BEFORE), ("after", after, style.AFTER)):
@@ -46,7 +46,7 @@ def residual_histogram(
     residual = np.asarray(residual, float)
     residual = residual[np.isfinite(residual)]
     largest = max(float(np.abs(residual).max()), 4 * noise_std)
-    # Bins of a quarter of the noise show its bell; a few hundred of them are all that a screen resolves.
+    # Bins of a quarter of the noise show its shape; a screen resolves a few hundred of them.
     bins = min(2 * int(np.ceil(4 * largest / noise_std)), 300)
     density, edges = np.histogram(residual, bins=bins, range=(-largest, largest), density=True)
     centres, width = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
@@ -75,19 +75,19 @@ def residual_histogram(
 
 
 def autocorrelation(lags_s: np.ndarray, values: np.ndarray, band: float, title: str) -> go.Figure:
-    """The residual's autocorrelation (n,) over the lag [s]; within +-band it can't be told from white noise."""
+    """The residual's autocorrelation (n,) over the lag [s]; within +-band it is consistent with white noise."""
     fig = _correlation({"residual": values}, lags_s, band, title, "autocorrelation [-]")
     fig.update_traces(fill="tozeroy", fillcolor=style.VEIL, selector={"name": "residual"})
     return fig
 
 
 def cross_correlation(lags_s: np.ndarray, inputs: Mapping[str, np.ndarray], band: float, title: str) -> go.Figure:
-    """The residual's correlation with each input (n,) over the lag [s]; a peak beyond +-band names what the model misses."""
+    """The residual's correlation with each input (n,) over the lag [s]; a peak beyond +-band shows a missing effect."""
     return _correlation(inputs, lags_s, band, title, "cross-correlation [-]")
 
 
 def _correlation(lines: Mapping[str, np.ndarray], lags_s: np.ndarray, band: float, title: str, label: str) -> go.Figure:
-    """Correlations over the lag [s], the band behind them."""
+    """Correlations over the lag [s], with their band."""
     fig = style.figure(title, 340)
     fig.add_hrect(
         -band, band, fillcolor=style.NOISE, line_width=0, layer="below", name=f"± {band:.2g}: no evidence", showlegend=True

@@ -1,4 +1,4 @@
-"""How the page looks: on a screen, wide or narrow, light or dark, and on paper."""
+"""The style sheet of the page: for wide and narrow screens, light and dark, and for paper."""
 
 from vpp_fmu.report.style import FONT, SCHEME
 
@@ -13,7 +13,7 @@ _PAGE = {
     "strong": ("#ffffff", "#10151a"),
     "warning": ("#fdf6ec", "#2b2317"),
 }
-"""Colours of the page by name, on white and on dark; `strong`: letters on the strongest colours of a heat map."""
+"""Colours of the page by name, light and dark; `strong`: letters on the strongest colours of a heat map."""
 
 
 def _colours(which: int) -> str:

@@ -1,4 +1,4 @@
-"""Figure of step responses: small panels, a step each, as the paper shows them."""
+"""Figure of step responses: a small panel per step, as in the paper."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -14,21 +14,20 @@ _PANEL, _GAP, _HEADING = 150, 52, 22
 """Pixels: height of a panel, from one row to the next, and of the headings above the first."""
 
 _RANKS = {"fitted": 2, "left out": 3}
-"""Order in the legend, behind the measured ones."""
+"""Order in the legend, after the measured ones."""
 
 _SETTLED, _ROOM = 0.02, 1.5
-"""Share of a step that a settled fit may miss, and how many times as long as that takes is drawn: what comes later is settled,
-or is told in the reasons."""
+"""Share of a step within which a fit counts as settled, and the drawn time as a multiple of that settling time."""
 
 _BEFORE = 0.13
 """Share of the time after the step that is drawn before it."""
 
 _POINTS = 240
-"""Points a line, as many as a panel is pixels wide."""
+"""Points per line: the width of a panel in pixels."""
 
 
 class Run(Protocol):
-    """What a run must have: `time` (rows,) s from the step, commands, and why it counts for nothing, if it does."""
+    """A run: `time` (rows,) s from the step, commands, and the reason if it is excluded."""
 
     time: np.ndarray
     start: float
@@ -44,10 +43,10 @@ class Run(Protocol):
 def step_responses(
     runs: Sequence[Run], title: str, unit: str = "rpm", level_unit: str = "deg", delayed: bool = False
 ) -> go.Figure:
-    """Normalised thrust over the time from the step, of the runs (one at least) of one channel; black: fitted.
+    """Normalised thrust over the time from the step, of the runs (at least one) of one channel; black: fitted.
 
-    Rows of panels: up, then down; columns: steps by size, commands in `unit` above; a colour each level of the other command,
-    in `level_unit`. Runs that were left out are grey and without their fit; a reader who points at them learns why.
+    Rows of panels: up, then down; columns: steps by size, commands in `unit` above; a colour per level of the other command,
+    in `level_unit`. Excluded runs are grey and without a fit; pointing at them shows the reason.
     """
     places_of = _grid(runs)
     rows = 1 + max(row for row, _ in places_of.values())
@@ -67,14 +66,14 @@ def step_responses(
     levels = sorted({run.level for run in runs})
     shades = {level: style.OTHERS[k % len(style.OTHERS)] for k, level in enumerate(levels)}
     named: set[str] = set()
-    for run in sorted(runs, key=lambda run: not run.reason):  # the grey ones first, under the others
+    for run in sorted(runs, key=lambda run: not run.reason):  # the excluded runs first, under the others
         name = "left out" if run.reason else f"measured at {run.level:g} {level_unit}"
         _add_run(fig, panels[run.direction, run.start, run.end], run, name, shades[run.level], delayed, named, after)
     return fig
 
 
 def _after(runs: Sequence[Run], delayed: bool) -> float:
-    """s from the step that are drawn of every run: until the slowest that counts has settled, and some more."""
+    """Drawn time [s] from the step: until the slowest included run has settled, and some more."""
     longest = max(float(run.time[-1]) for run in runs)
     times = [0.0]
     for run in runs:
@@ -131,7 +130,7 @@ def _add_axes(fig, panel, row, column, columns, tall, pitch, step, unit, after) 
 
 
 def _add_run(fig, panel, run, name, colour, delayed, named, after) -> None:
-    """The lines of one run until `after` s; `named` are those that the legend has already."""
+    """The lines of one run until `after` s; `named`: names that are in the legend already."""
     measured, fitted = run.normalised(delayed)
     near = np.flatnonzero((run.time >= -_BEFORE * after) & (run.time <= after) & np.isfinite(measured))
     kept = near[places([measured[near]], most=_POINTS)]
@@ -157,5 +156,5 @@ def _add_run(fig, panel, run, name, colour, delayed, named, after) -> None:
 
 
 def _axis(kind: str, panel: int) -> str:
-    """Plotly's name of an axis: the first bears no number."""
+    """Plotly's name of an axis: the first has no number."""
     return kind if panel == 0 else f"{kind}{panel + 1}"

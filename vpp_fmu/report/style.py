@@ -1,6 +1,6 @@
-"""What every figure shares: the palette, where each colour has one meaning, the plotly template, and the labels.
+"""Common style of all figures: the palette, in which each colour has one meaning, the plotly template, and the labels.
 
-The colours are Okabe and Ito's, told apart by colour-blind readers (jfly.uni-koeln.de/color).
+The colours are Okabe and Ito's, which colour-blind readers can distinguish (jfly.uni-koeln.de/color).
 """
 
 import html
@@ -25,7 +25,7 @@ VEIL = "rgba(0,114,178,0.16)"
 BAND = "rgba(86,180,233,0.32)"
 ZERO = "#fbfbfb"
 OTHERS = (AFTER, "#009e73", "#cc79a7", LIGHT_BLUE, "#882255", BEFORE)
-"""Colours of what has no fixed meaning, in the order they are given out."""
+"""Colours without a fixed meaning, in the order of use."""
 
 DIVERGING = ((0.0, AFTER), (0.5, ZERO), (1.0, PUBLISHED))
 """Negative to positive, the page's own colour at zero."""
@@ -47,10 +47,10 @@ SCHEME = {
     "#cc79a7": ("pink", "#e09cc4"),
     "#882255": ("wine", "#d8689f"),
 }
-"""Every colour of the figures, by what it is on white: its name in the page's style, and what it is on dark."""
+"""Every colour of the figures, by its value on white: its name in the page's style, and its value on dark."""
 
 _SEQUENCE = "Viridis", (0.25, 0.85)
-"""Colours of what is ordered, and the part of them that shows on white and on dark."""
+"""Colours of an ordered sequence, and the part of them that is visible on white and on dark."""
 
 ROLES = {
     "measured": MEASURED,
@@ -64,7 +64,7 @@ ROLES = {
     "fitted": AFTER,
     "augmented": AFTER,
 }
-"""Words in the name of a line that fix its colour."""
+"""Words in a line's name that determine its colour."""
 
 LABELS = {
     "time": "time [s]",
@@ -94,21 +94,21 @@ _AXIS = {
     "title": {"standoff": 8, "font": {"size": 13}},
     "hoverformat": ".5~g",
     "zerolinecolor": "#9aa5b1",
-    "exponentformat": "none",  # else 20000 rpm are "20k", and a tenth of a millinewton "100μ"
+    "exponentformat": "none",  # without it 20000 rpm are "20k", and 0.0001 N "100μ"
 }
 
 SHOWN = ".4~r"
-"""How d3 writes a measured quantity under the pointer: four significant digits, whatever the rig's size."""
+"""d3 format of a measured quantity under the pointer: four significant digits."""
 
 _WIDEST = 80
-"""Letters in a line of a title: what A4 holds at its size."""
+"""Letters in a line of a title on A4."""
 
 _COLOUR_BAR = {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}
 
 TEMPLATE = go.layout.Template(
     layout={
         "font": {"family": FONT, "size": 13, "color": _INK},
-        "separators": ".",  # a point before decimals, nothing between thousands: as in the text around
+        "separators": ".",  # a decimal point, no thousands separator, as in the text
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
         "colorway": OTHERS,
@@ -122,37 +122,37 @@ TEMPLATE = go.layout.Template(
 
 
 def ink(colour: str) -> str:
-    """A figure's colour as the page's style has it, light or dark; those of an ordered sequence are the same on both."""
+    """A figure's colour in the page's style, light or dark; those of an ordered sequence are the same in both."""
     if colour.startswith("rgb("):
         return colour
     if colour not in SCHEME:
-        raise ValueError(f"{colour} stands in no scheme: it may not show on dark")
+        raise ValueError(f"{colour} is in no scheme: it may be invisible on dark")
     return f"var(--{SCHEME[colour][0]})"
 
 
 def shades(count: int) -> list[str]:
-    """So many colours in an order, from low to high."""
+    """`count` ordered colours, from low to high."""
     name, (low, high) = _SEQUENCE
     return sample_colorscale(name, np.linspace(low, high, count).tolist())
 
 
 def sequence() -> list[list]:
-    """The scale of colours from low to high, for a heat map."""
+    """The colour scale of a heat map."""
     return [[float(at), colour] for at, colour in zip(np.linspace(0.0, 1.0, 9), shades(9), strict=True)]
 
 
 def label(name: str) -> str:
-    """The axis label "quantity [unit]" of a record's column; any other name must bring its unit itself."""
+    """The axis label "quantity [unit]" of a record's column; any other name must include its unit."""
     return LABELS.get(name, escaped(name))
 
 
 def escaped(text: str) -> str:
-    """`text` as plotly shows it to the letter: it would read tags, links among them, in any label."""
+    """`text` escaped for plotly, which would interpret tags in a label."""
     return html.escape(str(text), quote=False)
 
 
 def colours(names: Iterable[str]) -> dict[str, str]:
-    """A colour a name: by its first word with a fixed meaning (ROLES), if none or taken the next one still free."""
+    """A colour for each name: by its first word with a fixed meaning (ROLES); if none or taken, the next free one."""
     given = {}
     for name in names:
         role = next((ROLES[word] for word in re.findall("[a-z]+", name.lower()) if word in ROLES), None)
@@ -163,7 +163,7 @@ def colours(names: Iterable[str]) -> dict[str, str]:
 
 
 def figure(title: str, height: int, legend: bool = True) -> go.Figure:
-    """An empty figure `height` px high, as wide as its place; the title wraps, the legend's row stands below it."""
+    """An empty figure `height` px high, of the page's width; the title wraps, the legend is below it."""
     lines = _lines(title)
     below_title = 14 + 21 * len(lines)
     corner = {"x": 0.0, "xref": "container", "xanchor": "left", "yref": "container", "yanchor": "top"}
@@ -187,7 +187,7 @@ def figure(title: str, height: int, legend: bool = True) -> go.Figure:
 
 
 def _lines(title: str) -> list[str]:
-    """The title in as few lines as a page of A4 takes, of much the same length."""
+    """The title in the fewest lines that fit on A4, of similar length."""
     fewest = len(textwrap.wrap(title, _WIDEST))
     return next(
         (lines for width in range(24, _WIDEST) if len(lines := textwrap.wrap(title, width)) == fewest),

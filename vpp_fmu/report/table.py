@@ -6,15 +6,17 @@ from html import escape
 
 from vpp_fmu.digits import number
 
-_STARTS_AS_NUMBER = re.compile(r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d")  # a date is none, nor a name that begins with one
+_STARTS_AS_NUMBER = re.compile(
+    r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d"
+)  # a date is no number, nor is a name that begins with one
 
 _WORDS, _PROSE = 20, 90
-"""Letters from which on a text may wrap, and keeps a width that can be read; and from which on a column of such texts gets a
-wider one, if no other asks for it."""
+"""Number of letters from which a text wraps at a readable width; and from which a column of such texts gets a larger width, if
+no other column does."""
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:
-    """A table of texts and numbers; a column of numbers only is set flush right. `caption` is HTML."""
+    """A table of texts and numbers; columns of numbers are aligned right. `caption` is HTML."""
     cells = [[number(value) for value in row] for row in rows]
     right = [
         all(_STARTS_AS_NUMBER.match(row[k]) or row[k] in {"", "–", "∞", "−∞"} for row in cells) for k in range(len(columns))

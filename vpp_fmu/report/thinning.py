@@ -1,4 +1,4 @@
-"""Long records as lines that a browser draws at once, without losing a peak."""
+"""Thin long records for drawing, without losing a peak."""
 
 import math
 from collections.abc import Iterable
@@ -6,16 +6,16 @@ from collections.abc import Iterable
 import numpy as np
 
 MOST = 4000
-"""Points a line may have. Seven SVG lines of 22 500 points took 60 to 120 ms a zoom and 40 ms a hover on a slow machine,
-of 4000 points 30 and 18 ms, at a fifth of the bytes. WebGL lines are no way out: they need eval, which the page forbids, and
-plotly takes three WebGL contexts a figure where a browser grants some 16 a page."""
+"""Maximum points per line. On a slow machine seven SVG lines of 22 500 points take 60 to 120 ms per zoom and 40 ms per hover,
+of 4000 points 30 and 18 ms, at a fifth of the bytes. WebGL lines need eval, which the page forbids, and plotly takes three
+WebGL contexts per figure where a browser allows some 16 per page."""
 
 
 def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:
-    """Which samples, at most `most`, stand for lines over one time axis, each (n,): (k,) indices, all if they are so few.
+    """Indices (k,) of at most `most` samples to draw of lines over one time axis, each (n,).
 
-    The record is cut into equal bins, as short as the number allows; each gives its lowest and highest sample of every
-    line. All lines keep the same samples, so that a reader who points at a time is told values of that time.
+    The record is cut into equal bins, as short as the number allows; each gives its lowest and highest sample of every line.
+    All lines keep the same samples, so that values under the pointer are of one time.
     """
     lines = [np.asarray(line, float) for line in lines]
     n = len(lines[0])
@@ -29,14 +29,14 @@ def places(lines: Iterable[np.ndarray], most: int = MOST) -> np.ndarray:
 
 
 def thinning(samples: int) -> str:
-    """The sentence a caption owes its reader about lines of so many samples; empty where all are drawn."""
+    """A sentence for the caption of thinned lines; empty if all samples are drawn."""
     if samples <= MOST:
         return ""
     return f"Drawn are at most {MOST} of the {samples} samples, the extremes of every line among them."
 
 
 def to_the_eye(values: np.ndarray) -> np.ndarray:
-    """Values to some hundred-thousandth of their span, far less than a pixel: the digits behind it only make a page large."""
+    """Values rounded to some 1e-5 of their span, far less than a pixel, to keep the page small."""
     seen = values[np.isfinite(values)]
     span = float(np.ptp(seen)) if len(seen) else 0.0
     return np.round(values, 5 - math.floor(math.log10(span))) if span > 0.0 else values

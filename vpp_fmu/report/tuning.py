@@ -11,7 +11,7 @@ from vpp_fmu.report.panels import add_line, panels
 from vpp_fmu.report.thinning import to_the_eye
 
 REACH = 2.5
-"""Half-width of the Nyquist plot: what happens near -1 must be seen."""
+"""Half-width of the Nyquist plot, which must show the region around -1."""
 
 _THIN = 0.7
 
@@ -81,7 +81,7 @@ def margins_over_thrust(
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Responses of many plants to one step: `thrust` (plants, n) and what was `wanted` (n,), N; `gains` name the colour."""
+    """Responses of many plants to one step: `thrust` (plants, n) and set-point `wanted` (n,), N; `gains` name the colour."""
 
     step: str
     gains: str
@@ -90,7 +90,7 @@ class Cloud:
 
 
 def response_clouds(time: np.ndarray, clouds: Sequence[Cloud], title: str, shown: int = 40) -> go.Figure:
-    """A panel a cloud over the time from the step (n,) s: the first `shown` plants, and lines that hold 90 %."""
+    """A panel per set of plants over the time from the step (n,) s: the first `shown` plants, and lines of the 90 % range."""
     fig = panels(title, [f"{cloud.step}: thrust [N]" for cloud in clouds], [170] * len(clouds))
     colours = style.colours(dict.fromkeys(cloud.gains for cloud in clouds))
     named: set[str] = set()
@@ -112,7 +112,7 @@ def response_clouds(time: np.ndarray, clouds: Sequence[Cloud], title: str, shown
 
 
 def cost_ranks(costs: Mapping[str, Sequence[float]], title: str) -> go.Figure:
-    """Costs of many plants by name, each in its own ascending order."""
+    """Costs of many plants by name, each sorted."""
     fig = style.figure(title, 340)
     colours = style.colours(costs)
     for name, values in costs.items():

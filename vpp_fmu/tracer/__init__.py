@@ -1,4 +1,4 @@
-"""Turns the kernel's functions into straight-line Python and C. See `program` for what is kept and why."""
+"""Turns the kernel's functions into straight-line Python and C; see `program`."""
 
 from vpp_fmu.tracer.emit import LANES, c_lanes, c_source, python_source
 from vpp_fmu.tracer.program import Layout, Program, trace

@@ -16,7 +16,7 @@ from vpp_fmu.tracer.tangents import tangents
 
 @dataclass(frozen=True)
 class Adjoints:
-    """The way back through each block of a program, on cotangents in place: all are read before any is written.
+    """The reverse sweep through each block of a program, on cotangents in place: all are read before any is written.
 
     `b` stands for values by their position, `g` for prepared constants. Going back through `step` turns the cotangents of
     the states behind it into those of the states before it, takes the outputs' away, since it overwrote them, and adds to
@@ -64,7 +64,7 @@ def pulled_back(graph: Graph, seeds: Iterable[tuple[object, Node]]) -> dict[Node
     for value, w in seeds:
         if isinstance(value, Node):
             add(value, w)
-    for n in reversed(needed(value for value, _ in seeds)):  # whoever uses n stands behind it: its cotangent is complete
+    for n in reversed(needed(value for value, _ in seeds)):  # all nodes that use n come later, so its cotangent is complete
         for a in dict.fromkeys(n.nodes):
             (partial,) = tangents(graph, {a: 1.0}, [n], [n])
             if n in total and not _is(partial, 0.0):

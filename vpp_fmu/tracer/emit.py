@@ -17,7 +17,7 @@ ONCE = """#if defined(__clang__)
 #define ONCE
 #endif
 """
-"""Marks what runs once a simulation: to optimise it takes longer than it ever saves."""
+"""Marks functions that run once per simulation: optimising them takes longer than it saves."""
 
 
 def python_source(program: Program) -> str:
@@ -53,7 +53,7 @@ def python_source(program: Program) -> str:
 
 
 def c_source(program: Program) -> str:
-    """The same functions as static C, with the sizes and positions that `schedule.c` asks for."""
+    """The same functions as static C, with the sizes and positions for `schedule.c`."""
     layout, model, width = program.layout, program.model, len(program.wrt)
     at = layout.index
 
@@ -98,13 +98,13 @@ def c_source(program: Program) -> str:
 
 
 LANES = 4
-"""Runs that `c_lanes` steps side by side: two vectors of the narrowest registers that a 64-bit processor has, so that one's
-operations fill the waits of the other's."""
+"""Parallel runs in `c_lanes`: two vectors of the narrowest registers of a 64-bit processor, so that the operations of one hide
+the latency of the other's."""
 
 
 def c_lanes(program: Program) -> str:
-    """`step` without tangents as static C on LANES sets of values at once, value by value the same arithmetic. "" where runs do
-    not stay in step: of a model that is sampled, or delays its inputs."""
+    """`step` without tangents as static C on LANES sets of values at once, with the same arithmetic. "" if runs may take
+    different steps: for a model that is sampled, or delays its inputs."""
     if program.model.sample_time or program.model.delays:
         return ""
     writes = tuple((target, value) for target, value in program.step if target[0] != "d")
@@ -115,20 +115,20 @@ def c_lanes(program: Program) -> str:
 
 
 def c_function(head: str, writes: tuple[Write, ...], name: Callable) -> str:
-    """A static C function that does `writes`; `name(target or leaf)` is the C expression of what stands for it."""
+    """A static C function that does `writes`; `name(target or leaf)` is its C expression."""
     lines, stores = _c_statements(writes, name)
     return "".join([f"\nstatic {head} {{\n", *(f"  {line}\n" for line in lines + stores), "}\n"])
 
 
 HEAVY = frozenset(CALLS) - {"sqrt"}
-"""Operations that cost as much as some twenty others: what only one side of a choice needs of them is computed there."""
+"""Operations that cost as much as some twenty others: if only one side of a choice needs them, they are computed there."""
 
 Path = tuple[tuple[int, int], ...]
-"""Where a statement stands: number of a choice and its side (1 or 2), from the outermost inwards."""
+"""Place of a statement: number of a choice and its side (1 or 2), from the outermost inwards."""
 
 
 def _c_statements(writes: tuple[Write, ...], name: Callable) -> tuple[list[str], list[str]]:
-    """(what is computed, what is stored or returned of it)."""
+    """(nodes to compute, values to store or return)."""
     order, form = needed(value for _, value in writes), "const double {0} = {1};"
     homes, text = _homes(order, [value for _, value in writes if isinstance(value, Node)]), {}
     inside: dict[Path, list[Node]] = {}
@@ -161,10 +161,9 @@ def _c_statements(writes: tuple[Write, ...], name: Callable) -> tuple[list[str],
 
 
 def _homes(order: Sequence[Node], written: Iterable[Node]) -> dict[Node, Path]:
-    """For each node the innermost place from which all that use it can see it, no choice being opened that holds nothing
-    HEAVY."""
+    """For each node the innermost place that is visible to all its users; choices without HEAVY operations have no place."""
     homes: dict[Node, Path] = dict.fromkeys(written, ())
-    for n in reversed(order):  # whoever uses a node comes behind it
+    for n in reversed(order):  # all users of a node come later
         for k, a in enumerate(n.args):
             if isinstance(a, Node):
                 there = (*homes[n], (n.number, k)) if n.op == "where" and k else homes[n]
@@ -174,13 +173,13 @@ def _homes(order: Sequence[Node], written: Iterable[Node]) -> dict[Node, Path]:
 
 
 def _shared(one: Path, other: Path) -> Path:
-    """What two paths begin with in common."""
+    """Common beginning of two paths."""
     same = [a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))]
     return tuple(same)
 
 
 def _statements(writes, name: Callable, operation: Callable, form: str):
-    """Code for what `writes` need: (statements in order, expression of each target's value)."""
+    """Code for `writes`: (statements in order, expression of each target's value)."""
     order = needed(value for _, value in writes)
     uses = Counter(value for _, value in writes if isinstance(value, Node))
     uses.update(a for n in order for a in n.nodes)

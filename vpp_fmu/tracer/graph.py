@@ -1,6 +1,6 @@
-"""The arithmetic that records: what a kernel function computes on symbols becomes a graph of operations.
+"""Recording arithmetic: the computation of a kernel function on symbols becomes a graph of operations.
 
-What can't be recorded raises Unseen, a TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
+Operations that can't be recorded raise Unseen, a TypeError: `if`, `and`, `==`, `max`, `**`, `math.exp` on a traced value.
 """
 
 from collections.abc import Iterable
@@ -65,7 +65,7 @@ class Graph(Ops):
         self._known: dict[tuple, Node] = {}
 
     def node(self, op: str, *args) -> Node:
-        """The node for `op` on `args`: a new one, or the one that computes this already."""
+        """The node for `op` on `args`: a new one, or the existing one."""
         key = (op, *(a.number if isinstance(a, Node) else repr(float(a)) for a in args))
         if key not in self._known:
             self._known[key] = Node(self, op, args, len(self._known))
@@ -100,7 +100,7 @@ class Graph(Ops):
 
 
 def needed(values: Iterable[object]) -> list[Node]:
-    """Those of the values that are nodes and all nodes below them; what is needed comes first, as it was recorded."""
+    """The nodes among the values and all nodes that they need, in the order of recording."""
     stack = [v for v in values if isinstance(v, Node)]
     seen = set(stack)
     while stack:

@@ -1,7 +1,7 @@
 """A model's own functions, run once on symbols: straight-line blocks with forward tangents.
 
 The same operations in the same order as on floats, so that generated Python and C equal the functions to the last bit.
-What depends only on parameters and the step is set apart (`prepare`), since it need not be computed at every step.
+Values that depend only on parameters and the step are computed separately (`prepare`), not at every step.
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from vpp_fmu.tracer.tangents import tangents
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each value stands in the one list of values; the index is the FMU's value reference."""
+    """Index of each value in the list of all values; it is the FMU's value reference."""
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -40,7 +40,7 @@ class Layout:
 
     @cached_property
     def moving(self) -> list[int]:
-        """Positions of what a step changes, outputs then states; tangents are kept for these, in this order."""
+        """Positions of the values that a step changes, outputs then states; these have tangents, in this order."""
         return self.positions("output") + self.positions("state")
 
 
@@ -51,7 +51,7 @@ constant, ("result",) a scalar that is returned."""
 
 @dataclass(frozen=True)
 class Program:
-    """A traced model: what `start`, `prepare`, `step` and `largest_step` write."""
+    """A traced model: the writes of `start`, `prepare`, `step` and `largest_step`."""
 
     model: Model
     layout: Layout
@@ -98,7 +98,7 @@ def _writes(graph: Graph, layout: Layout, signals: dict, states: dict, wrt: list
 
 
 def _set_apart(graph: Graph, writes: tuple[Write, ...], parameters: set[Node]) -> tuple[tuple[Write, ...], tuple[Write, ...]]:
-    """Split what needs only parameters and dt off: (what `prepare` writes, what `step` writes from it)."""
+    """Split off values that need only parameters and dt: (writes of `prepare`, writes of `step`)."""
     order = needed(value for _, value in writes)
     fixed = set()
     for n in order:
@@ -115,7 +115,7 @@ def _set_apart(graph: Graph, writes: tuple[Write, ...], parameters: set[Node]) -
         return graph.node("c", len(prepared) - 1)
 
     def carried(n: object) -> object:
-        """What stands for `n` in `step`."""
+        """The expression for `n` in `step`."""
         if not isinstance(n, Node):
             return n
         if n not in moved:  # then it is fixed: all others are entered in order, below

@@ -6,12 +6,12 @@ from vpp_fmu.tracer.graph import COMPARE, Graph, Node
 
 
 def tangents(graph: Graph, leaves: Mapping[Node, object], values: Sequence[object], order: Iterable[Node]) -> list[object]:
-    """The derivatives of values in one parameter, from those of the leaves; leaves not named do not depend on it.
+    """The derivatives of values in one parameter, from those of the leaves; unnamed leaves do not depend on it.
 
     Values and derivatives are nodes or numbers; `order`: all nodes that the values need, in order. A derivative that is zero
-    stays the number 0.0, so what doesn't depend on the parameter costs nothing.
+    stays the number 0.0, so values that do not depend on the parameter cost nothing.
     """
-    known = {n: d for n, d in leaves.items() if not _is(d, 0.0)}  # what is not in there is 0
+    known = {n: d for n, d in leaves.items() if not _is(d, 0.0)}  # missing ones are 0
     for n in order:
         if n not in known and n.op not in COMPARE and not known.keys().isdisjoint(n.nodes):
             derivative = _rule(graph, n, [known.get(a, 0.0) if isinstance(a, Node) else 0.0 for a in n.args])

@@ -15,7 +15,7 @@ from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_va
 from identification.diagnose.judgement import ALPHA, ALPHA_HELD_OUT, ALTERNATIVE_WINDOW, MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
-from identification.diagnose.learned.score import TOLD
+from identification.diagnose.learned.score import ESTIMABLE
 from identification.diagnose.learned.screening import Lead, forms_of, screened
 from identification.diagnose.search.fits import Fit, Searcher
 from identification.diagnose.search.refits import evidence_over
@@ -154,7 +154,7 @@ class Carried(Judge):
         which may not identify the base: this favours the fit without a term.
         """
         if id(fit) not in self._by_thirds:
-            self._by_thirds[id(fit)] = fit, cross_validated(fit, contiguous_folds, _own, TOLD)
+            self._by_thirds[id(fit)] = fit, cross_validated(fit, contiguous_folds, _own, ESTIMABLE)
         return self._by_thirds[id(fit)][1]
 
     def gain(self, fit: Fit, beside: Fit) -> float:

@@ -19,16 +19,16 @@ from identification.fit.linearised import Linearised
 DEPENDENT = 1e-3
 """Eigenvalue relative to the largest below which columns count as linearly dependent."""
 
-TOLD = 0.1
+ESTIMABLE = 0.1
 """Share of the information of all data about a direction that two thirds must have to estimate it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Result of a group's test. `fall`: decrease of half the sum of squares; `held_out`: cross-validated log-likelihood gain;
-    `rank`; `shares` (k,): coefficients of the columns."""
+    """Result of a group's test. `likelihood_gain`: decrease of half the sum of squares; `held_out`: cross-validated
+    log-likelihood gain; `rank`; `shares` (k,): coefficients of the columns."""
 
-    fall: float
+    likelihood_gain: float
     held_out: float
     rank: int
     shares: np.ndarray
@@ -95,7 +95,7 @@ class Scores:
         shares, rank = _solved(whole, -product.sum(axis=0))
         error, total = 0.0, sum(self._squares)
         for k in self._folds:
-            other = informed_inverse(whole - gram[k], whole, TOLD) @ (product[k] - product.sum(axis=0))
+            other = informed_inverse(whole - gram[k], whole, ESTIMABLE) @ (product[k] - product.sum(axis=0))
             error += self._squares[k] + 2.0 * float(other @ product[k]) + float(other @ gram[k] @ other)
         gain = 0.5 * len(self._fold) * float(np.log(total / max(error, 1e-300)))
         return Scored(-0.5 * float(shares @ product.sum(axis=0)), gain, rank, shares / size)

@@ -74,7 +74,7 @@ class Lead:
     @property
     def promising(self) -> bool:
         """Whether its gain exceeds that of the best by chance, and the held-out gain is positive."""
-        return self.scored.fall > self.needed and self.scored.held_out > 0.0
+        return self.scored.likelihood_gain > self.needed and self.scored.held_out > 0.0
 
 
 def screened(fit: Fit, values: Mapping[str, float] | None = None, spread: Callable = map) -> list[Lead]:

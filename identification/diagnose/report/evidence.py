@@ -37,23 +37,23 @@ def add_evidence(page: Page, found: Diagnosis) -> None:
     for effect, judged in found.selection.judgements.items():
         gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
         page.note(
-            f"{effect}: the log-likelihood increases by {judged.fall:.4g}; chance exceeds {judged.needed:.3g} in one rig of "
-            f"{1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; the minimum "
-            f"size of interest is {judged.least:.2g} N."
+            f"{effect}: the log-likelihood increases by {judged.likelihood_gain:.4g}; chance exceeds {judged.needed:.3g} in "
+            f"one rig of {1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; "
+            f"the minimum size of interest is {judged.least:.2g} N."
         )
 
 
 def _add_round(page: Page, found: Diagnosis, number: int, fitted: list[CandidateFit]) -> None:
     bars = [_bar(found, t) for t in fitted]
     beside = " and ".join(fitted[0].beside) or "nothing"
-    best = max(bars, key=lambda bar: bar.fall)
-    taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.fall, default=None)
+    best = max(bars, key=lambda bar: bar.likelihood_gain)
+    taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.likelihood_gain, default=None)
     if taken is None:
         title = f"Round {number}, beside {beside}: no candidate is accepted, {best.name} has the most evidence"
     else:
-        title = f"Round {number}, beside {beside}: the evidence for {taken.name} is {taken.fall:,.0f} nats"
+        title = f"Round {number}, beside {beside}: the evidence for {taken.name} is {taken.likelihood_gain:,.0f} nats"
     page.figure(
-        evidence_bars(bars, MIN_EVIDENCE, title, None if taken is None else taken.fall),
+        evidence_bars(bars, MIN_EVIDENCE, title, None if taken is None else taken.likelihood_gain),
         "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records. Candidates in the shaded "
         "band fit as well as the accepted one.",
     )

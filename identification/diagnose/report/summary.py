@@ -181,7 +181,7 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
     return {
         "delta_bic": 2.0 * judged.evidence,
         "evidence": judged.evidence,
-        "log_likelihood": judged.fall,
+        "log_likelihood": judged.likelihood_gain,
         "log_likelihood_by_chance": judged.needed,
         "held_out_gain": dict(judged.gain),
         "size": {"value": judged.size, "unit": "N"},
@@ -232,7 +232,12 @@ def _shift(found: Diagnosis) -> dict:
 
 def _tried(found: Diagnosis, tried: CandidateFit) -> dict:
     name = tried.candidate.name
-    entry = {"name": name, "form": dict(tried.candidate.form), "beside": list(tried.beside), "promised_gain": tried.fall}
+    entry = {
+        "name": name,
+        "form": dict(tried.candidate.form),
+        "beside": list(tried.beside),
+        "promised_gain": tried.likelihood_gain,
+    }
     if tried.fit is None:
         return entry | {"why_not": why_not(found, tried)}
     entry |= {"delta_bic": 2.0 * tried.evidence, "parameters": {n: tried.fit.values[n] for n in tried.candidate.free}}

@@ -65,7 +65,7 @@ class Fit:
         values = {**self.values, **found.values}
         return replace(self, values=values, problem=found.problem, solution=found.solution.slim(), estimate=uncertainty)
 
-    def told(self, knowledge: Knowledge | None) -> Prior | None:
+    def prior(self, knowledge: Knowledge | None) -> Prior | None:
         """Prior of the free parameters."""
         return knowledge and knowledge(self.problem.model, self.values, self.problem.coordinates.names)
 
@@ -73,7 +73,7 @@ class Fit:
         """The same effects, their smooth parameters estimated as in an identification: with independent noise, and `knowledge`
         as the prior."""
         scale = self.values["thrust_scale"]
-        again = self._anew([e.of_noise(independent(scale)) for e in self.problem.experiments], self.told(knowledge))
+        again = self._anew([e.of_noise(independent(scale)) for e in self.problem.experiments], self.prior(knowledge))
         return again._solved(again.problem.solve_and_weigh(self.values)[-1])
 
     def with_map_of(self, other: "Fit") -> "Fit":
@@ -93,7 +93,7 @@ class Fit:
 
         With fewer effects, the disagreement may come from a missing one. Effects that act only during transients bias no static
         point: with them the prior gets no wider."""
-        nominal = self.told(knowledge)
+        nominal = self.prior(knowledge)
         if nominal is None:
             return self
         loose = self._with_prior(nominal.loosened(WIDEST))

@@ -32,7 +32,7 @@ class CandidateFit:
 
     candidate: Candidate
     beside: tuple[str, ...]
-    fall: float
+    likelihood_gain: float
     fit: Fit | None = None
     evidence: float | None = None
 
@@ -50,7 +50,10 @@ def evidence_over(fit: Fit, other: Fit) -> float:
 def first_round(searcher: Searcher, fit: Fit, options: Sequence[Candidate], pool) -> list[CandidateFit]:
     """Screen all candidates beside a fit, and refit the most promising."""
     return deeper(
-        searcher, fit, [CandidateFit(c, fit.effects, at.fall) for c, at in screened(searcher, fit, options, pool)], pool
+        searcher,
+        fit,
+        [CandidateFit(c, fit.effects, at.likelihood_gain) for c, at in screened(searcher, fit, options, pool)],
+        pool,
     )
 
 
@@ -62,12 +65,12 @@ def deeper(searcher: Searcher, fit: Fit, tried: Sequence[CandidateFit], pool) ->
     count = REFITTED[min(len(fit.effects), len(REFITTED) - 1)]
     predicted: dict[str, float] = {}
     for t in tried:
-        if t.fit is None and t.fall > MIN_EVIDENCE:
-            predicted.setdefault(t.candidate.name, t.fall)
+        if t.fit is None and t.likelihood_gain > MIN_EVIDENCE:
+            predicted.setdefault(t.candidate.name, t.likelihood_gain)
     most = max(predicted.values(), default=0.0)
     first = {name: gain for k, (name, gain) in enumerate(predicted.items()) if k < count or gain > most - MIN_EVIDENCE}
     least = {name: max(MIN_EVIDENCE, REACH * gain) for name, gain in first.items()}
-    chosen = [t.candidate for t in tried if t.fit is None and t.fall >= least.get(t.candidate.name, np.inf)]
+    chosen = [t.candidate for t in tried if t.fit is None and t.likelihood_gain >= least.get(t.candidate.name, np.inf)]
     if not chosen:
         return list(tried)
     at = {c.label: seen for c, seen in screened(searcher, fit, chosen, pool)}
@@ -125,7 +128,7 @@ def screened(searcher: Searcher, fit: Fit, options: Iterable[Candidate], pool) -
         at = Screening(fit, searcher.start, searcher.library, biased=searcher.biased(fit)).at
         cached.update(zip((c.label for c in new), pool.map(at, new), strict=True))
     searcher.points = max(searcher.points, sum(seen.points for seen in cached.values()))
-    return sorted(((c, cached[c.label]) for c in fresh), key=lambda pair: -pair[1].fall)
+    return sorted(((c, cached[c.label]) for c in fresh), key=lambda pair: -pair[1].likelihood_gain)
 
 
 def refitted(searcher: Searcher, fit: Fit, candidate: Candidate, at: ScreeningResult) -> Fit:

@@ -46,10 +46,10 @@ between points."""
 
 @dataclass(frozen=True)
 class ScreeningResult:
-    """Predicted gain of a candidate: decrease `fall` of half the sum of squares, at `values` of all free parameters and the
-    order of lags `slow_first`; `points`: number of computed points."""
+    """Predicted gain of a candidate: decrease `likelihood_gain` of half the sum of squares, at `values` of all free parameters
+    and the order of lags `slow_first`; `points`: number of computed points."""
 
-    fall: float
+    likelihood_gain: float
     values: Mapping[str, float]
     points: int
     slow_first: Mapping[str, bool]
@@ -76,7 +76,7 @@ class Screening:
     def at(self, candidate: Candidate) -> ScreeningResult:
         """The best result for a candidate, over the points of linearisation."""
         found = [ScreeningResult(*model.at(candidate), order) for model, order in self._models]
-        return replace(max(found, key=lambda each: each.fall), points=sum(each.points for each in found))
+        return replace(max(found, key=lambda each: each.likelihood_gain), points=sum(each.points for each in found))
 
 
 class _LinearScreening:

@@ -12,16 +12,16 @@ changes.
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 TIME_CONSTANTS = (0.001, 30.0)
-"""s, on any rig: below the one no logger sees a lag, beyond the other nobody waits for one."""
+"""Range of a time constant, s: smaller ones are invisible to a logger, larger ones are not plausible."""
 
 
 def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[Effect, ...]:
     """The stages of channel `u` ("omega" or "beta"), commanded by the signal `<u>_ref`.
 
-    Signals: `<u>_inner` and `<u>_outer` are the stages' values before the step, `<u>_error` is what the inner one lacks,
-    `<u>_move` and `<u>_travel` what the inner and the outer cover in the step; `tau_<u>_1`, `tau_<u>_2`; at the
-    end `<u>`, its mean rate in the step `<u>_rate` and what it lacks of its command, `<u>_to_go`. Where an effect has set
-    `<u>_lowest` or `<u>_highest`, the outer stage stops there.
+    Signals: `<u>_inner` and `<u>_outer` are the stages' values before the step, `<u>_error` the inner stage's error,
+    `<u>_move` and `<u>_travel` the changes of the inner and the outer one in the step; `tau_<u>_1`, `tau_<u>_2`; at the end
+    `<u>`, its mean rate in the step `<u>_rate` and its remaining error, `<u>_to_go`. If an effect has set `<u>_lowest` or
+    `<u>_highest`, the outer stage stops there.
     """
     ref, error = f"{u}_ref", f"{u}_error"
     inner, move, inner_ahead = f"{u}_inner", f"{u}_move", f"{u}_inner_ahead"
@@ -50,8 +50,8 @@ def channel(u: str, title: str, unit: str, tau_1: float, tau_2: float) -> tuple[
             reached = ops.maximum(reached, getattr(s, lowest))
         if hasattr(s, highest):
             reached = ops.minimum(reached, getattr(s, highest))
-        told = {f"{u}_rate": (reached - getattr(s, outer)) / dt, f"{u}_to_go": getattr(s, ref) - reached}
-        return {u: reached, outer_ahead: reached, inner_ahead: getattr(s, inner) + getattr(s, move), **told}, {}
+        published = {f"{u}_rate": (reached - getattr(s, outer)) / dt, f"{u}_to_go": getattr(s, ref) - reached}
+        return {u: reached, outer_ahead: reached, inner_ahead: getattr(s, inner) + getattr(s, move), **published}, {}
 
     def constant(name, default, stage):
         text = f"time constant of the {stage} lag between commanded and reached {title}"

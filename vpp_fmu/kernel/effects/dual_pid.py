@@ -5,8 +5,8 @@
     D[k] = (1 - delta) D[k-1] + delta (e[k] - e[k-1]) / dt,     delta = dt / t_filter
     w_ref = kp e + ki I + kd D,   held within the limits
 
-Clamping looks at each channel by itself: an integral stops when its own sum stands outside its own limits and the step would
-take it further out. With one shared integral, or one shared test, the channel that still has room would stall with the other.
+Clamping is separate for each channel: an integral stops if its sum is outside of its limits and the step would increase the
+excess. With a shared integral, or a shared test, a channel within its limits would stop with the other.
 Departs from the paper: delta is held to 1 where t_filter < dt, since the form is unstable there.
 """
 
@@ -26,7 +26,7 @@ def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
 
 
 def _step(ops, s, x, p, dt):
-    running = x.running > 0.5  # the first sample has no past: it adds nothing to the integrals, and sees no rate
+    running = x.running > 0.5  # the first sample has no predecessor: it adds nothing to the integrals, and has no rate
     e = (s.thrust_set - s.thrust) / p.thrust_scale
     before = ops.where(running, x.error, e)
     move = ops.where(running, 0.5 * (before + e) * dt, 0.0)

@@ -31,7 +31,7 @@ EFFECT = Effect(
     "thrust leads while the inflow builds up",
     _step,
     parameters=(
-        Parameter("gain", "1", 0.0, 0.0, 1.0, "lead over what the inflow lacks: thrust overshoots", 0.1),
+        Parameter("gain", "1", 0.0, 0.0, 1.0, "lead over the remaining change of inflow: thrust overshoots", 0.1),
         Parameter("time_constant", "s", 0.2, 0.006, 2.0, "time constant of the inflow", 0.2, scale="time"),
         Parameter(
             "form", "1", 1.0, 1.0, 3.0, "1 pitch by w^2, 2 pitch through the map, 3 thrust itself", choices=(1.0, 2.0, 3.0)

@@ -1,10 +1,10 @@
-"""What the paper's polynomial of the thrust map leaves out (eq. 8), in the same normalised quantities.
+"""Terms that the paper's polynomial of the thrust map omits (eq. 8), in the same normalised quantities.
 
     thrust += thrust_scale (c10 w + c22 w^2 b^2 + stall term)
     form 1: stall term = stall w b^3,   form 2: stall term = stall w^2 max(b - knee, 0)
 
-w alone is what the shift of pitch leaves of the map in physical units; the higher powers of b bend the map where
-the blades begin to stall, the knee does so from one pitch on.
+The term in w alone results from the shift of pitch for the map in physical units. Higher powers of b bend the map near the
+stall of the blades; the knee bends it from one pitch on.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter

@@ -1,4 +1,4 @@
-"""The blades stand at another pitch than the command says: an error of the pitch calibration, or of the linkage's neutral.
+"""The blades have another pitch than commanded: an error of the pitch calibration, or of the linkage's neutral.
 
 u = beta_ref + offset
 """

@@ -4,7 +4,7 @@
     form 3:    the command itself is led to its goal at `rate`, before the lags
 
 The instant at which the limit ends lies between samples: until then the lag runs straight, from there it relaxes. Form 3
-takes the response to what the led command lacks off the lags, which are linear in it.
+subtracts the response to the error of the limited command from the lags, which are linear in it.
 """
 
 from vpp_fmu.kernel.effects.stage import INNER, stage, with_distance
@@ -17,11 +17,11 @@ def _step(ops, s, x, p, dt):
     before_lags = p.form > 2.5
     form = ops.where(before_lags, INNER, p.form)
     lag = stage(ops, s, "beta", form)
-    lacks = ops.abs(lag.distance) / ops.gain(lag.tau, dt)
+    error = ops.abs(lag.distance) / ops.gain(lag.tau, dt)
     relaxes_at = p.rate * lag.tau
-    ahead = ops.clip((lacks - relaxes_at) / p.rate, 0.0, dt)
+    ahead = ops.clip((error - relaxes_at) / p.rate, 0.0, dt)
     covered = p.rate * ahead + ops.gain(lag.tau, dt - ahead) * relaxes_at
-    limited = ops.where(lacks > relaxes_at, ops.where(lag.distance < 0.0, -covered, covered), lag.distance)
+    limited = ops.where(error > relaxes_at, ops.where(lag.distance < 0.0, -covered, covered), lag.distance)
 
     before = s.beta_ref - x.led
     after = before - ops.clip(before, -p.rate * dt, p.rate * dt)

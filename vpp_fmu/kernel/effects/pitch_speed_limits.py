@@ -19,10 +19,10 @@ UNLIMITED = 10000.0  # deg/s; no blade turns 30 times a second
 def _step(ops, s, x, p, dt):
     lag = stage(ops, s, "beta", INNER)
     error, free = ops.abs(lag.before), ops.abs(lag.distance)
-    lacks = free / ops.gain(lag.tau, dt)
-    beyond = ops.maximum(error - p.threshold, lacks - p.full * lag.tau)
+    to_go = free / ops.gain(lag.tau, dt)
+    beyond = ops.maximum(error - p.threshold, to_go - p.full * lag.tau)
     ahead = ops.where(p.full < UNLIMITED, ops.clip(beyond / p.full, 0.0, dt), 0.0)
-    fast = p.full * ahead + ops.gain(lag.tau, dt - ahead) * ops.maximum(lacks - p.full * ahead, 0.0)
+    fast = p.full * ahead + ops.gain(lag.tau, dt - ahead) * ops.maximum(to_go - p.full * ahead, 0.0)
     kept_up = ops.maximum(ops.where(ahead > 0.0, fast, free), ops.minimum(p.slowest, p.full) * dt)
     covered = ops.minimum(kept_up, ops.maximum(error - p.accuracy, 0.0))
     return with_distance(ops, s, "beta", INNER, ops.where(lag.before < 0.0, -covered, covered), dt), {}

@@ -15,16 +15,16 @@ from vpp_fmu.kernel.types import Effect, Parameter, State
 def _step(ops, s, x, p, dt):
     lag = stage(ops, s, "beta", INNER)
     side = ops.where(lag.before < 0.0, -1.0, 1.0)
-    lacks, free = side * lag.distance / ops.gain(lag.tau, dt), side * lag.distance
+    to_go, free = side * lag.distance / ops.gain(lag.tau, dt), side * lag.distance
     held = side * x.latched > 0.5
-    slow_at, end = p.speed * lag.tau, lacks - free
-    slow, away = lacks < slow_at, side * lag.before - free > p.accuracy
+    slow_at, end = p.speed * lag.tau, to_go - free
+    slow, away = to_go < slow_at, side * lag.before - free > p.accuracy
     becomes = ops.where(slow, 0.0, ops.where(end < slow_at, 1.0, 0.0)) > 0.5
-    mean = ops.sqrt(ops.where(becomes, lacks * slow_at, 1.0))
-    since = ops.where(becomes, ops.clip(dt - lag.tau * (lacks - slow_at) / mean, 0.0, dt), 0.0)
+    mean = ops.sqrt(ops.where(becomes, to_go * slow_at, 1.0))
+    since = ops.where(becomes, ops.clip(dt - lag.tau * (to_go - slow_at) / mean, 0.0, dt), 0.0)
     slow_for = ops.where(away, ops.where(slow, x.slow_for + dt, since), 0.0)
     stalls = slow_for > p.time
-    covered = ops.where(stalls, ops.gain(lag.tau, ops.clip(p.time - x.slow_for, 0.0, dt)) * lacks, free)
+    covered = ops.where(stalls, ops.gain(lag.tau, ops.clip(p.time - x.slow_for, 0.0, dt)) * to_go, free)
     distance = ops.where(held, 0.0, ops.where(stalls, side * covered, lag.distance))
     latched = ops.where(held, x.latched, ops.where(stalls, side, 0.0))
     still = {"latched": latched, "slow_for": ops.where(held, 0.0, ops.where(stalls, 0.0, slow_for))}

@@ -2,7 +2,7 @@
 
     d wake/dt = (thrust - wake) / time_constant,   thrust -= share wake
 
-Thrust runs nearly straight over a step, and the lag is exact for that. At the start the circulation stands.
+Thrust runs nearly straight over a step, and the lag is exact for that. At the start the circulation is steady.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, State

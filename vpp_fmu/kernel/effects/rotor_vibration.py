@@ -3,7 +3,7 @@
     reading = thrust + amplitude w^2 sin(2 pi turns + phase),   d turns/dt = omega / 60
 
 The force of an imbalance goes with the square of speed. Speed runs nearly straight over a step; whole turns are dropped.
-`phase` is where the rotor stands at the start of a record.
+`phase` is the rotor's angle at the start of a record.
 """
 
 from math import pi

@@ -1,22 +1,22 @@
-"""A logger writes rows of what it read before: thrust and speed of a row are as they stood `age` rows earlier.
+"""A logger writes rows of earlier readings: thrust and speed of a row are those of `age` rows earlier.
 
     reading(t_k) = signal(t_j - share (t_j - t_(j-1))),   age = (k - j) + share
 
 A loop that reads, waits for its frames and then stamps the row is late by a share of a row, one that writes what the loop
-before has read by a whole one and more. Of even rows that is a dead time of all readings, and where one command alone moves, a
-dead time of that; rows of uneven length tell it from both, and two commanded channels tell it from a motor that is late.
+before has read by a whole one and more. For equal rows this is a dead time of all readings, and if only one command moves, a
+dead time of that. Rows of unequal length distinguish it from both, and two commanded channels from a delayed motor.
 
-`row_time` is the row's length, which whoever runs a record knows. Where nobody tells, as in a co-simulation, nothing is logged
-and nothing is late. Between a row's end and the next one the reading stands. Signals run straight over a step.
+`row_time` is the row's length, which a simulation of a record sets; without it, as in a co-simulation, nothing is delayed.
+The reading is held between the ends of rows. Signals run straight over a step.
 """
 
 from vpp_fmu.kernel.types import Effect, Parameter, Signal, State
 
 OLDEST = 3
-"""Rows that a reading may be old."""
+"""Maximum age of a reading, in rows."""
 
 NOW = 1e-9
-"""s: an instant is met by the step that comes this near, however its pieces round."""
+"""Tolerance of an instant, s, for rounding of the pieces of a step."""
 
 READINGS = {"thrust": "N", "omega": "rpm"}
 
@@ -34,10 +34,10 @@ def _step(ops, s, x, p, dt):
         now, before = getattr(s, name), getattr(x, f"{name}_before")
         read = now - (dt - ahead_of_reading) * ((now - before) / dt)
         rows = [ops.where(reads, read, getattr(x, f"{name}_0")), *(getattr(x, f"{name}_{k}") for k in range(1, OLDEST))]
-        told = rows[0]
+        value = rows[0]
         for k in range(1, OLDEST):
-            told = ops.where(whole > k - 0.5, rows[k], told)
-        shown = ops.where(ends, told, getattr(x, f"{name}_shown"))
+            value = ops.where(whole > k - 0.5, rows[k], value)
+        shown = ops.where(ends, value, getattr(x, f"{name}_shown"))
         signals[name] = ops.where(logged, shown, now)
         ahead |= {f"{name}_before": now, f"{name}_shown": ops.where(logged, shown, now), f"{name}_0": rows[0]}
         ahead |= {f"{name}_{k}": ops.where(ends, rows[k - 1], rows[k]) for k in range(1, OLDEST)}

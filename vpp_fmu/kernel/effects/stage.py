@@ -1,8 +1,8 @@
-"""One of a channel's two lags within a step, as an effect that bends it sees it.
+"""One of a channel's two lags within a step, for effects that modify it.
 
-An effect that may act in either lag stands behind both, asks `stage` for the one that its `form` names, and puts another
-distance in the place of what that lag covers: `with_distance` passes a changed move of the inner lag on to the outer one.
-Distances and time constants already hold what the effects before have done, so that several of them can bend one lag.
+An effect that may act in either lag comes after both, gets the one of its `form` from `stage`, and replaces the distance that
+the lag covers. `with_distance` passes a changed move of the inner lag to the outer one. Distances and time constants include
+earlier effects, so that several can modify one lag.
 """
 
 from typing import Any, NamedTuple
@@ -16,15 +16,15 @@ WHICH_LAG = Parameter("form", "1", INNER, INNER, OUTER, "lag in which it acts: 1
 class Stage(NamedTuple):
     """A lag in one step, in the channel's unit and s."""
 
-    value: Any  # where it stands at the start
+    value: Any  # value at the start
     tau: Any  # time constant with which it relaxes in this step
-    before: Any  # what it lacks of its input at the start
-    after: Any  # what it would lack at the end if it stood still; differs from `before` as far as its input moves
-    distance: Any  # what it covers
+    before: Any  # input less value at the start
+    after: Any  # input at the end less value at the start
+    distance: Any  # change in the step
 
 
 class OneOf(NamedTuple):
-    """A time constant that is one of two, which stay the same: what is made of them need not be made at every step."""
+    """A time constant that is one of two constants, so that derived values need not be computed at every step."""
 
     condition: Any
     yes: Any
@@ -32,7 +32,7 @@ class OneOf(NamedTuple):
 
 
 def _constants(s, u: str) -> tuple[Any, Any]:
-    """(inner, outer) time constants in this step: those of the channel, or what an effect has made of them."""
+    """(inner, outer) time constants in this step: those of the channel, or as changed by an effect."""
     return getattr(s, f"{u}_inner_tau", getattr(s, f"tau_{u}_2")), getattr(s, f"{u}_outer_tau", getattr(s, f"tau_{u}_1"))
 
 
@@ -53,11 +53,11 @@ def stage(ops, s, u: str, form) -> Stage:
 
 
 def with_distance(ops, s, u: str, form, distance, dt, tau=None) -> dict[str, Any]:
-    """The channel's signals where the lag that `form` names covers `distance`, and relaxes with `tau`: a constant, `OneOf` two,
-    or None: as before."""
+    """The channel's signals if the lag of `form` covers `distance`, and relaxes with `tau`: a constant, `OneOf` two, or None:
+    unchanged."""
     (inner, outer), move, travel = _constants(s, u), getattr(s, f"{u}_move"), getattr(s, f"{u}_travel")
 
-    def carried(constant):  # the outer lag's share of what the inner one covers
+    def carried(constant):  # the outer lag's share of the inner one's change
         return ops.two_lag_step(getattr(s, f"tau_{u}_1"), constant, dt) / ops.gain(constant, dt)
 
     if isinstance(tau, OneOf):

@@ -1,4 +1,4 @@
-"""What lies between the thrust and the number that the controller is given, once each sample.
+"""The measurement chain from the thrust to the controller's input, once per sample.
 
     time_constant d filtered/dt = thrust - filtered        low-pass of the load cell's amplifier; 0: none
     late = filtered, `delay` sampling periods ago          straight between samples
@@ -10,10 +10,10 @@ Thrust runs nearly straight over a sample, and the low-pass is exact for that. T
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 LONGEST = 8
-"""Sampling periods that the reading may be late."""
+"""Maximum delay of the reading, in sampling periods."""
 
 _WHOLE = 1.5 * 2.0**52
-"""Added and taken away again it leaves a whole number: doubles of this size have no other digits."""
+"""Adding and subtracting it rounds to a whole number: doubles of this size have no fraction."""
 
 
 def _past(k: int) -> str:

@@ -1,7 +1,7 @@
-"""What may drive a term: signals of the chain, as they were when a step began and as they are when it ends.
+"""Drivers of a learned term: signals of the chain at the start and the end of a step.
 
-What arises behind a port is known there as it was at the start of the step, and a step earlier: it goes on as it went. All
-feedback so runs through a state.
+A signal that arises after the port is extrapolated from its values at the start of this step and of the last one. So all
+feedback runs through a state.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Driver:
     channel: str = ""
 
     def known(self, port: Port) -> bool:
-        """Whether this step's value is there at a port."""
+        """Whether this step's value is available at a port."""
         return not self.behind or 2 * CHAIN.index(self.behind) < port.position
 
     def settled(self, s, p, port: Port):
@@ -42,7 +42,7 @@ class Driver:
         return port.staged and self.name.endswith("to_go") and self.channel == port.channel
 
     def states(self, port: Port) -> tuple[State, ...]:
-        """What is remembered of it from step to step."""
+        """Its states."""
         if not self.signal:
             return (State("driver", self.unit, "since the record's start", lambda ops, s, p: 0.0),)
         if not self.behind or self.own_stage(port):
@@ -57,7 +57,7 @@ class Driver:
         return first, State("driver_before", self.unit, f"{self.words} a step earlier", start)
 
     def ahead(self, port: Port) -> dict[str, str]:
-        """Signals of the chain's end that its states start from, each with the input that stands for it at first."""
+        """Signals of the chain's end from which its states start, each with the input that replaces it at first."""
         if not self.behind or self.own_stage(port) or self.known(port):
             return {}
         return {self.signal: self.guess}
@@ -98,4 +98,4 @@ DRIVERS = {
         Driver("time", "s", "time"),
     )
 }
-"""Every driver by its name."""
+"""All drivers by name."""

@@ -2,7 +2,7 @@
 
     term = times * shape(driver through its lag),   port <- port + term, or port * (1 + term)
 
-It stands where its port is; `placed` puts it there in a library.
+`placed` puts it at its port in a library.
 """
 
 from collections.abc import Mapping
@@ -15,10 +15,10 @@ from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 LAGS = (0.002, 300.0)
-"""s: range of the lag between driver and term; below the one there is none."""
+"""Range of the lag between driver and term, s; smaller ones count as none."""
 
 TIMES = {"": "", "speed_squared": "the square of speed, 1 at full speed"}
-"""What a term may be multiplied by."""
+"""Possible factors of a term."""
 
 
 def learned(
@@ -55,9 +55,9 @@ def learned(
             before, after = last, ops.lag_ramp(last, before, after, p.lag, dt)
             moved["lagged"] = after
         if lag is None and not place.whole and not cause.known(place):
-            after = before  # a loop without a lag: to go on as it went would make it swing
+            after = before  # in a loop without a lag the extrapolation would oscillate
         at = 0.5 * (before + after) if place.whole else after
-        at = ops.clip(at, *span) if shape in LAWS else at  # as a curve is: flat beyond where it was learned
+        at = ops.clip(at, *span) if shape in LAWS else at  # like a curve, constant beyond the learned range
         f, memory = look.value(ops, x, p, at, dt)
         if times:
             w = s.omega / s.omega_scale

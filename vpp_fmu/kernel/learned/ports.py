@@ -1,7 +1,7 @@
 """The places of the chain at which a term may enter, each declared once.
 
-A port says in front of, or behind, which effect of every plant it stands, in which unit a term f enters there and what it does
-with it. Commands and rates act all over a step and take f in its middle; the others act at its end.
+A port names the effect before or after which it is, the unit of a term f, and its action. Commands and rates act during the
+whole step and use f at its middle; the others act at its end.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,9 +18,9 @@ CHAIN = ("normalisation", "beta_drive", "beta_reach", "omega_drive", "omega_reac
 class Port:
     """A place in the chain. `adds(ops, s, p, f, dt)`: the signals that a term `f` [unit] sets there.
 
-    `words` say where that is. `before`, `behind`: the effect of every plant in front of which, or behind which, it stands;
-    neither: at the chain's end. `scale`: the rig's scale of f; `limit`: the largest f, as a share of it. `channel`: "beta" or
-    "omega", which it acts in; `staged`: in one of that channel's two lags. `whole`: it acts all over a step.
+    `words`: its description. `before`, `behind`: the effect before or after which it is; neither: the end of the chain.
+    `scale`: the rig's scale of f; `limit`: the largest f, as a share of it. `channel`: "beta" or "omega", in which it acts;
+    `staged`: in one of that channel's two lags. `whole`: it acts during the whole step.
     """
 
     name: str
@@ -108,11 +108,11 @@ PORTS = {
         Port("reading", "N", "the reading of thrust", _added("thrust"), "thrust", 0.5, reading="thrust"),
     )
 }
-"""Every port by its name."""
+"""All ports by name."""
 
 
 def placed(library: Iterable[Effect], effect: Effect, port: Port) -> tuple[Effect, ...]:
-    """The library with an effect at a port. What stands there already keeps its place in front."""
+    """The library with an effect at a port, after effects that are there already."""
     library = tuple(library)
     names = [e.name for e in library]
     behind = names.index(port.behind) + 1 if port.behind else len(names)

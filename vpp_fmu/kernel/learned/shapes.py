@@ -1,4 +1,4 @@
-"""How a term may look over its driver v: f(v), with or without a memory.
+"""Shapes of a term over its driver v: f(v), with or without states.
 
     curve       straight between knots, flat beyond the first and the last
     line        gain v
@@ -252,7 +252,7 @@ SHAPES = {
         ),
     )
 }
-"""Every shape by its name."""
+"""All shapes by name."""
 
 LAWS = ("line", "square", "hinge", "threshold", "saturation", "sign", "relay")
-"""What a curve may turn out to be, in few words."""
+"""Parametric shapes that may replace a curve, in words."""

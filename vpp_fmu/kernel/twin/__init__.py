@@ -1,4 +1,4 @@
-"""The adaptive twin: a plant that runs beside the rig, learns from what is read of it, and says when it can't.
+"""The adaptive twin: a plant that runs beside the rig, adapts to its readings, and raises an alarm if it can't.
 
     x, T = plant(x, u, p),   p = p0 + change theta                          the plant's own step, with its derivatives in theta
     reading = T + n1 + n2 + sum(f_k h_k) + w,   n1 = a1 n1 + q1,   n2 = a2 n2 + q2
@@ -8,7 +8,7 @@ n1 is the reading's slow noise and what the model is off while thrust moves, and
 the nodes of a grid over the thrust map, h the weights of linear interpolation between them: it stays, so that a rig that comes
 back to a place tells no more of theta than before, and one that comes back to find another error there has changed. n2 is what
 the interpolation leaves; its a2 = exp(-distance / PLACE) counts how far the operating point has gone, so that a set-point
-that never moves teaches no more than one visit, however long it stands. What is watched for changes is followed after an alarm.
+that never moves gives no more information than one visit. After an alarm the parameters that are monitored for changes adapt.
 What is not, a lag, is forgotten instead, by distance as well, and as far as it is excited (after Kulhavy and Karny, 9th IFAC
 World Congress, 1984): as far as a plausible change of it, 1, would show in the reading, whose innovation has the variance S,
 
@@ -21,14 +21,24 @@ Six effects, one idea each; whoever reads a state of another one does so by a si
 """
 
 from vpp_fmu.kernel.twin.model import DAILY, adapted_by_default, plausible_change, twin
-from vpp_fmu.kernel.twin.noises import BETWEEN, BLOCK, BORNE, HALVES, NODE, NODES, ON_THE_WAY, PLACE, SPEED_ON_THE_WAY, WITHIN
+from vpp_fmu.kernel.twin.noises import (
+    BETWEEN,
+    BLOCK,
+    HALVES,
+    NODE,
+    NODES,
+    ON_THE_WAY,
+    PLACE,
+    SPEED_ON_THE_WAY,
+    TOLERATED,
+    WITHIN,
+)
 from vpp_fmu.kernel.twin.prediction import BROUGHT
 from vpp_fmu.kernel.twin.watch import sums, threshold, watched
 
 __all__ = [
     "BETWEEN",
     "BLOCK",
-    "BORNE",
     "BROUGHT",
     "DAILY",
     "HALVES",
@@ -37,6 +47,7 @@ __all__ = [
     "ON_THE_WAY",
     "PLACE",
     "SPEED_ON_THE_WAY",
+    "TOLERATED",
     "WITHIN",
     "adapted_by_default",
     "plausible_change",

@@ -1,4 +1,4 @@
-"""What the readings add to what is known: how far the operating point has gone, and the filter's update by one sample."""
+"""Information of the readings: distance of the operating point, and the filter's update by one sample."""
 
 from collections.abc import Mapping, Sequence
 from math import log
@@ -25,11 +25,11 @@ from vpp_fmu.kernel.types import Effect, State
 
 
 def motion() -> Effect:
-    """How far the operating point has gone, what is left of its moves, and what the model is off by that."""
+    """Distance of the operating point, the decaying remainder of its moves, and the model error from them."""
 
     def taken(ops, s, x, p, dt):
         known, at = s.noise_model, s.at
-        # A point that plays within half a place has gone nowhere: what follows it is drawn along behind.
+        # A point that moves within half a place covers no distance: the follower has a dead band.
         dw, db = at.w - x.w_place, at.b - x.b_place
         away = ops.sqrt(dw * dw + db * db)
         gone = ops.maximum(away - 0.5 * PLACE, 0.0)
@@ -65,15 +65,15 @@ def motion() -> Effect:
         State("b_place", "1", "normalised pitch of the place that it is at", lambda ops, s, p: s.at.b),
         State("w", "1", "normalised speed at the last sample", lambda ops, s, p: s.at.w),
         State("b", "1", "normalised pitch at the last sample", lambda ops, s, p: s.at.b),
-        State("move", "N", "what is left of the thrust's moves", nothing),
-        State("turned", "rpm", "what is left of the speed's moves", nothing),
+        State("move", "N", "decaying sum of the thrust's moves", nothing),
+        State("turned", "rpm", "decaying sum of the speed's moves", nothing),
         State("predicted", "rpm", "predicted speed at the last sample", lambda ops, s, p: s.predicted_speed),
     )
     return Effect("motion", "how far the operating point has gone", taken, states=states)
 
 
 def _path(ops: Any, at: Any, start: Sequence, end: Sequence) -> Any:
-    """N that the thrust goes through between two points of the map, by speed and then by pitch, added up."""
+    """Sum of the thrust's changes [N] between two points of the map, by speed and then by pitch."""
     (w, b), (w_end, b_end) = start, end
     by_speed = normalised_thrust(at, w_end, b) - normalised_thrust(at, w, b)
     by_pitch = normalised_thrust(at, w_end, b_end) - normalised_thrust(at, w_end, b)

@@ -1,4 +1,4 @@
-"""The adaptive twin as a model: its inputs and outputs, what is known at the start, and what becomes of that in a sample."""
+"""The adaptive twin as a model: its inputs and outputs, the initial state, and the update by a sample."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import ceil
@@ -26,8 +26,8 @@ def adapted_by_default(values: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def plausible_change(plant: Model, name: str, value: float) -> float:
-    """A size of a change of a plant's parameter that is worth finding, in its unit: what its effect's probe adds to what it is
-    where off; half the value of what is always present. KeyError: the plant has none of this name."""
+    """A plausible change of a plant's parameter, in its unit: its effect's probe less its value when off; half the value of a
+    permanent parameter. KeyError: the plant has none of this name."""
     for e in plant.effects:
         for p in e.parameters:
             if e.full(p.name) == name:
@@ -37,11 +37,11 @@ def plausible_change(plant: Model, name: str, value: float) -> float:
 
 
 def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME) -> Model:
-    """A sampled model that runs beside what `plant` is a model of, and adapts its parameters `adapted` (by full name; KeyError:
-    it has none of this name).
+    """A sampled model that runs beside the rig of `plant`, and adapts its parameters `adapted` (by full name; KeyError: it has
+    none of this name).
 
-    Its parameters are the plant's, under their names, and its own. Commands are those that act from the sample on, readings as
-    they stand there. Commands that the plant holds back pass a Pade dead time instead: a sampled law has no delay lines. What
+    Its parameters are the plant's, under their names, and its own. Commands are those that act from the sample on, readings
+    are those of that time. Commands that the plant delays pass a Pade dead time: a sampled law has no delay lines. What
     the plant's forms are good for in one step decides how many it takes in a sample, at most `sample_time` where that matters.
     """
     adapted = tuple(adapted)
@@ -55,7 +55,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
     commands = tuple(u for u in measured if u.name in (OMEGA_REF.name, BETA_REF.name))
     by_name = {y.name: y for y in plant.outputs}
     readings = by_name[THRUST.name], by_name[OMEGA.name]
-    told = (
+    outputs = (
         _like(readings[0], "predicted_thrust", "thrust by the adapted model"),
         _like(readings[1], "predicted_speed", "rotor speed by the adapted model"),
         _like(readings[0], "residual", "measured thrust above the adapted model's"),
@@ -77,7 +77,7 @@ def twin(plant: Model, adapted: Sequence[str], sample_time: float = SAMPLE_TIME)
         "VppTwin",
         "Adaptive twin: the plant beside the rig, its parameters as they are now, and an alarm where no parameter explains it",
         inputs=(*commands, *(_measured(y) for y in readings), *extra, ACKNOWLEDGE),
-        outputs=told,
+        outputs=outputs,
         effects=(
             adaptation(plant, parts, bounds),
             prediction(plant, adapted, pieces),
@@ -143,7 +143,7 @@ def adaptation(plant: Model, parts: Sequence[Parameter], sample_time: Parameter)
         Parameter("white", "N", 0.05, 1e-6, 1e4, "white noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow", "N", 0.02, 0.0, 1e4, "slow noise of the thrust reading, standard deviation", 0.05),
         Parameter("slow_time", "s", 0.15, 1e-3, 10.0, "correlation time of the slow noise", 0.15),
-        Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model where it stands, standard deviation", 0.05),
+        Parameter("steady", "N", 0.03, 0.0, 1e4, "error of the model at the operating point, standard deviation", 0.05),
         Parameter(
             "moving", "1", 0.03, 0.0, 1.0, "error of the model for each N that its thrust moves, standard deviation", 0.05
         ),
@@ -189,15 +189,15 @@ def update(parts: Sequence[Parameter]) -> Effect:
     def taken(ops, s, x, p, dt):
         learns, opens = s.learns > 0.5, s.opens > 0.5
         back = s.starts + s.returns > 0.5  # to before what is, or was not, one of these parameters
-        told, theta = {}, []
+        found, theta = {}, []
         for i, q in enumerate(parts):
             low, high = (q.minimum - s.start_values[i]) / s.change[i], (q.maximum - s.start_values[i]) / s.change[i]
             new = ops.clip(s.theta[i] + s.delta[i], low, high)
             theta.append(ops.where(back, s.kept[i], ops.where(learns, new, s.theta[i])))
-            told[f"next.theta.{i}"] = theta[i]
+            found[f"next.theta.{i}"] = theta[i]
         for k, noise in enumerate(s.noises):
             new = ops.where(learns, noise + s.delta[m + k], noise)
-            told[f"next.noise.{k}"] = ops.where(back, s.kept[m + k - 2], new) if k > 1 else new
+            found[f"next.noise.{k}"] = ops.where(back, s.kept[m + k - 2], new) if k > 1 else new
 
         # What is known stays below what is known of a plausible change, whose variance is 1.
         shrinks = [1.0 / ops.sqrt(ops.maximum(s.learned[i, i], 1.0)) for i in range(m)]
@@ -209,16 +209,16 @@ def update(parts: Sequence[Parameter]) -> Effect:
             unknown = s.P[i, j]
             if i < m + 2:
                 unknown = (1.0 if i < m else s.stationary[i - m]) if i == j else 0.0
-            told[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
+            found[f"next.P.{i}.{j}"] = ops.where(opens, unknown, ops.where(learns, bounded, s.P[i, j]))
 
         # The plant's states are where these parameters would have taken them, to first order: the filter's own correction.
         moved = [theta[i] - s.theta[i] for i in range(m)]
         for name, state in s.plant_states.items():
             terms = [d * by for d, by in zip(state.tangents, moved, strict=True) if d is not None]
-            told[ahead_of(name)] = sum(terms, state.value)
+            found[ahead_of(name)] = sum(terms, state.value)
         for i, q in enumerate(parts):
-            told[f"adapted.{q.name}"] = ops.clip(s.start_values[i] + s.change[i] * theta[i], q.minimum, q.maximum)
-            told[f"std.{q.name}"] = s.change[i] * ops.sqrt(ops.maximum(told[f"next.P.{i}.{i}"], 0.0))
-        return told, {}
+            found[f"adapted.{q.name}"] = ops.clip(s.start_values[i] + s.change[i] * theta[i], q.minimum, q.maximum)
+            found[f"std.{q.name}"] = s.change[i] * ops.sqrt(ops.maximum(found[f"next.P.{i}.{i}"], 0.0))
+        return found, {}
 
     return Effect("update", "what becomes of what is known", taken)

@@ -1,4 +1,4 @@
-"""What a model is off, in numbers that every rig shares; and the little linear algebra that a filter needs."""
+"""Model errors that are common to all rigs, and the linear algebra of the filter."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -10,7 +10,7 @@ PLACE = 0.2
 `identification.assessment.model_error` counts them."""
 
 BLOCK, HALVES = 0.5, 0.5
-"""s over which the model's error was measured, and s in which what a move leaves of it halves: likewise."""
+"""Time over which the model's error was measured, and half-life of the error after a move, s: likewise."""
 
 NODES = (1.0 / 3.0, 2.0 / 3.0, 1.0), (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Normalised speeds and pitches of a grid over the map, between which the model's error is interpolated; beyond, it stays."""
@@ -31,19 +31,19 @@ that brakes, an actuator at its fastest are far from any lag. Of twelve emulated
 under the controller: of thrust 0.03 to 0.15, 0.075 the root of the mean square; of speed 0.02 to 0.06. Campaigns alone often
 show none of it."""
 
-BORNE = 2.5
+TOLERATED = 2.5
 """Standard deviations of the model's error on the way that half of a change which is watched for must exceed to count: a sum of
-log-likelihood ratios falls while what there is stays below half of what it looks for, and one move in 80 is further off."""
+log-likelihood ratios decreases while the change is below half of the assumed one, and one move in 80 is further off."""
 
 OUTLIER = 4.0
-"""Standard deviations beyond which a reading pulls no more (Huber): of normal ones, one in 16 000 goes so far."""
+"""Standard deviations beyond which a reading's influence is constant (Huber): one normal reading in 16 000."""
 
 WITHIN = 1.96
-"""Standard deviations that hold 95 %."""
+"""Standard deviations of a 95 % band."""
 
 
 def nothing(ops: Any, s: Any, p: Any) -> float:
-    """The start of a state that knows nothing."""
+    """Start value 0 of a state."""
     return 0.0
 
 

@@ -1,4 +1,4 @@
-"""The plant's step on dual numbers: what a twin predicts, and how that depends on what it adapts."""
+"""The plant's step on dual numbers: the twin's prediction and its sensitivity to the adapted parameters."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -14,16 +14,16 @@ from vpp_fmu.kernel.twin.noises import nothing
 from vpp_fmu.kernel.types import Effect, Model, State, start, step
 
 SAMPLE_TIME = 0.004
-"""s: the rig's tick."""
+"""The rig's tick, s."""
 
 BROUGHT = ("sensor_gain", "pitch_offset", "sensor_drift")
-"""Effects that a twin has in any case: what differs between two days of a rig, and is nothing in its identification."""
+"""Effects of every twin: those that differ between two days of a rig, and that its identification does not have."""
 
 COEFFICIENTS = tuple(p.name for p in THRUST_MAP.parameters)
 
 
 def _sampled(plant: Model) -> Model:
-    """The plant with a dead time in the place of each delay, which the schedule of a sampled law doesn't have."""
+    """The plant with a dead time instead of each delay, which the schedule of a sampled law doesn't have."""
     return replace(plant, effects=tuple(_held_back(e) if e.delays else e for e in plant.effects))
 
 
@@ -31,9 +31,9 @@ def _held_back(e: Effect) -> Effect:
     def step(ops, s, x, p, dt):
         late, ahead = {}, {}
         for u, delay in e.delays.items():
-            # The command stands over the step: to the dead time it is as if it had stood there before.
-            told = SimpleNamespace(before=getattr(s, u), behind=getattr(x, f"{u}.behind"), rate=getattr(x, f"{u}.rate"))
-            late[u], after = dead_time(ops, told.before, told, getattr(p, delay), dt)
+            # The command is constant over the step, so the dead time takes its value before the step as well.
+            state = SimpleNamespace(before=getattr(s, u), behind=getattr(x, f"{u}.behind"), rate=getattr(x, f"{u}.rate"))
+            late[u], after = dead_time(ops, state.before, state, getattr(p, delay), dt)
             ahead |= {f"{u}.behind": after["behind"], f"{u}.rate": after["rate"]}
         return late, ahead
 
@@ -65,9 +65,9 @@ class _Plant:
             found[name] = Dual(now, tuple(s.change[i] if k == i else None for k in range(len(self.adapted))))
         return found
 
-    def inputs(self, duals: Duals, told: Callable[[str], Any], dt: Any) -> dict[str, Dual]:
+    def inputs(self, duals: Duals, value_of: Callable[[str], Any], dt: Any) -> dict[str, Dual]:
         """Commands and what is measured, by name; a clock has the sample's time."""
-        return {u.name: duals.constant(told(u.name)) for u in self.measured} | {u: duals.constant(dt) for u in self._clocks}
+        return {u.name: duals.constant(value_of(u.name)) for u in self.measured} | {u: duals.constant(dt) for u in self._clocks}
 
     def settled(self, ops: Any, s: Any, p: Any) -> dict[str, Dual]:
         """The states settled on the inputs. A start asks for one state at a time: the last answer is kept."""
@@ -113,9 +113,9 @@ class _Plant:
             states = _stepped(self.model, duals, inputs, states, known, duals.constant(SAMPLE_TIME))[1]
 
 
-def _stepped(model: Model, duals: Duals, *told) -> tuple[dict, dict]:
+def _stepped(model: Model, duals: Duals, *arguments) -> tuple[dict, dict]:
     """A step whose states are all dual, also those that an effect sets to a plain number."""
-    signals, states = step(model, duals, *told)
+    signals, states = step(model, duals, *arguments)
     return signals, {name: duals.constant(value) for name, value in states.items()}
 
 
@@ -186,7 +186,7 @@ def ahead_of(name: str) -> str:
 
 
 def settled_ones(plant: Model, adapted: tuple[str, ...]) -> tuple[bool, ...]:
-    """Of each adapted parameter, whether it shows while everything stands; the others show on the way alone, as a lag does."""
+    """For each adapted parameter, whether it changes static outputs; the others change only transients, like a lag."""
     duals, defaults = Duals(NUMBERS, len(adapted)), plant.values()
     values = {name: duals.constant(value) for name, value in defaults.items()}
     for i, name in enumerate(adapted):

@@ -1,4 +1,4 @@
-"""Whether a parameter explains what is read: cumulative sums of log-likelihood ratios, and what follows from an alarm.
+"""Test whether a parameter explains the readings: cumulative sums of log-likelihood ratios, and the action after an alarm.
 
 Of each parameter that is watched, a change up and one down by its plausible size, against none; and of none, twice the variance
 of the innovations. After an alarm the parameters follow, and Wald's test of the latter says whether they explain it.
@@ -9,7 +9,7 @@ from math import log
 from typing import Any
 
 from vpp_fmu.kernel.duals import TINY
-from vpp_fmu.kernel.twin.noises import AT_NODES, BORNE, PLACE, nothing
+from vpp_fmu.kernel.twin.noises import AT_NODES, PLACE, TOLERATED, nothing
 from vpp_fmu.kernel.twin.prediction import settled_ones
 from vpp_fmu.kernel.types import BOOLEAN, Effect, Model, Parameter, Signal, State
 
@@ -17,11 +17,11 @@ ACKNOWLEDGE = Signal("acknowledge", "1", "somebody has seen the alarm: adapt aga
 
 UP, DOWN = "up", "down"
 NOISES = "fading", "between", "map"
-WATCHING, FOLLOWING, STOPPED = 0.0, 1.0, 2.0
+WATCHING, ADAPTING, STOPPED = 0.0, 1.0, 2.0
 
 SUSPECT = log(100.0)
-"""Of a log-likelihood sum: one in a hundred rises so far from where it begins while nothing changes (Ville, 1939). What was
-learned since the largest stood below it was perhaps learned of a change."""
+"""Threshold of a log-likelihood sum: without a change one in a hundred exceeds it (Ville, 1939). Information since the largest
+sum was below it may come from a change."""
 
 
 def threshold(false_alarms: float, count: int, sample_time: float) -> float:
@@ -31,13 +31,13 @@ def threshold(false_alarms: float, count: int, sample_time: float) -> float:
 
 
 def watched(plant: Model, adapted: Sequence[str]) -> tuple[str, ...]:
-    """Those that a twin watches for changes of: what shows while everything stands. A lag is learned and not watched for: half
-    as slow again it is off by 0.5 / e = 0.18 of a move on the way, where a model that is right is off by 0.15."""
+    """Parameters that a twin monitors for changes: those with an effect on static outputs. A lag adapts without monitoring: one
+    half as slow again has an error of 0.5 / e = 0.18 of a move, where a right model has 0.15."""
     return tuple(name for name, one in zip(adapted, settled_ones(plant, tuple(adapted)), strict=True) if one)
 
 
 def sums(count: int) -> int:
-    """How many sums watch for changes of `count` parameters: two of each, and one of none."""
+    """Number of sums for changes of `count` parameters: two for each, and one for none."""
     return 2 * count + 1
 
 
@@ -74,11 +74,11 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
             points, best = ops.where(height > best, float(i + 1), points), ops.maximum(height, best)
 
         # After an alarm: Wald's test of the same ratio, once as many places were seen as there are parameters to tell apart.
-        following = ops.where(x.mode > 0.5, ops.where(x.mode < 1.5, 1.0, 0.0), 0.0)
-        doubt = following * ops.maximum(x.doubt + unlike, -p.threshold)
-        seen = following * (x.seen + s.moved)
-        explained = ops.where(doubt < 1e-9 - p.threshold, ops.where(seen > m * PLACE, following, 0.0), 0.0)
-        stops = ops.where(doubt > p.threshold, following, 0.0)
+        adapting = ops.where(x.mode > 0.5, ops.where(x.mode < 1.5, 1.0, 0.0), 0.0)
+        doubt = adapting * ops.maximum(x.doubt + unlike, -p.threshold)
+        seen = adapting * (x.seen + s.moved)
+        explained = ops.where(doubt < 1e-9 - p.threshold, ops.where(seen > m * PLACE, adapting, 0.0), 0.0)
+        stops = ops.where(doubt > p.threshold, adapting, 0.0)
         stopped = ops.where(x.mode > 1.5, 1.0, 0.0)
         goes_on = ops.where(s.acknowledge > 0.5, stopped, 0.0)
 
@@ -87,7 +87,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
         )
         mode = ops.where(
             starts > 0.5,
-            FOLLOWING,
+            ADAPTING,
             ops.where(stops > 0.5, STOPPED, ops.where(explained + goes_on > 0.5, WATCHING, x.mode)),
         )
         changes = x.changes + explained
@@ -138,7 +138,7 @@ def watch(adapted: tuple[str, ...], names: tuple[str, ...], sample_time: float) 
 
 
 def _moved_most(ops: Any, s: Any, x: Any, before: Iterable) -> Any:
-    """Which parameter has moved by most plausible changes, as far as it is known, counted from 1."""
+    """Number, from 1, of the parameter with the largest significant move in plausible changes."""
     which, most = x.direction, 0.0
     for i, (now, was) in enumerate(zip(s.theta, before, strict=False)):
         sure = (now - was) * (now - was) * (1.0 - s.P[i, i])
@@ -163,7 +163,7 @@ def _ratio(s: Any, x: Any, i: int, sign: float, name: str) -> tuple[Any, Any, li
     more, shape, by_thrust = 0.0, None, s.thrust_slopes[i]
     if by_thrust is not None:
         looked_for = by_thrust * by_thrust
-        counts = looked_for / (looked_for + (2.0 * BORNE) * (2.0 * BORNE) * s.on_the_way + TINY)
+        counts = looked_for / (looked_for + (2.0 * TOLERATED) * (2.0 * TOLERATED) * s.on_the_way + TINY)
         shape = by_thrust - sum(absorbed[1:], absorbed[0])
         more = counts * (sign * s.pulls - 0.5 * shape) * shape / s.S
     by_speed = s.speed_slopes[i]
