@@ -127,7 +127,7 @@ def measured(
     """The `parts` of PARTS, one after the other, each said in a line; `report`, `supervised` as in `started`."""
     before, cell, pitch, throttle = bench.calibration, None, None, None
     if "load_cell" in parts or "pitch" in parts:
-        guide.do("press the emergency stop: the ESC has no supply, and the rotor stands")
+        guide.do("press the emergency stop: the ESC has no supply, and the rotor is at rest")
     if "load_cell" in parts:
         from_zero = lambda values: _rise(values) and values[0] == 0.0  # noqa: E731
         masses = guide.numbers("weights to hang [kg]", MASSES, from_zero, "two or more numbers that rise from 0 on")

@@ -45,7 +45,7 @@ class Measuring:
     def begin(self, folder: Path, begun: dict, resume: bool) -> dict:
         """What hil.json says before the first part; with `resume` what it said, if the campaign is the same. BadInput."""
         path = folder / "hil.json"
-        told = json.loads(as_json(begun | {"plan": asdict(self.plan), "parts": {}}))
+        content = json.loads(as_json(begun | {"plan": asdict(self.plan), "parts": {}}))
         before = read_object(path) if path.exists() else {}
         unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
         if not resume:
@@ -54,16 +54,16 @@ class Measuring:
                 raise BadInput(folder, "campaign", found, "--resume, or another folder")
             for part in (*PARTS, "record"):
                 forget(folder, part)
-            return told
+            return content
         if "plan" not in before:
             raise BadInput(folder, "--resume", "no campaign", "a folder that vpp hil campaign has written to")
         for name in SAME:
-            if before.get(name) != told.get(name):
-                allowed = f"{json.dumps(told.get(name))[:80]}, as now asked for"
+            if before.get(name) != content.get(name):
+                allowed = f"{json.dumps(content.get(name))[:80]}, as now asked for"
                 raise BadInput(path, name, json.dumps(before.get(name))[:80], allowed)
-        return before | {"resumed": [*before.get("resumed", []), told["begun"]]}
+        return before | {"resumed": [*before.get("resumed", []), content["begun"]]}
 
-    def run(self, folder: OutputFolder, told: dict, page: OperatorPage | None, say: Callable[[str], None]) -> None:
+    def run(self, folder: OutputFolder, content: dict, page: OperatorPage | None, say: Callable[[str], None]) -> None:
         """The parts that are wanted and not there yet, one after the other. What ended one before its time is raised."""
         allowed = self.setup.allowed
         parts = ("record",) if self.commands else tuple(part for part in self.parts if part in parts_for(allowed))
@@ -71,10 +71,10 @@ class Measuring:
             say("steps: speed and pitch both stand, so there are none")
         length = self.commands.time[-1] if self.commands else seconds(self.plan, parts, allowed)
         say(f"{', '.join(parts)}: {length / 60.0:.1f} min on the rig")
-        told, found = told | {"status": RUNNING}, {}
-        folder.write("hil.json", as_json(told))
+        content, found = content | {"status": RUNNING}, {}
+        folder.write("hil.json", as_json(content))
         for part in parts:
-            if told["parts"].get(part, {}).get("whole"):
+            if content["parts"].get(part, {}).get("whole"):
                 say(f"{part}: measured already")
                 found[part] = read_record(folder.path / f"{part}.csv") if part in ("open_loop", "repeat") else None
                 continue
@@ -82,10 +82,10 @@ class Measuring:
                 page.part(part, **self._extent(part), parts=parts, before=attempts(folder.path, part))
             one, record, ended = self._measured(folder.path, part, page)
             tried = len(attempts(folder.path, part))
-            told["parts"][part] = one.told() | {"ended": str(ended or ""), "whole": not ended, "attempts": tried}
+            content["parts"][part] = one.summary() | {"ended": str(ended or ""), "whole": not ended, "attempts": tried}
             if ended:
-                told |= {"status": ENDED_EARLY, "completed": now()}
-            folder.write("hil.json", as_json(told))
+                content |= {"status": ENDED_EARLY, "completed": now()}
+            folder.write("hil.json", as_json(content))
             if ended:
                 _keep(folder, part, say)
                 raise ended
@@ -93,7 +93,7 @@ class Measuring:
             self._write(folder, part, found, say)
             rows, ticks, lost = one.logged.rows, one.rig.ticks.ticks, one.logged.lost
             say(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost")
-        folder.write("hil.json", as_json(told | {"status": ENDED, "completed": now()}))
+        folder.write("hil.json", as_json(content | {"status": ENDED, "completed": now()}))
 
     def _measured(self, folder: Path, part: str, page) -> tuple[Session, Record | None, BaseException | None]:
         """One part on the rig: (session, record, None), or (session, None, why it ended early)."""
@@ -120,7 +120,7 @@ class Measuring:
         return one, record, ended
 
     def _extent(self, part: str) -> dict:
-        """How much a part is, as the operator's page wants to know it; a record's own length stands in its events."""
+        """How much a part is, as the operator's page wants to know it; the length of a record is in its events."""
         if part == "static" and not self.commands:
             speeds, pitches = zip(*grid(self.plan.points, self.setup.allowed), strict=True)
             return {"grid": {"speeds": sorted(set(speeds)), "pitches": sorted(set(pitches))}}

@@ -15,7 +15,7 @@ from hil.log import events_of
 from hil.page.operator_page import OperatorPage
 from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
 from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
-from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, alarm_of, run_folder, told_by_files
+from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, alarm_of, run_folder, summary_of_files
 from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.session import Setup, read_log
@@ -79,15 +79,15 @@ class Task:
     on_alarm: FaultKind | None = None
     parquet: bool = False
 
-    def told(self) -> dict:
+    def summary(self) -> dict:
         """What hil.json says of the twins before the run."""
         if self.twin is None:
             return {}
         twin, band, adaptive = self.twin
-        told = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
+        content = {"false_alarms_per_hour": twin.false_alarms, "smallest_found": twin.smallest, "delay": twin.delay}
         adapted = {name: asdict(one) for name, one in adaptive.adapted.items()}
         learns = {"microseconds": adaptive.microseconds, "units": adaptive.units, "adapted": adapted, "certain": CERTAIN}
-        return {"twin": told | {"noise": band.noise}, "adaptive_twin": learns}
+        return {"twin": content | {"noise": band.noise}, "adaptive_twin": learns}
 
 
 def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say) -> tuple[Run, OutputFolder]:
@@ -115,27 +115,27 @@ def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage 
     if page:
         page.end(done.ended or "as planned")
     task.controller.close()
-    told = done.session.told() | begun | {"ended": done.ended}
+    content = done.session.summary() | begun | {"ended": done.ended}
     if twin is not None:
-        told["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
-        told["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
+        content["twin"] |= {"alarmed": twin.alarmed, "since": twin.since}
+        content["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
     if task.parquet:
         folder.write("run.parquet", as_parquet(done.record))
-    finish(folder, told, done.log, say, task.beside)
+    finish(folder, content, done.log, say, task.beside)
     return done, folder
 
 
 def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say) -> None:
     """The files of a run that an unforeseen error ended, from its log where there is one."""
     why = " ".join(str(error).split()) or type(error).__name__
-    log, record, told = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
+    log, record, content = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
     if log.exists():
-        record, told = told_by_files(log, begun)
-    with contextlib.suppress(BadInput):  # the first error is the one to be told
+        record, content = summary_of_files(log, begun)
+    with contextlib.suppress(BadInput):  # the first error is the one to report
         if record is None:
-            folder.write("hil.json", as_json(told | {"ended": why}))
+            folder.write("hil.json", as_json(content | {"ended": why}))
         else:
-            finish(folder, told | {"ended": why}, record, say)
+            finish(folder, content | {"ended": why}, record, say)
 
 
 def of_log(log: Path) -> tuple[Record | None, dict, bool]:
@@ -148,9 +148,9 @@ def of_log(log: Path) -> tuple[Record | None, dict, bool]:
         check_kinds(path, begun, BEGUN if begun.get("status", RUNNING) == RUNNING else DONE)
     if begun.get("status", RUNNING) != RUNNING:
         return read_log(log), begun, False
-    record, told = told_by_files(log, begun)
-    check_kinds(events_of(log), told, DONE)
-    return record, told, True
+    record, content = summary_of_files(log, begun)
+    check_kinds(events_of(log), content, DONE)
+    return record, content, True
 
 
 def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[float, float], limits: Limits) -> Record:
@@ -174,53 +174,53 @@ def finish_fmu(folder: OutputFolder, plant: str, record: Record, profile: str, p
     _say_steps({"plant FMU": record}, say)
 
 
-def finish(folder: OutputFolder, told: dict, log: Record | None, say: Say, beside: tuple[str, Record] | None = None) -> None:
-    """Write what a run leaves, and say its figures. `told`: what hil.json says, with `ended`, why it ended early, or "".
+def finish(folder: OutputFolder, content: dict, log: Record | None, say: Say, beside: tuple[str, Record] | None = None) -> None:
+    """Write the files of a run, and print its figures. `content`: what hil.json says, with `ended`, why it ended early, or "".
 
     What one file is refused doesn't keep the others from being written: BadInput, for the first of them, comes at the end.
     """
-    told = {**told, "status": ENDED_EARLY if told["ended"] else ENDED, "completed": now()}
+    content = {**content, "status": ENDED_EARLY if content["ended"] else ENDED, "completed": now()}
     record = loop_part(log) if log is not None else None
     loops = {"rig": record} if record is not None and len(record.time) > 1 else {}
-    if "twin" in told:
-        told["twin"] = _with_residual(told["twin"], log)
-    real_time = log is not None and told.get("timing")
+    if "twin" in content:
+        content["twin"] = _with_residual(content["twin"], log)
+    real_time = log is not None and content.get("timing")
     found = timing(log["late"], log["busy"], log["missed"]) if real_time else None
     page = Page(
         "Hardware in the loop",
-        _summary(told),
-        f"{told.get('rig') or 'unknown'} rig, run of {(told.get('begun') or 'a date not known')[:10]}",
+        _summary(content),
+        f"{content.get('rig') or 'unknown'} rig, run of {(content.get('begun') or 'a date not known')[:10]}",
     )
-    _tiles(page, told, found)
-    if told["ended"]:
-        page.note(f"The run ended early. {told['ended']}.")
+    _tiles(page, content, found)
+    if content["ended"]:
+        page.note(f"The run ended early. {content['ended']}.")
     if loops and beside is not None:
         loops["plant FMU"] = beside[1]
     refusals: list[BadInput] = []
     if loops:
-        with _borne(refusals):
+        with _collected(refusals):
             write_run(folder.path / "run.csv", record)
         add_loops(page, loops, "Pitch is not measured on the rig.")
     if len(loops) > 1:
-        told["beside"] = {"plant": beside[0], "rms_thrust": add_difference(page, *reversed(loops.items()))}
-    if log is not None and told.get("twin"):
-        _add_twin(page, log, told["twin"])
-    if log is not None and told.get("adaptive_twin"):
-        _add_adaptive(page, log, told["adaptive_twin"])
+        content["beside"] = {"plant": beside[0], "rms_thrust": add_difference(page, *reversed(loops.items()))}
+    if log is not None and content.get("twin"):
+        _add_twin(page, log, content["twin"])
+    if log is not None and content.get("adaptive_twin"):
+        _add_adaptive(page, log, content["adaptive_twin"])
     if found:
-        add_timing(page, found, f"The loop had: {told.get('real_time', 'not known')}.")
-    add_counts(page, told["counters"], [(t["time"], t["state"], t["why"]) for t in told["transitions"]])
-    with _borne(refusals):
-        folder.write("hil.json", as_json(told))
-    with _borne(refusals):
+        add_timing(page, found, f"The loop had: {content.get('real_time', 'not known')}.")
+    add_counts(page, content["counters"], [(t["time"], t["state"], t["why"]) for t in content["transitions"]])
+    with _collected(refusals):
+        folder.write("hil.json", as_json(content))
+    with _collected(refusals):
         folder.write("report.html", page.html())
-    _say(loops, told, found, say)
+    _say(loops, content, found, say)
     if refusals:
         raise refusals[0]
 
 
 @contextlib.contextmanager
-def _borne(refusals: list[BadInput]) -> Iterator[None]:
+def _collected(refusals: list[BadInput]) -> Iterator[None]:
     try:
         yield
     except BadInput as refused:
@@ -251,34 +251,34 @@ def _add_adaptive(page: Page, log: Record, twin: dict) -> None:
     if not units or not np.isfinite(log[LEARNED + "band"]).any():
         return
     rows = log.part(np.isfinite(log[LEARNED + "band"]))
-    told = {name: rows[LEARNED + name] for name in units}
-    page.figure(residual_in_band(rows.time, told), f"Measured thrust less the adapted model's. {thinning(len(rows))}")
+    content = {name: rows[LEARNED + name] for name in units}
+    page.figure(residual_in_band(rows.time, content), f"Measured thrust less the adapted model's. {thinning(len(rows))}")
     own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
-    page.figure(adapted_parameters(rows.time, told, own), "What the adaptive twin made of its parameters.")
+    page.figure(adapted_parameters(rows.time, content, own), "What the adaptive twin made of its parameters.")
 
 
-def _summary(told: dict) -> str:
-    hidden = f" with {', '.join(told['hidden'])} hidden in it" if told.get("hidden") else ""
+def _summary(content: dict) -> str:
+    hidden = f" with {', '.join(content['hidden'])} hidden in it" if content.get("hidden") else ""
     profile, calibration = (
-        told.get("profile", {}).get("file", "a profile"),
-        told.get("calibration", {}).get("sha256", "not known"),
+        content.get("profile", {}).get("file", "a profile"),
+        content.get("calibration", {}).get("sha256", "not known"),
     )
-    made = "" if "made_from" not in told else " Its loop was gone at the end: this was made from its log."
+    made = "" if "made_from" not in content else " Its loop was gone at the end: this was made from its log."
     return (
-        f"The {told.get('rig', '')} rig{hidden}, {told.get('time', 'not known')} time, over {profile}. "
-        f"Calibration {calibration[:12]}. Begun {told.get('begun', 'at a time not known')}.{made}"
+        f"The {content.get('rig', '')} rig{hidden}, {content.get('time', 'not known')} time, over {profile}. "
+        f"Calibration {calibration[:12]}. Begun {content.get('begun', 'at a time not known')}.{made}"
     )
 
 
-def _tiles(page: Page, told: dict, found: Timing | None) -> None:
-    log = told["log"]
+def _tiles(page: Page, content: dict, found: Timing | None) -> None:
+    log = content["log"]
     page.tiles([("rows in the log", f"{log['rows']}", f"{log['lost']} of {log['ticks']} ticks lost")])
     if found:
         page.tiles([("late, p99.9", f"{1e6 * found.late[2]:.0f} us", f"{found.missed} slots missed")])
-    if told["tares"]:
-        tare = told["tares"][-1]
+    if content["tares"]:
+        tare = content["tares"][-1]
         page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {number(tare['noise_N'])} N")])
-    healed = sum(n for device in told["counters"].values() for name, n in device.items() if name != "pulses")
+    healed = sum(n for device in content["counters"].values() for name, n in device.items() if name != "pulses")
     page.tiles([("healed", f"{healed}", "transfers and frames that failed once")])
 
 
@@ -289,23 +289,23 @@ def _say_steps(loops: dict[str, Record], say: Say) -> None:
             say(f"{said(step, name)}, overshoot {step.overshoot:.1f} %")
 
 
-def _say(loops: dict[str, Record], told: dict, found: Timing | None, say: Say) -> None:
+def _say(loops: dict[str, Record], content: dict, found: Timing | None, say: Say) -> None:
     _say_steps(loops, say)
-    if "beside" in told:
-        say(f"rig and {told['beside']['plant']} differ by {number(told['beside']['rms_thrust'])} N rms")
-    if told.get("twin") and told["twin"]["residual_rms"] is not None:
-        twin = told["twin"]
+    if "beside" in content:
+        say(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
+    if content.get("twin") and content["twin"]["residual_rms"] is not None:
+        twin = content["twin"]
         said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
         say(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
-    if told.get("adaptive_twin"):
-        alarms = told["adaptive_twin"].get("alarms", ())
+    if content.get("adaptive_twin"):
+        alarms = content["adaptive_twin"].get("alarms", ())
         said_so = ", ".join(f"{one['time']:.1f} s ({one['points_to']})" for one in alarms) or "none"
         say(f"adaptive twin: alarms: {said_so}")
-    log = told["log"]
+    log = content["log"]
     failure = f"; {log['failure']}" if log["failure"] else ""
     say(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")
     if found:
-        say(f"loop: {told.get('real_time', 'not known')}\n{found.text()}")
+        say(f"loop: {content.get('real_time', 'not known')}\n{found.text()}")
 
 
 def kept_of(folder: Path) -> str:

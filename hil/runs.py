@@ -65,14 +65,14 @@ def sha256_of(path: str | os.PathLike) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def file_told(path: str | os.PathLike) -> dict:
+def file_entry(path: str | os.PathLike) -> dict:
     """What hil.json says of a file that a run was given."""
     return {"file": Path(path).name, "file_sha256": sha256_of(path)}
 
 
 def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Mapping[str, str | None]) -> dict:
     """What hil.json says before anything turns: when, where, who, with what. `given`: the other files by their role."""
-    told = setup.told()
+    content = setup.summary()
     return {
         "format": "vpp-hil/1",
         "status": RUNNING,
@@ -80,14 +80,14 @@ def begun(setup: Setup, calibration: str | os.PathLike, operator: str, given: Ma
         "host": platform.node(),
         "operator": operator,
         "command": ["vpp", *sys.argv[1:]],
-        **told,
-        "calibration": file_told(calibration) | told["calibration"],
+        **content,
+        "calibration": file_entry(calibration) | content["calibration"],
         "versions": versions(),
-        **{role: file_told(path) for role, path in given.items() if path},
+        **{role: file_entry(path) for role, path in given.items() if path},
     }
 
 
-def told_by_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
+def summary_of_files(log: Path, begun: Mapping) -> tuple[Record | None, dict]:
     """(the log, None if it holds no row; what `hil.json` says of a run whose loop could not say it itself)."""
     try:
         record = read_log(log)

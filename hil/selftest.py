@@ -45,22 +45,22 @@ class SelfTest:
     ended: str
     load: int = 0
 
-    def told(self) -> dict:
+    def summary(self) -> dict:
         """The content of hil.json."""
         checks = [{"what": c.what, "good": c.good, "found": c.found} for c in self.checks]
-        return self.session.told() | {"load": self.load, "checks": checks}
+        return self.session.summary() | {"load": self.load, "checks": checks}
 
-    def page(self, told: Mapping, seconds: float) -> Page:
-        """The report of a test of so many seconds; `told`: hil.json."""
+    def page(self, content: Mapping, seconds: float) -> Page:
+        """The report of a test of so many seconds; `content`: hil.json."""
         text = f"{seconds:g} s at the idle pulse, {self.load} busy processes beside the loop."
         page = Page("Self-test of the rig", text)
         good = sum(check.good for check in self.checks)
         page.tiles([("checks passed", f"{good} of {len(self.checks)}", "see the table")])
         if self.session.timing:
-            add_timing(page, self.session.timing, f"The loop had: {told['real_time']}.")
+            add_timing(page, self.session.timing, f"The loop had: {content['real_time']}.")
         rows = [(check.what, "good" if check.good else "not good", check.found) for check in self.checks]
         page.table(("what", "verdict", "found"), rows, "What was looked at.")
-        add_counts(page, told["counters"], [(t["time"], t["state"], t["why"]) for t in told["transitions"]])
+        add_counts(page, content["counters"], [(t["time"], t["state"], t["why"]) for t in content["transitions"]])
         return page
 
     def judge(self) -> None:

@@ -83,7 +83,7 @@ class Setup:
             return real_bench(self.calibration, self.wiring or Wiring())
         return (virtual_bench if self.virtual else real_time_bench)(self.emulated, self.calibration, self.truth)
 
-    def told(self) -> dict:
+    def summary(self) -> dict:
         """For `hil.json`."""
         kind = "real" if self.emulated is None else "emulated"
         hidden = list(self.emulated.hidden) if self.emulated else []
@@ -105,14 +105,14 @@ class Session:
         self.logged: Logged | None = None
         self.timing: Timing | None = None
 
-    def told(self) -> dict:
+    def summary(self) -> dict:
         """The content of `hil.json` that every use of a rig shares."""
         rig = self.rig
         scale = abs(self._setup.calibration.newton_per_count)
         report = self._folder / REPORT
         return {
             "format": "vpp-hil/1",
-            **self._setup.told(),
+            **self._setup.summary(),
             "real_time": self._granted,
             "versions": versions(),
             "tares": [{"zero_counts": t.zero, "noise_N": t.noise * scale, "samples": t.samples} for t in rig.tares],

@@ -129,7 +129,7 @@ def main(task):
         ended=done.ended,
         state=one.rig.states.state.value,
         transitions=transitions,
-        counters=one.told()["counters"],
+        counters=one.summary()["counters"],
         lost=one.logged.lost,
         failure=one.logged.failure,
         jump=jump,

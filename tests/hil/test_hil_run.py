@@ -95,7 +95,7 @@ def test_a_run_that_a_fault_ends_keeps_what_was_measured(tmp_path):
     assert len(found.record) == 699
     assert found.log["state"][-1] in ("ramp down", "fault")
     assert found.log["throttle"][-1] < 0.01
-    told = found.session.told()
+    told = found.session.summary()
     assert [t["state"] for t in told["transitions"]][-2:] == ["ramp down", "fault"]
 
 

@@ -78,13 +78,13 @@ def test_readings_come_one_after_the_other_and_are_held(tmp_path):
 def test_thrust_is_what_it_is_without(tmp_path):
     """A chip of its own: the load cell's readings are all fresh, and as old as they were."""
     with_supply, without = run(tmp_path / "a", RIG), run(tmp_path / "b", CALIBRATION)
-    assert with_supply.session.told()["counters"]["adc"]["held"] == 0
+    assert with_supply.session.summary()["counters"]["adc"]["held"] == 0
     assert with_supply.record["thrust"][-250:].mean() == pytest.approx(without.record["thrust"][-250:].mean(), abs=0.1)
     np.testing.assert_allclose(np.ptp(with_supply.log["thrust_age"]), np.ptp(without.log["thrust_age"]), atol=1e-6)
     assert {"voltage", "current", "temperature"} <= set(with_supply.record.columns)
     assert "voltage" not in without.record.columns
-    assert "supply" not in without.session.told()
-    assert with_supply.session.told()["supply"] == list(WIRED)
+    assert "supply" not in without.session.summary()
+    assert with_supply.session.summary()["supply"] == list(WIRED)
 
 
 @pytest.mark.parametrize(

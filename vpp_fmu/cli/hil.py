@@ -27,7 +27,7 @@ from hil.page.operator_page import OperatorPage, served
 from hil.replay import replay
 from hil.report import calibration_page
 from hil.run import ON_ALARM, check_profile, start_of
-from hil.runs import begun, file_told
+from hil.runs import begun, file_entry
 from hil.safety.limits import Limits
 from hil.selftest import selftest
 from hil.session import REPORT, Setup, found_log
@@ -209,12 +209,12 @@ def _run(options) -> None:
     task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
     parent = OutputFolder(options.output)
     say_allowed(setup.allowed)
-    told = _begun(options, setup) | task.told()
+    content = _begun(options, setup) | task.summary()
     if twin:
         print(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
-    with watched(options, told) as page:
+    with watched(options, content) as page:
         confirm(setup)
-        done, folder = carry_out(task, told | {"begun": now()}, parent, page, say)
+        done, folder = carry_out(task, content | {"begun": now()}, parent, page, say)
         say_written(folder)
         done.judge()
 
@@ -230,13 +230,13 @@ def _campaign(options) -> None:
     plan = replace(plan_for(setup.allowed), **{field: value for field, value in given.items() if value is not None})
     commands = commands_of(options.commands, setup.limits) if options.commands else None
     folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
-    told = measuring.begin(folder.path, _begun(options, setup), options.resume)
+    content = measuring.begin(folder.path, _begun(options, setup), options.resume)
     say_allowed(setup.allowed)
-    with watched(options, told) as page:
+    with watched(options, content) as page:
         confirm(setup)
         if file := which(options).file:
             folder.write(FILE, read_text(file))  # what reads the campaign must know it too
-        measuring.run(folder, told, page, say)
+        measuring.run(folder, content, page, say)
         say_written(folder)
 
 
@@ -266,11 +266,11 @@ def _selftest(options) -> None:
     """Test the rig without turning the rotor: loop timing, buses, calibration, pulse outputs, log."""
     setup, folder = setup_of(options, turning=False), OutputFolder(options.output)
     found = selftest(setup, options.seconds, folder.path, options.load)
-    told = found.told()
-    folder.write("hil.json", as_json(told))
-    folder.write("report.html", found.page(told, options.seconds).html())
+    content = found.summary()
+    folder.write("hil.json", as_json(content))
+    folder.write("report.html", found.page(content, options.seconds).html())
     if found.session.timing:
-        print(f"loop: {told['real_time']}; {options.load} busy processes beside it\n{found.session.timing.text()}")
+        print(f"loop: {content['real_time']}; {options.load} busy processes beside it\n{found.session.timing.text()}")
     for one in found.checks:
         print(f"{'good' if one.good else 'BAD '}  {one.what}: {one.found}")
     say_written(folder)
@@ -280,14 +280,14 @@ def _selftest(options) -> None:
 def _report(options) -> None:
     """Make run.csv, report.html and the end of hil.json from a run's log: for a run whose loop could not do so itself.
 
-    A loop that is killed or crashes leaves its log whole, and the log's writer calls this by itself. Where that was killed too, the
+    A loop that is killed or crashes leaves its log whole, and the log's writer then calls this. Where that was killed too, the
     rows that reached the disk are given the log's name first."""  # noqa: E501
     log = found_log(Path(options.log))
     folder = OutputFolder(log.parent)
-    record, told, gone = of_log(log)
+    record, content, gone = of_log(log)
     if gone:
-        print(f"vpp hil: the run ended: {told['ended']}", file=sys.stderr)
-    finish(folder, told, record, say)
+        print(f"vpp hil: the run ended: {content['ended']}", file=sys.stderr)
+    finish(folder, content, record, say)
     print(f"made from the log: {kept_of(log.parent)}", file=sys.stderr)
     say_written(folder)
 
@@ -337,8 +337,8 @@ def allowed_of(options, turning: bool = True) -> Rig:
     is no real rig, the paper's. BadInput where a real one is to turn and nobody knows how far."""
     rig, rest = which(options, fmu=True), None
     if getattr(options, "parameters", None):
-        told = plant_of(options).rig
-        rest = None if told.unknown else told
+        content = plant_of(options).rig
+        rest = None if content.unknown else content
     if rest is None and (rig.kind != "real" or not turning):
         rest = PAPERS
     if rig.file:
@@ -446,14 +446,14 @@ def _begun(options, setup: Setup) -> dict:
     """What hil.json says before anything turns; each file with its hash."""
     given = {"limits_file": options.limits, "rig_file": which(options).file, "parameters": options.parameters}
     given["profile"] = getattr(options, "profile", None)
-    told = begun(setup, options.calibration or str(CALIBRATION), options.operator or _user(), given)
+    content = begun(setup, options.calibration or str(CALIBRATION), options.operator or _user(), given)
     if not hasattr(options, "controller"):
-        return told
+        return content
     if options.controller:
-        return told | {"controller": {"kind": "FMU", **file_told(options.controller)}}
+        return content | {"controller": {"kind": "FMU", **file_entry(options.controller)}}
     gains = gains_of(options)
-    source = file_told(options.gains) if options.gains else {"gains": gains.source["made_by"]}
-    return told | {"controller": {"kind": "kernel", **source, "parameters": dict(gains.values)}}
+    source = file_entry(options.gains) if options.gains else {"gains": gains.source["made_by"]}
+    return content | {"controller": {"kind": "kernel", **source, "parameters": dict(gains.values)}}
 
 
 def _user() -> str:
@@ -480,7 +480,7 @@ def confirm(setup: Setup) -> None:
 
 
 @contextlib.contextmanager
-def watched(options, told: Mapping) -> Iterator[OperatorPage | None]:
+def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
     """The operator's page, where it is wanted, for as long as the context lasts; its address is printed. BadInput."""
     if options.watch is None:
         yield None
@@ -488,7 +488,7 @@ def watched(options, told: Mapping) -> Iterator[OperatorPage | None]:
     if options.virtual:
         allowed = "a run in real time: a virtual one is over in seconds"
         raise BadInput("command line", "--watch", "given with --virtual", allowed)
-    with served(told, options.watch) as page:
+    with served(content, options.watch) as page:
         say(f"operator's page: {page.address}")
         yield page
 

@@ -34,7 +34,7 @@ UNPUBLISHED = (
     ("noise, its colour, repeated records", "chosen: 0.12 N before the mark's vibration; each record measured twice here"),
     ("motor's winding and inertia, actuator's motor and screw", "chosen such that steps take as long as the paper's"),
 )
-"""What the paper leaves open, and what stands in its place here."""
+"""Data that the paper does not give, and the replacement here."""
 
 CHANNELS = {"5": ("speed", "omega", "rpm", "deg"), "6": ("pitch", "beta", "deg", "rpm")}
 """The paper's figure of each channel's steps: its name, its name in the model, its unit, the other channel's."""
@@ -78,10 +78,10 @@ def page(study: Study, total: float) -> Page:
         places |= add(made, study)
     made.section("All figures")
     shown = [(f"figure {n}", what, NOT_HERE.get(n) or f"figure {places[n]}") for n, what in FIGURES.items()]
-    made.table(("paper", "shows", "here"), shown, "Which figure of this page stands beside which of the paper.")
+    made.table(("paper", "shows", "here"), shown, "Figures of the paper and of this page.")
     made.section("All numbers")
     made.table(COLUMNS, [row.cells() for row in rows.values()], "In the paper's order.")
-    made.table(("not in the paper", "here"), UNPUBLISHED, "What the paper leaves open.")
+    made.table(("not in the paper", "here"), UNPUBLISHED, "Data that the paper does not give.")
     made.section("Time")
     times = [*study.seconds.items(), ("the whole, before this page", total)]
     caption = f"Seed {study.seed}. In virtual time: the rig's own clock runs ahead of this one's."
@@ -96,10 +96,10 @@ def verdict(study: Study) -> str:
         f"{dual.against(single)} {way} (settled in {dual.seconds}, {single.seconds})"
         for way, dual, single in (("up", both.up, alone.up), ("down", both.down, alone.down))
     ]
-    r2, fall = study.statics.rig.r2_adjusted, study.fine_tuning[0].fall[0]
+    r2, reduction = study.statics.rig.r2_adjusted, study.fine_tuning[0].reduction[0]
     return (
         f"On the emulated rig the cubic map has an adjusted R² of {r2:.4f} (paper {NUMBERS['r2_adjusted'].value:.3f}), "
-        f"fine-tuning takes {fall:.0f} % off the cost (paper {NUMBERS['cost_fall'].value:.0f} %), "
+        f"fine-tuning takes {reduction:.0f} % off the cost (paper {NUMBERS['cost_fall'].value:.0f} %), "
         f"and in squared error both actuators are, against speed alone, {said[0]} and {said[1]}."
     )
 
@@ -185,7 +185,7 @@ def _add_static(page: Page, study: Study) -> dict[str, int]:
     page.figure(
         map_residuals(s.points.omega_ref[used], s.points.beta_ref[used], s.difference, title),
         "Rig less the paper's map. Not a test of the physics: three numbers of its blades were fitted to that map. By the "
-        f"paper's map, as it stands, the rig's points have an adjusted R² of {r2:.4f}.",
+        f"unchanged map of the paper the rig's points have an adjusted R² of {r2:.4f}.",
     )
     speed, pitch = zip(*s.ct, strict=True)
     title = (
@@ -237,12 +237,12 @@ def _add_fine_tuning(page: Page, study: Study) -> dict[str, int]:
     page.section("Fine-tuning (figures 7, 8)")
     (rig, model), noise = study.fine_tuning, study.found.noise.std
     title = (
-        f"The paper's descent takes {rig.fall[0]:.0f} % off the cost in {len(rig.costs) - 1} iterations; ours "
-        f"{rig.fall[1]:.0f} % in {len(rig.ours.curve) - 1}"
+        f"The paper's descent takes {rig.reduction[0]:.0f} % off the cost in {len(rig.costs) - 1} iterations; ours "
+        f"{rig.reduction[1]:.0f} % in {len(rig.ours.curve) - 1}"
     )
     caption = (
         f"Descent {rig.seconds:.2f} s, ours {rig.ours.seconds:.2f} s. The paper's record is not published: its model under "
-        "this record's commands, with noise that leaves the paper's final cost, stands for it."
+        "this record's commands, with noise that gives the paper's final cost, is used instead."
     )
     noise_cost = 0.5 * (noise / BASE.values()["thrust_scale"]) ** 2
     places = {"7": page.figure(figures.learning_curves(rig, model, noise_cost, title), caption)}
@@ -280,9 +280,9 @@ def _add_control(page: Page, study: Study) -> dict[str, int]:
     for number, controllers in (("9", (PI, PID)), ("10", (SPEED, PID))):
         for plant, gains in ((MODEL, PUBLISHED), (RIG, TUNED)):
             tests = {name: study.tests[Loop(plant, gains, name)] for name in controllers}
-            told = "; ".join(f"{name} {test.up.seconds} up, {test.down.seconds} down" for name, test in tests.items())
+            content = "; ".join(f"{name} {test.up.seconds} up, {test.down.seconds} down" for name, test in tests.items())
             drawn = {name: {c: test.mean[c] for c in DRAWN if c in test.mean} for name, test in tests.items()}
-            figure, run = closed_loop(drawn, f"{plant.capitalize()}, {gains}: {told}"), tests[PID].mean
+            figure, run = closed_loop(drawn, f"{plant.capitalize()}, {gains}: {content}"), tests[PID].mean
             if SPEED not in controllers:
                 figures.mark_reached(figure, steps(run)[0].time)
             figure.update_xaxes(range=[steps(run)[0].time - 0.5, float(run.time[-1])])

@@ -111,7 +111,7 @@ _ROWS = (
     ("iterations", "iterations of the fine-tuning", "section 4.2, figure 7", float(ITERATIONS)),
     ("cost_start", "cost before", "section 4.2, figure 7", COST_START),
     ("cost_end", "cost after", "section 4.2, figure 7", COST_END),
-    ("cost_fall", "fall of the cost", "section 4.2, figure 7", 38.3, "%"),
+    ("cost_fall", "reduction of the cost", "section 4.2, figure 7", 38.3, "%"),
     ("improved", "where fine-tuning improves most", "section 4.2, figure 8", "pitch only, both"),
     ("assumed", "tau_beta_2 assumed for the control design", "section 4.2", ASSUMED["tau_beta_2"], "s"),
     ("t_filter", "derivative filter", "section 3.3", 0.02, "s"),

@@ -276,21 +276,21 @@ def _costs(study: Study) -> dict[str, tuple]:
         f"agrees by construction on the paper's model: its noise is set from the paper's cost. Residual {papers:.2f} N rms "
         f"in the paper, {ours:.2f} N by our search on the rig ({rig.ours.cost_final:.3g}, its noise alone {noise:.2g})"
     )
-    fall = f"it tells of the start; our search takes off {rig.fall[1]:.1f} and {model.fall[1]:.1f} %"
+    reduction = f"it tells of the start; our search takes off {rig.reduction[1]:.1f} and {model.reduction[1]:.1f} %"
     return {
         "iterations": (*(float(len(tuned.costs) - 1) for tuned in study.fine_tuning), rate),
         "cost_start": (*(float(tuned.costs[0]) for tuned in study.fine_tuning), start),
         "cost_end": (*(float(tuned.costs[: ITERATIONS + 1][-1]) for tuned in study.fine_tuning), end),
-        "cost_fall": (*(tuned.fall[0] for tuned in study.fine_tuning), fall),
+        "cost_fall": (*(tuned.reduction[0] for tuned in study.fine_tuning), reduction),
     }
 
 
 def _improved(study: Study) -> dict[str, tuple]:
     """By how much fine-tuning lowers the error in each part of the record (section 4.2)."""
-    told = []
+    cells = []
     for tuned in study.fine_tuning:
         errors = by_part(tuned.record, {"start": tuned.start, "end": tuned.values})
-        told.append(", ".join(f"{part} {100.0 * (e['end'] / e['start'] - 1.0):+.0f} %" for part, e in errors.items()))
+        cells.append(", ".join(f"{part} {100.0 * (e['end'] / e['start'] - 1.0):+.0f} %" for part, e in errors.items()))
     rig = study.fine_tuning[0]
     kept = rig.values | {n: rig.start[n] for n in ("tau_omega_1", "tau_omega_2")}
     errors = by_part(rig.record, {"end": rig.values, "kept": kept})
@@ -299,7 +299,7 @@ def _improved(study: Study) -> dict[str, tuple]:
         "rms error by the paper's descent; on the rig speed's lags move for the part where both move: with the "
         f"start's, speed only has {speed['kept']:.3f} N for {speed['end']:.3f}, both {both['kept']:.3f} for {both['end']:.3f}"
     )
-    return {"improved": (*told, why)}
+    return {"improved": (*cells, why)}
 
 
 def _merits(study: Study) -> dict[str, tuple]:
@@ -328,12 +328,12 @@ def _merits(study: Study) -> dict[str, tuple]:
         "overshoot": (rig.up.overshoot, model.up.overshoot, over),
     }
     for way, why in (("up", ends), ("down", "pitch takes thrust away while the rotor still runs down")):
-        told = []
+        cells = []
         for dual, single in zip(*pairs, strict=True):
             both, other = getattr(dual, way), getattr(single, way)
             change = 100.0 * (both.squared_error / other.squared_error - 1.0)
-            told.append(f"both {both.seconds}, speed {other.seconds}, squared error {change:+.0f} %")
-        found[way] = (*told, f"squared error: of both over speed alone's. {why}")
+            cells.append(f"both {both.seconds}, speed {other.seconds}, squared error {change:+.0f} %")
+        found[way] = (*cells, f"squared error: of both over speed alone's. {why}")
     return found
 
 

@@ -76,7 +76,7 @@ class FineTuning:
     ours: Refinement
 
     @property
-    def fall(self) -> tuple[float, float]:
+    def reduction(self) -> tuple[float, float]:
         """What the descent and our search take off the cost, %."""
         return tuple(100.0 * (1.0 - end / self.costs[0]) for end in (self.costs[-1], self.ours.cost_final))
 
@@ -109,7 +109,7 @@ class Study:
 
 
 class Stages:
-    """Seconds of stages by name; `show` is told what is going on."""
+    """Seconds of stages by name; `show` gets the name of each stage."""
 
     def __init__(self, show: Callable[[str], None]):
         self.show, self.seconds, self._last = show, {}, time.perf_counter()
@@ -132,7 +132,7 @@ def study(folder: OutputFolder, plan: Plan, repeats: int, seed: int, stages: Sta
     model = fit_steps(simulated(campaign.steps, AVERAGED, noise_of(rig), seed), BASE.values())
     stages.done("static map and steps the paper's way")
     stages.show("the paper's descent")
-    noise = BASE.values()["thrust_scale"] * np.sqrt(2.0 * COST_END)  # it leaves the best model with the paper's final cost
+    noise = BASE.values()["thrust_scale"] * np.sqrt(2.0 * COST_END)  # the best model then has the paper's final cost
     papers = simulated([campaign.open_loop], FINE_TUNED, noise, seed)[0]
     starts = (campaign.open_loop, found.start), (papers, AVERAGED)
     tuned = tuple(fine_tuned(record, {name: start[name] for name in BASE_PARAMETERS}) for record, start in starts)
@@ -144,14 +144,14 @@ def study(folder: OutputFolder, plan: Plan, repeats: int, seed: int, stages: Sta
 
 def recorded(folder: OutputFolder, plan: Plan, seed: int, stage: Callable[[str], None]) -> Campaign:
     """Measure a campaign into a folder, file by file as `vpp hil campaign --virtual --seed` does, and read it back."""
-    told = {"format": "vpp-hil/1", "plan": asdict(plan), "parts": {}}
+    content = {"format": "vpp-hil/1", "plan": asdict(plan), "parts": {}}
     for k, part in enumerate(PARTS):
         setup = emulated(steep(Limits()), 100 * seed + k, map_is_known=False)
         with session(setup, folder.path, f"log_{part}.csv.gz", watch=False) as one:
             record = measure(one.rig, part, plan, lambda share, part=part: stage(f"{part} {share:.0%}"))
-        told["parts"][part] = one.told() | {"ended": ""}
+        content["parts"][part] = one.summary() | {"ended": ""}
         write_record(folder, f"{part}.csv", record)
-    folder.write("hil.json", json.dumps(told, indent=2) + "\n")
+    folder.write("hil.json", json.dumps(content, indent=2) + "\n")
     return read_campaign(folder.path)
 
 
