@@ -281,7 +281,7 @@ def _report(options) -> None:
     """Make run.csv, report.html and the end of hil.json from a run's log: for a run whose loop could not do so itself.
 
     A loop that is killed or crashes leaves its log whole, and the log's writer then calls this. Where that was killed too, the
-    rows that reached the disk are given the log's name first."""  # noqa: E501
+    rows that reached the disk are given the log's name first."""
     log = found_log(Path(options.log))
     folder = OutputFolder(log.parent)
     record, content, gone = of_log(log)
