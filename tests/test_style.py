@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 PRODUCT = Path(__file__).parents[1]
-FOLDERS = ("vpp_fmu", "identification", "hil", "fmu_src")
+FOLDERS = (".", "docs", "vpp_fmu", "identification", "hil", "fmu_src")
 
 ANYWHERE = {
     "untold": "untold",
@@ -71,7 +71,7 @@ def places():
     anywhere = {word: _pattern(words) for word, words in ANYWHERE.items()}
     in_names = {word: _pattern(words) for word, words in IN_NAMES.items()}
     for folder in FOLDERS:
-        for path in sorted((PRODUCT / folder).rglob("*")):
+        for path in sorted((PRODUCT / folder).glob("*.md" if folder == "." else "**/*")):
             if path.suffix not in (".py", ".md"):
                 continue
             for line, text, name in _texts(path):
