@@ -47,6 +47,9 @@ EVIDENCE = 5.0
 """Minimum evidence (half a BIC difference) for a sensor of more parameters, or another logger: very strong (Kass and Raftery,
 1995)."""
 
+NOT_DISTINGUISHED = 2.0 * EVIDENCE
+"""Difference of scores within which two sensors are not distinguished: both fits are approximate."""
+
 MOST_ROWS = 12_000
 """Maximum number of rows used of a record: they identify the offset to a hundredth of a row."""
 
@@ -77,7 +80,10 @@ LATEST = 0.3
 FILTER = 0.02
 """Start value of the filter time constant of telemetry, s."""
 
-STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: 0.01}
+STRAY = 0.01
+"""Share of renewal intervals (rows between two new values) that may have any length."""
+
+STRAYS = {MARK: 0.1, ENCODER: 0.1, TELEMETRY: STRAY}
 """Share of renewal intervals that a kind need not explain: a rotor turns unevenly, a clock does not."""
 
 HELD, MIXED = 0.1, 0.25
@@ -171,7 +177,7 @@ class _Estimate:
         scores = _scores(fits)
         near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         scores = _scores(near)
-        likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - EVIDENCE]
+        likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - NOT_DISTINGUISHED]
         return self._logger_of(min(likely, key=lambda fit: (fit.sensor.averaged, fit.from_whole_rows())))
 
     def _logger_of(self, fit: "_SensorFit") -> Logger:
@@ -180,31 +186,31 @@ class _Estimate:
             return Logger(sensor=fit.sensor, period=self._period)
         shared = fit.late(self._delays[0])
         freer = fit.tied or fit.with_delay != fit.free
-        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit).solved(FULL) if freer else fit
+        loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
         delayed = fit.worse_than(loose)
         if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
         rows, std = shared.value / self._period, shared.std / self._period
         for value in (0.0, float(round(rows))):
-            simpler = _SensorFit(self, fit.sensor, fit.free, fit, held=value).solved(FULL)
+            simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
             if abs(rows - value) < FINEST or not simpler.worse_than(fit):
                 rows, fit = value, simpler
                 break
         else:
-            fit = _SensorFit(self, fit.sensor, fit.free, fit, held=rows).solved(FULL)
+            fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
         own = (
             delayed
             and "speed_delay.delay" in self._delays
             and loose.late("speed_delay.delay").differs_from(rows * self._period)
         )
         if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
-            other = _SensorFit(self, fit.sensor, fit.with_delay, fit, held=rows).solved(FULL)
+            other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
             fit = other if fit.worse_than(other) else fit
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
-    def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...]]]:
-        """(sensor, its free parameters) of those that explain the renewal intervals; all, if none does. Marks and encoders have
-        no delay without very strong evidence."""
+    def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
+        """(sensor, its free parameters, log-likelihood of its renewal intervals) of those that explain them; all, if none does.
+        Marks and encoders have no delay without very strong evidence."""
         declared = self._declared
         rows, turn, mixed = renewals(self._first)
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
@@ -220,10 +226,14 @@ class _Estimate:
             refresh = float(interval > 1.0) * interval * self._period
             every.append((SpeedSensor(TELEMETRY, filter=FILTER, refresh=refresh, averaged=mixed), [interval]))
         known = {k: v for k, v in declared.items() if k in ("filter", "refresh", "delay")}
-        explained = [sensor for sensor, expected in every if not unexplained(sensor.kind, rows, *expected)]
+        explained = [one for one in every if not unexplained(one[0].kind, rows, *one[1])]
         return [
-            (replace(sensor, **known), tuple(sorted({"delay", "filter"} - set(known))) if sensor.kind == TELEMETRY else ())
-            for sensor in explained or [sensor for sensor, _ in every]
+            (
+                replace(sensor, **known),
+                tuple(sorted({"delay", "filter"} - set(known))) if sensor.kind == TELEMETRY else (),
+                renewal_score(rows, *expected) if explained else 0.0,
+            )
+            for sensor, expected in explained or every
         ]
 
 
@@ -231,6 +241,7 @@ class _SensorFit:
     """The base model with delays of its commands, fitted with one kind of sensor, whose `free` parameters are fitted, too.
 
     `sensor` None: fitted to the thrust alone. `tied`: both commands have the same delay. `held`: its fixed value, in rows.
+    `renewed`: log-likelihood of the renewal intervals of the sensor.
     """
 
     def __init__(
@@ -238,11 +249,12 @@ class _SensorFit:
         of: _Estimate,
         sensor: SpeedSensor | None,
         free: tuple[str, ...],
+        renewed: float = 0.0,
         start: "_SensorFit | None" = None,
         tied: bool = False,
         held: float | None = None,
     ):
-        self._of, self.free, self.sensor = of, free, sensor or UNKNOWN
+        self._of, self.free, self.sensor, self.renewed = of, free, sensor or UNKNOWN, renewed
         self._experiments = of._thrust_alone
         if self.sensor.kind:
             self._experiments = [e.measured_by(self.sensor) for e in of._experiments]
@@ -343,7 +355,7 @@ class _SensorFit:
         """Penalised log-likelihood with unknown noise variances; that of the speed is on `rows` (record, row), which have a
         variance in each of their `groups`: uncertainties of a sensor are right up to a factor that depends on acceleration."""
         count = len(self._x) * 0.5 * float(np.log(max(len(rows), len(self._problem.blocks[0].time))))
-        total = self._thrust - count
+        total = self._thrust + self.renewed - count
         if not rows:
             return total
         error, std = np.array([self.speed[row] for row in rows]).T
@@ -361,7 +373,7 @@ class _SensorFit:
 
     def worse_than(self, other: "_SensorFit") -> bool:
         """Whether the evidence for another fit is very strong."""
-        own, its = _scores([self, other])
+        own, its = _scores([self, other], groups=1)
         return its - own > EVIDENCE
 
     def estimate(self, *names: str) -> tuple[float, float]:
@@ -438,13 +450,13 @@ def _offset(thrust: Mapping[str, _Delay], reading: _Delay | None, kind: str) -> 
     return shared if early else NONE
 
 
-def _scores(fits: Sequence[_SensorFit]) -> list[float]:
-    """Score of each fit, on the rows at which all of them have a reading."""
+def _scores(fits: Sequence[_SensorFit], groups: int = GROUPS) -> list[float]:
+    """Score of each fit, on the rows at which all of them have a reading, with a variance in each of so many groups of rows."""
     rows = sorted(set.intersection(*(set(f.speed) for f in fits)))
     spread = np.array([np.sum([np.log(f.speed[row][1]) for f in fits]) for row in rows])
-    groups = np.searchsorted(np.quantile(spread, np.arange(1, GROUPS) / GROUPS), spread) if rows else np.zeros(0, int)
-    _, groups = np.unique(groups, return_inverse=True)
-    return [f.score(rows, groups) for f in fits]
+    limits = np.quantile(spread, np.arange(1, groups) / groups) if rows else np.zeros(0)
+    _, group = np.unique(np.searchsorted(limits, spread), return_inverse=True)
+    return [f.score(rows, group) for f in fits]
 
 
 def _as_modelled(record: Record) -> Record:
@@ -474,6 +486,12 @@ def renewals(record: Record) -> tuple[np.ndarray, np.ndarray, bool]:
         new, clear = new[counts], clear[counts]
     kept = clear[1:] & clear[:-1]
     return np.diff(new)[kept], 60.0 / (shown[new[1:]][kept] * record.period), mixed
+
+
+def renewal_score(rows: np.ndarray, *expected: np.ndarray | float) -> float:
+    """Log-likelihood of renewal intervals (n,), in whole rows, for one of the `expected` intervals at unknown phase."""
+    explained = np.mean([np.maximum(1.0 - np.abs(rows - np.maximum(each, 1.0)), 0.0) for each in expected], axis=0)
+    return float(np.sum(np.log(np.maximum(explained, STRAY))))
 
 
 def unexplained(kind: str, rows: np.ndarray, *expected: np.ndarray | float) -> bool:

@@ -252,5 +252,5 @@ def test_what_cannot_be_drawn_is_refused():
         drawing(fig, Arrays())
     fig = test_report.prediction()
     fig.data[0].line.color = "#123456"
-    with pytest.raises(ValueError, match="#123456 stands in no scheme"):
+    with pytest.raises(ValueError, match="#123456 is in no scheme"):
         drawing(fig, Arrays())

@@ -68,7 +68,7 @@ def test_every_number_of_the_paper_has_a_row_that_says_why(quick):
 
 
 def test_every_figure_of_the_paper_is_on_the_page(quick):
-    table = quick.page[quick.page.index("Which figure of this page") :]
+    table = quick.page[quick.page.index("Figures of the paper and of this page") :]
     for number, what in FIGURES.items():
         cells = re.search(rf"<td>figure {number}</td><td[^>]*>{re.escape(what)}</td><td[^>]*>(.*?)</td>", table)
         if number in ("1a", "1b"):

@@ -55,7 +55,7 @@ def test_a_relay_that_opens_in_a_run_ends_it_at_once():
     rig, _ = virtual_rig(COLUMNS)
     rig.start(3000.0, 2.0)
     rig.bench.tachometer.stop()
-    with pytest.raises(RunEnded, match="relay: relay open: the board has opened it: told to"):
+    with pytest.raises(RunEnded, match="relay: relay open: the board has opened it: commanded"):
         drive(rig)
     assert rig.states.state.value == "fault"
     rig.close()
