@@ -91,7 +91,7 @@ HELD, MIXED = 0.1, 0.25
 those are followed by a mixed row: of means over two instants, half the pulses fall between them."""
 
 UNLIKELY = 0.01
-"""Level of the test that the most likely kind explains the renewal intervals."""
+"""Level of the test that a kind explains the renewal intervals."""
 
 DELAYS = {"omega": "speed_delay", "beta": "pitch_delay"}
 ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
@@ -222,7 +222,7 @@ class _Estimate:
             expected = [np.where(held < 3.0, held - 1.0, np.inf), 1.0] if averaged and not mixed else [held]
             every.append((SpeedSensor(MARK, n, averaged=averaged), expected))
         # Telemetry that is faster than the rows is renewed in each row.
-        for interval in {1.0, float(rows.mean())} if TELEMETRY in kinds and len(rows) else ():
+        for interval in {1.0, float(rows.mean()) if len(rows) else 1.0} if TELEMETRY in kinds else ():
             refresh = float(interval > 1.0) * interval * self._period
             every.append((SpeedSensor(TELEMETRY, filter=FILTER, refresh=refresh, averaged=mixed), [interval]))
         known = {k: v for k, v in declared.items() if k in ("filter", "refresh", "delay")}

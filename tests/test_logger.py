@@ -11,6 +11,7 @@ from identification.demo import example_folder
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
 from identification.fit.tachometer import Tachometer
+from identification.gate.finding import acceptable
 from identification.gate.gate import passed
 from identification.identify import identify
 from identification.logger_fit import as_logged, mended
@@ -209,6 +210,13 @@ def test_a_declared_sensor_is_the_only_one_that_is_tried():
     declared = {"sensor": {"kind": "mark", "marks_per_revolution": 2}}
     logger = as_logged(passed(campaign(logged(40, 0.0), declared))).logger
     assert (logger.sensor.kind, logger.sensor.marks_per_revolution) == ("mark", 2)
+
+
+@pytest.mark.parametrize("kind", ["mark", "encoder", "telemetry"])
+def test_a_declared_sensor_whose_values_are_hardly_renewed_is_taken(kind):
+    record = logged(41, 0.0)
+    still = record.with_columns(omega=np.where(record.time < 20.0, 3000.0, 4000.0))
+    assert as_logged(passed(campaign(still, {"sensor": {"kind": kind}}), accept=acceptable())).logger.sensor.kind == kind
 
 
 def test_the_example_has_the_contracts_logger():
