@@ -93,11 +93,9 @@ KINDS = {
 def check_kinds(path: str | os.PathLike, content: object, kinds: object, place: tuple = ()) -> None:
     """BadInput if a part of a file's content is missing or of another type.
 
-    `kinds`: a type (None: anything); `[kinds]` for a list; `{name: kinds}` for an object, in which names that end in "?" may be
+    `kinds`: a type; `[kinds]` for a list; `{name: kinds}` for an object, in which names that end in "?" may be
     missing or null and "*" is every name.
     """
-    if kinds is None:
-        return
     kind = kinds if isinstance(kinds, type) else type(kinds)
     whole = isinstance(content, int) and not isinstance(content, bool)
     if not (whole if kind is int else whole or isinstance(content, float) if kind is float else isinstance(content, kind)):
