@@ -17,6 +17,8 @@ PATCHES = {
     "exit": ([["2", "1"]], "assert -"),  # by which signal, is chance
 }
 """Lines added and taken away in the source, and what the test says as long as the installed binary needs the patch."""
+TRIES = 20
+"""What a process does with memory that it has freed is chance: now and then it ends well in spite of the fault."""
 each_patch = pytest.mark.parametrize("name", PATCHES)
 
 
@@ -38,9 +40,12 @@ def test_the_installed_binary_still_needs_the_mend(name, tmp_path):
     test = tmp_path / f"test_{name}.py"
     test.write_text(added(name))
     run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), str(test)]
-    done = subprocess.run(run, cwd=tmp_path, check=False, capture_output=True, text=True)
-    if "1 skipped" in done.stdout:
-        pytest.skip("no C compiler")
+    for _ in range(TRIES):
+        done = subprocess.run(run, cwd=tmp_path, check=False, capture_output=True, text=True)
+        if "1 skipped" in done.stdout:
+            pytest.skip("no C compiler")
+        if done.returncode:
+            break
     assert done.returncode == 1
     assert PATCHES[name][1] in done.stdout, done.stdout
 
