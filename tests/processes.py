@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-VPP = (sys.executable, "-c", "import sys; from vpp_fmu.cli import main; sys.exit(main())")
+VPP = (sys.executable, "-c", "import sys; from vpp_fmu.app.cli import main; sys.exit(main())")
 """The command `vpp`, whatever is installed."""
 
 PATIENCE = 60.0

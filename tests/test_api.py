@@ -12,7 +12,7 @@ import pytest
 
 import vpp_fmu as vpp
 from vpp_fmu import frames
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.record import Record
 

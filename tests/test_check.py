@@ -29,8 +29,8 @@ from identification.gate.synthetic import one_mark, write_campaign
 from identification.gate.template import COLUMNS, FILES
 from identification.identify import identify
 from identification.static.static_map import TERMS
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
-from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED

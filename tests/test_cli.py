@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from vpp_fmu.cli import VERBS, cosim, main, parser_of
-from vpp_fmu.cli.output import stages
+from vpp_fmu.app.cli import VERBS, cosim, main, parser_of
+from vpp_fmu.app.cli.output import stages
 from vpp_fmu.record import Record, read_record
 from vpp_fmu.response import steps
 

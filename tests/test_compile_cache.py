@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.native import compiler
 from vpp_fmu.native.compiler import compiled

@@ -10,7 +10,7 @@ from studies.incomplete_campaigns import CASES
 from identification.assessment.prediction import Prediction
 from identification.assessment.reading_noise import reading_noise
 from identification.fit.noise import noise_from
-from vpp_fmu.cli import VERBS
+from vpp_fmu.app.cli import VERBS
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record, read_record
 

@@ -20,9 +20,9 @@ from identification.diagnose.report.residual import moves
 from identification.diagnose.report.summary import summary
 from identification.identify import identify
 from identification.static.static_map import TERMS, design
+from vpp_fmu.app.cli import main
+from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.campaign import Campaign, read_campaign
-from vpp_fmu.cli import main
-from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import python_fmu

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from vpp_fmu.cli import main
-from vpp_fmu.cli.effects import effects_page, theory
+from vpp_fmu.app.cli import main
+from vpp_fmu.app.cli.effects import effects_page, theory
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.own_effects import library_with
 
@@ -37,7 +37,7 @@ def test_every_effect_of_the_library_says_what_it_is():
 
 def test_the_page_is_written(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
-        "vpp_fmu.cli.effects.library_with", lambda paths: tuple(e for e in LIBRARY if e.off is None or e is OPTIONAL[3])
+        "vpp_fmu.app.cli.effects.library_with", lambda paths: tuple(e for e in LIBRARY if e.off is None or e is OPTIONAL[3])
     )
     assert main(["effects", "--html", str(tmp_path / "effects.html")]) == 0
     assert "<h2" in (tmp_path / "effects.html").read_text()

@@ -5,7 +5,7 @@ import zipfile
 import pytest
 
 from vpp_fmu import fmu
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.plants import FmuController
 

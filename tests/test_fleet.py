@@ -12,9 +12,9 @@ from identification.diagnose.report.fleet import Entry, as_csv, fleet_page
 from identification.workers import spread
 from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
+from vpp_fmu.app.cli import diagnose as command
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import measured_on
-from vpp_fmu.cli import diagnose as command
-from vpp_fmu.cli import main
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]
 SHORT = {"size": "paper", "rate": 100, "noise": "white", "level": 1.0, "strength": 1.0, "seconds": 20.0} | WHOLE

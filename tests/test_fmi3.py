@@ -16,7 +16,7 @@ from fmpy.validation import validate_fmu
 from fuzz import fuzz, fuzzer
 
 from fmu_src.two_masses import MODEL
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu
 from vpp_fmu.export.c_text import c_text

@@ -6,7 +6,7 @@ import random
 import pytest
 from studies import fuzz
 
-from vpp_fmu.cli import VERBS
+from vpp_fmu.app.cli import VERBS
 
 QUICK = ("compare", "import", "effects")
 RUNS = 40

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from tests.interop import hosts
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu

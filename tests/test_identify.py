@@ -12,8 +12,8 @@ from identification.assessment.reading_noise import HOLDS, REPEATS
 from identification.fit.tachometer import Tachometer
 from identification.identify import identify, off_bounds, slowest
 from identification.steps.response import StepSummary
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import Campaign, read_campaign
-from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE

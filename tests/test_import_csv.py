@@ -17,8 +17,8 @@ from identification.logs.sampling import between, said_of_gaps, said_of_rows
 from identification.logs.speed_choice import likelihood_gain
 from identification.logs.speed_map import RANGES
 from identification.logs.units import QUANTITIES, factor_of
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign, read_static, read_steps
-from vpp_fmu.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import Record, read_record
 

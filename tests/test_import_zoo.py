@@ -3,7 +3,7 @@
 import pytest
 from import_zoo import came_out, containers, formats
 
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 
 NEEDS = {"Parquet": "pyarrow", "HDF5": "h5py", "MAT v7.3": "h5py"}
 """What reads a container, by the beginning of a format's name."""

@@ -22,9 +22,9 @@ from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
 from identification.diagnose.report.page import diagnosis_page
 from identification.diagnose.report.summary import summary
+from vpp_fmu.app.cli import main
+from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.campaign import Campaign
-from vpp_fmu.cli import main
-from vpp_fmu.cli.diagnose import write_diagnosis
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy

@@ -24,7 +24,7 @@ from builders import ALL_ON, PROBES, Slave, random_steps, reference
 from fmpy.build import build_platform_binary
 from fmpy.model_description import read_build_description
 
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing, SimulationFailed
 from vpp_fmu.export import native_fmu, toolchain
 from vpp_fmu.export.c_text import c_text

@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from vpp_fmu.cli import VERBS, main, parser_of
-from vpp_fmu.cli.options import Number, real, whole
+from vpp_fmu.app.cli import VERBS, main, parser_of
+from vpp_fmu.app.cli.options import Number, real, whole
 from vpp_fmu.parameters import parameters_file
 
 NO_NUMBERS = ("-1e9", "1e400", "nan", "inf", "-inf", "", "two", "1,5", "0x10", "9" * 5000)

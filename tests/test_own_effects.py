@@ -9,7 +9,7 @@ import pytest
 
 import vpp_fmu as vpp
 from identification.tune.objective import closed_loop
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.invariants import INVARIANTS
 from vpp_fmu.kernel.plant import LIBRARY

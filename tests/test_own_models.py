@@ -13,7 +13,7 @@ from builders import Slave
 
 import fmu_src
 from fmu_src.two_masses import MODEL
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.simulation import Simulation

@@ -18,7 +18,7 @@ from identification.diagnose import diagnose as diagnosing
 from identification.plan import plan as planning
 from identification.tune.controllers import rig_controller
 from vpp_fmu import cli
-from vpp_fmu.cli import hil as hil_verb
+from vpp_fmu.app.cli import hil as hil_verb
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import Scales
@@ -52,12 +52,12 @@ def written(request, tmp_path_factory):
     """(rig, folder, by verb: exit code and text): all of the README's commands on it, one after the other, in its order."""
     rig, folder = request.param, tmp_path_factory.mktemp(request.param)
     with pytest.MonkeyPatch.context() as quick, chdir(folder):
-        quick.setattr("vpp_fmu.cli.diagnose.diagnose", functools.partial(diagnosing.diagnose, thorough=False))
+        quick.setattr("vpp_fmu.app.cli.diagnose.diagnose", functools.partial(diagnosing.diagnose, thorough=False))
         quick.setattr("identification.tune.tune.STARTS", (1.0,))
         quick.setattr("identification.tune.tune.SHAKES", (0, 0))
         quick.setattr("identification.tune.rounds.ROUNDS", 1)
         quick.setattr("identification.plan.plan.DRAWS", 1)
-        quick.setattr("vpp_fmu.cli.plan.plan", functools.partial(planning.plan, evaluations=20))
+        quick.setattr("vpp_fmu.app.cli.plan.plan", functools.partial(planning.plan, evaluations=20))
         if rig == "log":
             shutil.copy(DATA / "units_in_names.csv", "LOG.csv")
         else:
@@ -178,7 +178,7 @@ def test_no_number_of_the_papers_rig_is_in_what_is_written(written):
 
 
 def test_without_parameters_the_papers_values_are_said_to_be_a_default(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("vpp_fmu.cli.export.exported", lambda parts, *_: {})
+    monkeypatch.setattr("vpp_fmu.app.cli.export.exported", lambda parts, *_: {})
     assert cli.main(["export", "-o", str(tmp_path)]) == 0
     said = "within 2000 to 6000 rpm, -5 to 10 deg (the paper's by default: no rig is known), sampled every 4 ms"
     assert said in capsys.readouterr().out

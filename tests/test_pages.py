@@ -11,7 +11,7 @@ from hil.timing import timing
 from identification.diagnose.report.fleet import Entry, fleet_page
 from tests import test_report, test_report_diagnosis
 from tests.browser import browser as opened
-from vpp_fmu.cli.effects import effects_page
+from vpp_fmu.app.cli.effects import effects_page
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
 from vpp_fmu.report import Page, map_section, style

@@ -6,15 +6,15 @@ import pytest
 from studies.paper import numbers
 
 from tests.tables import stored, table, written
+from vpp_fmu.app.cli import main
+from vpp_fmu.app.paper.control import Merit, profile
+from vpp_fmu.app.paper.published import ASSUMED, COST_END, COST_START, FIGURES, KEY, NUMBERS, STATIC_MAP, shown
+from vpp_fmu.app.paper.rows import as_paper
+from vpp_fmu.app.paper.study import paper_thrust
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli import main
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import AVERAGED, FINE_TUNED, normalised_map, plant
 from vpp_fmu.loop import run as run_loop
-from vpp_fmu.paper.control import Merit, profile
-from vpp_fmu.paper.published import ASSUMED, COST_END, COST_START, FIGURES, KEY, NUMBERS, STATIC_MAP, shown
-from vpp_fmu.paper.rows import as_paper
-from vpp_fmu.paper.study import paper_thrust
 from vpp_fmu.parameters import read_parameters
 from vpp_fmu.plants import KernelController, KernelPlant
 

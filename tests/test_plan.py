@@ -392,7 +392,7 @@ def test_a_range_in_which_the_thrust_hardly_changes_is_asked_about(tmp_path, cap
     rig = Rig(speed=(0.0, 6000.0), origin=dict.fromkeys(("speed", "pitch", "thrust"), "the campaign"))
     (tmp_path / "parameters.json").write_text(to_json(ParameterSet(plant(), source={"rig": rig.summary()})))
     tried = []
-    monkeypatch.setattr("vpp_fmu.cli.plan.plan", lambda *given, **more: tried.append(given) or pytest.fail("planned"))
+    monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", lambda *given, **more: tried.append(given) or pytest.fail("planned"))
     words = ["plan", "--parameters", str(tmp_path), "--omega", "100", "500", "-o", str(tmp_path / "next")]
     assert cli.main(words) == 2
     said = capsys.readouterr().err
@@ -412,7 +412,7 @@ def test_what_is_known_is_found_beside_the_parameters(tmp_path, capsys, monkeypa
         seen.append((given[4], given[5]))
         raise BadInput("test", "plan", "reached", "nothing")
 
-    monkeypatch.setattr("vpp_fmu.cli.plan.plan", planned)
+    monkeypatch.setattr("vpp_fmu.app.cli.plan.plan", planned)
     values = plant().values()
     entries = {n: {"value": values[n], "std": 0.01 * abs(values[n])} for n in ("tau_omega_1", "c20")}
     known = {

@@ -10,9 +10,9 @@ import pytest
 
 import vpp_fmu
 from identification.demo import example_folder
+from vpp_fmu.app.cli import main
+from vpp_fmu.app.cli.output import dated
 from vpp_fmu.campaign import NEED
-from vpp_fmu.cli import main
-from vpp_fmu.cli.output import dated
 from vpp_fmu.date import EPOCH
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vpp_fmu import __version__
-from vpp_fmu.cli import parser_of
+from vpp_fmu.app.cli import parser_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "tests/README.md", "identification/README.md", "fmu_src/README.md", "CONTRIBUTING.md", "CHANGELOG.md")

@@ -9,8 +9,8 @@ from identification.gate.gate import passed
 from identification.identify import identify
 from identification.logger_fit import as_logged
 from identification.run_in import run_in, without
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, LIBRARY
 from vpp_fmu.native import Simulator

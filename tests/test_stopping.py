@@ -16,8 +16,8 @@ from processes import VPP, cpu_seconds, group, signalled
 
 from identification.demo import example_folder
 from identification.workers import spread
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import NEED
-from vpp_fmu.cli import main
 from vpp_fmu.errors import WorkerLost
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import Fmu, FmuInstance
@@ -141,7 +141,7 @@ def test_the_first_signal_raises_and_the_next_does_nothing(number):
 
 
 def test_the_command_turns_it_into_a_line_and_the_code(monkeypatch, capsys):
-    monkeypatch.setattr("vpp_fmu.cli._run", lambda arguments: signal.raise_signal(signal.SIGTERM))
+    monkeypatch.setattr("vpp_fmu.app.cli._run", lambda arguments: signal.raise_signal(signal.SIGTERM))
     assert main(["identify", "x"]) == 143
     assert capsys.readouterr().err.splitlines() == [told("vpp identify", signal.SIGTERM)]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vpp_fmu.cli import main, parser_of
+from vpp_fmu.app.cli import main, parser_of
 
 ROOT = str(Path(__file__).parents[1])
 ASCII = {"PYTHONIOENCODING": "ascii"}

@@ -7,8 +7,8 @@ N and s throughout. An invalid file, field or argument raises a `BadInput` with 
 from importlib import import_module
 
 _HOMES = {
-    "vpp_fmu.api.objects": ("example_campaign", "read_campaign", "read_parameters", "read_record"),
-    "vpp_fmu.api.verbs": (
+    "vpp_fmu.app.api.objects": ("example_campaign", "read_campaign", "read_parameters", "read_record"),
+    "vpp_fmu.app.api.verbs": (
         "check",
         "diagnose",
         "export_fmu",

@@ -1,5 +1,5 @@
 import sys
 
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 
 sys.exit(main())

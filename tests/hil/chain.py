@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.commands import validation
 from hil.cycle import PERIOD
-from vpp_fmu.cli import main as vpp
+from vpp_fmu.app.cli import main as vpp
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.fmu import simulate_in_fmpy
 from vpp_fmu.record import Record, read_record, write_record

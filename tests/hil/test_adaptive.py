@@ -13,7 +13,7 @@ from hil.live import NoView
 from hil.log import Column
 from hil.twin.adaptive import CERTAIN, Adaptive, adaptable, adaptive
 from hil.twin.band import Band
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.twin import DAILY, sums, threshold
 from vpp_fmu.parameters import ParameterSet

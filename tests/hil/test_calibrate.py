@@ -13,7 +13,7 @@ from hil.calibrate import CalibrationRefused, G, line, pitched, started, weighed
 from hil.calibration import never_measured, read_calibration, to_json
 from hil.emulator.rig import ZERO_SHIFT, virtual_bench
 from hil.emulator.rig import Rig as Emulated
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 
 TRUTH = replace(
     CALIBRATION,

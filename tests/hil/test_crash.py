@@ -15,7 +15,7 @@ from rigs import step_profile
 from hil.runs import run_folder
 from hil.session import found_log, read_log
 from tests.hil.stubborn import stubborn
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_table
 from vpp_fmu.plants import KernelController
@@ -146,7 +146,7 @@ def test_a_disk_that_is_full_costs_no_row_that_was_written(tmp_path, size, rows)
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile(hold=1.0))
     words = ["hil", "run", "--virtual", "--profile", str(profile), "-o", str(tmp_path / "out")]
     text = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)\n"
-    text += "from vpp_fmu.cli import main; sys.exit(main(sys.argv[2:]))"
+    text += "from vpp_fmu.app.cli import main; sys.exit(main(sys.argv[2:]))"
     command = [sys.executable, "-c", text, str(size), *words]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 2

@@ -13,12 +13,12 @@ from hil.rig import RunEnded
 from hil.twin.band import read_band
 from identification.assessment.prediction import predict
 from identification.tune.profile import rig_profile
-from vpp_fmu.cli import hil as hil_verb
-from vpp_fmu.cli import main
-from vpp_fmu.day import day as days
-from vpp_fmu.day import flight
-from vpp_fmu.day.flight import GAINS, HOLDS, MISSION, measured_cost, mission, repeated
-from vpp_fmu.day.policy import FARTHEST, SENSITIVITY, Referee, Search, task
+from vpp_fmu.app.cli import hil as hil_verb
+from vpp_fmu.app.cli import main
+from vpp_fmu.app.day import day as days
+from vpp_fmu.app.day import flight
+from vpp_fmu.app.day.flight import GAINS, HOLDS, MISSION, measured_cost, mission, repeated
+from vpp_fmu.app.day.policy import FARTHEST, SENSITIVITY, Referee, Search, task
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet, read_parameters

@@ -14,8 +14,8 @@ from hil.emulator.rig import Rig as Emulated
 from hil.physics.rig_model import FULL_RIG
 from hil.rig import Rig
 from hil.safety.faults import Fault, FaultKind
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.record import Record, read_record, write_record

@@ -17,7 +17,7 @@ from hil.runs import sha256_of
 from hil.session import Setup, read_log
 from hil.twin.band import Band
 from hil.twin.twin import Twin
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.commands import idle
 from vpp_fmu.comparison import compare
 from vpp_fmu.files import OutputFolder

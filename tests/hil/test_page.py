@@ -28,7 +28,7 @@ from hil.safety.stop import StopSignals
 from hil.session import read_log
 from tests.browser import browser
 from tests.hil.faults import CUT, RAMP
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.parameters import ParameterSet

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from vpp_fmu.app.cli import main
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli import main
 from vpp_fmu.files import OutputFolder, read_table
 from vpp_fmu.record import Record, write_record
 

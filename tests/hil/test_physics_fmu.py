@@ -5,7 +5,7 @@ import pytest
 
 from hil.physics import rig_model
 from hil.physics.rig_model import FULL_RIG
-from vpp_fmu.cli import export as export_verb
+from vpp_fmu.app.cli import export as export_verb
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER

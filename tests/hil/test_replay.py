@@ -6,7 +6,7 @@ from rigs import setup, step_profile
 
 from hil.replay import replay
 from hil.run import run_on_rig, write_run
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.kernel.controller import DUAL
 from vpp_fmu.plants import FmuController, KernelController
 

@@ -10,7 +10,7 @@ from hil.emulator.rig import BUS
 from hil.selftest import selftest
 from hil.session import Setup
 from hil.timing import EDGES, timing
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 
 
 def bad(found):

@@ -18,7 +18,7 @@ from hil.safety.faults import FaultKind
 from hil.safety.limits import Limits
 from hil.safety.plausibility import SupplyLimits
 from hil.session import Setup, read_log
-from vpp_fmu.cli import main
+from vpp_fmu.app.cli import main
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.plants import KernelController

@@ -23,7 +23,7 @@ from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import Band
 from tests.interop import hosts
 from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS
-from vpp_fmu.cli.export import exported
+from vpp_fmu.app.cli.export import exported
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu

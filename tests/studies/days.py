@@ -32,9 +32,9 @@ from identification.tune.operating import operating_points
 from identification.tune.rounds import rounds
 from identification.tune.tune import STARTS, Task
 from identification.workers import spread
-from vpp_fmu.day.day import POLICIES, Rig, new_day, next_round
-from vpp_fmu.day.flight import GAINS, fly
-from vpp_fmu.day.policy import task
+from vpp_fmu.app.day.day import POLICIES, Rig, new_day, next_round
+from vpp_fmu.app.day.flight import GAINS, fly
+from vpp_fmu.app.day.policy import task
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.twin import BROUGHT

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from identification.fit.refine import BASE_PARAMETERS
-from vpp_fmu.cli import VERBS
-from vpp_fmu.cli import main as vpp
+from vpp_fmu.app.cli import VERBS
+from vpp_fmu.app.cli import main as vpp
 
 from .incomplete_campaigns import CASES, LONG, SIZES, Case, scale_parameters
 

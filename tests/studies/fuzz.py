@@ -32,9 +32,9 @@ import numpy as np
 from hil.emulator.rig import CALIBRATION
 from identification.demo import example_folder
 from identification.logs.speed_map import FORMAT as SPEED_MAP_FORMAT
+from vpp_fmu.app.cli import main as vpp
+from vpp_fmu.app.cli import parser_of
 from vpp_fmu.campaign import read_campaign
-from vpp_fmu.cli import main as vpp
-from vpp_fmu.cli import parser_of
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 

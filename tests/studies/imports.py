@@ -14,7 +14,7 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[1]))
 from import_zoo import came_out, formats
 
-from vpp_fmu.cli import main as vpp
+from vpp_fmu.app.cli import main as vpp
 
 
 def run(words: list[str]) -> tuple[int, str, str]:

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tests.tables import add_write, show, table
-from vpp_fmu.cli import main as vpp
-from vpp_fmu.paper.published import COLUMNS, KEY, Row
+from vpp_fmu.app.cli import main as vpp
+from vpp_fmu.app.paper.published import COLUMNS, KEY, Row
 
 
 def numbers(told: Mapping) -> str:

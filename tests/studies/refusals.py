@@ -22,7 +22,7 @@ from bad_fmus import bad_fmus
 from processes import VPP, cpu_seconds, signalled
 
 from identification.demo import example_folder
-from vpp_fmu.cli import main as vpp
+from vpp_fmu.app.cli import main as vpp
 from vpp_fmu.export import python_fmu
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BASE

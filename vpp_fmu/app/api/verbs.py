@@ -1,0 +1,352 @@
+"""The command's verbs as functions. They take paths or objects, and write files only on request."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identification.assessment.information import read_knowledge
+from identification.assessment.prediction import predict
+from identification.diagnose import diagnose as diagnosing
+from identification.fit.problem import Prior
+from identification.gate.finding import check_accepted
+from identification.identify import identify as identified
+from identification.plan.plan import plan as planned
+from identification.tune.controllers import controllers, rig_controller
+from identification.tune.profile import rig_profile
+from identification.tune.tune import Task
+from identification.tune.tune import tune as tuned
+from vpp_fmu.app.api.objects import PathLike, as_campaign, as_gains, as_parameters, as_record, changed
+from vpp_fmu.app.api.results import (
+    CheckResult,
+    DiagnoseResult,
+    IdentifyResult,
+    LoopResult,
+    PlanResult,
+    Result,
+    SimulateResult,
+    TuneResult,
+)
+from vpp_fmu.app.cli.check import checked
+from vpp_fmu.app.cli.export import exported
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.kernel.types import Effect
+from vpp_fmu.loop import run
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.plants import USUAL_STEP, Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
+from vpp_fmu.rig import Rig, declared_rig
+
+FLAVOURS = {"python": ("python",), "native": ("native",), "both": ("python", "native")}
+
+
+def check(campaign: PathLike | Campaign, accept: Iterable[str] = ()) -> CheckResult:
+    """Check a campaign: its files, missing data and quality problems. Run it first on new data.
+
+    `accept`: codes of findings to ignore (`vpp check --help` lists them). Problems of the data are in the result (`ok`,
+    `findings`); BadInput is for files that can't be read, and for unknown codes.
+
+    >>> vpp.check(vpp.example_campaign()).ok
+    True
+    """
+    return CheckResult(checked(as_campaign(campaign), check_accepted(accept)))
+
+
+def identify(
+    campaign: PathLike | Campaign,
+    records: Mapping[str, Any] | None = None,
+    starts: int = 8,
+    seed: int = 0,
+    bootstrap: int = 0,
+    workers: int = 1,
+    accept: Iterable[str] = (),
+) -> IdentifyResult:
+    """Identify the parameters: lags in s, coefficients of the map in normalised units, each with its standard deviation.
+
+    `records`: further ones to fit, by name (paths, Records or frames). `starts` of the search; `bootstrap`: resamples of a
+    block bootstrap by `workers` processes. BadInput: data that the quality gate refuses, or no identifiable parameter.
+
+    >>> found = vpp.identify(vpp.example_campaign(), starts=1)
+    >>> found.parameters.values["tau_beta_1"] > found.parameters.values["tau_beta_2"]
+    True
+    >>> found.to_dict()["rmse_thrust"]["validation"] < 0.2
+    True
+    >>> found.save("out").name
+    'out'
+    """
+    needed = ("time", "omega_ref", "beta_ref", "thrust")
+    named = {name: as_record(record, needed) for name, record in (records or {}).items()}
+    found = identified(
+        *(as_campaign(campaign),), starts=starts, seed=seed, resamples=bootstrap, workers=workers, records=named, accept=accept
+    )
+    return IdentifyResult(found)
+
+
+def diagnose(
+    campaign: PathLike | Campaign,
+    parameters: Any = None,
+    effects: Iterable[str] | None = None,
+    records: Mapping[str, Any] | None = None,
+    smallest: float | None = None,
+    smallest_speed: float | None = None,
+    seed: int = 0,
+    workers: int = 2,
+    accept: Iterable[str] = (),
+    effects_from: Iterable[PathLike] = (),
+) -> DiagnoseResult:
+    """Find the effects that the model lacks, and add them.
+
+    `parameters`: initial and reference model (a file, a set, a result); None: the campaign is identified first. `effects`:
+    names of the candidates; None: the whole library. `smallest` N, `smallest_speed` rpm: minimum rms changes of thrust and
+    speed of interest. `effects_from`: Python files with user-defined effects. BadInput: no record to fit, data that the gate
+    refuses, an unknown effect.
+
+    >>> found = vpp.diagnose(vpp.example_campaign(), effects=["pitch_command_deadband", "pitch_backlash"])
+    >>> found.verdict, found.effects
+    ('attributed', ('pitch_command_deadband',))
+    >>> 1.6 < found.parameters.values["pitch_command_deadband.half_width"] < 1.8
+    True
+    """
+    library = library_with(effects_from)
+    given = None if parameters is None else as_parameters(parameters, effects_from)
+    needed = ("time", "omega_ref", "beta_ref", "thrust")
+    found = diagnosing.diagnose(
+        as_campaign(campaign),
+        _chosen(library, effects, given.model.optional if given else ()),
+        workers,
+        seed,
+        given=given,
+        smallest=smallest,
+        smallest_speed=smallest_speed,
+        records={name: as_record(record, needed) for name, record in (records or {}).items()},
+        accept=accept,
+    )
+    return DiagnoseResult(found)
+
+
+def _chosen(library: tuple[Effect, ...], names: Iterable[str] | None, kept: tuple[str, ...]) -> tuple[Effect, ...]:
+    """The candidate effects: all, or those named, and those of the model."""
+    if names is None:
+        return library
+    chosen, known = list(names), [e.name for e in library if e.off is not None]
+    if unknown := [name for name in chosen if name not in known]:
+        raise BadInput("diagnose", "effects", ", ".join(unknown), f"any of {', '.join(known)}")
+    return tuple(e for e in library if e.off is None or e.name in chosen or e.name in kept)
+
+
+def plan(
+    parameters: Any,
+    rig: PathLike | Rig | None = None,
+    seconds: float | None = None,
+    noise: float | None = None,
+    step: float | None = None,
+    knowledge: PathLike | IdentifyResult | None = None,
+    seed: int = 0,
+    effects_from: Iterable[PathLike] = (),
+) -> PlanResult:
+    """Plan the next experiment: the most informative commands within the range and slew rates of the `rig`.
+
+    `rig`: a Rig, or a rig.json; None: that of the parameters' campaign. `seconds` of commands, `step` s between them and
+    between readings, `noise` N of one reading. `knowledge`: prior information (an identification.json, or the result).
+    BadInput: a range is neither measured nor declared, or an argument is invalid for this rig.
+
+    >>> found = vpp.plan(vpp.identify(vpp.example_campaign(), starts=1), seconds=30)
+    >>> found.commands
+    Record(7501 rows, 30 s every 4 ms: time, omega_ref, beta_ref)
+    """
+    held = as_parameters(parameters, effects_from)
+    if not isinstance(rig, Rig):
+        rig = held.rig if rig is None else declared_rig(rig, held.rig)
+    if rig.unknown:
+        raise BadInput("plan", f"range of {' and '.join(rig.unknown)}", "none", "one that was measured, or that `rig` declares")
+    prior, inflation, floor = None, 1.0, None
+    if isinstance(knowledge, IdentifyResult):
+        uncertainty = knowledge.found.uncertainty
+        prior, inflation = (
+            Prior(uncertainty.names, uncertainty.values, uncertainty.covariance),
+            float(np.median(uncertainty.inflation)),
+        )
+        floor = knowledge.found.noise.std if knowledge.found.noise else None
+    elif knowledge is not None:
+        prior, inflation = read_knowledge(knowledge)
+    step = step if step is not None else held.sample_period
+    found = planned(held.model, held.values, rig, seconds, noise if noise is not None else floor, prior, seed, step=step)
+    return PlanResult(found, held, inflation)
+
+
+def tune(
+    parameters: Any,
+    assume: Mapping[str, float] | None = None,
+    gains: Any = None,
+    profile: Any = None,
+    noise: float = 0.0,
+    robust: str | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    effects_from: Iterable[PathLike] = (),
+) -> TuneResult:
+    """Tune gains for a model: both actuators, and speed alone.
+
+    `assume`: parameters that the design replaces, as the paper does with tau_beta_2 = 0.05 s. `gains`: limits, filter, sample
+    time and initial gains of the controller. `profile`: `time` [s], `thrust_set` [N]; None: 0.1 to 0.8 of the thrust scale and
+    back, within the rig's reach. `noise` N of a reading. `robust`: "worst" or "mean" over plants drawn from the parameters'
+    uncertainty. BadInput: unknown names, or a profile that is too short.
+
+    >>> found = vpp.tune(vpp.identify(vpp.example_campaign(), starts=1), assume={"tau_beta_2": 0.05})
+    >>> sorted(found.gains), found.save("gains").joinpath("gains.json").exists()
+    (['dual', 'speed_only'], True)
+    """
+    files = tuple(os.fspath(path) for path in effects_from)
+    held = changed(as_parameters(parameters, files), assume or {})
+    if unknown := set(held.model.optional) - {e.name for e in library_with(files)}:
+        raise BadInput(
+            "tune", "effects_from", "nothing", f"the file of {', '.join(sorted(unknown))}: every process reads it anew"
+        )
+    if robust not in (None, "worst", "mean"):
+        raise BadInput("tune", "robust", robust, "None, worst or mean")
+    own = controllers(held, None if gains is None else as_gains(gains), source="gains")
+    period = next(iter(own.settings.values()))["sample_time"]
+    resolution = RESOLUTION / PAPER.thrust_scale * held.values["thrust_scale"]
+    wanted = rig_profile(held, own.settings) if profile is None else as_record(profile, ("time", "thrust_set"))
+    if wanted.time[-1] < 10.0 * period:
+        raise BadInput(wanted.source, "time", f"{wanted.time[-1]:g} s", f"{10.0 * period:g} s or more")
+    task = Task(
+        parameters=held,
+        profile=wanted,
+        assumed=tuple(assume or ()),
+        chain={"time_constant": 0.0, "delay": 1.0 / CONVERSIONS / period, "resolution": resolution},
+        noise_std=noise,
+        reference=own.reference,
+        robust=robust,
+        seed=seed,
+        left_out=own.left_out,
+        lowered=own.scaled,
+        effects_from=files,
+    )
+    return TuneResult(tuned(task, own.settings, workers))
+
+
+def simulate(record: Any, parameters: Any, effects_from: Iterable[PathLike] = ()) -> SimulateResult:
+    """The model's open-loop response to the commands of a record: thrust [N], speed [rpm], pitch [deg], each (n,).
+
+    `record`: a path, a Record, or a frame with `time`, `omega_ref`, `beta_ref`; with `thrust` the result has the error.
+    BadInput: invalid arguments.
+
+    >>> found = vpp.simulate({"time": [0.0, 1.0, 2.0], "omega_ref": [4000, 5000, 5000], "beta_ref": [5, 5, 5]}, vpp.identify(
+    ...     vpp.example_campaign(), starts=1))
+    >>> found.record["thrust"].shape, found.rmse_thrust
+    ((3,), None)
+    """
+    held = as_parameters(parameters, effects_from)
+    return SimulateResult(predict(held.model, held.values, as_record(record)), held)
+
+
+def export_fmu(
+    parameters: Any,
+    folder: PathLike,
+    gains: Any = None,
+    flavour: str = "python",
+    platforms: str = "host",
+    fmi: str = "2.0",
+    author: str = AUTHOR,
+    effects_from: Iterable[PathLike] = (),
+) -> dict[str, Path]:
+    """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
+
+    `gains`: the controller's (a file, a set, values by name; None: the published ones, scaled to the rig's time constant),
+    within the limits of the parameters' rig. `flavour`: "python", "native" (compiled C without Python) or "both".
+    `platforms`: "host", or "all" for Linux, Windows and macOS (native, needs the extra `cross`). `fmi`: "2.0" or "3.0"
+    (native). Returns the paths by name. BadInput: options that do not fit together; CompilerMissing: no compiler for native
+    FMUs.
+
+    >>> files = vpp.export_fmu(vpp.identify(vpp.example_campaign(), starts=1), "fmus")
+    >>> [name for name in files if name.endswith(".fmu")]
+    ['VppPlant.fmu', 'VppController.fmu']
+    """
+    held = as_parameters(parameters, effects_from)
+    for name, found, allowed in (
+        ("flavour", flavour, tuple(FLAVOURS)),
+        ("platforms", platforms, ("host", "all") if flavour != "python" else ("host",)),
+        ("fmi", fmi, ("2.0", "3.0") if flavour == "native" else ("2.0",)),
+    ):
+        if found not in allowed:
+            raise BadInput("export_fmu", name, found, f"{' or '.join(allowed)} with flavour {flavour}")
+    parts = [held, rig_controller(held, None if gains is None else as_gains(gains), "gains")]
+    target = OutputFolder(folder)
+    files = exported(parts, FLAVOURS[flavour], platforms, author, fmi)
+    return {name: target.write(name, content) for name, content in files.items()}
+
+
+def run_loop(
+    plant: Any,
+    controller: Any,
+    profile: Any,
+    dt: float | None = None,
+    start: tuple[float, float] = (0.0, 0.0),
+    progress: Callable[[float], None] = lambda share: None,
+) -> LoopResult:
+    """The closed loop over a profile of `time` [s] and wanted thrust `thrust_set` [N], each held to the next row.
+
+    `plant`, `controller`: paths of FMUs, parameters (run in Python), or any object with the methods of `vpp_fmu.plants.Plant`
+    and `Controller`, such as a user's rig. Gains with parameters are limited to the range of the parameters' rig. `dt` s: the
+    communication step; None: the controller's sample time, else 0.004. `start`: commands [rpm, deg] on which the plant is at
+    rest at first. BadInput: a file that is no such FMU; SimulationFailed names the step.
+
+    >>> profile = {"time": [0.0, 1.0, 4.0], "thrust_set": [1.5, 12.0, 12.0]}
+    >>> found = vpp.run_loop(vpp.identify(vpp.example_campaign(), starts=1), {}, profile, dt=0.004)
+    >>> found.record["thrust"].shape, found.steps[0].after
+    ((1001,), 12.0)
+    """
+    if dt is not None and not 1e-6 <= dt <= 1.0:
+        raise BadInput("run_loop", "dt", f"{dt:g} s", "1e-06 to 1 s")
+    references = as_record(profile, ("time", "thrust_set"))
+    rig = None if _is_fmu(plant) or hasattr(plant, "step") else as_parameters(plant)
+    with closing(_controller(controller, dt, rig)) as right:
+        dt = dt or getattr(right, "sample_time", None) or USUAL_STEP
+        with closing(_plant(plant, dt)) as left:
+            record = run(left, right, references, start, progress)
+    return LoopResult(record, f"Over {references.source}.", getattr(right, "limits", None))
+
+
+def _plant(given: Any, dt: float) -> Plant:
+    if _is_fmu(given):
+        return FmuPlant(given, dt=dt)
+    if hasattr(given, "step") and hasattr(given, "dt"):
+        made: Plant = given
+        return made
+    held = as_parameters(given)
+    return KernelPlant(held.model, held.values, dt)
+
+
+def _controller(given: Any, dt: float | None, plant: ParameterSet | None) -> Controller:
+    """The controller of `run_loop`. `plant`: parameters whose rig limits the commands, if known."""
+    if _is_fmu(given):
+        return FmuController(given, dt=dt)
+    if hasattr(given, "step") and hasattr(given, "start"):
+        made: Controller = given
+        return made
+    own = as_gains(given)
+    values = own.values if plant is None else rig_controller(plant, own if own.estimates else None, "gains").values
+    return KernelController(values, dt or values["sample_time"])
+
+
+def _is_fmu(given: Any) -> bool:
+    return isinstance(given, str | Path) and str(given).endswith(".fmu")
+
+
+def write_report(result: Result, path: PathLike) -> Path:
+    """Write a result's report, a self-contained HTML file; returns its path. BadInput.
+
+    >>> vpp.write_report(vpp.check(vpp.example_campaign()), "check.html").name
+    'check.html'
+    """
+    target = Path(path)
+    return OutputFolder(target.parent).write(target.name, result.page().html())

@@ -1,0 +1,168 @@
+"""Find the effects that the model lacks from a campaign's residual, add them, and report the error before and after.
+
+Of several campaigns, a fleet, each is diagnosed alone into its own folder, and a table summarises all.
+"""
+
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.diagnose.learned.description import FILE, source
+from identification.diagnose.report.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
+from identification.diagnose.report.identification import identification_of
+from identification.diagnose.report.page import diagnosis_page, headline, key_figures
+from identification.diagnose.report.summary import summary
+from identification.workers import spread
+from vpp_fmu.app.cli.identify import named_records
+from vpp_fmu.app.cli.options import SEED, WORKERS, Number, near
+from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, say_written, stages
+from vpp_fmu.campaign import read_campaign
+from vpp_fmu.errors import BadInput, VppError
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.types import Effect
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import parameters_file, read_parameters, to_json, to_ssv
+from vpp_fmu.record import write_record
+from vpp_fmu.structured import as_json
+
+EXAMPLE = "vpp diagnose campaigns/monday -o out"
+
+
+def configure(parser):
+    text = "folder of the campaign; of several, each is diagnosed alone, and a table summarises all"
+    parser.add_argument("campaigns", metavar="CAMPAIGN", nargs="+", help=text)
+    text = "initial and reference model, with its effects (default: identify the campaign first)"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
+    parser.add_argument("--effects", metavar="A,B", help="candidates (default: the whole library)")
+    add_effects_from(parser)
+    parser.add_argument("--record", action="append", default=[], metavar="FILE", help="fit this record too; may be repeated")
+    text = "minimum size of interest: rms change of the thrust by an effect (default: a small share of the noise)"
+    parser.add_argument("--smallest", type=Number(0.0, 1e5, "N"), metavar="N", help=text)
+    text = "minimum size of interest of the speed, rms (default: the uncertainty of the sensor's readings)"
+    parser.add_argument("--smallest-speed", type=Number(0.0, 1e5, "rpm"), metavar="RPM", help=text)
+    text = "number of parallel fits; for several campaigns, of parallel campaigns (default: %(default)s)"
+    parser.add_argument("--workers", type=WORKERS, default=2, metavar="N", help=text)
+    text = "Dask scheduler for several campaigns instead; its workers read the same folders"
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=text)
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of random starts (default: %(default)s)")
+    add_accept(parser)
+    add_output(parser)
+
+
+def run(options):
+    if len(options.campaigns) > 1:
+        _fleet(options)
+        return
+    if options.scheduler:
+        raise BadInput("command line", "--scheduler", "one campaign", "several: a fleet is what is spread")
+    _one(options, options.campaigns[0])
+
+
+@threadpool_limits.wrap(limits=1)  # the same digits as in a fleet
+def _one(options, campaign: str) -> None:
+    asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
+    folder = OutputSet(options.output, "diagnose")
+    with stages("vpp diagnose") as stage:
+        found = diagnose(**asked, workers=options.workers, stage=stage)
+        stage("report")
+        write_diagnosis(folder, found, options.parameters)
+        folder.write("report.html", diagnosis_page(found).html())
+    lines = [finding.text for finding in found.quality]
+    lines += [f"your logger: {line}" for line in found.logger.lines]
+    lines.append(headline(found))
+    lines += [f"{label}: {value} ({note})" if note else f"{label}: {value}" for label, value, note in key_figures(found)]
+    lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
+    say_written(folder, found.parameters(found.final), lines)
+
+
+def _model(options) -> dict:
+    """The options common to all campaigns, as arguments of `diagnose`. BadInput."""
+    whole = library_with(options.effects_from)
+    given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
+    library = _library(options.effects, given.model.optional if given else (), whole)
+    names = ("seed", "smallest", "smallest_speed", "accept")
+    return {"library": library, "given": given, **{name: getattr(options, name) for name in names}}
+
+
+def _of_fleet(job: tuple) -> Entry:
+    """Diagnose one campaign of a fleet into its own folder. It is complete whatever happens to the others, and a refused
+    campaign does not stop them."""
+    options, name, campaign, output = job
+    try:
+        found = diagnose(read_campaign(campaign), workers=1, **_model(options))
+        folder = OutputSet(output, "diagnose")
+        write_diagnosis(folder, found, options.parameters)
+        folder.write("report.html", diagnosis_page(found).html())
+        folder.finish(found.parameters(found.final).identity)
+    except VppError as error:
+        return refusal(name, campaign, str(error))
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return refusal(name, campaign, f"{type(error).__name__} in {Path(where.filename).name}, line {where.lineno}: {error}")
+    return entry(name, found)
+
+
+def _fleet(options) -> None:
+    """Diagnose each campaign into a folder of its name, and write a table of all. BadInput at the end if any was refused."""
+    if options.record:
+        raise BadInput("command line", "--record", "several campaigns", "one campaign, to which the record belongs")
+    _model(options)  # errors common to all campaigns are reported once
+    folder = OutputSet(options.output, "diagnose several")
+    there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask may have another working folder
+    jobs = [
+        (options, name, str(own), str(Path(options.output, name).resolve()))
+        for name, own in zip(_names(there), there, strict=True)
+    ]
+    entries = spread(_of_fleet, jobs, options.workers, options.scheduler, "campaigns")
+    folder.write("fleet.csv", as_csv(entries))
+    if (packed := as_parquet(entries)) is not None:
+        folder.write("fleet.parquet", packed)
+    folder.write("report.html", fleet_page(entries).html())
+    say_written(folder, lines=[one.line for one in entries])
+    if refused := [e.name for e in entries if e.refused]:
+        raise BadInput("fleet", "campaigns", f"{len(refused)} refused: {', '.join(refused)}", "campaigns that can be diagnosed")
+
+
+def _names(campaigns: Sequence[Path]) -> list[str]:
+    """A folder's name for each campaign: its own, with a number if another campaign has it."""
+    found: list[str] = []
+    for campaign in campaigns:
+        own = campaign.name or "campaign"
+        free = (name for name in (own, *(f"{own}-{k}" for k in range(2, len(campaigns) + 2))) if name not in found)
+        found.append(next(free))
+    return found
+
+
+def _library(names: str | None, kept: tuple[str, ...], whole: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """The candidate effects of a library: all, or those named, and those of the model."""
+    if names is None:
+        return whole
+    chosen = [n.strip() for n in names.split(",") if n.strip()]
+    known = [e.name for e in whole if e.off is not None]
+    unknown = [n for n in chosen if n not in known]
+    if unknown or not chosen:
+        allowed = f"names, separated by commas, of {', '.join(known)}{near(unknown[0], known) if unknown else ''}"
+        raise BadInput("command line", "--effects", ", ".join(unknown) or "none", allowed)
+    return tuple(e for e in whole if e.off is None or e.name in chosen or e.name in kept)
+
+
+def write_diagnosis(folder: OutputFolder, found: Diagnosis, given: str | None = None) -> None:
+    """All files of a diagnosis but its page. `given`: the file that its starting model was read from, if any.
+
+    parameters.json, parameters.ssv and identification.json are of the final model, parameters_base.json and
+    identification_base.json of the one without the found effects.
+    """
+    folder.write("diagnosis.json", as_json(summary(found)))
+    parent = {"descends": (given, found.given)} if found.given and given else {}
+    for suffix, fit in (("_base", found.base), ("", found.final)):
+        folder.write(f"parameters{suffix}.json", to_json(dated(found.parameters(fit), **parent)))
+        folder.write(f"identification{suffix}.json", as_json(identification_of(found, fit)))
+    folder.write("parameters.ssv", to_ssv(found.parameters(found.final), "parameters"))
+    if found.learned:
+        folder.write(FILE, source(found.learned.term, found.rig.scales, found.campaign.folder.name))
+    write_record(folder, "next_experiment.csv", found.experiment)

@@ -1,0 +1,228 @@
+"""Export plant, controller and adaptive twin as FMI 2.0 (or 3.0) co-simulation FMUs, and their closed loop as SSP.
+
+The Python flavour runs wherever pythonfmu does; the native one is compiled C and needs no Python. Written beside each FMU: its
+parameters (.ssv), and inputs with their reference outputs (_in.csv, _ref.csv, _ref.opt)."""
+
+import importlib
+import io
+import sys
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from hil.twin.adaptive import adaptable, adaptive
+from hil.twin.band import read_band
+from identification.tune.controllers import rig_controller, said_of
+from identification.tune.profile import reach
+from vpp_fmu import __version__
+from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
+from vpp_fmu.errors import BadInput
+from vpp_fmu.export import Experiment, native_fmu, python_fmu
+from vpp_fmu.export.archive import archive
+from vpp_fmu.export.checks import at_line, check_model
+from vpp_fmu.export.cross_check import cross_check_folder, reference_files
+from vpp_fmu.export.description import AUTHOR
+from vpp_fmu.export.toolchain import host, needs_glibc
+from vpp_fmu.export.trial import expected, step_dependence, try_fmu
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import LIBRARY, plant
+from vpp_fmu.kernel.types import Effect, Model
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_ssv
+from vpp_fmu.ssp import NAME, loop_ssp
+
+EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
+SUFFIX = {"python": "", "native": ".native"}
+FMI_3 = ".fmi3"
+FLAT = ".flat"
+"""Of the loop without connectors of its own, for importers that know none."""
+
+
+def configure(parser):
+    text = "the plant's parameters, a file or its folder (default: the paper's fine-tuned set)"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", help=text)
+    add_effects_from(parser)
+    text = (
+        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
+    )
+    parser.add_argument("--gains", metavar="G", help=text)
+    text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
+    parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
+    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
+    parser.add_argument("--adapt", nargs="+", metavar="NAME", help=text)
+    parser.add_argument("--flavour", choices=("python", "native", "both"), default="python", help="default: python")
+    text = "what native FMUs run on: this machine (default), or Linux, Windows and macOS (needs the extra 'cross')"
+    parser.add_argument("--platforms", choices=("host", "all"), default="host", help=text)
+    text = "of the standard (default: %(default)s); 3.0 for native FMUs, written as .fmi3.fmu"
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help=text)
+    parser.add_argument(
+        "--author", metavar="NAME", default=AUTHOR, help="who made the model, for the FMUs (default: %(default)s)"
+    )
+    parser.add_argument("--model", metavar="PACKAGE.MODULE:NAME", help="export this model instead of plant and controller")
+    text = "also write cross_check.zip: FMUs, references and how to check, in the folders of the FMI project's cross-check"
+    parser.add_argument("--cross-check", action="store_true", help=text)
+    add_output(parser)
+
+
+def run(options):
+    _check(options)
+    parts = _own(options) if options.model else _plant_and_controller(options)
+    folder = OutputSet(options.output, "export")
+    flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
+    files = exported(parts, flavours, options.platforms, options.author, options.fmi)
+    if not options.model:
+        print(said_of(parts[1], options.gains))
+    else:
+        for flavour in flavours:
+            fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
+            try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
+        if found := step_dependence(parts[0].model, parts[0].values):
+            print(f"note: {options.model} depends on the communication step: {found}. Give its effects a largest_step [s]")
+    if options.cross_check:
+        files["cross_check.zip"] = _cross_check(parts, files)
+    for name, content in files.items():
+        folder.write(name, content)
+    say_written(folder, parts[0])
+    if flavours == ("python",):
+        print("the Python FMUs need a host that runs in Python, such as fmpy; any other runs those of --flavour native")
+    if wanted := oldest_glibc(files):
+        better = (
+            ""
+            if find_spec("ziglang")
+            else "; with the extra 'cross' installed (ziglang) they are linked to the oldest that serves"
+        )
+        print(f"the native FMUs run with the GNU C library {wanted} and newer{better}")
+
+
+def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> bytes:
+    folders = {}
+    for flavour, suffix in SUFFIX.items():
+        for part in parts:
+            fmu = files.get(f"{part.model.name}{suffix}.fmu")
+            if fmu is not None:
+                tool = f"vpp-fmu-{flavour}/{__version__}"
+                folders |= cross_check_folder(part.model, part.values, _experiment(parts), fmu, tool, host())
+    return archive(folders)
+
+
+def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
+    """The oldest GNU C library with which all Linux libraries of the FMUs run; None without any."""
+    found = []
+    for name, content in files.items():
+        if name.endswith((f"{SUFFIX['native']}.fmu", f"{FMI_3}.fmu")):
+            with zipfile.ZipFile(io.BytesIO(content)) as packed:
+                libraries = [n for n in packed.namelist() if n.startswith("binaries/") and n.endswith(".so")]
+                found += [needs_glibc(packed.read(n)) for n in libraries]
+    return max(filter(None, found), key=lambda v: [int(x) for x in v.split(".")], default=None)
+
+
+def _check(options) -> None:
+    """BadInput for options that do not fit together."""
+    native = options.flavour != "python"
+    if options.twin is not None and (options.model or not options.parameters):
+        given = "--model" if options.model else "no --parameters"
+        raise BadInput("vpp export", "--twin", given, "the --parameters of an identified plant")
+    if options.adapt and options.twin is None:
+        raise BadInput("vpp export", "--adapt", "given without --twin", "--twin, which adapts them")
+    if options.platforms != "host" and not native:
+        raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+    if options.fmi == "3.0" and options.cross_check:
+        raise BadInput("vpp export", "--cross-check", "given with --fmi 3.0", "--fmi 2.0, which the cross-check is about")
+    if options.fmi == "3.0" and options.flavour != "native":
+        raise BadInput("vpp export", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
+
+
+def _plant_and_controller(options) -> list[ParameterSet]:
+    library = library_with(options.effects_from)
+    model = (
+        read_parameters(options.parameters, lambda names: plant(names, library))
+        if options.parameters
+        else ParameterSet(plant())
+    )
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    return [
+        model,
+        rig_controller(model, given, options.gains),
+        *([twin_of(options, library)] if options.twin is not None else []),
+    ]
+
+
+def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
+    """The adaptive twin of --parameters, with the band from the identification.json of --twin (default: the one beside the
+    parameters). BadInput."""
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    known_in = options.twin or beside(options.parameters)
+    band = read_band(known_in)
+    check_same_model(known_in, parameters, options.parameters)
+    own = adaptable(parameters, "vpp export", options.adapt)
+    return adaptive(own, band, options.adapt, sample_time=parameters.sample_period)
+
+
+def _own(options) -> list[ParameterSet]:
+    if options.gains:
+        raise BadInput("vpp export", "--gains", "given with --model", "--parameters for a model's parameters")
+    model = find_model(options.model)
+    return [read_parameters(options.parameters, lambda _: model) if options.parameters else ParameterSet(model)]
+
+
+def find_model(where: str) -> Model:
+    """The model `package.module:NAME`; modules are also found in the current folder. BadInput: an invalid module, or a
+    declaration that can't become an FMU."""
+    module, _, name = where.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except Exception as error:  # a user's module may raise any exception
+        field, said = at_line("--model", error), " ".join(str(error).split())
+        raise BadInput("vpp export", field, f"{where} ({said})", "package.module:NAME of a kernel Model") from error
+    if not isinstance(found, Model):
+        raise BadInput("vpp export", "--model", f"{where}, a {type(found).__name__}", "the name of a kernel Model")
+    check_model(where, found)
+    expected(where, found, found.values(), Experiment())
+    return found
+
+
+def _suffix(flavour: str, fmi: str) -> str:
+    return FMI_3 if fmi == "3.0" else SUFFIX[flavour]
+
+
+def _experiment(parts: Sequence[ParameterSet]) -> Experiment:
+    usual, seconds = Experiment(), parts[0].source.get("record_seconds")
+    stop = float(seconds) if isinstance(seconds, int | float) else usual.stop
+    return Experiment(stop=stop, step=parts[0].sample_period or usual.step)
+
+
+def exported(
+    parts: Sequence[ParameterSet],
+    flavours: Iterable[str],
+    platforms: str = "host",
+    author: str = AUTHOR,
+    fmi: str = "2.0",
+) -> dict[str, bytes | str]:
+    """All files by name, made before any is written. Of two parts or more, the first two also give their closed loop."""
+    experiment = _experiment(parts)
+    make: dict[str, Callable[..., bytes]] = {"python": python_fmu, "native": native_fmu}
+    found: dict[str, bytes | str] = {}
+    for flavour in flavours:
+        more = {"author": author} | ({"platforms": platforms, "version": fmi} if flavour == "native" else {})
+        fmus = {p.model.name: make[flavour](p.model, p.values, experiment, origins=_origins(p), **more) for p in parts}
+        found |= {f"{name}{_suffix(flavour, fmi)}.fmu": fmu for name, fmu in fmus.items()}
+        if len(parts) > 1 and fmi == "2.0":  # SSP 1.0 knows no other
+            loop = {p.model.name: (p, fmus[p.model.name]) for p in parts[:2]}  # a twin monitors the loop and is no part of it
+            wanted = {"thrust_set": float(f"{0.5 * sum(reach(parts[0], parts[1].values)):.2g}")}  # halfway
+            for flat in (False, True):
+                ssp = loop_ssp(loop, wanted, experiment.stop, connectors=not flat)
+                found[f"{NAME}{SUFFIX[flavour]}{FLAT * flat}.ssp"] = ssp
+    for part in parts:
+        name = part.model.name
+        found |= {f"{name}.ssv": to_ssv(part, name), **reference_files(part.model, part.values, experiment)}
+    return found
+
+
+def _origins(parameters: ParameterSet) -> dict[str, str]:
+    """Source of each estimated value."""
+    known = {name: e for name, e in parameters.estimates.items() if e.std is not None}
+    return {name: f"estimated, standard deviation {e.std:.3g} {e.unit}".removesuffix(" 1") for name, e in known.items()}

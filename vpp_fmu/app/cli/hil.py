@@ -1,0 +1,534 @@
+"""The same loop, controllers and records with a rig in the plant's place: emulated, or real.
+
+Run a closed loop, measure a campaign, test the rig itself, or feed a recorded run to a controller once more. Before the
+first run on a real rig read hil/README.md."""
+
+import contextlib
+import getpass
+import inspect
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from hil import calibrate
+from hil.bench import Wiring, check_limits
+from hil.calibration import check, never_measured, read_calibration, to_json
+from hil.campaign import PARTS, Plan, limits_for, plan_for
+from hil.campaign_folder import Measuring, commands_of
+from hil.commands import PAPERS
+from hil.cycle import PERIOD
+from hil.emulator.rig import CALIBRATION, calibrated_for, with_effects
+from hil.outcome import Task, carry_out, finish, finish_fmu, fmu_loop, kept_of, of_log
+from hil.page.operator_page import OperatorPage, served
+from hil.replay import replay
+from hil.report import calibration_page
+from hil.run import ON_ALARM, check_profile, start_of
+from hil.runs import begun, file_entry
+from hil.safety.limits import Limits
+from hil.selftest import selftest
+from hil.session import REPORT, Setup, found_log
+from hil.twin.adaptive import Adaptive, adaptable, adaptive
+from hil.twin.band import Band, read_band
+from hil.twin.twin import Twin
+from identification.tune.controllers import rig_controller, said_of
+from vpp_fmu.app.cli.options import SEED, Number, real, whole
+from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.cli.prompts import Prompts
+from vpp_fmu.date import now
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder, read_text
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
+from vpp_fmu.parquet import check_parquet
+from vpp_fmu.plants import COMMANDS, Controller, FmuController, KernelController, KernelPlant
+from vpp_fmu.record import Record, RecordWarning, read_profile, read_record
+from vpp_fmu.rig import FILE, Rig, declared_rig
+from vpp_fmu.structured import as_json
+
+EXAMPLE = "vpp hil run --profile step.csv --virtual -o out"
+
+WORD = "spin"
+EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
+"""What either number of --start may be; which of the two is looked at when both are known."""
+
+say = partial(print, flush=True)
+
+
+def configure(parser):
+    if sys.platform != "linux":
+        parser.error(f"this is {sys.platform}; a rig, emulated or real, needs Linux: its clock, PWM files, I2C and terminals")
+    parts = parser.add_subparsers(dest="what", required=True, metavar="WHAT", parser_class=type(parser))
+    for name, (text, example, add_options, do) in VERBS.items():
+        own = parts.add_parser(name, help=text, description=inspect.getdoc(do), formatter_class=parser.formatter_class)
+        own.epilog = f"example:\n  {example}"
+        add_options(own)
+        own.set_defaults(run=do)
+
+
+def run(options):
+    options.run(options)
+
+
+def add_rig(parser, fmu: bool = False) -> None:
+    """The options that choose and describe the rig."""
+    add, wiring = parser.add_argument, Wiring()
+    kinds = "emulated (default) or real" + (", or fmu PLANT.fmu, which runs its author's code" if fmu else "")
+    text = f"{kinds}; and the rig's rig.json, which declares what it may do (default: what --parameters tells of its campaign, "
+    text += "the paper's rig for the emulated one; the real rig needs one of the two)"
+    add("--rig", nargs="+", default=["emulated"], metavar=("KIND", "FILE"), help=text)
+    add("--calibration", metavar="C", help="the rig's calibration (default for the emulated rig: its own)")
+    add("--limits", metavar="L", help="limits outside the controller (default: what follows from the rig)")
+    add("--virtual", action="store_true", help="emulated rig on a clock of its own: fast, the same every time")
+    text = "hide an effect in the emulated rig: NAME, NAME=SIZE or NAME.PARAMETER=SIZE; more than one may be given"
+    add("--hide", action="append", default=[], metavar="EFFECT[=SIZE]", help=text)
+    add("--seed", type=SEED, default=0, help="of everything random in the emulated rig (default: 0)")
+    add("--bus", type=whole(0, 255), default=wiring.bus, help=f"the real ADC's I2C bus (default: {wiring.bus})")
+    add("--port", default=wiring.port, help=f"the real tachometer's port (default: {wiring.port})")
+    add("--pwm", default=wiring.pwm, help=f"device of the real PWM chip (default: {wiring.pwm})")
+    text = "outputs of the chip that ESC and LAC are on (default: 0 1, GPIO 12 and 13)"
+    add("--pwm-channels", nargs=2, type=whole(0, 15), default=wiring.channels, metavar=("ESC", "LAC"), help=text)
+    add("--operator", metavar="NAME", help="who runs it, for hil.json (default: the user)")
+
+
+def _add_watch_and_records(parser) -> None:
+    text = "serve a page with what the rig does, and STOP, on this machine's own address, which is printed"
+    parser.add_argument(
+        "--watch", nargs="?", type=whole(1024, 65535), const=0, metavar="PORT", help=f"{text} (default: a free port)"
+    )
+    text = "csv (default), or parquet: the same beside it, with units, exact to the bit; needs the extra 'import'"
+    parser.add_argument("--records", choices=("csv", "parquet"), default="csv", metavar="FORMAT", help=text)
+
+
+def _add_run(parser) -> None:
+    add = parser.add_argument
+    add("--profile", metavar="P", required=True, help="CSV with time [s], thrust_set [N]")
+    text = (
+        "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
+    )
+    add("--gains", metavar="G", help=text)
+    add("--controller", metavar="FMU", help="a controller FMU instead; it runs its author's code")
+    add_rig(parser, fmu=True)
+    text = "the plant's parameters, for --twin and for what the rig may do (default: the paper's)"
+    add("--parameters", type=parameters_file, metavar="F", help=text)
+    text = "run the plant's model beside the rig and tell when the rig leaves its band; I: identification.json of --parameters"
+    add("--twin", nargs="?", const="", metavar="I", help=f"{text} (default: the one beside F)")
+    text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
+    add("--adapt", nargs="+", metavar="NAME", help=text)
+    text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
+    add("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
+    _add_watch_and_records(parser)
+    text = "the same loop with this plant FMU too, which runs its author's code, and the difference in N"
+    add("--beside", metavar="PLANT.fmu", help=text)
+    text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
+    add("--start", nargs=2, type=EITHER, metavar=("RPM", "DEG"), help=text)
+    add_output(parser)
+
+
+PLAN = (
+    ("points", "points", whole(2, 100), "a side of the static grid"),
+    ("samples", "samples", whole(2, 10**6), "readings a point of the grid"),
+    ("settle", "settle", real(0.1, 60.0, "s"), "before a point or a step counts"),
+    ("levels", "levels", whole(1, 20), "of the other command for the steps"),
+    ("section", "section", real(5.0, 3600.0, "s"), "each of the three of the open loop"),
+    ("validation-seconds", "validation", real(5.0, 3600.0, "s"), "of the validation record"),
+    ("commands-seed", "seed", SEED, "of the open-loop and validation commands"),
+)
+"""Options of a campaign's plan: name, field of `Plan`, kind, help."""
+
+
+def _add_campaign(parser) -> None:
+    add = parser.add_argument
+    add_rig(parser)
+    add("--parameters", type=parameters_file, metavar="F", help="of an earlier campaign on this rig: what it may do")
+    add("--parts", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {', '.join(PARTS)} (default: all)")
+    add("--commands", metavar="R", help="instead: any record of time, omega_ref, beta_ref; gives record.csv")
+    for name, field, kind, text in PLAN:
+        longer = f" {kind.unit}, longer for a rig slower than the paper's" if kind.unit else ""
+        add(f"--{name}", type=kind, metavar="N", help=f"{text} (default: {getattr(Plan(), field):g}{longer})")
+    add("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
+    _add_watch_and_records(parser)
+    add_output(parser)
+
+
+def _add_calibrate(parser) -> None:
+    add_rig(parser)
+    parts = calibrate.PARTS
+    text = f"of {', '.join(parts)} (default: all)"
+    parser.add_argument("--parts", nargs="+", choices=parts, default=parts, metavar="PART", help=text)
+    parser.add_argument("--answers", metavar="FILE", help="what would be typed, a line each (default: it is typed)")
+    add_output(parser)
+
+
+def _add_selftest(parser) -> None:
+    add_rig(parser)
+    seconds = real(1.0, 3600.0, "s")
+    parser.add_argument("--seconds", type=seconds, default=10.0, metavar="S", help="how long the loop runs (default: 10)")
+    text = "so many busy processes beside the loop (2 without a number)"
+    parser.add_argument("--load", nargs="?", type=whole(0, 64), const=2, default=0, metavar="N", help=text)
+    add_output(parser)
+
+
+def _add_report(parser) -> None:
+    parser.add_argument("log", metavar="LOG", help="the run's log.csv, or its folder")
+
+
+def _add_replay(parser) -> None:
+    parser.add_argument("recorded", metavar="RUN", help="run.csv of vpp hil run: time, thrust_set, thrust and the commands")
+    parser.add_argument("controller", metavar="CONTROLLER", help="controller FMU: thrust_set, thrust to omega_ref, beta_ref")
+    add_output(parser)
+
+
+def _run(options) -> None:
+    """Close the loop on the rig over a profile of wanted thrust (CSV with time, thrust_set).
+
+    Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; what was measured is kept."""  # noqa: E501
+    parquet = _parquet(options)
+    profile = read_profile(options.profile)
+    if not options.controller:
+        print(said_of(gains_of(options), options.gains))
+    rig = which(options, fmu=True)
+    if rig.kind == "fmu":
+        if options.watch is not None:
+            raise BadInput("command line", "--watch", "given with --rig fmu", "a rig: a loop of FMUs is over in seconds")
+        folder = OutputFolder(options.output)
+        finish_fmu(folder, rig.plant, _fmu_loop(rig.plant, options, profile), options.profile, parquet, say)
+        say_written(folder)
+        return
+    setup, controller = setup_of(options), controller_of(options)
+    check_profile(profile, setup.limits)
+    start = start_of(options.start, setup.limits, setup.allowed)
+    if options.parameters:
+        setup = replace(setup, plant=plant_of(options).values)
+    twin = _twin(options, setup.allowed)
+    other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)) if options.beside else None
+    task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
+    parent = OutputFolder(options.output)
+    say_allowed(setup.allowed)
+    content = _begun(options, setup) | task.summary()
+    if twin:
+        print(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
+    with watched(options, content) as page:
+        confirm(setup)
+        done, folder = carry_out(task, content | {"begun": now()}, parent, page, say)
+        say_written(folder)
+        done.judge()
+
+
+def _campaign(options) -> None:
+    """Measure a campaign on the rig: the files that `vpp identify` and `vpp diagnose` read.
+
+    Each part is a run of its own: tare, arm, run, ramp down. As the paper has it, the static map takes 40 minutes, the steps 15.
+    Commands stay within what the rig's rig.json declares, what --parameters tells of an earlier campaign, and the limits."""  # noqa: E501
+    parquet = _parquet(options)
+    setup = replace(setup_of(options, steps=True), map_is_known=False)
+    given = {field: getattr(options, name.replace("-", "_")) for name, field, *_ in PLAN}
+    plan = replace(plan_for(setup.allowed), **{field: value for field, value in given.items() if value is not None})
+    commands = commands_of(options.commands, setup.limits) if options.commands else None
+    folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
+    content = measuring.begin(folder.path, _begun(options, setup), options.resume)
+    say_allowed(setup.allowed)
+    with watched(options, content) as page:
+        confirm(setup)
+        if file := which(options).file:
+            folder.write(FILE, read_text(file))  # what reads the campaign must know it too
+        measuring.run(folder, content, page, say)
+        say_written(folder)
+
+
+def _calibrate(options) -> None:
+    """Measure the rig's calibration, step by step: weights on the load cell and its sign, pulses to pitch, where the motor starts.
+
+    Each step says what to do and waits for Enter, or for a number that you read. For load cell and pitch the ESC's supply is off;
+    the last step turns the bare motor, without a propeller. --answers FILE: the same answers, a line each, `#` a remark. A part
+    that is left out stays as --calibration has it, with who measured it and when."""  # noqa: E501
+    setup, folder = setup_of(options, turning=False), OutputFolder(options.output)
+    guide = Prompts(options.answers)
+    bench = setup.bench()
+    try:
+        measured = calibrate.measured(bench, guide, options.parts, folder.path / REPORT, not setup.virtual, say)
+    finally:
+        bench.close()
+    found = calibrate.adopted(setup.calibration, measured, options.operator or _user(), now())
+    check(folder.path / "calibration.json", found)
+    folder.write("calibration.json", to_json(found))
+    folder.write("report.html", calibration_page(setup.calibration, found, measured).html())
+    if unknown := never_measured(found):
+        print(f"not measured yet: {', '.join(unknown)}; --rig real wants all")
+    say_written(folder)
+
+
+def _selftest(options) -> None:
+    """Test the rig without turning the rotor: loop timing, buses, calibration, pulse outputs, log."""
+    setup, folder = setup_of(options, turning=False), OutputFolder(options.output)
+    found = selftest(setup, options.seconds, folder.path, options.load)
+    content = found.summary()
+    folder.write("hil.json", as_json(content))
+    folder.write("report.html", found.page(content, options.seconds).html())
+    if found.session.timing:
+        print(f"loop: {content['real_time']}; {options.load} busy processes beside it\n{found.session.timing.text()}")
+    for one in found.checks:
+        print(f"{'good' if one.good else 'BAD '}  {one.what}: {one.found}")
+    say_written(folder)
+    found.judge()
+
+
+def _report(options) -> None:
+    """Make run.csv, report.html and the end of hil.json from a run's log: for a run whose loop could not do so itself.
+
+    A loop that is killed or crashes leaves its log whole, and the log's writer then calls this. Where that was killed too, the
+    rows that reached the disk are given the log's name first."""
+    log = found_log(Path(options.log))
+    folder = OutputFolder(log.parent)
+    record, content, gone = of_log(log)
+    if gone:
+        print(f"vpp hil: the run ended: {content['ended']}", file=sys.stderr)
+    finish(folder, content, record, say)
+    print(f"made from the log: {kept_of(log.parent)}", file=sys.stderr)
+    say_written(folder)
+
+
+def _replay(options) -> None:
+    """Feed what a controller saw in a recorded run to a controller FMU, and compare what it commands, to the bit.
+
+    An FMU runs its author's code, with your rights."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordWarning)  # a run has more columns than a record must
+        recorded = read_record(options.recorded, ("time", "thrust_set", "thrust", *COMMANDS))
+    if len(recorded) < 2:
+        raise BadInput(options.recorded, "rows", len(recorded), "two or more")
+    folder, controller = OutputFolder(options.output), FmuController(options.controller)
+    found = replay(recorded, controller)
+    controller.close()
+    text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said()}"
+    folder.write("replay.json", as_json(found.summary()))
+    folder.write("report.html", found.page(text + ".").html())
+    print(text)
+    say_written(folder)
+
+
+@dataclass(frozen=True)
+class Which:
+    """The words of --rig: `kind`, the `plant` FMU in the rig's place, the rig.json."""
+
+    kind: str
+    plant: str | None
+    file: str | None
+
+
+def which(options, fmu: bool = False) -> Which:
+    """Which rig the options name."""
+    words = list(options.rig)
+    kind = words.pop(0) if words[0] in ("emulated", "real", "fmu") else "emulated"
+    plant = words.pop(0) if kind == "fmu" and words else None
+    file = words.pop(0) if words else None
+    if words or (kind == "fmu" and not (fmu and plant)) or (file and not Path(file).is_file()):
+        allowed = "emulated or real" + (", or fmu PLANT.fmu" if fmu else "") + ", and a rig.json that is there"
+        raise BadInput("command line", "--rig", " ".join(options.rig), allowed)
+    return Which(kind, plant, file)
+
+
+def allowed_of(options, turning: bool = True) -> Rig:
+    """What the rig may be asked for: as its rig.json declares, else as the campaign of --parameters measured it, else, of what
+    is no real rig, the paper's. BadInput where a real one is to turn and nobody knows how far."""
+    rig, rest = which(options, fmu=True), None
+    if getattr(options, "parameters", None):
+        content = plant_of(options).rig
+        rest = None if content.unknown else content
+    if rest is None and (rig.kind != "real" or not turning):
+        rest = PAPERS
+    if rig.file:
+        return declared_rig(rig.file, rest)
+    if rest is None:
+        allowed = "real RIG.json, or --parameters that were identified from a campaign on it"
+        raise BadInput("command line", "--rig", "real, without a range of speed and pitch", allowed)
+    return rest
+
+
+def _limits(options, allowed: Rig, steps: bool = False) -> tuple[Limits, Rig]:
+    where = which(options, fmu=True).file or getattr(options, "parameters", None) or "rig"
+    return limits_for(allowed, where, options.limits, steps)
+
+
+def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
+    """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether it will."""
+    real = which(options).kind == "real"
+    if real and (options.virtual or options.hide):
+        raise BadInput("command line", "--rig", "real with --virtual or --hide", "these for the emulated rig only")
+    if real and not options.calibration:
+        raise BadInput("command line", "--calibration", "none", "the real rig's own calibration (see hil/README.md)")
+    calibration = read_calibration(options.calibration or str(CALIBRATION))
+    if real and turning and (unknown := never_measured(calibration)):
+        allowed = "who and when, as vpp hil calibrate writes them where it has measured"
+        raise BadInput(options.calibration, "source", f"nobody who measured {', '.join(unknown)}", allowed)
+    limits, allowed = _limits(options, allowed_of(options, turning), steps)
+    if not real and not options.calibration:
+        calibration = calibrated_for(calibration, allowed)
+    check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
+    if real:
+        return Setup(calibration, limits, wiring=_wiring(options), allowed=allowed)
+    return Setup(calibration, limits, with_effects(options.hide, options.seed), options.virtual, allowed=allowed)
+
+
+def _wiring(options) -> Wiring:
+    channels = tuple(options.pwm_channels)
+    if channels[0] == channels[1]:
+        raise BadInput("command line", "--pwm-channels", f"{channels[0]} twice", "two outputs")
+    return Wiring(options.bus, port=options.port, pwm=options.pwm, channels=channels)
+
+
+def _parquet(options) -> bool:
+    """Whether records are written as Parquet, too. BadInput where nothing here can."""
+    if options.records == "parquet":
+        check_parquet()
+    return options.records == "parquet"
+
+
+def plant_of(options) -> ParameterSet:
+    """The plant's model with its parameters."""
+    given = getattr(options, "parameters", None)
+    return read_parameters(given, plant) if given else ParameterSet(plant())
+
+
+def gains_of(options) -> ParameterSet:
+    """The kernel's controller for the rig that the options name, a sample a tick where its file does not say otherwise.
+    BadInput where given limits leave the rig's."""
+    parameters, file = plant_of(options), which(options, fmu=True).file
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    rig = declared_rig(file, parameters.rig) if file else None
+    return rig_controller(parameters, given, options.gains, rig, tick_of(given))
+
+
+def tick_of(given: ParameterSet | None) -> float | None:
+    """s: the loop's tick, for a controller whose file names no sample time."""
+    return None if given is not None and "sample_time" in given.estimates else PERIOD
+
+
+def controller_of(options) -> Controller:
+    """A fresh controller as the options have it."""
+    if options.controller and options.gains:
+        raise BadInput("command line", "--controller", "given with --gains", "one of the two")
+    if options.controller:
+        return FmuController(options.controller, dt=PERIOD)
+    return KernelController(gains_of(options).values, PERIOD)
+
+
+def _fmu_loop(path: str, options, profile: Record) -> Record:
+    limits, allowed = _limits(options, allowed_of(options))
+    check_profile(profile, limits)
+    start = start_of(options.start, limits, allowed)
+    return fmu_loop(path, controller_of(options), profile, start, limits)
+
+
+def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
+    """The twin that says when the rig leaves its band, that band, and the twin that adapts."""
+    if options.twin is None:
+        if options.adapt:
+            raise BadInput("command line", "--adapt", "given without --twin", "--twin, which adapts them")
+        return None
+    if not options.twin and not options.parameters:
+        needed = "the plant's parameters, or an identification.json for its band"
+        raise BadInput("command line", "--twin", "no --parameters", needed)
+    parameters = plant_of(options)
+    source = options.twin or beside(options.parameters)
+    band = read_band(source)
+    if options.parameters:
+        check_same_model(source, parameters, options.parameters)
+    learning = adaptive(adaptable(parameters, "command line", options.adapt), band, options.adapt)
+    return Twin(KernelPlant(parameters.model, parameters.values), band, rig=allowed), band, Adaptive(learning, PERIOD)
+
+
+def _begun(options, setup: Setup) -> dict:
+    """What hil.json says before anything turns; each file with its hash."""
+    given = {"limits_file": options.limits, "rig_file": which(options).file, "parameters": options.parameters}
+    given["profile"] = getattr(options, "profile", None)
+    content = begun(setup, options.calibration or str(CALIBRATION), options.operator or _user(), given)
+    if not hasattr(options, "controller"):
+        return content
+    if options.controller:
+        return content | {"controller": {"kind": "FMU", **file_entry(options.controller)}}
+    gains = gains_of(options)
+    source = file_entry(options.gains) if options.gains else {"gains": gains.source["made_by"]}
+    return content | {"controller": {"kind": "kernel", **source, "parameters": dict(gains.values)}}
+
+
+def _user() -> str:
+    """Who runs this."""
+    with contextlib.suppress(KeyError, OSError):  # a process may belong to a number that nobody has named
+        return getpass.getuser()
+    return str(os.getuid())
+
+
+def say_allowed(allowed: Rig) -> None:
+    """Within what the rig will be commanded, and where that comes from."""
+    print(f"commands within {', '.join(allowed.command_lines())}")
+
+
+def confirm(setup: Setup) -> None:
+    """On the real rig, wait until someone has typed that the propeller may turn."""
+    if setup.emulated is not None:
+        return
+    print(f"This spins the propeller. Guard closed, nobody near it, emergency stop at hand? Type {WORD} to go on: ", end="")
+    sys.stdout.flush()
+    typed = sys.stdin.readline().strip()
+    if typed != WORD:
+        raise BadInput("confirmation", "typed word", repr(typed), WORD)
+
+
+@contextlib.contextmanager
+def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
+    """The operator's page, where it is wanted, for as long as the context lasts; its address is printed. BadInput."""
+    if options.watch is None:
+        yield None
+        return
+    if options.virtual:
+        allowed = "a run in real time: a virtual one is over in seconds"
+        raise BadInput("command line", "--watch", "given with --virtual", allowed)
+    with served(content, options.watch) as page:
+        say(f"operator's page: {page.address}")
+        yield page
+
+
+VERBS = {
+    "run": (
+        "a closed loop over a profile of wanted thrust",
+        "vpp hil run --parameters out/parameters.json --profile step.csv --beside fmus/VppPlant.fmu -o out",
+        _add_run,
+        _run,
+    ),
+    "campaign": (
+        "static map, steps, open loop, its repeat, validation: what `vpp identify` reads",
+        "vpp hil campaign --virtual --hide linkage_play=0.5 -o campaigns/emulated",
+        _add_campaign,
+        _campaign,
+    ),
+    "calibrate": (
+        "weights, pitch table, polarity and the throttle's idle, step by step",
+        "vpp hil calibrate --rig real --calibration wiring.json --operator Ada -o calibration",
+        _add_calibrate,
+        _calibrate,
+    ),
+    "selftest": (
+        "jitter, buses, calibration, pulse outputs",
+        "vpp hil selftest --seconds 60 --load 2 -o selftest",
+        _add_selftest,
+        _selftest,
+    ),
+    "report": (
+        "report and record of a run from its log, where the run could not make them itself",
+        "vpp hil report out/runs/20260307T141500",
+        _add_report,
+        _report,
+    ),
+    "replay": (
+        "a recorded run once more through a controller FMU",
+        "vpp hil replay out/run.csv fmus/VppController.fmu -o replay",
+        _add_replay,
+        _replay,
+    ),
+}
+"""The sub-verbs: a line for `vpp hil --help`, an example, the options, and the run, whose docstring is its help."""

@@ -1,0 +1,212 @@
+"""Convert a table to a file of a campaign: CSV of any delimiter, decimal mark, header, encoding, clock; Parquet, MAT, HDF5.
+
+--map says which column is what, and in which unit: thrust=Fz:gf. A unit is whatever pint knows, with a factor if need be
+("thrust=Fz:-1 gf"); without one it is the log's own. A time may be since any moment, or a date ("iso"). omega=COLUMN:erpm/7 is
+the electrical speed of a motor with 7 pole pairs. beta_ref=COLUMN:us@1000=-5,2000=10 is a linear calibration: -5 deg at a
+reading of 1000, 10 deg at 2000. In the place of omega_ref a signal to the motor's controller will do, with a measured omega:
+its map is fitted to the log, and shared by all logs of the folder. What --map does not name is taken as the log's header says,
+unless NAME=- leaves it out; --propose shows it. The mapping is saved in import.toml beside the record, and --map import.toml
+uses it again.
+
+A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
+in rev/s; rows with J above 0 are left out.
+
+Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples ct advance_ratio."""
+
+import codecs
+from pathlib import Path
+
+import numpy as np
+
+from identification.logs.coefficients import Propeller
+from identification.logs.commands import FILE as SPEED_MAP
+from identification.logs.commands import map_beside
+from identification.logs.containers import read_container
+from identification.logs.delimited import DELIMITERS, read_delimited
+from identification.logs.intake import Taken, contradictions, signal_range, take_in
+from identification.logs.mapping import (
+    FILE,
+    Plan,
+    completed,
+    parse_fixed,
+    parse_pairs,
+    propose,
+    read_sections,
+    section_of,
+    to_toml,
+)
+from identification.logs.raw_table import RawTable
+from identification.logs.rotors import chosen
+from identification.logs.sampling import said_of_gaps
+from identification.logs.speed_map import read_speed_map
+from identification.logs.units import QUANTITIES
+from identification.static.static_map import DENSITY
+from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, placed
+from vpp_fmu.app.cli.options import Number
+from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.digits import number
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+
+EXAMPLE = (
+    "vpp import csv log.csv --propose\n"
+    "  vpp import csv log.csv --map time=t:ms omega_ref=soll:rad/s omega=ist:rad/s thrust=Fz:gf -o mine --as open_loop"
+)
+
+
+def configure(parser):
+    parser.add_argument("log", metavar="LOG", help="the table; .gz is unpacked")
+    text = "NAME=COLUMN:UNIT, one or more, or an import.toml; for all other names as --propose says, where it is sure"
+    parser.add_argument("--map", action="extend", nargs="+", default=[], metavar="M", help=text)
+    text = "accept units that the log does not state and the importer guesses (thrust_g, throttle_%%); never a contradiction"
+    parser.add_argument("--yes", action="store_true", help=text)
+    text = "take a unit that contradicts the header, or a speed that looks electrical"
+    parser.add_argument("--force", action="store_true", help=text)
+    parser.add_argument(
+        "--rotor", metavar="R", help="of several rotors in one file, such as rpm_1 and rpm_2 (default: the first)"
+    )
+    add_speed_from(parser)
+    parser.add_argument(
+        "--diameter", type=Number(0.0, 30.0, "m", above=True), metavar="D", help="m, of the rotor: makes coefficients thrust"
+    )
+    text = "kg/m^3, of the air, for coefficients (default: %(default)s)"
+    parser.add_argument("--density", type=Number(0.0, 2000.0, "kg/m^3", above=True), default=DENSITY, metavar="RHO", help=text)
+    text = "a command or voltage that the log does not have: beta_ref=8:deg; may be repeated"
+    parser.add_argument("--fixed", action="append", default=[], metavar="NAME=VALUE:UNIT", help=text)
+    add_kind(parser, "open_loop", "which file of the campaign (default: %(default)s)")
+    text = "print what the header proposes, and stop; with FILE save that as TOML for --map"
+    parser.add_argument("--propose", nargs="?", const="", metavar="FILE", help=text)
+    parser.add_argument(
+        "--speed-map", metavar="M", help="speed_map.json of another log, for a signal (default: the folder's own)"
+    )
+    text = f"what parts cells: {', '.join(DELIMITERS)}, or one character (default: found out)"
+    parser.add_argument("--delimiter", metavar="D", help=text)
+    parser.add_argument("--decimal", choices=("point", "comma"), help="decimal mark (default: found out)")
+    parser.add_argument("--encoding", metavar="E", help="such as utf-16 or cp1252 (default: found out)")
+    add_output(parser)
+
+
+def run(options):
+    section = _section(options)
+    table = _table(options, section.get("read", {}))
+    print(f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns")
+    if table.left_out:
+        print(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
+    if options.propose is not None:
+        _propose(table, options)
+        return
+    plan = _plan(options, section, table)
+    if options.diameter and "ct" not in plan.columns:
+        raise BadInput(options.log, "ct", "no column of thrust coefficients", "--map ct=COLUMN, or no --diameter")
+    span = signal_range(table, plan)
+    given = read_speed_map(options.speed_map) if options.speed_map else None
+    if given and span and given.signal != span:
+        raise BadInput(
+            options.speed_map, "signal, kind", given.signal.kind, f"a map for {span.kind}, which is in {options.log}"
+        )
+    beside = map_beside(options.output, span, options.log) if span and given is None else None
+    propeller = Propeller(options.diameter, options.density)
+    taken = take_in(table, plan, options.kind, given or beside, propeller, options.force)
+    folder, said = _written(options, plan, taken)
+    _say_columns(table, plan, taken)
+    say_written(folder, lines=[*taken.said, *said])
+
+
+def _section(options) -> dict:
+    """Content of the import.toml among --map, empty without one. BadInput."""
+    files = [word for word in options.map if "=" not in word]
+    if len(files) > 1 or (files and not files[0].endswith(".toml")):
+        raise BadInput("command line", "--map", " ".join(files), "NAME=COLUMN:UNIT, one or more, and at most one FILE.toml")
+    return section_of(files[0], options.kind) if files else {}
+
+
+def _table(options, read: dict) -> RawTable:
+    if options.encoding is not None:
+        try:
+            codecs.lookup(options.encoding)
+        except LookupError as error:
+            raise BadInput(
+                "command line", "--encoding", options.encoding, "an encoding's name such as utf-16 or cp1252"
+            ) from error
+    decimal = {"point": ".", "comma": ","}.get(options.decimal)
+    own = {"encoding": options.encoding, "delimiter": options.delimiter, "decimal": decimal}
+    given = {**{name: text for name, text in read.items() if name in own}, **{n: t for n, t in own.items() if t is not None}}
+    table = read_container(options.log)
+    return read_delimited(options.log, given) if table is None else table
+
+
+def _plan(options, section: dict, table: RawTable) -> Plan:
+    """The plan of columns: pairs of the command line override those of a TOML, or else a proposal completes them. BadInput."""
+    own = parse_pairs([word for word in options.map if "=" in word], table, options.force)
+    saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
+    fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
+    if saved and options.rotor:
+        raise BadInput("command line", "--rotor", options.rotor, "none beside an import.toml, which names its columns")
+    if saved:
+        columns, said = parse_pairs(saved, table, options.force) | own, []
+    else:
+        others, said = chosen(table, options.rotor, [c.name for c in own.values() if c])
+        for line in said:
+            print(line)
+        columns, said = completed(table, own, fixed, others, options.yes)
+    for line in said:
+        print(line)
+    columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
+    if options.speed_from == "measured":
+        if "omega" not in columns:
+            raise BadInput(table.source, "omega", "no measured speed", "--map omega=COLUMN:rpm, or --speed-from command")
+        columns = {"omega_ref": columns.pop("omega"), **{q: c for q, c in columns.items() if q not in ("omega_ref", "signal")}}
+        fixed.pop("omega_ref", None)
+    return Plan(columns, fixed, table.read)
+
+
+def _propose(table: RawTable, options) -> None:
+    fixed = parse_fixed(options.fixed)
+    others, said = chosen(table, options.rotor, ())
+    columns = propose(table, others)
+    plan = Plan(columns, fixed, table.read)
+    width = max((len(c.name) for c in columns.values()), default=0)
+    for quantity, column in columns.items():
+        note = {"": ""}.get(column.unit, f"in {column.unit}")
+        print(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
+    unused = [name for name in table.columns if name not in {c.name for c in columns.values()}]
+    for line in said:
+        print(line)
+    print(f"not used: {', '.join(unused) or 'none'}")
+    if columns:
+        print(f"as options: {plan.words()}")
+    for line in contradictions(table, plan):
+        print(line)
+    if options.propose:
+        folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
+        if (folder.path / name).exists() and not options.replace:
+            raise BadInput(options.propose, "file", "one that is there already", "a new file, or --replace")
+        folder.write(name, to_toml({options.kind: plan.section(Path(options.log).name)}))
+        print(f"saved in {options.propose}")
+
+
+def _say_columns(table: RawTable, plan: Plan, taken: Taken) -> None:
+    for quantity, column in plan.columns.items():
+        values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
+        span = ""
+        if values is not None and np.isfinite(values).any():
+            empty = int((~np.isfinite(values)).sum())
+            span = f": {number(float(np.nanmin(values)))} to {number(float(np.nanmax(values)))} {unit}".rstrip()
+            span += f", {empty} cells empty" if empty else ""
+        how = f" ({column.sure})" if column.sure else ""
+        print(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
+    for name, value in plan.fixed.items():
+        print(f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed")
+
+
+def _written(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
+    """Write the campaign's file, the mapping and the speed map, all or none; returns their paths and remarks."""
+    place = Path(options.output)
+    sections = read_sections(place / FILE) if (place / FILE).exists() else {}
+    folder, said = placed(place, options.kind, taken, options.replace, options.mend)
+    folder.write(FILE, to_toml({**sections, options.kind: plan.section(Path(options.log).name)}))
+    if taken.speed_map is not None and not (place / SPEED_MAP).exists():
+        folder.write(SPEED_MAP, taken.speed_map.to_json())
+    if taken.clock is not None and "run" not in taken.columns:
+        said = said_of_gaps(taken.record()) + said
+    return folder, said

@@ -1,0 +1,66 @@
+"""Repeat the paper's study on the emulated rig: campaign, model, fine-tuning, controllers, and every number beside the paper's.
+In virtual time; on a real rig the campaign would take an hour."""
+
+import sys
+import time
+
+from tqdm import tqdm
+
+from identification.demo import local_flavour
+from vpp_fmu.app.cli.export import exported
+from vpp_fmu.app.cli.options import whole
+from vpp_fmu.app.cli.output import add_output, dated, say_written
+from vpp_fmu.app.paper.control import RIG
+from vpp_fmu.app.paper.page import page, summary, tiles, verdict
+from vpp_fmu.app.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.parameters import ParameterSet, to_json, to_ssv
+from vpp_fmu.structured import as_json
+
+EXAMPLE = "vpp paper -o paper"
+
+
+def configure(parser):
+    if sys.platform != "linux":
+        parser.error(f"this is {sys.platform}; the emulated rig needs Linux: its clock, PWM files, I2C and terminals")
+    parser.add_argument("--quick", action="store_true", help="a smaller campaign, to see what the study does")
+    parser.add_argument(
+        "--seed", type=whole(0, 999_999), default=0, metavar="N", help="of everything random (default: %(default)s)"
+    )
+    add_output(parser)
+
+
+def run(options):
+    folder, began = OutputSet(options.output, "paper"), time.perf_counter()
+    plan, repeats = (QUICK, FEWER) if options.quick else (FULL, REPEATS)
+    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+        stages = Stages(bar.set_description)
+        done = study(OutputFolder(folder.path / "campaign"), plan, repeats, options.seed, stages)
+        bar.set_description("export")
+        _write(folder, done)
+        stages.done("FMUs")
+        total = time.perf_counter() - began
+        bar.set_description("report")
+        folder.write("paper.json", as_json(summary(done, total)))
+        folder.write("report.html", page(done, total).html())
+    lines = [verdict(done), *(f"{label}: {value} ({note})" for label, value, note in tiles(done, total))]
+    lines += [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]
+    lines.append(f"the whole study: {time.perf_counter() - began:.1f} s")
+    say_written(folder, done.found.parameters, lines)
+
+
+def _write(folder: OutputFolder, done: Study) -> None:
+    """Write the files of `vpp identify`, `vpp tune` and `vpp export` for the campaign."""
+    parameters, gains = done.found.parameters, {}
+    folder.write("parameters.json", to_json(dated(parameters)))
+    folder.write("parameters.ssv", to_ssv(parameters, "parameters"))
+    folder.write("identification.json", as_json(done.found.summary()))
+    for name, file in (("dual", "gains.json"), ("speed_only", "gains_speed_only.json")):
+        tuned = done.tuned[RIG].tuned[name]
+        source = {"made_by": "vpp paper", "cost": tuned.cost("tuned")}
+        gains[name] = ParameterSet(CONTROLLER, source=source).replaced(tuned.objective.with_gains(tuned.final))
+        folder.write(file, to_json(dated(gains[name], parameters=("parameters.json", parameters))))
+    for name, content in exported([parameters, gains["dual"]], [local_flavour()]).items():
+        folder.write(name, content)

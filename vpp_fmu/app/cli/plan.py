@@ -1,0 +1,322 @@
+"""Plan the next experiment: commands that reduce the uncertainty of the model's weakest direction, and the expected accuracy.
+
+They stay within the range of the parameters' campaign, or of its rig.json."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.assessment.information import read_noise
+from identification.assessment.prediction import predict
+from identification.assessment.reading_noise import reading_noise
+from identification.fit.uncertainty import NORMAL_95
+from identification.plan.excitation import PAPERS_HOLD
+from identification.plan.plan import NOISE, Plan, plan
+from vpp_fmu.app.cli.knowledge import knowledge_of
+from vpp_fmu.app.cli.options import SEED, Number
+from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
+from vpp_fmu.app.cli.prompts import Prompts
+from vpp_fmu.campaign import Campaign, read_campaign
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
+from vpp_fmu.record import write_record
+from vpp_fmu.report import Page, thinning
+from vpp_fmu.report.plan import interval_widths, planned_commands
+from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
+from vpp_fmu.structured import as_json
+
+EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
+
+UNKNOWN = 10.0
+"""Ratio of standard deviation to size above which a parameter counts as unknown."""
+
+COLOURED = 1.5
+"""Factor by which coloured residuals must widen the present intervals for a remark."""
+
+OPTIONS = {
+    "--seconds": Number(0.01, 1e6, "s"),
+    "--omega": Number(OMEGA_REF.minimum, OMEGA_REF.maximum, OMEGA_REF.unit),
+    "--pitch": Number(BETA_REF.minimum, BETA_REF.maximum, BETA_REF.unit),
+    "--omega-slew": Number(0.0, 1e9, "rpm/s", above=True),
+    "--pitch-slew": Number(0.0, 1e9, "deg/s", above=True),
+    "--step": Number(1e-5, 10.0, "s"),
+    "--noise": Number(0.0, 1e6, "N", above=True),
+    "--omega-noise": Number(0.0, 1e6, "rpm", above=True),
+}
+"""Ranges of the options on any rig."""
+
+ASKED = "the command line"
+"""Origin of a range that the user named."""
+
+
+def configure(parser):
+    def number(name, default, text, metavar="X"):
+        parser.add_argument(name, type=OPTIONS[name], metavar=metavar, help=f"{text} (default: {default})")
+
+    text = "the plant's parameters, a file or its folder"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
+    add_effects_from(parser)
+    text = "identification.json of the data there are (default: the one beside --parameters; without it nothing is known)"
+    parser.add_argument("--knowledge", metavar="F", help=text)
+    text = "take range, sampling and noise from this campaign (default: what --parameters tells of its own)"
+    parser.add_argument("--campaign", metavar="DIR", help=text)
+    text = "a rig.json: the range and slew that it declares go before what was measured"
+    parser.add_argument("--rig", metavar="FILE", help=text)
+    number("--seconds", "120 time scales of the rig, a minute for the paper's", "length of the experiment", "S")
+    for name, what in (("--omega", "speed in rpm"), ("--pitch", "pitch in deg")):
+        text = f"range of {what}, within the rig's (default: the rig's)"
+        parser.add_argument(name, nargs=2, type=OPTIONS[name], metavar=("LOW", "HIGH"), help=text)
+    for name, what in (("--omega-slew", "speed command in rpm/s"), ("--pitch-slew", "pitch command in deg/s")):
+        number(name, "the rig's; without one it may jump", f"largest slew of the {what}")
+    number("--step", "the campaign's", "time between commands and between readings in s", "S")
+    text = "standard deviation of a thrust reading in N"
+    number("--noise", f"that of --knowledge or --campaign, else {NOISE:g} of the thrust scale", text)
+    number("--omega-noise", "speed is not measured", "standard deviation of a speed reading in rpm")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the search (default: %(default)s)")
+    text = "go on where the thrust hardly changes over the ranges of --omega and --pitch, without being asked"
+    parser.add_argument("--yes", action="store_true", help=text)
+    add_output(parser)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Assumptions of a plan: the `rig`, the `noise` of a thrust reading [N] and its source, the `step` [s] or None."""
+
+    rig: Rig
+    noise: float
+    noise_from: str
+    step: float | None
+
+    def lines(self) -> list[str]:
+        """In words."""
+        commands = f"commands within {', '.join(self.rig.command_lines())}"
+        return [commands, f"noise of a thrust reading {self.noise:.3g} N ({self.noise_from})"]
+
+
+def run(options):
+    library = library_with(options.effects_from)
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    known_in, known = knowledge_of(options, parameters)
+    knowledge, inflation = known or (None, 1.0)
+    basis = _basis(options, parameters, known_in)
+    check_signal(options, parameters, basis)
+    folder = OutputSet(options.output, "plan")
+    found = plan(
+        parameters.model,
+        parameters.values,
+        basis.rig,
+        options.seconds,
+        basis.noise,
+        knowledge,
+        options.seed,
+        omega_std=options.omega_noise,
+        step=basis.step,
+    )
+    remarks = remarks_on(found, inflation)
+    write_plan(folder, found, basis.lines(), remarks, parameters.label)
+    lines = [*basis.lines(), *(f"{label}: {value} ({note})" for label, value, note in key_figures(found))]
+    say_written(folder, parameters, [*lines, *(f"note: {remark}" for remark in remarks)])
+
+
+def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
+    """Remarks on a plan. `inflation` of the present intervals by the residuals' colour."""
+    return ([_coloured(inflation, found.noise_std)] if inflation > COLOURED else []) + _overload(found)
+
+
+def write_plan(
+    folder: OutputFolder, found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = ""
+) -> None:
+    """All files of a plan."""
+    write_record(folder, "plan.csv", found.commands)
+    folder.write("plan.json", as_json(found.summary()))
+    folder.write("report.html", plan_page(found, basis, remarks, source).html())
+
+
+def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
+    """Ask for confirmation if the static thrust changes by less than one reading's noise over a range that the user named:
+    such an experiment has almost no information. BadInput without a terminal."""
+    if options.yes or (options.omega is None and options.pitch is None):
+        return
+    model, thrust = parameters.model, []
+    for omega in basis.rig.speed:
+        for beta in basis.rig.pitch:
+            inputs = {**model.measured_inputs, "omega_ref": omega, "beta_ref": beta}
+            thrust.append(Simulation(model, parameters.values).start(inputs)["thrust"])
+    change = max(thrust) - min(thrust)
+    if change >= basis.noise:
+        return
+    found = f"a range over which the thrust changes by {change:.2g} N, less than the {basis.noise:.2g} N of noise of a reading"
+    option = "--omega" if options.omega is not None else "--pitch"
+    if sys.stdin.isatty() and Prompts(None).choice(f"{option}: {found}; go on", ("yes", "no")) == "yes":
+        return
+    raise BadInput("command line", option, found, "a wider range, or --yes to go on")
+
+
+def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
+    campaign = read_campaign(options.campaign) if options.campaign else None
+    rig = parameters.rig
+    if campaign is not None:
+        rig = replace(campaign.rig, scales=rig.scales)  # of the map: they belong to the parameters
+    if options.rig:
+        rig = declared_rig(options.rig, rig)
+    rig = _narrowed(rig, options)
+    if rig.unknown:
+        allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
+        raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
+    return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters))
+
+
+def _step(options, campaign: Campaign | None, parameters: ParameterSet) -> float | None:
+    """Sampling period [s]: from the command line, or the rig's; None: unknown."""
+    if options.step is not None:
+        return options.step
+    records = (campaign.open_loop, campaign.repeat, campaign.validation) if campaign is not None else ()
+    periods = [record.period for record in records if record is not None]
+    return periods[0] if periods else parameters.sample_period
+
+
+def _narrowed(rig: Rig, options) -> Rig:
+    """The rig with the ranges of the command line, which must lie within known ranges."""
+    changes, origin = {}, dict(rig.origin)
+    for name, asked in (("speed", options.omega), ("pitch", options.pitch)):
+        if asked is None:
+            continue
+        option, unit, (low, high) = "--omega" if name == "speed" else "--pitch", RANGES[name].unit, getattr(rig, name)
+        known = name not in rig.unknown
+        if not known:
+            low, high = RANGES[name].minimum, RANGES[name].maximum
+        if not low <= asked[0] <= asked[1] <= high:
+            where = f" ({origin[name]}); --rig FILE declares a wider one" if known else ""
+            found = f"{asked[0]:g} to {asked[1]:g} {unit}"
+            raise BadInput("command line", option, found, f"within {low:.6g} to {high:.6g} {unit}, the lower first{where}")
+        changes[name] = tuple(asked)
+        origin[name] = f"{ASKED}, within {low:.6g} to {high:.6g} of {origin[name]}" if known else ASKED
+    for name, asked in (("speed", options.omega_slew), ("pitch", options.pitch_slew)):
+        if asked is None:
+            continue
+        most, unit = getattr(rig, f"{name}_slew"), SLEWS[name]
+        if not 0.0 < asked <= most:
+            allowed = f"more than 0 and at most {most:g} {unit}" if np.isfinite(most) else f"more than 0 {unit}"
+            option = "--omega-slew" if name == "speed" else "--pitch-slew"
+            raise BadInput("command line", option, f"{asked:g} {unit}", allowed)
+        changes[f"{name}_slew"], origin[f"{name}_slew"] = asked, ASKED
+    return replace(rig, **changes, origin=origin)
+
+
+def _noise(options, campaign: Campaign | None, parameters: ParameterSet, known_in: str | None) -> tuple[float, str]:
+    """(standard deviation of a thrust reading [N], its source). `known_in`: an identification.json, or None."""
+    if options.noise is not None:
+        return options.noise, ASKED
+    if known_in and (options.knowledge or campaign is None):  # a named campaign takes precedence over a default file
+        found = read_noise(known_in)
+        if found and found[0] > 0.0:
+            return found
+    if campaign is not None:
+        records = [record for record in (campaign.open_loop, campaign.repeat) if record is not None]
+        shown = [predict(parameters.model, parameters.values, record) for record in records]
+        if found := reading_noise(shown, campaign.static, parameters.values):
+            return found.std, found.source
+    return NOISE * parameters.values["thrust_scale"], f"{NOISE:g} of the thrust scale, not measured"
+
+
+def _overload(found: Plan) -> list[str]:
+    """Remark if the predicted thrust is outside of the rig's declared range."""
+    low, high = found.rig.thrust
+    least, most = float(found.thrust.min()), float(found.thrust.max())
+    if found.rig.origin.get("thrust") != DECLARED or (low <= least and most <= high):
+        return []
+    return [
+        f"The model predicts {least:.3g} to {most:.3g} N, and the rig is declared for {low:g} to {high:g} N: narrow --omega or "
+        "--pitch before this is run."
+    ]
+
+
+def key_figures(found: Plan) -> list[tuple[str, str, str]]:
+    """Key figures (label, value, note)."""
+    figures = []
+    stages = (("before", found.before), ("with the paper's plan", found.paper), ("with this plan", found.after))
+    for when, forecast in stages:
+        if forecast is not None:
+            direction, spread = forecast.weakest()
+            note = f"std of {combination(forecast.names, direction)}, in parts of the parameters"
+            figures.append((f"weakest direction {when}", _percent(spread), note))
+    figures.append(("gain over the paper's plan", f"{found.gain:.2f}", f"weakest direction, {_seconds(found)} s each"))
+    return figures
+
+
+def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = "") -> Page:
+    """The report of a plan; its assumptions (`basis`) and `remarks` are above its figures; `source`: of the parameters."""
+    after = found.after
+    page = Page(
+        "The next experiment",
+        f"{_seconds(found)} s of commands, and the expected accuracy of the model, if a thrust reading every "
+        f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
+        "noise, widens all intervals.",
+        source,
+    )
+    page.tiles(key_figures(found))
+    for line in basis:
+        page.note(f"{line[0].upper()}{line[1:]}.")
+    for remark in remarks:
+        page.note(remark)
+    for name, why in found.not_identifiable.items():
+        page.note(f"{name} is not planned for and counts as known: {why}.")
+    title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
+    widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
+    shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
+    hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
+    page.figure(
+        interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
+        "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
+        f"levels held for {hold[0]:g} to {hold[1]:g} s."
+        + ("" if found.before is None else " Both plans add to what is known before."),
+    )
+    columns = found.commands.columns
+    changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
+    title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
+    title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
+    drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
+    page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
+    _add_tables(page, found)
+    return page
+
+
+def _add_tables(page: Page, found: Plan) -> None:
+    before, paper, after = found.before, found.paper, found.after
+    unknown = [None] * len(after.names)
+    known = unknown if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
+    rows = zip(after.names, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
+    columns = ("parameter", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
+    page.table(columns, list(rows), "Time constants in s, coefficients normalised, effects' parameters in their units.")
+    directions = [unknown if f is None else f.weakest()[0] for f in (before, paper, after)]
+    rows = list(zip(after.names, *directions, strict=True))
+    page.table(("parameter", "before", "paper's plan", "after"), rows, "Weakest directions, in parts of the parameters' sizes.")
+
+
+def combination(names, direction: np.ndarray, most: int = 3) -> str:
+    """A direction in words: its largest components, by decreasing size."""
+    largest = [k for k in np.argsort(-np.abs(direction))[:most] if abs(direction[k]) > 0.2]
+    return " ".join(f"{direction[k]:+.2f} {names[k]}" for k in largest).removeprefix("+")
+
+
+def _coloured(inflation: float, noise: float) -> str:
+    return (
+        f"Coloured residuals made the intervals of the data so far {inflation:.1f} times as wide as white noise would; the "
+        f"forecast is for white noise, so before and after do not compare. --noise {inflation * noise:.2g} would allow for as "
+        "much again."
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < UNKNOWN else "unknown"
+
+
+def _seconds(found: Plan) -> str:
+    return f"{found.commands.time[-1]:g}"

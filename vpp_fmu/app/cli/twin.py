@@ -1,0 +1,168 @@
+"""A rig's day: model and controller improve each other round by round, during operation.
+
+Each round flies a mission beside the adaptive twin. A diagnosis of the mission's record follows if there is an alarm, or the
+model predicts worse than before, and the adapted model does not explain it. The model that predicts the next mission best is
+kept. Gains are retuned on that model and searched on the rig; the model rejects gains that break limits. The gains with the
+least cost on the rig fly next, if they are better than the present ones. On the real rig each flight waits for the operator's
+consent."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from tqdm import tqdm
+
+from hil.session import Setup
+from hil.twin.band import read_band
+from identification.tune.controllers import controllers
+from vpp_fmu.app.cli import hil
+from vpp_fmu.app.cli.options import WORKERS, whole
+from vpp_fmu.app.cli.output import dated
+from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
+from vpp_fmu.app.day.page import day_page
+from vpp_fmu.errors import BadInput
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
+from vpp_fmu.structured import as_json
+
+EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
+
+
+def configure(parser):
+    parser.add_argument("day", metavar="DAY", help="folder of the day, which must not exist")
+    parser.add_argument("--rounds", type=whole(1, 50), default=4, metavar="N", help="(default: %(default)s)")
+    text = "the initial model; its band is in the identification.json beside it"
+    parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
+    text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
+    parser.add_argument("--gains", metavar="G", help=text)
+    text = "source of the next gains (default: %(default)s; fixed: the gains stay)"
+    parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
+    text = "of the emulated rig: first round with the effects of --hide (default: %(default)s)"
+    parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
+    text = "number of parallel fits of a diagnosis (default: %(default)s)"
+    parser.add_argument("--workers", type=WORKERS, default=2, help=text)
+    hil.add_rig(parser)
+
+
+def run(options):
+    _check_new(options.day)
+    setup, parameters = hil.setup_of(options), hil.plant_of(options)
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
+    if "dual" not in settings:
+        raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
+    known_in = beside(options.parameters)
+    band = read_band(known_in)
+    check_same_model(known_in, parameters, options.parameters)
+    setup = replace(setup, plant=parameters.values)
+    hil.say_allowed(setup.allowed)
+    day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
+    folder = OutputFolder(options.day)
+    for number in range(1, options.rounds + 1):
+        with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+
+            def stage(text: str, number: int = number, bar=bar) -> None:
+                bar.set_description(f"round {number}: {text}")
+
+            own = OutputFolder(folder.path / f"round_{number}")
+            done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
+        day.rounds.append(done)
+        for line in said(done):
+            print(line, flush=True)
+        _write(folder, own, day, done)
+    print(f"written to {folder.path}")
+
+
+def _check_new(path: str) -> None:
+    there = Path(path)
+    if there.exists() and (not there.is_dir() or any(there.iterdir())):
+        found = f"{path}, which holds files" if there.is_dir() else f"{path}, a file"
+        raise BadInput("command line", "DAY", found, "a folder that is not there yet, or empty")
+
+
+def _rig(options, setup: Setup) -> Rig:
+    """The rig of the options. Hidden effects of the emulated rig appear in a later round; each flight has its own noise."""
+    hidden = setup.emulated.hidden if setup.emulated else ()
+
+    def there(number: int) -> tuple[str, ...]:
+        return hidden if number >= options.hidden_from else ()
+
+    def flown(number: int, flight: int) -> Setup:
+        if setup.emulated is None:
+            return setup
+        own = setup.emulated if there(number) else replace(setup.emulated, parameters={}, hidden=())
+        return replace(setup, emulated=replace(own, seed=100_000 * (options.seed + 1) + 1000 * number + flight))
+
+    def word(what: str) -> None:
+        if setup.emulated is None:
+            print(what, flush=True)
+        hil.confirm(setup)
+
+    return Rig(flown, word, there)
+
+
+def said(done: Round) -> list[str]:
+    """A round in words."""
+    lines = [f"round {done.number}: no alarm"]
+    if done.alarm:
+        at, what = done.alarm
+        found = diagnosed(done)
+        became = f"diagnosed from the mission's record: {found}" if found else "the adapted model explains it"
+        lines = [f"round {done.number}: alarm after {at:.0f} s, {what}; {became}"]
+    if len(done.models) > 1:
+        lines.append(
+            f"  error of the thrust on a mission that nobody fitted: {_models(done)}; the model {done.chosen.name} goes on"
+        )
+    else:
+        lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
+    costs = ", ".join(f"{name} {sum(c) / len(c):.4f}" for name, c in done.costs.items())
+    cheapest = min(done.costs, key=lambda name: sum(done.costs[name]))
+    doubt = "" if cheapest == done.winner else f", {cheapest} may be no cheaper"
+    lines.append(f"  cost on the rig: {costs}; {done.winner} flies next{doubt}")
+    if done.refused:
+        lines.append(f"  the model refused {done.refused} of the gains that were to be tried")
+    return lines
+
+
+def _models(done: Round) -> str:
+    return ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
+
+
+def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> None:
+    """Files after a round: its model and gains, and the day so far."""
+    gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
+    gains = gains.replaced({n: v for n, v in done.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
+    model = replace(
+        done.chosen.parameters, source={**done.chosen.parameters.source, "made_by": "vpp twin", "round": done.number}
+    )
+    for where in (own, folder):
+        where.write("parameters.json", to_json(dated(model)))
+        where.write("gains.json", to_json(dated(gains)))
+    folder.write("day.json", as_json({"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}))
+    folder.write("report.html", day_page(day).html())
+
+
+def summary(done: Round) -> dict:
+    """A round for day.json."""
+
+    def known(number: float) -> float | None:
+        return number if math.isfinite(number) else None
+
+    models = [{"name": m.name, "fitted": m.fitted, "unseen": known(m.unseen), "unit": "N"} for m in done.models]
+    costs: Mapping[str, list] = {name: list(each) for name, each in done.costs.items()}
+    return {
+        "round": done.number,
+        "hidden": list(done.hidden),
+        "alarm": done.alarm and {"time": done.alarm[0], "points_to": done.alarm[1]},
+        "verdict": done.verdict or None,
+        "named": list(done.named),
+        "models": models,
+        "model": done.chosen.name,
+        "costs": costs,
+        "tries": list(done.tries),
+        "refused": done.refused,
+        "flies_next": done.winner,
+        "gains": {n: done.settings[n] for n in done.settings if n.startswith(("kp_", "ki_", "kd_"))},
+    }

@@ -1,0 +1,365 @@
+"""The rounds of a day.
+
+In each round a mission is flown beside the twin. If there is an alarm, or the model predicts a repeated mission worse than
+before, and the adapted model does not explain it, the mission's record is diagnosed against the twin's model. Gains are retuned
+on the model and searched on the rig. The gains with the lower measured cost fly next, if they are better than the present ones
+(Reinforcement Twinning: Schena, Marques, Poletti, Ahizi, Van den Berghe, Mendez, 2024).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import ttest_ind, wilcoxon
+
+from hil.rig import RunEnded
+from hil.session import Setup
+from hil.twin.adaptive import CERTAIN, adaptable
+from hil.twin.band import Band
+from hil.twin.twin import Twin
+from identification.assessment.prediction import predict
+from identification.diagnose.diagnose import diagnose
+from identification.diagnose.validation import CHANGED
+from identification.tune.profile import common_reach, rig_profile
+from vpp_fmu.app.day.flight import GAINS, Flight, Twins, fly, mission
+from vpp_fmu.app.day.policy import Referee, Search, retuned, task
+from vpp_fmu.campaign import Campaign
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.kernel.twin import watched
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.plants import KernelPlant
+from vpp_fmu.record import Record
+
+FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "model-free", "both")
+
+DIAGNOSED = "diagnosed"
+"""Name of the model from the diagnosis of a mission."""
+
+TIMES = 4
+"""Flights of the profile per finalist: the cost scatters by 2 % between flights, which is the difference between the best and
+fair gains, and each flight takes as long as a trial of the search."""
+
+BETTER = 0.1
+"""Level of the t test that new gains are better than the present ones. A lower level rejects more better gains, which may
+return in the next round."""
+
+WORSE = 0.01
+"""Level of the test that a repeated mission is predicted worse: one false alarm in a hundred rounds."""
+
+LEFT = 0.1
+"""The same after an alarm: a needless diagnosis costs a minute, a missed effect stays in the model as a changed parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A candidate model of the rig: `name`, its `parameters`, and the rms thrust error [N] in the mission of its fit, and
+    in the next one, a hold-out."""
+
+    name: str
+    parameters: ParameterSet
+    fitted: float
+    unseen: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Modelled:
+    """A round's model: `mission`: its record; `alarm`: (s, its cause), or None; `models`: the compared ones, of which `chosen`
+    has the least error on a hold-out mission; `named`: effects that the diagnosis added, and its `verdict`, "" without a
+    diagnosis. `wanted`: the round's last mission, which the next round repeats, and `usual` the chosen model's mean square
+    error at each of its levels, (levels,) N^2.
+    """
+
+    mission: Flight
+    alarm: tuple[float, str] | None
+    models: tuple[Model, ...]
+    chosen: Model
+    verdict: str
+    named: tuple[str, ...]
+    wanted: Record
+    usual: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Round(Modelled):
+    """A round, its `number` from 1, with the effects `hidden` in the rig.
+
+    `costs`: by branch, measured costs of the finalists by flight; `tries`: single flights of the search, `refused`: number of
+    gains that the model rejected. `winner`: the branch that flies next, with `settings`.
+    """
+
+    number: int
+    hidden: tuple[str, ...]
+    costs: Mapping[str, tuple[float, ...]]
+    tries: tuple[float, ...]
+    refused: int
+    winner: str
+    settings: Mapping[str, float]
+
+    @property
+    def cost(self) -> float:
+        """Cost of the gains that fly next."""
+        return float(np.mean(self.costs[self.winner]))
+
+
+@dataclass(eq=False)
+class Day:
+    """A day's rounds, and its initial model and gains. `search`: on the rig, continued while the gains stay."""
+
+    begun: ParameterSet
+    settings: Mapping[str, float]
+    profile: Record
+    rounds: list[Round] = field(default_factory=list)
+    search: Search | None = None
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The present model."""
+        return self.rounds[-1].chosen.parameters if self.rounds else self.begun
+
+    @property
+    def flies(self) -> Mapping[str, float]:
+        """The controller's present values."""
+        return self.rounds[-1].settings if self.rounds else self.settings
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Access to the rig: `setup(round, flight)` returns the rig; `word(what)` waits for the operator's consent to `what`."""
+
+    setup: Callable[[int, int], Setup]
+    word: Callable[[str], None]
+    hidden: Callable[[int], tuple[str, ...]]
+
+
+def new_day(parameters: ParameterSet, settings: Mapping[str, float]) -> Day:
+    """A day that begins with this model and this controller."""
+    return Day(parameters, dict(settings), rig_profile(parameters, {"dual": settings}))
+
+
+def next_round(
+    day: Day, rig: Rig, band: Band, policy: str, folder: Path, seed: int, workers: int, stage: Callable[[str], None]
+) -> Round:
+    """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early."""
+    number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
+    flies = day.flies
+    modelled = _modelled(day, flights, band, seed, workers, stage)
+    chosen, as_it_was = modelled.chosen, modelled.models[0]
+    tuning = task(chosen.parameters, day.profile, band.noise, flies["sample_time"], seed)
+    finalists: dict[str, Mapping[str, float]] = {"what flew": flies}
+    tries: list[float] = []
+    refused = 0
+    flies_already = bool(day.rounds) and day.rounds[-1].winner == MODEL_BASED and chosen is as_it_was
+    if policy in (MODEL_BASED, BOTH) and not flies_already:
+        stage("retune on the model")
+        finalists[MODEL_BASED] = retuned(tuning, flies)
+    if policy in (MODEL_FREE, BOTH):
+        stage("search on the rig")
+        best, tries, refused = _searched(day, flights, Referee(tuning, flies), flies, 1000 * seed + number)
+        if best is not None:
+            finalists[MODEL_FREE] = best
+    stage("compare on the rig")
+    costs = {name: flights(name, each, day.profile, times=TIMES).costs for name, each in finalists.items()}
+    winner = best_of(costs)
+    if winner == MODEL_BASED:
+        day.search = None  # it searched about other gains
+    return Round(
+        **vars(modelled),
+        number=number,
+        hidden=rig.hidden(number),
+        costs=costs,
+        tries=tuple(tries),
+        refused=refused,
+        winner=winner,
+        settings=dict(finalists[winner]),
+    )
+
+
+def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int, stage: Callable[[str], None]) -> Modelled:
+    """Fly the round's missions, and choose the next model."""
+    number, model, flies = len(day.rounds) + 1, day.parameters, day.flies
+    low, high = common_reach(model, {"dual": flies})
+    low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
+    pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
+
+    def flown(k: int, profile: Record) -> Flight:
+        return flights(f"mission {k}", flies, profile, Twins(model, band))
+
+    def fresh(k: int) -> Record:
+        return mission(low, high, pace, 1000 * seed + 10 * number + k)
+
+    stage("mission")
+    before = day.rounds[-1] if day.rounds else None
+    wanted = within(before.wanted, low, high) if before else fresh(1)
+    first = last = flown(1, wanted)
+
+    def improbable(parameters: ParameterSet) -> float:
+        return worse(by_level(parameters, first.record, before.wanted), before.usual) if before else 1.0
+
+    alarm = first.alarms[0] if first.alarms else None
+    if not alarm and improbable(model) < WORSE:
+        alarm = float(first.record.time[-1] - first.record.time[0]), "predicted worse than when it was flown before"
+    models, verdict = [Model("as it was", model, error(model, first.record), np.nan)], ""
+    named: tuple[str, ...] = ()
+    if _moved(model, first):
+        models.append(_adapted(model, first))
+    if alarm or len(models) > 1:
+        stage("mission again")
+        wanted = fresh(2)
+        last = flown(2, wanted)
+
+    def explains(adapted: ParameterSet) -> bool:
+        return not _alarms(adapted, band, last.record) if first.alarms else improbable(adapted) > LEFT
+
+    if alarm and not (len(models) > 1 and explains(models[1].parameters)):
+        stage("diagnose")
+        # The rig waits, and a mission is too short to learn a term of unknown form.
+        found = diagnose(_campaign(first.record, flights.folder, model), given=model, workers=workers, thorough=False)
+        verdict = found.verdict
+        # A model that explains a part is a candidate, too, because another mission decides.
+        best = found.final if found.final.effects else found.selection.final
+        if best.effects and not found.refuted:
+            named = tuple(e for e in best.effects if e not in model.model.optional)
+            own = found.parameters(best)
+            own = replace(own, source={**model.source, **own.source})
+            models.append(Model(DIAGNOSED, own, error(own, first.record), np.nan))
+    if last is not first:
+        models = [replace(m, unseen=error(m.parameters, last.record)) for m in models]
+    chosen = min(models, key=lambda m: m.unseen) if len(models) > 1 else models[0]
+    return Modelled(
+        mission=first,
+        alarm=alarm,
+        models=tuple(models),
+        chosen=chosen,
+        verdict=verdict,
+        named=named,
+        wanted=wanted,
+        usual=by_level(chosen.parameters, last.record, wanted),
+    )
+
+
+def best_of(costs: Mapping[str, tuple[float, ...]]) -> str:
+    """The branch whose gains fly next: the cheapest, or the first, the present gains, if the test finds no difference."""
+    flew, best = next(iter(costs)), min(costs, key=lambda name: float(np.mean(costs[name])))
+    return best if best == flew or ttest_ind(costs[best], costs[flew], alternative="less").pvalue < BETTER else flew
+
+
+def diagnosed(done: Round) -> str:
+    """A round's diagnosis in words; "" without one."""
+    if done.verdict in CHANGED or not done.named:
+        return f"{done.verdict} {' + '.join(done.named)}".strip()
+    return f"{done.verdict}: a part by {' + '.join(done.named)}"
+
+
+def error(parameters: ParameterSet, record: Record) -> float:
+    """rms error of the model's thrust for a record's commands, N."""
+    return float(predict(parameters.model, parameters.values, _measured(record)).rmse_thrust)
+
+
+def by_level(parameters: ParameterSet, record: Record, profile: Record) -> np.ndarray:
+    """(levels,) N^2: mean square of that error at each level of a mission's profile."""
+    errors = predict(parameters.model, parameters.values, _measured(record)).thrust - record["thrust"]
+    begins = np.searchsorted(record.time - record.time[0], profile.time[1:-1])
+    return np.array([np.nanmean(own**2) for own in np.split(errors, begins)])
+
+
+def worse(errors: np.ndarray, usual: np.ndarray) -> float:
+    """p-value of the hypothesis that a repeated mission is predicted as well as before, from (levels,) mean squares (signed
+    ranks of their ratios; Wilcoxon, Biometrics Bulletin 1, 1945). The test detects small errors at many levels."""
+    ratio = np.log(errors / usual)
+    ratio = ratio[np.isfinite(ratio)]  # without levels that have no readings
+    return float(wilcoxon(ratio, alternative="greater").pvalue) if len(ratio) else 1.0
+
+
+def within(profile: Record, low: float, high: float) -> Record:
+    """A mission with its levels between these [N]."""
+    return Record(profile.columns | {"thrust_set": np.clip(profile["thrust_set"], low, high)}, profile.source)
+
+
+def _alarms(parameters: ParameterSet, band: Band, record: Record) -> bool:
+    """Whether a twin with this model would have raised an alarm in a mission."""
+    twin = Twin(KernelPlant(parameters.model, parameters.values), band, rig=parameters.rig)
+    rows = np.column_stack([record[name] for name in ("time", "omega_ref", "beta_ref", "thrust")]).tolist()
+    twin.start(*rows[0][:3])
+    return any(twin.update(*row).alarmed for row in rows)
+
+
+def _measured(record: Record) -> Record:
+    """A run as a campaign's record: the commands that acted, and the readings."""
+    return Record({name: record[name] for name in ("time", "omega_ref", "beta_ref", "thrust", "omega")}, record.source)
+
+
+def _campaign(record: Record, folder: Path, model: ParameterSet) -> Campaign:
+    return Campaign(folder, None, (), _measured(record), None, None, rig=model.rig)
+
+
+def _learned(flight: Flight) -> tuple[dict[str, float], dict[str, float]]:
+    """(values, standard deviations) of the adapted parameters at a mission's end."""
+    own = {n.removeprefix("adapted."): float(c[-1]) for n, c in flight.twin.items() if n.startswith("adapted.")}
+    return own, {name: float(flight.twin[f"std.{name}"][-1]) for name in own}
+
+
+def _moved(model: ParameterSet, flight: Flight) -> bool:
+    """Whether the adapted model is a candidate; another mission decides."""
+    before, (own, std) = adaptable(model, "vpp twin").values, _learned(flight)
+    return any(abs(value - before[name]) > CERTAIN * std[name] for name, value in own.items())
+
+
+def _adapted(model: ParameterSet, flight: Flight) -> Model:
+    """The model with the twin's adapted parameters: statically visible ones together, because they are correlated, and each
+    dynamic one separately; those that predict the mission best are taken. The twin also adapts a lag from moves at an
+    actuator's limit, which holds nowhere else."""
+    wider, (own, std) = adaptable(model, "vpp twin"), _learned(flight)
+    at_rest = watched(wider.model, tuple(own))
+    groups = [[name for name in own if name in at_rest], *([name] for name in own if name not in at_rest)]
+    kept = (
+        [n for group, taken in zip(groups, wanted, strict=True) if taken for n in group]
+        for wanted in product((True, False), repeat=len(groups))
+    )
+    tried = [wider.replaced({n: own[n] for n in names}, {n: std[n] for n in names}) for names in kept if names]
+    errors = [error(one, flight.record) for one in tried]
+    return Model("adapted", tried[int(np.argmin(errors))], min(errors), np.nan)
+
+
+class _Flights:
+    """Flights of a round, each with a folder of its own in `folder`."""
+
+    def __init__(self, rig: Rig, number: int, folder: Path):
+        self._rig, self._number, self.folder, self._count = rig, number, folder, 0
+
+    def __call__(
+        self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None, times: int = 1
+    ) -> Flight:
+        """RunEnded for a flight that ended early, so that the next one does not begin."""
+        self._rig.word(f"round {self._number}: {what}")
+        self._count += 1
+        setup = self._rig.setup(self._number, self._count)
+        done = fly(setup, settings, profile, self.folder / f"flight_{self._count:02d}", twins, times)
+        if done.ended:
+            raise RunEnded(f"round {self._number}: {what}: {done.ended}")
+        return done
+
+
+def _searched(
+    day: Day, flights: _Flights, referee: Referee, flies: Mapping[str, float], seed: int
+) -> tuple[Mapping[str, float] | None, list[float], int]:
+    """(the search's mean after its next generation, None: none flew, or the model rejects it; the costs of those that flew;
+    the number of rejected ones).
+
+    A rejected one has the cost that the model predicts, relative to the present gains. The mean is used, since the cheapest of
+    a generation is so by noise."""
+    if day.search is None:
+        day.search = Search(flies, GAINS, seed)
+    generation = day.search.asked()
+    predicted = [referee.predicted(each) for each in generation]
+    costs = [
+        flights(f"try {k + 1} of {len(generation)}", each, day.profile).cost if allowed else np.nan
+        for k, (each, (_, allowed)) in enumerate(zip(generation, predicted, strict=True))
+    ]
+    flew = [cost for cost in costs if np.isfinite(cost)]
+    if flew:
+        usual = float(np.median(flew))
+        day.search.tell([usual * share if np.isnan(c) else c for c, (share, _) in zip(costs, predicted, strict=True)])
+    there = day.search.favourite
+    return there if flew and referee.predicted(there)[1] else None, flew, int(np.isnan(costs).sum())
