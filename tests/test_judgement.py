@@ -56,6 +56,11 @@ def fit_of(residual, jacobian, time, thresholds=()):
     )
 
 
+def reason_against(judge, shipped, base, found, final, partly=False):
+    """What `validation` says of a set without an unseen record."""
+    return validation.reason_against(validation.Replacement(judge, shipped, base, found, final, None, partly))
+
+
 def test_cross_validation_is_that_of_refits_without_the_fold(monkeypatch):
     """For a linear model one step is exact: predicting each fold from a least-squares fit of the others."""
     monkeypatch.setattr(crossval, "_errors", lambda fit, moves, split: ((), ()))
@@ -199,7 +204,7 @@ def test_what_starts_anywhere_in_another_record_ships_only_where_other_starts_co
     judge = SimpleNamespace(searcher=None, runs=runs, on_runs=lambda one: squares[one.effects], matters=lambda *_: True)
     monkeypatch.setattr(validation, "without", lambda searcher, base, one, name: rest)
     monkeypatch.setattr(validation, "_estimated", lambda judge, knowledge, present, one: one)
-    monkeypatch.setattr(validation, "_refuted", lambda *_: "")
+    monkeypatch.setattr(validation, "REASONS", ())
     final, why = validation.validated(judge, None, None, SimpleNamespace(), SimpleNamespace(effects=()), both)
     assert (final.effects, why) == (ships, "")
 
@@ -231,7 +236,7 @@ def test_what_explains_a_part_must_carry_over_to_whole_thirds_certain_or_not(mon
     shipped = SimpleNamespace()
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: held["was" if one is shipped else "now"])
     judge = SimpleNamespace(held_out=lambda one: held["was"], runs=())
-    assert validation._refuted(judge, shipped, shipped, fit, fit, None, partly) == told
+    assert reason_against(judge, shipped, shipped, fit, fit, partly) == told
 
 
 class Estimates:
@@ -493,7 +498,7 @@ def test_nothing_ships_whose_reported_error_is_larger_than_before(monkeypatch, a
     monkeypatch.setattr(validation, "error_increases", lambda *_: False)
     judge, present, found = Estimates(present=0.1, found=after, base=0.2), estimate("present"), estimate("found")
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
-    assert validation._refuted(judge, present, estimate("base"), found, found, None) == told
+    assert reason_against(judge, present, estimate("base"), found, found) == told
 
 
 @pytest.mark.parametrize(
@@ -505,7 +510,7 @@ def test_an_estimate_that_folds_do_not_hold_refutes_nothing_where_another_one_pr
     judge = Estimates(present=0.1, found=0.5, final=as_it_ships, base=0.2)
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: judge.held_out(one))
     found, final = estimate("found"), estimate("final")
-    assert validation._refuted(judge, estimate("present"), estimate("base"), found, final, None) == told
+    assert reason_against(judge, estimate("present"), estimate("base"), found, final) == told
 
 
 @pytest.mark.parametrize(
@@ -530,7 +535,7 @@ def test_step_runs_that_lose_more_than_the_folds_gain_refute_what_was_found(monk
     name = lambda one: "was" if one is shipped else "now"  # noqa: E731
     monkeypatch.setattr(validation, "cross_validated", lambda one, split: held[name(one)])
     judge = SimpleNamespace(held_out=lambda one: held[name(one)], on_runs=lambda one: runs[name(one)], runs=[1])
-    assert validation._refuted(judge, shipped, shipped, found, found, None) == told
+    assert reason_against(judge, shipped, shipped, found, found) == told
 
 
 @pytest.mark.parametrize(

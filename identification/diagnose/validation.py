@@ -1,18 +1,19 @@
 """The verdict on a set of effects, and its validation on data that were not fitted, before it replaces the identified model."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from identification.assessment.prediction import predict
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.crossval import (
+    HeldOut,
     contiguous_folds,
     cross_validated,
     error_decreases,
     error_increases,
-    folds,
     held_out_gain,
 )
 from identification.diagnose.judgement import MAJORITY, MIN_EVIDENCE
@@ -101,7 +102,8 @@ def validated(
         return present, ""
     final = _estimated(judge, knowledge, present, found)
     too_small = [name for name in final.effects if not judge.matters(name, final)]
-    why = NOTHING_LEFT.format(too_small[0]) if too_small else _refuted(judge, present, base, found, final, unseen, partly)
+    given = Replacement(judge, present, base, found, final, unseen, partly)
+    why = NOTHING_LEFT.format(too_small[0]) if too_small else reason_against(given)
     return (present, why) if why else (final, "")
 
 
@@ -138,37 +140,93 @@ def _worse(judge: Judge, fit: Fit, present: Fit) -> bool:
     return bool(judge.runs) and float(np.mean(judge.on_runs(fit) - judge.on_runs(present))) > 0.0
 
 
-def _refuted(judge: Judge, shipped: Fit, base: Fit, found: Fit, final: Fit, unseen: Unseen | None, partly: bool = False) -> str:
-    """The reason why held-out data refute a set, empty if they do not. `found`: the set at its maximum likelihood; `final`: as
-    estimated for prediction; `shipped`: the model that it would replace. It is refuted if
+@dataclass(frozen=True)
+class Replacement:
+    """A set that may replace the `shipped` model. `found`: the set at its maximum likelihood; `final`: as estimated for
+    prediction; `base`: the base model fitted by the same likelihood; `partly`: it explains only a part of the lack of fit."""
 
-    - both predict the folds worse than the `base`, fitted by the same likelihood;
-    - `final` predicts folds or thirds significantly worse than `shipped` (a `partly`: worse at all, or not significantly better
-      on thirds: what explains a part must carry over to other commands);
-    - the step responses lose more than the folds gain: they cover commands outside the folds;
-    - the reported error increases: on the `unseen` record (`_refuted_by`), else on the folds."""
-    before, best = judge.held_out(base), min((judge.held_out(fit) for fit in (found, final)), key=lambda h: h.rmse_thrust)
-    if best.rmse_thrust > before.rmse_thrust and judge.held_out(found).gain(before)["thrust"] < 0.0:
+    judge: Judge
+    shipped: Fit
+    base: Fit
+    found: Fit
+    final: Fit
+    unseen: Unseen | None
+    partly: bool
+
+    @cached_property
+    def folds(self) -> tuple[HeldOut, HeldOut]:
+        """Cross-validation of (`shipped`, `final`) on interleaved folds."""
+        return self.judge.held_out(self.shipped), self.judge.held_out(self.final)
+
+    @cached_property
+    def thirds(self) -> tuple[HeldOut, HeldOut]:
+        """The same with whole thirds of each record left out."""
+        return cross_validated(self.shipped, contiguous_folds), cross_validated(self.final, contiguous_folds)
+
+    def pairs(self, was: HeldOut, now: HeldOut) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """(time [s], error before, error after) [N] of the thrust, by experiment."""
+        times = [e.record.time for e in self.found.problem.experiments]
+        return list(zip(times, was.thrust, now.thrust, strict=True))
+
+    @cached_property
+    def steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean square errors of the step responses (before, after), N^2."""
+        return self.judge.on_runs(self.shipped), self.judge.on_runs(self.final)
+
+
+def base_predicts_better(given: Replacement) -> str:
+    """Both estimates of the set predict the folds worse than the base, fitted by the same likelihood."""
+    before = given.judge.held_out(given.base)
+    best = min((given.judge.held_out(fit) for fit in (given.found, given.final)), key=lambda h: h.rmse_thrust)
+    if best.rmse_thrust > before.rmse_thrust and given.judge.held_out(given.found).gain(before)["thrust"] < 0.0:
         return _increases(FOLDED, before.rmse_thrust, best.rmse_thrust)
-    for split in (folds, contiguous_folds):
-        was, now = (judge.held_out(fit) if split is folds else cross_validated(fit, split) for fit in (shipped, final))
-        worse = [(e.record.time, *pair) for e, *pair in zip(found.problem.experiments, was.thrust, now.thrust, strict=True)]
-        if error_increases(worse) or (partly and now.rmse_thrust > was.rmse_thrust):
+    return ""
+
+
+def significantly_worse(given: Replacement) -> str:
+    """Folds or thirds are predicted significantly worse; by a `partly` worse at all."""
+    for name in ("folds", "thirds"):
+        was, now = getattr(given, name)
+        if error_increases(given.pairs(was, now)) or (given.partly and now.rmse_thrust > was.rmse_thrust):
             return _increases(FOLDED, was.rmse_thrust, now.rmse_thrust)
-        if (
-            partly
-            and split is contiguous_folds
-            and not error_decreases(worse, (judge.on_runs(shipped) - judge.on_runs(final)).tolist())
-        ):
-            return "a partial explanation, and the held-out thrust error does not decrease significantly"
-    was, now = judge.held_out(shipped).rmse_thrust, judge.held_out(final).rmse_thrust
-    if judge.runs:
-        old, new = judge.on_runs(shipped), judge.on_runs(final)
-        if np.mean(new - old) > was**2 - now**2:
-            return _increases("thrust error of the step responses", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
-    if unseen is None:
-        return _increases(FOLDED, was, now) if now > was else ""
-    return _refuted_by(unseen, judge.searcher.experiments[0].noise, shipped, final)
+    return ""
+
+
+def part_does_not_carry_over(given: Replacement) -> str:
+    """A `partly` does not predict thirds and step responses significantly better: it must carry over to other commands."""
+    if not given.partly:
+        return ""
+    old, new = given.steps
+    if error_decreases(given.pairs(*given.thirds), (old - new).tolist()):
+        return ""
+    return "a partial explanation, and the held-out thrust error does not decrease significantly"
+
+
+def steps_lose_more(given: Replacement) -> str:
+    """The step responses lose more than the folds gain: they cover commands outside the folds."""
+    if not given.judge.runs:
+        return ""
+    (was, now), (old, new) = given.folds, given.steps
+    if np.mean(new - old) > was.rmse_thrust**2 - now.rmse_thrust**2:
+        return _increases("thrust error of the step responses", *(float(np.sqrt(np.mean(e))) for e in (old, new)))
+    return ""
+
+
+def reported_error_increases(given: Replacement) -> str:
+    """The error that is reported increases: on the unseen record (`_refuted_by`), else on the folds."""
+    if given.unseen is not None:
+        return _refuted_by(given.unseen, given.judge.searcher.experiments[0].noise, given.shipped, given.final)
+    was, now = (held_out.rmse_thrust for held_out in given.folds)
+    return _increases(FOLDED, was, now) if now > was else ""
+
+
+REASONS = (base_predicts_better, significantly_worse, part_does_not_carry_over, steps_lose_more, reported_error_increases)
+"""Tests on held-out data, each of which refutes a set."""
+
+
+def reason_against(given: Replacement) -> str:
+    """The first reason why held-out data refute a set, empty if they do not."""
+    return next(filter(None, (refutes(given) for refutes in REASONS)), "")
 
 
 def _refuted_by(unseen: Unseen, noise: Noise, shipped: Fit, final: Fit) -> str:
