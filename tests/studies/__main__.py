@@ -28,6 +28,7 @@ from . import (
     readings,
     refusals,
     rigs,
+    rules,
     tuning,
     twin,
 )
@@ -55,6 +56,7 @@ STUDIES = {
     "readings": readings.main,
     "refusals": refusals.main,
     "rigs": rigs.main,
+    "rules": rules.main,
     "tuning": tuning.main,
     "twin": twin.main,
 }
