@@ -182,6 +182,17 @@ def test_constants_survive_compilation():
     assert shown[1:, 0].tolist() == numbers
 
 
+def test_only_states_that_depend_on_a_parameter_have_a_tangent_in_it():
+    """An outer lag of the speed moves the speed and the thrust, an inner one its lag too, a coefficient only the thrust."""
+    program = trace(BASE, ("tau_omega_1", "tau_omega_2", "c20"))
+    names, found = [*program.layout.outputs, *program.layout.states], {}
+    for kind, *at in (target for target, _ in program.step):
+        if kind == "d":
+            found.setdefault(program.wrt[at[1]], set()).add(names[at[0]])
+    outer = {"thrust", "omega", "omega_outer"}
+    assert found == {"tau_omega_1": outer, "tau_omega_2": outer | {"omega_inner"}, "c20": {"thrust"}}
+
+
 def c_body(model, function, wrt=()):
     source = c_source(trace(model, wrt))
     return re.search(rf"static \w+ {function}\(.*?\n}}", source, re.DOTALL).group()

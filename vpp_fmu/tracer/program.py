@@ -4,9 +4,10 @@ The same operations in the same order as on floats, so that generated Python and
 Values that depend only on parameters and the step are computed separately (`prepare`), not at every step.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 
 from vpp_fmu.kernel.types import Model, largest_step, start, step
 from vpp_fmu.tracer.graph import COMPARE, Graph, Node, needed
@@ -72,20 +73,51 @@ def trace(model: Model, wrt: Iterable[str] = ()) -> Program:
     )
     dt = graph.node("dt")
     delay_parameters = [p for _, p in model.delays]
+    settled, ahead = start(model, graph, inputs, parameters), step(model, graph, inputs, states, parameters, dt)
+    influenced = _influence([(x, settled[1][n], ahead[1][n]) for n, x in states.items()])
     from_start, from_step = [], []
     for j, name in enumerate(wrt):
         leaves = {parameters[name]: 1.0}
         from_start.append(leaves)
-        leaves = leaves | {x: graph.node("d", layout.moving.index(at["state", n]), j) for n, x in states.items()}
         if name in delay_parameters:  # a delay moves the ends of the schedule's pieces, and so the length of a step
-            leaves[dt] = graph.node("dt_tangent", delay_parameters.index(name))
-        from_step.append(leaves)
+            leaves = leaves | {dt: graph.node("dt_tangent", delay_parameters.index(name))}
+        moving = influenced(leaves)
+        tangent = {x: graph.node("d", layout.moving.index(at["state", n]), j) for n, x in states.items() if x in moving}
+        from_step.append(leaves | tangent)
 
-    begun = _writes(graph, layout, *start(model, graph, inputs, parameters), from_start)
-    moved = _writes(graph, layout, *step(model, graph, inputs, states, parameters, dt), from_step)
+    begun, moved = _writes(graph, layout, *settled, from_start), _writes(graph, layout, *ahead, from_step)
+    zero = {target for target, value in begun if target[0] == "d" and _is_zero(value)}
+    moved = tuple((target, value) for target, value in moved if not (target in zero and _is_zero(value)))
     prepared, moved = _set_apart(graph, moved, set(parameters.values()))
     longest = ((("result",), largest_step(model, graph, parameters)),)
     return Program(model, layout, wrt, begun, prepared, moved, longest)
+
+
+def _influence(states: Sequence[tuple[Node, object, object]]) -> Callable[[Iterable[Node]], set[Node]]:
+    """A function from leaves to the states that have a tangent at any time if the leaves have one.
+
+    `states`: each one's leaf, its value at the start and its value after a step. Most states do not depend on most parameters;
+    their tangents are zero, and cost as much as others if they are computed.
+    """
+    reach: dict[Node, int] = {}  # bits of the leaves on which a value depends; a comparison has no derivative
+    for n in needed(value for _, *values in states for value in values):
+        below = () if n.op in COMPARE else map(reach.get, n.nodes)
+        reach[n] = reduce(or_, below, 0 if n.nodes else 1 << n.number)
+    sources = {x: reduce(or_, (reach[v] for v in values if isinstance(v, Node)), 0) for x, *values in states}
+
+    def influenced(leaves: Iterable[Node]) -> set[Node]:
+        bits, found, grown = sum(1 << n.number for n in leaves), set(), True
+        while grown:
+            grown = {x for x, source in sources.items() if x not in found and source & bits}
+            found |= grown
+            bits |= sum(1 << x.number for x in grown)
+        return found
+
+    return influenced
+
+
+def _is_zero(value: object) -> bool:
+    return not isinstance(value, Node) and value == 0.0
 
 
 def _writes(graph: Graph, layout: Layout, signals: dict, states: dict, wrt: list[dict[Node, object]]) -> tuple[Write, ...]:
