@@ -72,6 +72,20 @@ def test_pieces_are_the_whole(compiler, request, recwarn):
             np.testing.assert_array_equal(np.concatenate(together), one)
 
 
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_derivatives_of_chosen_outputs_are_those_of_all(late):
+    model, wrt = plant(["pitch_backlash"]), ("tau_beta_1", "c20")
+    run = {"pitch_backlash.half_gap": 0.3}, random_steps(1001, 60, model=model), UNEVEN[:1000], late
+    made = Simulator(model, wrt)
+    shown, tangents = made.sensitivities(*run)
+    chosen = {i: np.empty((1001, 2)) for i in (2, 0)}
+    np.testing.assert_array_equal(made.simulate(*run, chosen), shown)
+    parts = [moved.copy() for _, _, moved in made.pieces(*run, rows=300, of=(2, 0))]
+    np.testing.assert_array_equal(np.concatenate(parts), tangents[:, [2, 0]])
+    for i, own in chosen.items():
+        np.testing.assert_array_equal(own, tangents[:, i])
+
+
 def off_by(model, values, inputs, steps, wrt):
     """For each parameter the largest distance from the numeric derivative, as a share of its size."""
     values = model.values(values)

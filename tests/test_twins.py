@@ -39,8 +39,8 @@ def problem_of(records):
 def test_records_of_the_same_commands_are_simulated_once_and_their_thrust_is_averaged(records):
     problem = problem_of(records)
     assert [len(e.records) for e in problem.experiments] == [2, 1]
-    runs, pieces = [], problem.simulator.pieces
-    problem.simulator.pieces = lambda *run, **rows: runs.append(run) or pieces(*run, **rows)
+    runs, simulate = [], problem.simulator.simulate
+    problem.simulator.simulate = lambda *run: runs.append(run) or simulate(*run)
     residual, jacobian = problem.rows(TRUTH)
     assert len(runs) == 2
     one, other, third = (problem_of([record]).rows(TRUTH) for record in records)

@@ -171,7 +171,7 @@ class Profile:
         def residual_at(x: np.ndarray) -> np.ndarray:
             return problem.residual_at(self.coordinates.values(x) | held)
 
-        return solve(lambda x: self._evaluate(x, away), start, lower, upper, enough, residual_at=residual_at, tangent=False)
+        return solve(lambda x: self._evaluate(x, away), start, lower, upper, enough, residual_at=residual_at)
 
     def _evaluate(self, x: np.ndarray, away: float) -> tuple[np.ndarray, np.ndarray]:
         values = self.coordinates.values(x) | {self.name: self.at + away}

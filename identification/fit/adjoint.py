@@ -49,8 +49,8 @@ class AdjointProblem(Problem):
             cost, gradient = cost + 0.5 * float(np.sum(error**2)), gradient + error @ rows
         return cost, gradient @ inner
 
-    def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
-        """Fit from `start` under the present weights, always to full numerical precision."""
+    def solve(self, start: Mapping[str, float], enough: float = 0.0, known: list[tuple] | None = None) -> Solution:
+        """Fit from `start` under the present weights, always to full numerical precision. `known` is not used."""
         lower, upper = self.coordinates.lower, self.coordinates.upper
         costs, evaluations = [], 0
 

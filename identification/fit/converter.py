@@ -57,6 +57,10 @@ class Converter:
         shares = self._shares
         return 1.0 + sum(2.0 * np.pi * k * size * np.cos(k * self._turns(thrust)) for k, size in shares) if shares else 1.0
 
+    def reading_tangents(self, tangents: np.ndarray, thrust: np.ndarray) -> np.ndarray:
+        """Sensitivities (rows, ...) of the mean reading from those of the true thrust (rows,) N."""
+        return (tangents.T * self.slope(thrust)).T if self._shares else tangents
+
     def _turns(self, thrust):
         return 2.0 * np.pi / self.count * (thrust - self.zero)
 

@@ -93,27 +93,37 @@ class Experiment:
             return np.zeros((self.sizes["thrust"], *tangents.shape[1:]))
         return self._white(self._blocks.mean(self._where_measured(tangents)))
 
-    def sensitivities(self, simulator: Simulator, values: Mapping[str, float]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(outputs (rows, 3), whitened sensitivities (n, k) by channel) of a simulator's model.
+    def sensitivities(
+        self, simulator: Simulator, values: Mapping[str, float], into: np.ndarray | None = None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(outputs (rows, 3), whitened sensitivities (n, wrt) by channel) of a simulator's model.
 
-        The record is simulated in pieces: the sensitivities of a long one need by far the most memory. Of those of thrust only
-        block means are kept.
+        `into` (n, wrt): an array that those of thrust may use. The sensitivities of a long record need by far the most memory.
+        If a block has several rows, the record is simulated in pieces, and of those of thrust only block means are kept.
         """
-        length, k = int(self._blocks.edges[1]), len(simulator.wrt)
-        means, speed = np.empty((len(self._blocks.time), k)), np.empty((len(self.record) * bool(len(self.omega_time)), k))
-        outputs, first = np.empty((len(self.record), len(simulator.outputs))), 0
-        rows = max(1, PIECE // length) * length
-        for at, shown, tangents in simulator.pieces(values, *self.record.run, rows=rows):
-            outputs[at] = shown
-            own = self._blocks.part(at)
-            if len(own.time):
-                thrust = (tangents[:, 0].T * self.converter.slope(shown[:, 0])).T
-                means[first : first + len(own.time)] = own.mean(self._where_measured(thrust, at))
-                first += len(own.time)
-            if len(speed):
-                speed[at] = tangents[:, 1]
-        found = {"thrust": self._white(means, means)}
+        k, count, length = len(simulator.wrt), len(self._blocks.time), int(self._blocks.edges[1])
+        means = np.empty((count, k)) if into is None or len(into) < count else into
+        speed = np.empty((len(self.record) * bool(len(self.omega_time)), k))
+        if length == 1:
+            outputs = simulator.simulate(values, *self.record.run, {0: means, 1: speed} if len(speed) else {0: means})
+            thrust = self._thrust_tangents(slice(None), outputs, means)
+        else:
+            outputs, first, rows = np.empty((len(self.record), len(simulator.outputs))), 0, max(1, PIECE // length) * length
+            for at, shown, tangents in simulator.pieces(values, *self.record.run, rows=rows, of=self.compared):
+                outputs[at] = shown
+                own = self._blocks.part(at)
+                if len(own.time):
+                    means[first : first + len(own.time)] = own.mean(self._thrust_tangents(at, shown, tangents[:, 0]))
+                    first += len(own.time)
+                if len(speed):
+                    speed[at] = tangents[:, 1]
+            thrust = means
+        found = {"thrust": self._white(thrust, means)}
         return outputs, found | ({"omega": self.omega_columns(speed)} if len(self.omega_time) else {})
+
+    def _thrust_tangents(self, rows: slice, outputs: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+        """Sensitivities (rows, k) of the mean thrust reading in some rows, NaN where there is none."""
+        return self._where_measured(self.converter.reading_tangents(tangents, outputs[:, 0]), rows)
 
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened residual, predicted minus measured speed (n, ...), from predicted speed (rows, ...) rpm."""
@@ -162,8 +172,12 @@ class Experiment:
         return cotangents
 
     def _white(self, means, into=None):
+        colour = self.noise.colour
+        if colour.is_white:
+            return np.multiply(means, 1.0 / (colour.innovation * self._share), out=into)[self._complete]
+
         def white(columns):
-            found = self.noise.colour.whiten(columns)[self._complete]
+            found = colour.whiten(columns)[self._complete]
             return np.divide(found, self._share, out=found)
 
         return _some_columns(white, means, into)

@@ -21,9 +21,10 @@ ORDER = ("tau_omega_1", "tau_omega_2", "tau_beta_1", "tau_beta_2", "c20", "c30",
 """Of linearly dependent parameters, those named first are fitted and the others held."""
 
 
-def held(problem: Problem, x: np.ndarray, names: Sequence[str]) -> dict[str, str]:
-    """Parameters among `names` that the data do not identify at coordinates `x`: name -> reason, in words."""
-    columns = _columns(problem, x)
+def held(problem: Problem, x: np.ndarray, jacobian: np.ndarray, names: Sequence[str]) -> dict[str, str]:
+    """Parameters among `names` that the data do not identify at coordinates `x`: name -> reason, in words. `jacobian`: of the
+    problem's rows there, in the parameters."""
+    columns = _columns(problem, x, jacobian[: problem.size])
     largest = max(np.linalg.norm(columns, axis=0).max(), 1e-300)
     columns = np.vstack([columns, _known(problem, columns)])
     reasons, basis, taken = {}, np.zeros((len(columns), 0)), {}
@@ -55,10 +56,10 @@ def weakly_identified(found: Uncertainty) -> dict[str, str]:
     return {n: f"the data identify it only to ± {number(NORMAL_95 * s, 2)}" for n, s in worst.items()}
 
 
-def _columns(problem: Problem, x: np.ndarray) -> np.ndarray:
+def _columns(problem: Problem, x: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """(n, n): the square root of the normal matrix of the data rows (rows, n); its columns have the same lengths and angles."""
-    _, jacobian = problem.evaluate(x)
-    normal, inner = jacobian[: problem.size].T @ jacobian[: problem.size], np.linalg.pinv(problem.coordinates.jacobian(x))
+    tangent = problem.coordinates.jacobian(x)
+    normal, inner = tangent.T @ (jacobian.T @ jacobian) @ tangent, np.linalg.pinv(tangent)
     power, axes = np.linalg.eigh(normal)
     root = np.sqrt(np.maximum(power, 0.0))[:, None] * axes.T @ inner
     # The root of a zero eigenvalue is rounding error, so the lengths are taken from the normal matrix.

@@ -47,13 +47,15 @@ class Blocks:
 
     def part(self, rows: slice) -> "Blocks":
         """The whole blocks in a slice of rows that starts with a block; row numbers count from the slice's start."""
-        inside = (self.edges >= rows.start) & (self.edges <= rows.stop)
-        return Blocks(self.edges[inside] - rows.start, self.time[inside[:-1] & inside[1:]])
+        first, end = np.searchsorted(self.edges, [rows.start, rows.stop + 1])
+        return Blocks(self.edges[first:end] - rows.start, self.time[first : max(first, end - 1)])
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Block means of (rows,) or (rows, k) without NaN rows; NaN for a block without values."""
         rows = int(self.edges[1] - self.edges[0])
         values = values[: self.edges[-1]]
+        if rows == 1:
+            return values
         # Slices of every rows-th row: ten times as fast as numpy's mean over a short axis.
         total = sum((values[k::rows] for k in range(1, rows)), values[::rows].copy())
         if np.isfinite(total).all():
@@ -78,11 +80,11 @@ def blocks(record: Record, length: float) -> Blocks:
 
     If thrust is renewed more slowly, blocks are long enough for one reading each. 0: one row a block.
     """
-    renewed = record.time[np.isfinite(record["thrust"])] if "thrust" in record else record.time
-    between = float(np.median(np.diff(renewed))) if len(renewed) > 1 else 0.0
-    if length and between > 1.5 * record.period:
-        length = max(length, 1.5 * between)
-    rows = max(1, round(length / record.period))
+    if length:
+        renewed = record.time[np.isfinite(record["thrust"])] if "thrust" in record else record.time
+        between = float(np.median(np.diff(renewed))) if len(renewed) > 1 else 0.0
+        length = max(length, 1.5 * between) if between > 1.5 * record.period else length
+    rows = max(1, round(length / record.period)) if length else 1
     edges = np.arange(0, len(record) - rows + 1, rows)
     edges = np.append(edges, edges[-1] + rows)
     time = record.time
@@ -107,6 +109,11 @@ class Colour:
     def order(self) -> int:
         """The filter's longest lag, rows."""
         return max((last for _, last in self.spans), default=0)
+
+    @property
+    def is_white(self) -> bool:
+        """Whether the filter only divides by the innovation."""
+        return not self.order and not self.corner
 
     @property
     def weights(self) -> np.ndarray:

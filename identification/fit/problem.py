@@ -174,9 +174,10 @@ class Problem:
         `outputs`: the point of linearisation of a coarse converter; None: a fine converter.
         """
         pairs = list(zip(self.experiments, tangents, strict=True))
-        slopes = [e.converter.slope(y[:, 0]) for e, y in zip(self.experiments, outputs or (), strict=False)]
         thrust = [d[:, 0] for d in tangents]
-        thrust = [(d.T * slope).T for d, slope in zip(thrust, slopes, strict=True)] if slopes else thrust
+        if outputs is not None:
+            shown = zip(pairs, outputs, strict=True)
+            thrust = [e.converter.reading_tangents(d[:, 0], y[:, 0]) for (e, d), y in shown]
         found = {"thrust": np.concatenate([e.thrust_columns(d) for e, d in zip(self.experiments, thrust, strict=True)])}
         omega = [e.omega_columns(d[:, 1]) for e, d in pairs if len(e.omega_time)]
         if omega:
@@ -191,21 +192,20 @@ class Problem:
         """Residual and Jacobian (rows, k) at the free parameters' `values` by name. The Jacobian is in coordinates with
         `inner` (names, k), the derivatives of the parameters; None: in the parameters."""
         found, names = self.values | dict(values), self.coordinates.names
-        inner = np.eye(len(names)) if inner is None else inner
         known = 0 if self.prior is None else len(self.prior.names)
-        jacobian, outputs = np.empty((self.size + known, inner.shape[1])), []
+        jacobian, outputs = np.empty((self.size + known, len(names))), []
         place = {"thrust": 0, "omega": sum(e.sizes["thrust"] for e in self.experiments)}
         for e in self.experiments:
-            shown, own = e.sensitivities(self.simulator, found)
+            at = {c: slice(first, first + e.sizes.get(c, 0)) for c, first in place.items()}
+            shown, own = e.sensitivities(self.simulator, found, jacobian[at["thrust"]])
             outputs.append(shown)
             for c, columns in own.items():
-                at = slice(place[c], place[c] + len(columns))
-                np.matmul(columns, inner / self.scale[c], out=jacobian[at])
-                place[c] = at.stop
+                np.multiply(columns, 1.0 / self.scale[c], out=jacobian[at[c]])
+                place[c] = at[c].stop
         residual = self._with_prior(found, outputs)
         if self.prior is not None:
-            jacobian[self.size :] = self.prior.rows(found, names)[1] @ inner
-        return residual, jacobian
+            jacobian[self.size :] = self.prior.rows(found, names)[1]
+        return residual, jacobian if inner is None else jacobian @ inner
 
     def residual_at(self, values: Mapping[str, float]) -> np.ndarray:
         """The same residual alone, from a simulation without sensitivities."""
@@ -236,24 +236,28 @@ class Problem:
         """The same from coordinates `x` under the present weights."""
         return self._solve(x, ENOUGH, limit)
 
-    def solve(self, start: Mapping[str, float], enough: float = 0.0) -> Solution:
+    def solve(self, start: Mapping[str, float], enough: float = 0.0, known: list[tuple] | None = None) -> Solution:
         """Fit from `start` under the present weights. `enough`: minimum gain of log-likelihood (noise of unknown size) to
-        continue the search; the Jacobian may then be of an earlier step. 0: full numerical precision."""
-        return self._solve(self.coordinates.vector(start), enough, 100)
+        continue the search; the Jacobian may then be of an earlier step. 0: full numerical precision. `known`: the rows at
+        `start`, if they are known; they are taken out, because a long record has memory for one Jacobian only."""
+        return self._solve(self.coordinates.vector(start), enough, 100, known)
 
-    def _solve(self, x, enough, limit):
+    def _solve(self, x, enough, limit, known=None):
         c, tolerance = self.coordinates, 2.0 * enough / self.size if enough else EXACT
-        return solve(
-            self.evaluate, x, c.lower, c.upper, tolerance, limit, lambda x: self.residual_at(c.values(x)), tangent=not enough
-        )
+        residual_at = (lambda x: self.residual_at(c.values(x))) if enough else None
 
-    def solve_and_weigh(self, start: Mapping[str, float]) -> list[Solution]:
+        def evaluate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return known.pop() if known else self.rows(c.values(x))
+
+        return solve(evaluate, x, c.lower, c.upper, tolerance, limit, residual_at, c.jacobian)
+
+    def solve_and_weigh(self, start: Mapping[str, float], known: list[tuple] | None = None) -> list[Solution]:
         """Fit from `start` and weigh the channels by their residuals, by turns, until both converge.
 
         Returns all fits. The last is the result; the others are slim. Each has its own weights, so their costs do not compare.
         """
         rounds = REWEIGHTS if len({b.channel for b in self.blocks}) > 1 or self.prior is not None else 0
-        found = [self.solve(start, WEIGHED if rounds else 0.0)]
+        found = [self.solve(start, WEIGHED if rounds else 0.0, known)]
         for k in range(rounds):
             self.weigh(found[-1].residual)
             found[-1] = found[-1].slim()

@@ -103,19 +103,21 @@ def _refine(model, records, start, names, prior, channels, method, starts, seed)
     kind = AdjointProblem if method == "adjoint" else Problem
     experiments = independent_readings(records, values, channels)
     trial = kind(model, experiments, values, names, prior)
-    why = undetermined(trial, trial.coordinates.vector(values), names)
+    at = trial.coordinates.vector(values)
+    known = [trial.rows(trial.coordinates.values(at))]
+    why = undetermined(trial, at, known[0][1], names)
     free = [n for n in names if n not in why]
     if not free:
         reasons = "; ".join(dict.fromkeys(why.values()))
         raise BadInput(
             records[0].source, "thrust", f"no identifiable parameter ({reasons})", "a response to a command that moves"
         )
-    problem = kind(model, experiments, values, free, prior) if why else trial
+    problem, known = (kind(model, experiments, values, free, prior), []) if why else (trial, known)
     cost_start = paper_cost(problem, values)
     if method == "gradient-descent":
         rounds = [descend(problem, problem.coordinates.vector(values))]
     else:
-        rounds = problem.solve_and_weigh(values)
+        rounds = problem.solve_and_weigh(values, known)
     best, found = rounds[-1], [rounds[-1].slim()]
     if starts > 1:  # releases memory for the other starts
         best, rounds = found[0], [solution.slim() for solution in rounds]

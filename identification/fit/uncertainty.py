@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import irfft, rfft
 from scipy.linalg import block_diag
 from scipy.optimize import brentq
 
@@ -115,18 +116,18 @@ class Uncertainty:
 def uncertainty(problem: Problem, found: Solution) -> Uncertainty:
     """Uncertainty of the fitted parameters at a solution. A coordinate at a bound, or without influence, has no variance."""
     coordinates = problem.coordinates
-    free, inverse, unidentifiable = _free(problem, found)
-    j, e = found.jacobian[:, free], found.residual
-    prior = slice(problem.size, len(e))
-    known = j[prior].T @ j[prior]
-    scores = sum(_coloured(j[g[0].at], summed(g, e), inverse * len(g)) for g in problem.groups) + known
-    white = sum(_white(j[b.at], e[b.at]) for b in problem.blocks) + known
-    coloured, plain = (inverse @ s @ inverse for s in (scores, white))
+    e, parts = found.residual, [found.jacobian[rows] for rows in (*(b.at for b in problem.blocks), slice(problem.size, None))]
+    *normals, known = [part.T @ part for part in parts]
+    free, inverse, unidentifiable, size = _free(problem, found, sum(normals) + known)
+    j = found.jacobian if len(free) == len(found.value) else found.jacobian[:, free]
+    scores = sum(_coloured(j[g[0].at], summed(g, e), inverse * len(g)) for g in problem.groups)
+    white = sum(normal * float(np.mean(e[b.at] ** 2)) for normal, b in zip(normals, problem.blocks, strict=True))
+    own = np.ix_(free, free)
+    coloured, plain = (inverse @ (s + known[own]) @ inverse for s in (scores, white[own]))
     std = np.zeros(len(found.value))
     std[free] = np.sqrt(np.diag(coloured))
     tangent = coordinates.jacobian(found.value)[:, free]
-    size = np.linalg.norm(found.jacobian[:, free], axis=0)
-    away = tangent / np.where(size > 0.0, size, 1.0)
+    away = tangent / size
     is_unidentifiable = np.linalg.norm(away @ unidentifiable, axis=1) > np.sqrt(UNIDENTIFIABLE) * np.linalg.norm(away, axis=1)
     covariance, plain = (tangent @ c @ tangent.T for c in (coloured, plain))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -176,23 +177,21 @@ def _secants(coordinates: Coordinates, x: np.ndarray, reach: np.ndarray) -> tupl
     return below, above
 
 
-def _white(jacobian, residual):
-    return jacobian.T @ jacobian * float(np.mean(residual**2))
-
-
 def _coloured(jacobian, residual, inverse):
     """Covariance of the scores of one block, from rows (m, n) and (m,), assumed evenly spaced."""
     m = len(residual)
-    j, e = np.fft.rfft(jacobian, axis=0), np.fft.rfft(residual)
+    j, e = rfft(np.ascontiguousarray(jacobian.T)), rfft(residual)
     spectrum = np.maximum(banded(np.abs(e) ** 2 / m), 1e-300) / _remaining_share(j, inverse, m)  # not 0, for data without noise
     gain = np.sqrt(spectrum)
-    scores = np.fft.irfft(j * gain[:, None], m, axis=0) * np.fft.irfft(e / gain, m)[:, None]
-    return scores.T @ scores
+    scores = irfft(np.multiply(j, gain, out=j), m)
+    scores *= irfft(e / gain, m)
+    return scores @ scores.T
 
 
 def _remaining_share(j, inverse, m):
-    """Share (k,) of the noise power that remains in the residual, by frequency; from the Jacobian's transform (k, n)."""
-    absorbed = np.sum((j @ inverse) * j.conj(), axis=1).real / m
+    """Share (k,) of the noise power that remains in the residual, by frequency; from the Jacobian's transform (n, k)."""
+    parts = j.view(float)  # real and imaginary ones by turns: they add up alike
+    absorbed = np.einsum("ij,ij->j", inverse @ parts, parts).reshape(-1, 2).sum(axis=1) / m
     return np.maximum(1.0 - banded(absorbed), 1.0 / ORDINATES)
 
 
@@ -202,31 +201,31 @@ def restored(problem: Problem, found: Solution) -> np.ndarray:
     A bootstrap draws from it, because a fit of steady levels absorbs much of the slow noise. The fit absorbs part of the mean
     of records of the same commands, and nothing of their differences.
     """
-    free, inverse, _ = _free(problem, found)
+    free, inverse, *_ = _free(problem, found, found.jacobian.T @ found.jacobian)
     residual = found.residual.copy()
     for group in problem.groups:
         first, count = group[0], len(group)
         mean, m = summed(group, found.residual) / count, len(first.time)
-        j = np.fft.rfft(found.jacobian[first.at][:, free], axis=0)
-        taken = np.fft.irfft(np.fft.rfft(mean) / np.sqrt(_remaining_share(j, inverse * count, m)), m) - mean
+        j = rfft(np.ascontiguousarray(found.jacobian[first.at][:, free].T))
+        taken = irfft(rfft(mean) / np.sqrt(_remaining_share(j, inverse * count, m)), m) - mean
         for block in group:
             residual[block.at] += np.interp(block.time, first.time, taken)
     return residual
 
 
-def _free(problem, found):
-    """(free coordinates, inverse of their normal matrix, directions (n, k) that the records do not identify, in units of the
-    coordinates' influence).
+def _free(problem, found, normal):
+    """(free coordinates, inverse of their part of the `normal` matrix, directions (n, k) that the records do not identify, in
+    units of the coordinates' influence `size`, size (n,)).
 
     A pair's spread at its lower bound is free: the response is smooth through a double pole.
     """
     coordinates, held = problem.coordinates, found.active.copy()
     held[[j for _, j in coordinates.pairs if found.value[j] <= coordinates.lower[j]]] = False
     free = np.flatnonzero(~held)
-    normal = found.jacobian[:, free].T @ found.jacobian[:, free]
+    normal = normal[np.ix_(free, free)]
     size = np.sqrt(np.diag(normal))
     size = np.where(size > 0.0, size, 1.0)
     power, axes = np.linalg.eigh(normal / np.outer(size, size))
     known = power > UNIDENTIFIABLE * power[-1] if len(power) else np.zeros(0, bool)
     inverse = (axes[:, known] / power[known]) @ axes[:, known].T / np.outer(size, size)
-    return free, inverse, axes[:, ~known]
+    return free, inverse, axes[:, ~known], size

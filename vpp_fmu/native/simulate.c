@@ -31,13 +31,14 @@ void *begin(const double *parameters, const double *first, int plain) {
 }
 
 /* The next n rows. inputs: n rows of N_INPUTS; steps: the n lengths [s] from row to row, under the inputs of the row, of which
- * the `last` piece has one less; outputs: n rows of N_OUTPUTS, sampled at each row before its inputs act; tangents: n rows of
- * N_OUTPUTS x N_WRT, of a plain run NULL. */
-int proceed(void *of, const double *inputs, const double *steps, long n, int last, double *outputs, double *tangents) {
+ * the `last` piece has one less; outputs: n rows of N_OUTPUTS, sampled at each row before its inputs act; tangents: of each
+ * output n rows of N_WRT, or NULL. */
+int proceed(void *of, const double *inputs, const double *steps, long n, int last, double *outputs, double *const *tangents) {
   Instance *m = &((Run *)of)->instance;
   for (long row = 0; row < n; row++) {
     memcpy(outputs + row * N_OUTPUTS, m->v + N_INPUTS, N_OUTPUTS * sizeof *outputs);
-    if (tangents) memcpy(tangents + row * N_OUTPUTS * N_WRT, m->d, N_OUTPUTS * N_WRT * sizeof *tangents);
+    for (int i = 0; i < N_OUTPUTS; i++)
+      if (tangents[i]) memcpy(tangents[i] + row * N_WRT, m->d + i * N_WRT, N_WRT * sizeof *m->d);
     if (last && row == n - 1) break;
     memcpy(m->v, inputs + row * N_INPUTS, N_INPUTS * sizeof *inputs);
     if (SAMPLED)

@@ -33,16 +33,22 @@ class Simulator:
         self._run, self._alike = _runner(_Chain(model), self.wrt)
 
     def simulate(
-        self, parameters: Mapping[str, float], inputs: Mapping[str, np.ndarray], steps: np.ndarray, late: float = 0.0
+        self,
+        parameters: Mapping[str, float],
+        inputs: Mapping[str, np.ndarray],
+        steps: np.ndarray,
+        late: float = 0.0,
+        tangents: Mapping[int, np.ndarray] | None = None,
     ) -> np.ndarray:
         """Outputs (rows, outputs) at each row, sampled before the row's inputs act.
 
         `parameters`: changes to the defaults, by name. `inputs`: one array (rows,) for each of the model's inputs, held from
         its row to the next; those of effects may be missing. `steps` (rows - 1,): seconds from row to row. `late`: share of its
-        row, from 0 to below 1, after which a command acts.
+        row, from 0 to below 1, after which a command acts. `tangents`: arrays (rows, wrt), by the index of an output, that get
+        its derivatives in the parameters `wrt`, exact to rounding.
         """
         outputs = np.empty((len(steps) + 1, len(self.outputs)))
-        for _ in self._run_pieces(parameters, inputs, steps, late, len(outputs), outputs, None):
+        for _ in self._run_pieces(parameters, inputs, steps, late, outputs, tangents or {}):
             pass
         return outputs
 
@@ -75,51 +81,51 @@ class Simulator:
         return np.stack([self.simulate(point, inputs, steps, late).T for point in points], axis=2)
 
     def sensitivities(self, parameters, inputs, steps, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """As `simulate`, and the outputs' derivatives (rows, outputs, wrt) in the parameters `wrt`, exact to rounding."""
+        """As `simulate`, and the derivatives of all outputs (rows, outputs, wrt)."""
         ((_, outputs, tangents),) = self.pieces(parameters, inputs, steps, late, len(steps) + 1)
         return outputs, tangents
 
     def pieces(
-        self, parameters, inputs, steps, late: float = 0.0, rows: int = PIECE
+        self, parameters, inputs, steps, late: float = 0.0, rows: int = PIECE, of: Sequence[int] | None = None
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """The same in pieces of `rows` rows, each (its rows, outputs, derivatives), to save memory.
 
-        The next piece overwrites both.
+        The next piece overwrites both. `of`: indices of the outputs whose derivatives are wanted; None: all.
         """
-        size = min(rows, len(steps) + 1)
-        outputs, tangents = np.empty((size, len(self.outputs))), np.empty((size, len(self.outputs), len(self.wrt)))
-        for at in self._run_pieces(parameters, inputs, steps, late, size, outputs, tangents):
-            yield at, outputs[: at.stop - at.start], tangents[: at.stop - at.start]
+        size, of = min(rows, len(steps) + 1), range(len(self.outputs)) if of is None else of
+        outputs, tangents = np.empty((size, len(self.outputs))), np.empty((len(of), size, len(self.wrt)))
+        for at in self._run_pieces(parameters, inputs, steps, late, outputs, dict(zip(of, tangents, strict=True))):
+            count = at.stop - at.start
+            yield at, outputs[:count], np.moveaxis(tangents[:, :count], 0, 1)
 
-    def _run_pieces(self, parameters, inputs, steps, late, size, outputs, tangents) -> Iterator[slice]:
-        """Fill `outputs` and, unless it is None, `tangents`, both of `size` rows, repeatedly; yields the rows in them."""
+    def _run_pieces(self, parameters, inputs, steps, late, outputs, tangents) -> Iterator[slice]:
+        """Fill `outputs` (size, outputs) and `tangents`, by output (size, wrt), repeatedly; yields the rows in them."""
         values, columns, steps, rows = self._prepared(parameters, inputs, steps, late)
+        size = len(outputs)
         if rows is None:
-            yield from self._run_whole(values, columns, steps, size, outputs, tangents)
+            yield from self._run_whole(values, columns, steps, range(size, len(columns) + size, size), outputs, tangents)
             return
         ends = np.append(rows[size::size], len(columns))
         most = int(np.diff(ends, prepend=0).max())
-        shown = np.empty((most, *outputs.shape[1:]))
-        moved = None if tangents is None else np.empty((most, *tangents.shape[1:]))
+        shown, moved = np.empty((most, *outputs.shape[1:])), {i: np.empty((most, len(self.wrt))) for i in tangents}
         first = 0
-        for at in self._run_whole(values, columns, steps, ends, shown, moved):
+        for at in self._run_whole(values, columns, steps, ends.tolist(), shown, moved):
             own = rows[first : first + size] - at.start
             outputs[: len(own)] = shown[own]
-            if tangents is not None:
-                tangents[: len(own)] = moved[own]
+            for i, part in moved.items():
+                tangents[i][: len(own)] = part[own]
             yield slice(first, first + len(own))
             first += len(own)
 
     def _run_whole(self, values, columns, steps, ends, outputs, tangents) -> Iterator[slice]:
-        """The same for all rows. `ends`: of each piece, or rows per piece."""
-        ends = range(ends, len(columns) + ends, ends) if isinstance(ends, int) else ends.tolist()
-        with closing(self._run(values, columns, steps, tangents is None)) as run:
+        """The same for all rows, in pieces with these `ends`."""
+        with closing(self._run(values, columns, steps, not tangents)) as run:
             next(run)
             first = 0
             for end in ends:
                 at = slice(first, min(end, len(columns)))
                 count = at.stop - first
-                run.send((at, outputs[:count], None if tangents is None else tangents[:count]))
+                run.send((at, outputs[:count], {i: part[:count] for i, part in tangents.items()}))
                 yield at
                 first = at.stop
 
@@ -201,8 +207,8 @@ def _library_text() -> str:
 @lru_cache(maxsize=1024)
 def _runner(chain: _Chain, wrt: tuple[str, ...]):
     """(a generator function (parameters, inputs, steps, plain) that fills each (rows, outputs, tangents) sent to it; tangents:
-    None in a plain run; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows, LANES)) that fills the
-    outputs and returns whether these runs take the same steps; None if no runs do)."""
+    arrays (rows, wrt) by output, {} in a plain run; a function (parameters (LANES, n), inputs, steps, outputs (outputs, rows,
+    LANES)) that fills the outputs and returns whether these runs take the same steps; None if no runs do)."""
     try:
         return _compiled(chain, wrt)
     except CompilerMissing as missing:
@@ -228,13 +234,15 @@ def _compiled(chain: _Chain, wrt: tuple[str, ...]):
         begun = library.begin(values, inputs[0], plain)
         if not begun:
             raise MemoryError
+        places = (ctypes.c_void_p * len(chain.model.outputs))()
         try:
             asked = yield
             while True:
                 at, outputs, tangents = asked
                 last = at.stop == len(inputs)
-                moves = None if tangents is None else tangents.ctypes.data
-                if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, moves):
+                for i, part in tangents.items():
+                    places[i] = part.ctypes.data
+                if library.proceed(begun, inputs[at], steps[at], at.stop - at.start, last, outputs, places):
                     cause = f"more than {SLOTS} command changes wait in one delay: take longer communication steps"
                     raise SimulationFailed(f"{name}: {cause}")
                 asked = yield
@@ -296,8 +304,8 @@ def _interpreted(program: Program):
             if row == at.stop:
                 at, outputs, tangents = yield
             outputs[row - at.start] = v[n_in : n_in + n_out]
-            if not plain:
-                tangents[row - at.start].flat = d[: n_out * width]
+            for i, part in tangents.items():
+                part[row - at.start] = d[i * width : (i + 1) * width]
             if row == len(steps):
                 break
             span = float(steps[row])
