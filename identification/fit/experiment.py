@@ -8,6 +8,7 @@ tachometer shows it.
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import helmert
@@ -43,7 +44,6 @@ class Experiment:
         thrust = np.stack([_thrust(r, "thrust" in channels) for r in own])
         self._measured = np.isfinite(thrust).all(axis=0)
         self.thrust_rows = np.where(self._measured, thrust.mean(axis=0), np.nan)
-        self.converter = Converter.of(np.concatenate(thrust), noise.floor)
         self._blocks = blocks(self.record, noise.block)
         self.thrust = self._blocks.mean(self.thrust_rows)
         order = noise.colour.order
@@ -51,6 +51,17 @@ class Experiment:
         self._share = 1.0 / np.sqrt(len(own))  # standard deviation of the mean over that of one record
         self.thrust_time = self._blocks.time[order:][self._complete]
         self._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in channels])
+
+    @cached_property
+    def converter(self) -> Converter:
+        """Of the thrust readings of all records."""
+        thrust = [_thrust(r.record, "thrust" in self.channels) for r in self.records]
+        return Converter.of(np.concatenate(thrust), self.noise.floor)
+
+    @property
+    def _is_fine(self) -> bool:
+        """Whether no converter is coarse, by assumption: then the readings' grid is not searched for, which sorts them."""
+        return bool(np.isinf(self.noise.floor))
 
     def _read_speed(self, tachometers: list[Tachometer]) -> None:
         self.tachometers = tachometers
@@ -78,7 +89,8 @@ class Experiment:
 
     def thrust_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened residual, predicted minus measured thrust (n, ...), from predicted thrust (rows, ...) N."""
-        means = self._blocks.mean(self._where_measured(self.converter.reads(predicted)))
+        shown = predicted if self._is_fine else self.converter.reads(predicted)
+        means = self._blocks.mean(self._where_measured(shown))
         return self._white((means.T - self.thrust).T)
 
     def differences(self) -> np.ndarray:
@@ -123,7 +135,8 @@ class Experiment:
 
     def _thrust_tangents(self, rows: slice, outputs: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """Sensitivities (rows, k) of the mean thrust reading in some rows, NaN where there is none."""
-        return self._where_measured(self.converter.reading_tangents(tangents, outputs[:, 0]), rows)
+        shown = tangents if self._is_fine else self.converter.reading_tangents(tangents, outputs[:, 0])
+        return self._where_measured(shown, rows)
 
     def omega_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened residual, predicted minus measured speed (n, ...), from predicted speed (rows, ...) rpm."""

@@ -128,6 +128,8 @@ class Colour:
         """Filter (rows,) or (rows, k): (rows - order, ...) in units of the innovation; NaN within a filter's length of a
         NaN."""
         order, n = self.order, len(values)
+        if self.is_white:
+            return values / self.innovation
         if n <= order:
             return values[:0] / self.innovation
         values = _flattened(values, self.corner, self.power)
