@@ -50,8 +50,9 @@ EVIDENCE = 5.0
 NOT_DISTINGUISHED = 2.0 * EVIDENCE
 """Difference of scores within which two sensors are not distinguished: both fits are approximate."""
 
-MOST_ROWS = 12_000
-"""Maximum number of rows used of a record: they identify the offset to a hundredth of a row."""
+ENOUGH_ROWS, ENOUGH_MOVES = 12_000, 4
+"""A record is used up to this row, or up to this move of each command, if that is later: together they identify the offset to a
+hundredth of a row."""
 
 FAST = 3.0
 """Minimum difference of two successive values of a changing speed, in digits."""
@@ -460,7 +461,8 @@ def _scores(fits: Sequence[_SensorFit], groups: int = GROUPS) -> list[float]:
 
 
 def _as_modelled(record: Record) -> Record:
-    return record.part(slice(0, MOST_ROWS)).commands_later(-EARLIEST)
+    moves = [np.flatnonzero(np.diff(record[f"{u}_ref"]))[:ENOUGH_MOVES] for u in DELAYS]
+    return record.part(slice(0, max(ENOUGH_ROWS, *(int(rows.max(initial=0)) + 1 for rows in moves)))).commands_later(-EARLIEST)
 
 
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray, bool]:
