@@ -646,3 +646,16 @@ def test_a_term_must_explain_all_or_be_told_from_others_and_beside_the_base_more
     )
     assert (seen, final.name) == (looks, shipped)
     assert (attempt.learned is None) == (shipped == "present")
+
+
+@pytest.mark.parametrize(("error", "chosen"), [(1.0, "few"), (1.0012, "few"), (1.0014, "many"), (0.9, "few")])
+def test_a_logger_replaces_a_delay_where_it_predicts_as_well(error, chosen):
+    """An error of form, 0.25 % of the power, is 0.125 % of the rms."""
+
+    def found(name, effects, rmse):
+        return SimpleNamespace(
+            name=name, final=SimpleNamespace(effects=effects), held_out_after=SimpleNamespace(rmse_thrust=rmse)
+        )
+
+    few, many = found("few", ("a",), error), found("many", ("a", "delay"), 1.0)
+    assert diagnose._simpler(few, many).name == diagnose._simpler(many, few).name == chosen

@@ -23,7 +23,7 @@ from identification.diagnose.initial_model import (
     prepared,
     with_lower_noise,
 )
-from identification.diagnose.judgement import MIN_EVIDENCE, Smallest
+from identification.diagnose.judgement import FORM, MIN_EVIDENCE, Smallest
 from identification.diagnose.lack_of_fit import LackOfFit, with_rotor_order
 from identification.diagnose.learned.learn import Attempt, Learned, learn
 from identification.diagnose.locate import locate
@@ -47,6 +47,9 @@ from vpp_fmu.native.memory import give_back
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
+
+LATE = ("row_clock", "reading_delay", "speed_delay", "pitch_delay")
+"""Effects that a wrong offset of the logger resembles."""
 
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
@@ -185,8 +188,8 @@ def diagnose(
     term of unknown form is learned. BadInput if the campaign has no record to fit.
 
     The logger is estimated first, beside the base model. A missing effect may bias this estimate. So if effects are found
-    beside a logger that differs from the contract's, it is estimated again beside them. If it differs, the campaign is
-    diagnosed with it, too.
+    beside a logger that differs from the contract's, or if one of them is a delay, it is estimated again beside the others. If
+    it differs, the campaign is diagnosed with it, too.
     """
     # The fits run in parallel, each with one thread of linear algebra.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
@@ -200,14 +203,20 @@ def diagnose(
         found = run(first)
         known = [e.name for e in library]
         named = [name for name in found.selection.final.effects if name in known]
-        if first.logger.plain or not named:
+        beside = [name for name in named if name not in LATE]
+        if not named or (first.logger.plain and beside == named):
             return found
         stage("logger")
         kept = given.model.optional if given else ()
-        again = as_logged(gate, [*kept, *named], library, found.selection.final.values)
-        if again.logger.agrees_with(first.logger):
-            return found
-        return min(found, run(again), key=lambda one: one.held_out_after.rmse_thrust)
+        again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
+        return found if again.logger.agrees_with(first.logger) else _simpler(found, run(again))
+
+
+def _simpler(one: Diagnosis, other: Diagnosis) -> Diagnosis:
+    """The diagnosis of fewer effects, if its held-out error has at most the share FORM more power than that of the other."""
+    few, many = sorted((one, other), key=lambda found: (len(found.final.effects), found.held_out_after.rmse_thrust))
+    powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
+    return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 
 
 def _diagnosed(
