@@ -1,1 +1,1 @@
-"""What stands above everything else: command line, public API, the paper's study, a rig's day."""
+"""The upper floor: command line, public API, the study of the paper, and the day of a rig."""
