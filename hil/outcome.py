@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hil.columns import LEARNED
 from hil.cycle import PERIOD
 from hil.log import events_of
 from hil.page.operator_page import OperatorPage
-from hil.report import add_counts, add_difference, add_loops, add_timing, add_twin, judged_steps, said
 from hil.run import LOG, LimitedPlant, Run, loop_part, run_on_rig, write_run
 from hil.runs import ENDED, ENDED_EARLY, NAMES, RUNNING, alarm_of, run_folder, summary_of_files
 from hil.safety.faults import FaultKind
@@ -23,6 +21,7 @@ from hil.timing import Timing, timing
 from hil.twin.adaptive import CERTAIN, Adaptive
 from hil.twin.band import Band
 from hil.twin.twin import Twin
+from vpp_fmu.comparison import compare
 from vpp_fmu.date import now
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -31,8 +30,7 @@ from vpp_fmu.loop import run as run_loop
 from vpp_fmu.parquet import as_parquet
 from vpp_fmu.plants import Controller, FmuPlant
 from vpp_fmu.record import Record
-from vpp_fmu.report import Page, adapted_parameters, residual_in_band, thinning
-from vpp_fmu.report.twin import ADAPTED
+from vpp_fmu.response import Step, smoothed, steps
 from vpp_fmu.structured import as_json, check_kinds, read_object
 
 Say = Callable[[str], None]
@@ -62,6 +60,9 @@ DONE = BEGUN | {
 }
 """The same of a run whose loop has written all it had to say."""
 
+BAND, SPAN = 0.05, 0.1
+"""A step has settled once its thrust, as a mean over SPAN s, stays within this share of it: noise makes 2 % too narrow."""
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -90,7 +91,24 @@ class Task:
         return {"twin": content | {"noise": band.noise}, "adaptive_twin": learns}
 
 
-def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say) -> tuple[Run, OutputFolder]:
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The results of a run: the content of hil.json, the `log` (None if it has no row), the loops over the profile by name, the
+    rig's first, and the timing of its ticks in real time."""
+
+    content: dict
+    log: Record | None
+    loops: dict[str, Record]
+    timing: Timing | None
+
+
+Report = Callable[[Outcome], str]
+"""Makes the page of a run, as HTML."""
+
+
+def carry_out(
+    task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say, report: Report
+) -> tuple[Run, OutputFolder]:
     """The run, its files in a folder of its own below `parent`. `begun`: what hil.json says before it. What ends the run
     without the loop's knowledge is raised once the files are written as far as the log allows."""
     twin, _, adaptive = task.twin or (None, None, None)
@@ -100,7 +118,7 @@ def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage 
     folder = OutputFolder(run_folder(parent.path, begun["begun"]))
     folder.write("hil.json", as_json(begun))
     say(f"this run's files: {folder.path}")
-    report = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())]
+    command = [sys.executable, "-m", "vpp_fmu", "hil", "report", str(folder.path.absolute())]
     try:
         with tqdm(total=100, unit="%", disable=None if task.setup.virtual else True, leave=False) as bar:
 
@@ -108,9 +126,9 @@ def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage 
                 bar.update(round(100 * share) - bar.n)
 
             own = task.setup, task.controller, task.profile, folder.path, task.start, twin
-            done = run_on_rig(*own, progress, report, task.on_alarm, page, adaptive)
+            done = run_on_rig(*own, progress, command, task.on_alarm, page, adaptive)
     except BaseException as error:
-        _cut_short(folder, begun, error, say)
+        _cut_short(folder, begun, error, say, report)
         raise
     if page:
         page.end(done.ended or "as planned")
@@ -121,11 +139,11 @@ def carry_out(task: Task, begun: dict, parent: OutputFolder, page: OperatorPage 
         content["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
     if task.parquet:
         folder.write("run.parquet", as_parquet(done.record))
-    finish(folder, content, done.log, say, task.beside)
+    finish(folder, content, done.log, say, report, task.beside)
     return done, folder
 
 
-def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say) -> None:
+def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
     """The files of a run that an unforeseen error ended, from its log where there is one."""
     why = " ".join(str(error).split()) or type(error).__name__
     log, record, content = folder.path / LOG, None, begun | {"status": ENDED_EARLY, "completed": now()}
@@ -135,7 +153,7 @@ def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say
         if record is None:
             folder.write("hil.json", as_json(content | {"ended": why}))
         else:
-            finish(folder, content | {"ended": why}, record, say)
+            finish(folder, content | {"ended": why}, record, say, report)
 
 
 def of_log(log: Path) -> tuple[Record | None, dict, bool]:
@@ -162,19 +180,23 @@ def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[f
     return record
 
 
-def finish_fmu(folder: OutputFolder, plant: str, record: Record, profile: str, parquet: bool, say: Say) -> None:
-    """Write what a run with a plant FMU in the rig's place leaves; `profile`: its file."""
+def finish_fmu(folder: OutputFolder, plant: str, record: Record, parquet: bool, say: Say) -> None:
+    """Write what a run with a plant FMU in the rig's place leaves, but its page."""
     write_run(folder.path / "run.csv", record)
     if parquet:
         folder.write("run.parquet", as_parquet(record))
     folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}))
-    page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
-    add_loops(page, {"plant FMU": record}, "")
-    folder.write("report.html", page.html())
     _say_steps({"plant FMU": record}, say)
 
 
-def finish(folder: OutputFolder, content: dict, log: Record | None, say: Say, beside: tuple[str, Record] | None = None) -> None:
+def finish(
+    folder: OutputFolder,
+    content: dict,
+    log: Record | None,
+    say: Say,
+    report: Report,
+    beside: tuple[str, Record] | None = None,
+) -> None:
     """Write the files of a run, and print its figures. `content`: what hil.json says, with `ended`, why it ended early, or "".
 
     What one file is refused doesn't keep the others from being written: BadInput, for the first of them, comes at the end.
@@ -185,36 +207,21 @@ def finish(folder: OutputFolder, content: dict, log: Record | None, say: Say, be
     if "twin" in content:
         content["twin"] = _with_residual(content["twin"], log)
     real_time = log is not None and content.get("timing")
-    found = timing(log["late"], log["busy"], log["missed"]) if real_time else None
-    page = Page(
-        "Hardware in the loop",
-        _summary(content),
-        f"{content.get('rig') or 'unknown'} rig, run of {(content.get('begun') or 'a date not known')[:10]}",
-    )
-    _tiles(page, content, found)
-    if content["ended"]:
-        page.note(f"The run ended early. {content['ended']}.")
     if loops and beside is not None:
         loops["plant FMU"] = beside[1]
+        rms = float(np.sqrt(np.mean(difference(*reversed(loops.values()))["thrust"] ** 2)))
+        content["beside"] = {"plant": beside[0], "rms_thrust": rms}
+    found = Outcome(content, log, loops, timing(log["late"], log["busy"], log["missed"]) if real_time else None)
+    page = report(found)
     refusals: list[BadInput] = []
     if loops:
         with _collected(refusals):
             write_run(folder.path / "run.csv", record)
-        add_loops(page, loops, "Pitch is not measured on the rig.")
-    if len(loops) > 1:
-        content["beside"] = {"plant": beside[0], "rms_thrust": add_difference(page, *reversed(loops.items()))}
-    if log is not None and content.get("twin"):
-        _add_twin(page, log, content["twin"])
-    if log is not None and content.get("adaptive_twin"):
-        _add_adaptive(page, log, content["adaptive_twin"])
-    if found:
-        add_timing(page, found, f"The loop had: {content.get('real_time', 'not known')}.")
-    add_counts(page, content["counters"], [(t["time"], t["state"], t["why"]) for t in content["transitions"]])
     with _collected(refusals):
         folder.write("hil.json", as_json(content))
     with _collected(refusals):
-        folder.write("report.html", page.html())
-    _say(loops, content, found, say)
+        folder.write("report.html", page)
+    _say(found, say)
     if refusals:
         raise refusals[0]
 
@@ -235,51 +242,21 @@ def _with_residual(twin: dict, log: Record | None) -> dict:
     return {**known, **twin, "residual_rms": float(np.sqrt(np.mean(residual**2))) if len(residual) else None}
 
 
-def _add_twin(page: Page, log: Record, twin: dict) -> None:
-    rows = log.part(np.isfinite(log["residual"]))
-    text = (
-        f"At most {twin['false_alarms_per_hour']:g} false alarms an hour; a constant {number(twin['smallest_found'], 3)} N is "
-        f"found after {twin['delay']:.1f} s in the mean."
-    )
-    if len(rows):
-        add_twin(page, rows.time, rows["residual"], rows["alarm"], twin["noise"], text)
+def difference(first: Record, second: Record) -> Record:
+    """Thrust [N] of a second loop less that of a first one, at the times of the latter."""
+    both = compare(first, second)
+    return Record({"time": both.time, "thrust": both.second["thrust"] - both.first["thrust"]}, "difference")
 
 
-def _add_adaptive(page: Page, log: Record, twin: dict) -> None:
-    """What the twin that learns made of the run, where the log has it."""
-    units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
-    if not units or not np.isfinite(log[LEARNED + "band"]).any():
-        return
-    rows = log.part(np.isfinite(log[LEARNED + "band"]))
-    content = {name: rows[LEARNED + name] for name in units}
-    page.figure(residual_in_band(rows.time, content), f"Measured thrust less the adapted model's. {thinning(len(rows))}")
-    own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
-    page.figure(adapted_parameters(rows.time, content, own), "What the adaptive twin made of its parameters.")
+def judged_steps(run: Record) -> list[Step]:
+    """Every change of the set-point, evaluated on the smoothed thrust."""
+    return steps(smoothed(run, SPAN), BAND)
 
 
-def _summary(content: dict) -> str:
-    hidden = f" with {', '.join(content['hidden'])} hidden in it" if content.get("hidden") else ""
-    profile, calibration = (
-        content.get("profile", {}).get("file", "a profile"),
-        content.get("calibration", {}).get("sha256", "not known"),
-    )
-    made = "" if "made_from" not in content else " Its loop was gone at the end: this was made from its log."
-    return (
-        f"The {content.get('rig', '')} rig{hidden}, {content.get('time', 'not known')} time, over {profile}. "
-        f"Calibration {calibration[:12]}. Begun {content.get('begun', 'at a time not known')}.{made}"
-    )
-
-
-def _tiles(page: Page, content: dict, found: Timing | None) -> None:
-    log = content["log"]
-    page.tiles([("rows in the log", f"{log['rows']}", f"{log['lost']} of {log['ticks']} ticks lost")])
-    if found:
-        page.tiles([("late, p99.9", f"{1e6 * found.late[2]:.0f} us", f"{found.missed} slots missed")])
-    if content["tares"]:
-        tare = content["tares"][-1]
-        page.tiles([("tare", f"{tare['zero_counts']:.1f} counts", f"noise {number(tare['noise_N'])} N")])
-    healed = sum(n for device in content["counters"].values() for name, n in device.items() if name != "pulses")
-    page.tiles([("healed", f"{healed}", "transfers and frames that failed once")])
+def said(step: Step, name: str) -> str:
+    """A step in words."""
+    when = "does not settle" if step.settling is None else f"settles within {number(step.settling, 3)} s"
+    return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"
 
 
 def _say_steps(loops: dict[str, Record], say: Say) -> None:
@@ -289,8 +266,9 @@ def _say_steps(loops: dict[str, Record], say: Say) -> None:
             say(f"{said(step, name)}, overshoot {step.overshoot:.1f} %")
 
 
-def _say(loops: dict[str, Record], content: dict, found: Timing | None, say: Say) -> None:
-    _say_steps(loops, say)
+def _say(found: Outcome, say: Say) -> None:
+    content = found.content
+    _say_steps(found.loops, say)
     if "beside" in content:
         say(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
     if content.get("twin") and content["twin"]["residual_rms"] is not None:
@@ -304,8 +282,8 @@ def _say(loops: dict[str, Record], content: dict, found: Timing | None, say: Say
     log = content["log"]
     failure = f"; {log['failure']}" if log["failure"] else ""
     say(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")
-    if found:
-        say(f"loop: {content.get('real_time', 'not known')}\n{found.text()}")
+    if found.timing:
+        say(f"loop: {content.get('real_time', 'not known')}\n{found.timing.text()}")
 
 
 def kept_of(folder: Path) -> str:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpp_fmu.plants import COMMANDS, Controller
-from vpp_fmu.record import QUANTITIES, Record
-from vpp_fmu.report import Page, two_records
+from vpp_fmu.record import Record
 
 WANTED = {"omega_ref": "omega_wanted", "beta_ref": "beta_wanted"}
 """Columns of a rig's run with the controller's commands; `omega_ref` and `beta_ref` are those after the limits."""
@@ -48,17 +47,6 @@ class Replay:
             return "the same commands to the bit"
         omega, beta = self.largest.values()
         return f"other commands from {self.record.time[row]:.3f} s on, at most {omega:.3g} rpm and {beta:.3g} deg off"
-
-    def page(self, text: str) -> Page:
-        """Each command as recorded and as replayed, under a `text`."""
-        page, time = Page("Replay", text), self.record.time
-        for name, quantity in (("omega_ref", "speed command"), ("beta_ref", "pitch command")):
-            unit = QUANTITIES[name].unit
-            title = f"The replayed {quantity} differs by at most {self.largest[name]:.3g} {unit}"
-            a, b = self.recorded[name], self.record[name]
-            fig = two_records(time, a, time, b, "recorded", "replayed", title, quantity, unit)
-            page.figure(fig, f"Of every row, {quantity} as recorded and as replayed.")
-        return page
 
 
 def replay(run: Record, controller: Controller) -> Replay:

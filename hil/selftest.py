@@ -2,7 +2,7 @@
 
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration import Calibration
-from hil.report import add_counts, add_timing
 from hil.rig import ENDINGS
 from hil.session import Session, Setup, found_log, read_log, session
 from vpp_fmu.errors import VppError
 from vpp_fmu.record import Record
-from vpp_fmu.report import Page
 
 LOG = "log.csv"
 HALF_SCALE = 16384
@@ -49,19 +47,6 @@ class SelfTest:
         """The content of hil.json."""
         checks = [{"what": c.what, "good": c.good, "found": c.found} for c in self.checks]
         return self.session.summary() | {"load": self.load, "checks": checks}
-
-    def page(self, content: Mapping, seconds: float) -> Page:
-        """The report of a test of so many seconds; `content`: hil.json."""
-        text = f"{seconds:g} s at the idle pulse, {self.load} busy processes beside the loop."
-        page = Page("Self-test of the rig", text)
-        good = sum(check.good for check in self.checks)
-        page.tiles([("checks passed", f"{good} of {len(self.checks)}", "see the table")])
-        if self.session.timing:
-            add_timing(page, self.session.timing, f"The loop had: {content['real_time']}.")
-        rows = [(check.what, "good" if check.good else "not good", check.found) for check in self.checks]
-        page.table(("what", "verdict", "found"), rows, "What was looked at.")
-        add_counts(page, content["counters"], [(t["time"], t["state"], t["why"]) for t in content["transitions"]])
-        return page
 
     def judge(self) -> None:
         """SelfTestFailed where a check was not passed."""

@@ -13,15 +13,14 @@ from identification.assessment.information import read_knowledge
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.judgement import ALPHA_BASE
-from identification.diagnose.report.effect import at_rest
-from identification.diagnose.report.identification import identification_of
-from identification.diagnose.report.page import diagnosis_page, headline, key_figures
-from identification.diagnose.report.residual import moves
-from identification.diagnose.report.summary import summary
 from identification.identify import identify
 from identification.static.static_map import TERMS, design
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.cli.diagnose import write_diagnosis
+from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures
+from vpp_fmu.app.report.pages.effect import at_rest
+from vpp_fmu.app.report.pages.residual import moves
+from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from identification.diagnose.report.fleet import Entry, as_csv, fleet_page
 from identification.workers import spread
 from tests.studies.cases import WHOLE, draw
 from tests.studies.rig import save
 from vpp_fmu.app.cli import diagnose as command
 from vpp_fmu.app.cli import main
+from vpp_fmu.app.report.pages.fleet import Entry, as_csv, fleet_page
 from vpp_fmu.campaign import measured_on
 
 FEW = ["--effects", "pitch_command_deadband,sensor_drift"]

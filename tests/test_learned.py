@@ -20,10 +20,10 @@ from identification.diagnose.learned.learn import by_chance
 from identification.diagnose.learned.refit import Term, effect_of
 from identification.diagnose.learned.score import Scores
 from identification.diagnose.learned.screening import screened
-from identification.diagnose.report.page import diagnosis_page
-from identification.diagnose.report.summary import summary
 from vpp_fmu.app.cli import main
 from vpp_fmu.app.cli.diagnose import write_diagnosis
+from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
+from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.export import python_fmu
 from vpp_fmu.files import OutputFolder

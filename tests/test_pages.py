@@ -6,20 +6,22 @@ import numpy as np
 import pytest
 
 import vpp_fmu as vpp
-from hil.report import add_counts, add_loops, add_timing, add_twin
+from hil.outcome import Outcome
 from hil.timing import timing
-from identification.diagnose.report.fleet import Entry, fleet_page
 from tests import test_report, test_report_diagnosis
 from tests.browser import browser as opened
 from vpp_fmu.app.cli.effects import effects_page
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.drawing import Arrays, drawing
+from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
+from vpp_fmu.app.report.figures.map import map_section, map_uncertainty, mean_convergence, thrust_coefficients
+from vpp_fmu.app.report.figures.parameters import interval_widths, learned_curve
+from vpp_fmu.app.report.figures.time import planned_commands
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.fleet import Entry, fleet_page
+from vpp_fmu.app.report.pages.rig import run_page
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
-from vpp_fmu.report import Page, map_section, style
-from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
-from vpp_fmu.report.drawing import Arrays, drawing
-from vpp_fmu.report.learned import learned_curve
-from vpp_fmu.report.plan import interval_widths, planned_commands
-from vpp_fmu.report.tuning import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
 
 BOUND = 1.5e6
 """Bytes of a report."""
@@ -125,14 +127,21 @@ def figures_page() -> Page:
 
 def rig_page() -> Page:
     """The page of a run on the rig."""
-    page = Page("Hardware in the loop", "A run.")
     run = test_report.record(2000)
     rng = np.random.default_rng(2)
-    add_loops(page, {"rig": Record(run, "run")}, "")
-    add_twin(page, run["time"], 0.1 * rng.normal(size=2000), (run["time"] > 6.0).astype(float), 0.1, "The rig less its twin.")
-    add_timing(page, timing(rng.exponential(2e-4, 2000), rng.exponential(1e-4, 2000), np.zeros(2000)), "No real-time kernel.")
-    add_counts(page, {"adc": {"repeated": 3}}, [(0.0, "safe", "start"), (0.1, "running", "all devices answer")])
-    return page
+    alarm = (run["time"] > 6.0).astype(float)
+    log = Record({"time": run["time"], "residual": 0.1 * rng.normal(size=2000), "alarm": alarm}, "log")
+    ticks = timing(rng.exponential(2e-4, 2000), rng.exponential(1e-4, 2000), np.zeros(2000))
+    content = {
+        "ended": "",
+        "real_time": "no real-time kernel",
+        "log": {"rows": 2000, "ticks": 2000, "lost": 0},
+        "tares": [{"zero_counts": 12.0, "noise_N": 0.1}],
+        "counters": {"adc": {"repeated": 3}},
+        "transitions": [{"time": 0.0, "state": "safe", "why": "start"}, {"time": 0.1, "state": "running", "why": "all answer"}],
+        "twin": {"false_alarms_per_hour": 0.1, "smallest_found": 0.2, "delay": 1.0, "noise": 0.1},
+    }
+    return run_page(Outcome(content, log, {"rig": Record(run, "run")}, ticks))
 
 
 def campaigns_page() -> Page:

@@ -12,8 +12,8 @@ from identification.assessment.prediction import Prediction, predict
 from identification.assessment.reading_noise import HOLDS, NEIGHBOURS, POINTS, REPEATS, reading_noise
 from identification.demo import example_folder
 from identification.diagnose.diagnose import diagnose
-from identification.diagnose.report.summary import summary
 from identification.identify import identify
+from vpp_fmu.app.report.summary import summary
 from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
 from vpp_fmu.kernel.plant import BASE, LIBRARY
 from vpp_fmu.record import Record

@@ -6,25 +6,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from vpp_fmu.report import (
-    Page,
-    adapted_parameters,
-    autocorrelation,
-    closed_loop,
-    correlation_heatmap,
-    cross_correlation,
-    learning_curve,
-    map_lines,
-    map_residuals,
-    measured_against_predicted,
-    parameter_change,
-    residual_by_section,
-    residual_histogram,
-    thinning,
-    two_records,
-)
-from vpp_fmu.report.style import AFTER, BEFORE, MEASURED, colours
-from vpp_fmu.report.thinning import MOST, places
+from vpp_fmu.app.report.canvas import MOST, places, thinning
+from vpp_fmu.app.report.figures.loop import adapted_parameters
+from vpp_fmu.app.report.figures.map import map_lines, map_residuals
+from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_curve, parameter_change
+from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation, residual_by_section, residual_histogram
+from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, two_records
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.style import AFTER, BEFORE, MEASURED, colours
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'
 

@@ -6,23 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.diagnose.report.page import headline
-from identification.diagnose.report.summary import LEFT_OUT, reached
+from vpp_fmu.app.report.figures.map import behind_against_before, reached_against_commanded
+from vpp_fmu.app.report.figures.parameters import FAILED, PASSED, TAKEN, Bar, evidence_bars, overlap_heatmap
+from vpp_fmu.app.report.figures.residual import correlations, residual_by_move, residual_spectrum
+from vpp_fmu.app.report.figures.time import stacked
+from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.style import AFTER, BEFORE, MEASURED
+from vpp_fmu.app.report.summary import LEFT_OUT, reached
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
-from vpp_fmu.report import (
-    behind_against_before,
-    correlations,
-    evidence_bars,
-    overlap_heatmap,
-    reached_against_commanded,
-    residual_by_move,
-    residual_spectrum,
-    stacked,
-)
-from vpp_fmu.report.evidence import FAILED, PASSED, TAKEN, Bar
-from vpp_fmu.report.style import AFTER, BEFORE, MEASURED
 
 BARS = [
     Bar("pitch_backlash (1)", 300.0, PASSED, "another explains more"),

@@ -10,11 +10,11 @@ import pytest
 from identification.static.at_rest import AtRest
 from identification.static.static_map import TERMS, coefficient_grid, design, fit_static_map, static_fit, thrust_coefficient
 from identification.static.steady import samples_needed, steady_points
+from vpp_fmu.app.report.figures.map import map_uncertainty, mean_convergence, thrust_coefficients
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.record import Record
-from vpp_fmu.report.coefficients import map_uncertainty, mean_convergence, thrust_coefficients
 
 SCALES = BASE.values()
 KNOWN = np.array([SCALES[name] for name in TERMS])

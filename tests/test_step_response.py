@@ -11,12 +11,12 @@ from builders import simulator
 from identification.demo import example_folder
 from identification.steps.lag_fit import two_lags
 from identification.steps.response import fit_steps
+from vpp_fmu.app.report.figures.time import step_responses
+from vpp_fmu.app.report.style import FAINT, FIT
 from vpp_fmu.campaign import read_steps
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED, plant
 from vpp_fmu.record import Record
-from vpp_fmu.report.steps import step_responses
-from vpp_fmu.report.style import FAINT, FIT
 
 RIGS = Path(__file__).resolve().parents[2] / "shared" / "data"
 STEP = 0.004

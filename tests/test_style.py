@@ -37,11 +37,11 @@ IN_NAMES = {"rises, falls": "rises|falls?|fallen", "following": "following", "wo
 
 PUBLIC = {
     ("told", "identification/gate/"): "key of a finding in check.json",
-    ("told", "identification/diagnose/report/summary.py"): "key cannot_be_told_apart of diagnosis.json",
+    ("told", "vpp_fmu/app/report/pages/identification.py"): "key of a finding in check.json",
+    ("told", "vpp_fmu/app/report/summary.py"): "key cannot_be_told_apart of diagnosis.json",
     ("told", "hil/page/"): "key of the operator's page's messages",
-    ("told", "vpp_fmu/report/drawing.py"): "key of the figures' data, which draw.js reads",
-    ("remainders", "vpp_fmu/report/__init__.py"): "name of a module",
-    ("sheet", "vpp_fmu/report/"): "the style sheet",
+    ("told", "vpp_fmu/app/report/drawing.py"): "key of the figures' data, which draw.js reads",
+    ("sheet", "vpp_fmu/app/report/"): "the style sheet",
 }
 """Where a word is allowed, with the reason."""
 

@@ -12,12 +12,12 @@ from identification.fit.problem import Prior
 from identification.tune.draws import draws, standard_deviations
 from identification.tune.objective import Objective, Point
 from identification.tune.operating import margins_at
-from identification.tune.report import tuning_page
 from identification.tune.rounds import rounds
 from identification.tune.search import search
 from identification.tune.summary import summary
 from identification.tune.tune import Task, tune
 from vpp_fmu.app import cli
+from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import FINE_TUNED, plant
 from vpp_fmu.loop import run

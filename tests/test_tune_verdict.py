@@ -8,11 +8,11 @@ import pytest
 from identification.tune.controllers import controllers
 from identification.tune.margins import Margins, least
 from identification.tune.profile import rig_profile
-from identification.tune.report import tuning_page
 from identification.tune.search import Search
 from identification.tune.summary import summary
 from identification.tune.tune import Task, tune
 from identification.tune.verdict import Verdict, verdict
+from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import Course
 from vpp_fmu.parameters import ParameterSet

@@ -8,10 +8,9 @@ import pytest
 from studies.degenerate import FAR
 from studies.incomplete_campaigns import SIZES, commanded, gridded, measured, only, recorded, whole
 
-from identification.found_report import not_identifiable
 from identification.identify import identify
-from identification.report import identification_page, key_figures, remarks
 from identification.steps.response import covariance
+from vpp_fmu.app.report.pages.identification import identification_page, key_figures, not_identifiable, remarks
 from vpp_fmu.campaign import Campaign, StaticMap
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import FINE_TUNED

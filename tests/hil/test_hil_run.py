@@ -10,7 +10,7 @@ from hil.calibration import to_json
 from hil.columns import COLUMNS
 from hil.commands import PAPERS
 from hil.emulator.rig import Rig as Emulated
-from hil.report import SPAN, judged_steps
+from hil.outcome import SPAN, judged_steps
 from hil.rig import RunEnded
 from hil.run import ON_ALARM, LimitedPlant, loop_part, run_on_rig, write_run
 from hil.runs import sha256_of

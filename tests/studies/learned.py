@@ -21,8 +21,10 @@ from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.description import sentence
 from identification.diagnose.learned.laws import curve_of
 from identification.diagnose.learned.refit import Term
-from identification.diagnose.report.learned import data, law
 from identification.diagnose.search.fits import Fit
+from vpp_fmu.app.report.figures.parameters import learned_curve
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.effect import data, law
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu, FmuInstance, problems
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
@@ -31,7 +33,6 @@ from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
-from vpp_fmu.report import Page, learned_curve
 
 from .cases import Case, draw
 from .hidden_effects import LISTED, UNLISTED

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from identification.diagnose.diagnose import diagnose
-from identification.diagnose.report.summary import artefact
+from vpp_fmu.app.report.summary import artefact
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record

@@ -10,14 +10,8 @@ from plotly import graph_objects as go
 from identification.assessment.prediction import Prediction
 from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.report.page import diagnosis_page
-from identification.diagnose.report.page import key_figures as diagnosed_figures
-from identification.diagnose.report.summary import summary as diagnosis_summary
 from identification.identify import Identification
 from identification.plan.plan import Plan
-from identification.report import identification_page
-from identification.report import key_figures as identified_figures
-from identification.tune.report import tuning_page
 from identification.tune.summary import key_figures as tuned_figures
 from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
@@ -29,6 +23,15 @@ from vpp_fmu.app.cli.identify import write_identification
 from vpp_fmu.app.cli.plan import key_figures as planned_figures
 from vpp_fmu.app.cli.plan import plan_page, remarks_on, write_plan
 from vpp_fmu.app.cli.tune import gains_of, write_tuning
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
+from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed_figures
+from vpp_fmu.app.report.pages.identification import identification_page
+from vpp_fmu.app.report.pages.identification import key_figures as identified_figures
+from vpp_fmu.app.report.pages.tuning import tuning_page
+from vpp_fmu.app.report.summary import summary as diagnosis_summary
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -36,7 +39,6 @@ from vpp_fmu.notebook import table_html
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record, write_record
-from vpp_fmu.report import Page, measured_against_predicted, thinning
 from vpp_fmu.response import Step, steps
 
 KeyFigures = list[tuple[str, str, str]]

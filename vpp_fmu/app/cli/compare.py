@@ -1,11 +1,12 @@
 """Compare two records, at the times of the first."""
 
 from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.report.figures.time import two_records
+from vpp_fmu.app.report.page import Page
 from vpp_fmu.comparison import compare
 from vpp_fmu.digits import number
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.record import QUANTITIES, read_record
-from vpp_fmu.report import Page, two_records
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp compare measured.csv out/prediction.csv -o out"

@@ -10,14 +10,16 @@ from tqdm import tqdm
 
 from vpp_fmu.app.cli.options import real
 from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
+from vpp_fmu.app.report.figures.time import closed_loop
+from vpp_fmu.app.report.page import Page
 from vpp_fmu.digits import number
 from vpp_fmu.loop import STANDSTILL
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import USUAL_STEP, FmuController, FmuPlant, FmuTwin
 from vpp_fmu.record import Record, read_profile, write_record
-from vpp_fmu.report import Page, adapted_parameters, closed_loop, residual_in_band, thinning
-from vpp_fmu.report.twin import ADAPTED
 from vpp_fmu.response import Step, steps
 
 EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv -o out"

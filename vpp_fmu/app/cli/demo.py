@@ -5,16 +5,18 @@ import time
 from tqdm import tqdm
 
 from identification.demo import Demo, demo, example_folder, step_profile
-from identification.diagnose.report.page import add_diagnosis
-from identification.diagnose.report.page import key_figures as diagnosed
-from identification.found_report import add_found
 from identification.identify import Identification
-from identification.static.report import add_static
 from vpp_fmu.app.cli.cosim import STEP_COLUMNS, row, sentence
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import WORKERS
 from vpp_fmu.app.cli.output import add_output, dated, say_written
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.diagnosis import add_diagnosis
+from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
+from vpp_fmu.app.report.pages.identification import add_found, add_static
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
@@ -22,7 +24,6 @@ from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet, to_json
 from vpp_fmu.record import Record, write_record
-from vpp_fmu.report import Page, closed_loop, measured_against_predicted, thinning
 from vpp_fmu.response import steps
 
 EXAMPLE = "vpp demo -o demo"

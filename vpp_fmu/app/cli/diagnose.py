@@ -11,14 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.description import FILE, source
-from identification.diagnose.report.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
-from identification.diagnose.report.identification import identification_of
-from identification.diagnose.report.page import diagnosis_page, headline, key_figures
-from identification.diagnose.report.summary import summary
 from identification.workers import spread
 from vpp_fmu.app.cli.identify import named_records
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, near
 from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, say_written, stages
+from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures
+from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
+from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from vpp_fmu.app.cli.output import add_effects_from
+from vpp_fmu.app.report.figures.time import two_records
+from vpp_fmu.app.report.page import Page
 from vpp_fmu.digits import number
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.invariants import SHOWS
@@ -13,7 +15,6 @@ from vpp_fmu.kernel.types import Effect
 from vpp_fmu.native import Simulator
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.record import Record
-from vpp_fmu.report import Page, two_records
 
 EXAMPLE = "vpp effects --html effects.html"
 

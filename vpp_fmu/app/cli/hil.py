@@ -22,10 +22,9 @@ from hil.campaign_folder import Measuring, commands_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.rig import CALIBRATION, calibrated_for, with_effects
-from hil.outcome import Task, carry_out, finish, finish_fmu, fmu_loop, kept_of, of_log
+from hil.outcome import Outcome, Task, carry_out, finish, finish_fmu, fmu_loop, kept_of, of_log
 from hil.page.operator_page import OperatorPage, served
 from hil.replay import replay
-from hil.report import calibration_page
 from hil.run import ON_ALARM, check_profile, start_of
 from hil.runs import begun, file_entry
 from hil.safety.limits import Limits
@@ -38,6 +37,7 @@ from identification.tune.controllers import rig_controller, said_of
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, say_written
 from vpp_fmu.app.cli.prompts import Prompts
+from vpp_fmu.app.report.pages.rig import calibration_page, fmu_page, replay_page, run_page, selftest_page
 from vpp_fmu.date import now
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, read_text
@@ -196,7 +196,9 @@ def _run(options) -> None:
         if options.watch is not None:
             raise BadInput("command line", "--watch", "given with --rig fmu", "a rig: a loop of FMUs is over in seconds")
         folder = OutputFolder(options.output)
-        finish_fmu(folder, rig.plant, _fmu_loop(rig.plant, options, profile), options.profile, parquet, say)
+        record = _fmu_loop(rig.plant, options, profile)
+        finish_fmu(folder, rig.plant, record, parquet, say)
+        folder.write("report.html", fmu_page(rig.plant, record, options.profile).html())
         say_written(folder)
         return
     setup, controller = setup_of(options), controller_of(options)
@@ -214,9 +216,13 @@ def _run(options) -> None:
         print(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
     with watched(options, content) as page:
         confirm(setup)
-        done, folder = carry_out(task, content | {"begun": now()}, parent, page, say)
+        done, folder = carry_out(task, content | {"begun": now()}, parent, page, say, _page_of)
         say_written(folder)
         done.judge()
+
+
+def _page_of(found: Outcome) -> str:
+    return run_page(found).html()
 
 
 def _campaign(options) -> None:
@@ -268,7 +274,7 @@ def _selftest(options) -> None:
     found = selftest(setup, options.seconds, folder.path, options.load)
     content = found.summary()
     folder.write("hil.json", as_json(content))
-    folder.write("report.html", found.page(content, options.seconds).html())
+    folder.write("report.html", selftest_page(found, content, options.seconds).html())
     if found.session.timing:
         print(f"loop: {content['real_time']}; {options.load} busy processes beside it\n{found.session.timing.text()}")
     for one in found.checks:
@@ -287,7 +293,7 @@ def _report(options) -> None:
     record, content, gone = of_log(log)
     if gone:
         print(f"vpp hil: the run ended: {content['ended']}", file=sys.stderr)
-    finish(folder, content, record, say)
+    finish(folder, content, record, say, _page_of)
     print(f"made from the log: {kept_of(log.parent)}", file=sys.stderr)
     say_written(folder)
 
@@ -306,7 +312,7 @@ def _replay(options) -> None:
     controller.close()
     text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said()}"
     folder.write("replay.json", as_json(found.summary()))
-    folder.write("report.html", found.page(text + ".").html())
+    folder.write("report.html", replay_page(found, text + ".").html())
     print(text)
     say_written(folder)
 

@@ -5,11 +5,10 @@ from pathlib import Path
 from tqdm import tqdm
 
 from identification.fit.refine import METHODS
-from identification.found_report import not_identifiable
 from identification.identify import Identification, identify
-from identification.report import identification_page, key_figures, remarks
 from vpp_fmu.app.cli.options import SEED, WORKERS, whole
 from vpp_fmu.app.cli.output import add_accept, add_output, dated, say_written
+from vpp_fmu.app.report.pages.identification import identification_page, key_figures, not_identifiable, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet

@@ -11,8 +11,8 @@ from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import whole
 from vpp_fmu.app.cli.output import add_output, dated, say_written
 from vpp_fmu.app.paper.control import RIG
-from vpp_fmu.app.paper.page import page, summary, tiles, verdict
 from vpp_fmu.app.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
+from vpp_fmu.app.report.pages.paper import page, summary, tiles, verdict
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.outputs import OutputSet

@@ -18,6 +18,10 @@ from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number
 from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.app.cli.prompts import Prompts
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.parameters import interval_widths
+from vpp_fmu.app.report.figures.time import planned_commands
+from vpp_fmu.app.report.page import Page
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -27,8 +31,6 @@ from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
 from vpp_fmu.record import write_record
-from vpp_fmu.report import Page, thinning
-from vpp_fmu.report.plan import interval_widths, planned_commands
 from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
 from vpp_fmu.structured import as_json
 

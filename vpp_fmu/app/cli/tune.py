@@ -12,13 +12,13 @@ from identification.assessment.information import read_noise
 from identification.tune.controllers import controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
-from identification.tune.report import tuning_page
 from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
 from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, whole
 from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, say_written
+from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER

@@ -20,7 +20,7 @@ from vpp_fmu.app.cli import hil
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
-from vpp_fmu.app.day.page import day_page
+from vpp_fmu.app.report.pages.day import day_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER

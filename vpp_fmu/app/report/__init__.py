@@ -1,0 +1,1 @@
+"""Reports: figures, pages of HTML, and the content of the JSON files beside them."""

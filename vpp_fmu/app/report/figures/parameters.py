@@ -1,0 +1,260 @@
+"""Figures of parameters and candidates: change and correlation, convergence, evidence, learned curves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import panels
+from vpp_fmu.digits import interval, number
+
+
+def parameter_change(
+    names: Sequence[str], start: np.ndarray, final: np.ndarray, low: np.ndarray, high: np.ndarray, title: str
+) -> go.Figure:
+    """Parameters before and after the fit with the 95 % interval low to high, as change in % of the start; arrays (n,).
+
+    The labels hold the values. A parameter that starts from 0 has no relative change and is shown in its label only; nan: an
+    unknown bound.
+    """
+    start, final, low, high = (np.asarray(values, float) for values in (start, final, low, high))
+    scale = np.where(start == 0.0, np.nan, np.abs(start)) / 100.0
+    change = (final - start) / scale
+    rows = [_row(*values) for values in zip(names, start, final, low, high, strict=True)]
+    fig = style.figure(title, 130 + 44 * len(rows))
+    marker = {"symbol": "line-ns-open", "size": 16, "color": style.BEFORE, "line": {"width": 3}}
+    fig.add_scatter(x=np.where(np.isnan(scale), np.nan, 0.0), y=rows, mode="markers", name="start", marker=marker)
+    fig.add_scatter(
+        x=change,
+        y=rows,
+        mode="markers",
+        name="fitted, 95 % interval",
+        marker={"size": 9, "color": style.AFTER},
+        error_x={
+            "array": (high - final) / scale,
+            "arrayminus": (final - low) / scale,
+            "color": style.AFTER,
+            "thickness": 1.6,
+            "width": 4,
+        },
+        hovertemplate=f"%{{x:+{style.SHOWN}}} %<extra></extra>",
+    )
+    fig.update_xaxes(title_text="change from the start [%]", range=_reach(change, (high - low) / scale))
+    fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
+    return fig
+
+
+def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
+    """The correlation matrix (n, n) of n parameters with its values; the diagonal is blank."""
+    labels = [style.escaped(name) for name in names]
+    fig = style.figure(title, 170 + max(28 * len(labels), 200), legend=False)
+    fig.add_heatmap(
+        x=labels,
+        y=labels,
+        z=np.where(np.eye(len(labels)), np.nan, matrix),
+        zmin=-1,
+        zmax=1,
+        colorscale=style.DIVERGING,
+        colorbar={"title": {"text": "correlation [-]"}},
+        texttemplate="%{z:.2f}",
+        textfont={"size": 11},
+        xgap=1,
+        ygap=1,
+        hovertemplate="%{y}, %{x}: %{z:.3f}<extra></extra>",
+    )
+    fig.update_xaxes(title_text="parameter [-]", type="category", showgrid=False)
+    fig.update_yaxes(title_text="parameter [-]", type="category", showgrid=False, autorange="reversed")
+    return fig
+
+
+def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quantity: str = "cost [-]") -> go.Figure:
+    """The cost at each of n evaluations, both (n,), and the lowest so far; cost on a logarithmic axis."""
+    fig = style.figure(title, 340)
+    fig.add_scatter(x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 5, "color": style.SET_POINT})
+    best = np.fmin.accumulate(np.asarray(cost, float))
+    fig.add_scatter(
+        x=evaluations, y=best, mode="lines", name="best so far", line={"color": style.AFTER, "width": 2, "shape": "hv"}
+    )
+    fig.update_xaxes(title_text="evaluations [-]", dtick=1 if len(cost) <= 20 else None)  # whole evaluations only
+    fig.update_yaxes(title_text=quantity, type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
+    return fig
+
+
+def _row(name: str, start: float, final: float, low: float, high: float) -> str:
+    """The label of a parameter: its values, and its interval below."""
+    ends = interval(low, high) if np.isfinite(high - low) else "interval unknown"
+    return f"<b>{style.escaped(name)}</b>  {number(start)} → {number(final)}<br>{ends}"
+
+
+def _ticks(cost: np.ndarray) -> str | int:
+    """Labels on a logarithmic axis: every digit within two thirds of a decade, 1 2 5 up to three decades, else powers."""
+    decades = np.log10(np.max(cost) / np.min(cost))
+    return "D1" if decades < 0.7 else "D2" if decades < 3.0 else 1
+
+
+def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
+    """The range [%] that shows every change and the typical interval, so that one unidentifiable parameter does not set it."""
+    known = np.isfinite(change)
+    if not known.any():
+        return [-1.0, 1.0]
+    typical = float(np.median(widths[np.isfinite(widths)])) if np.isfinite(widths).any() else 0.0
+    margin = typical + 0.1 * float(np.max(np.abs(change[known]))) + 0.5
+    return [min(0.0, float(change[known].min())) - margin, max(0.0, float(change[known].max())) + margin]
+
+
+MOST = 300.0
+"""Half-widths beyond this, in %, are drawn at the edge: the parameter is unknown."""
+
+
+def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], title: str) -> go.Figure:
+    """Half-widths of 95 % intervals of n parameters in % of their size, each (n,), by data set; the last is best.
+
+    A line per parameter joins the widest with the last.
+    """
+    labels = [style.escaped(name) for name in names]
+    shown = {name: np.minimum(np.asarray(values, float), MOST) for name, values in widths.items()}
+    fig = style.figure(title, 130 + 34 * len(labels))
+    last = list(shown.values())[-1]
+    widest = np.max(list(shown.values()), axis=0)
+    for label, low, high in zip(labels, last, widest, strict=True):
+        line = {"color": style.FAINT, "width": 3}
+        fig.add_scatter(x=[low, high], y=[label, label], mode="lines", line=line, showlegend=False, hoverinfo="skip")
+    colours = style.colours(shown)
+    for name, values in shown.items():
+        text = [f"± {width:.3g} %" if width <= MOST else "unknown" for width in np.asarray(widths[name], float)]
+        marker = {"size": 10, "color": style.SET_POINT if "paper" in name else colours[name]}
+        fig.add_scatter(
+            x=values,
+            y=labels,
+            mode="markers",
+            name=style.escaped(name),
+            marker=marker,
+            text=text,
+            hovertemplate="%{y}: %{text}<extra></extra>",
+        )
+    ticks = [digit * 10.0**power for power in range(-3, 3) for digit in (1, 2, 5)]
+    text = "half-width of the 95 % interval [% of the value]"
+    fig.update_xaxes(title_text=text, type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
+    fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
+    return fig
+
+
+TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
+
+COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
+
+_LEAST = 1.0
+"""Start of the bars on the logarithmic axis."""
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A candidate: its evidence [nat], its outcome (a key of COLOURS) and why, in a few words."""
+
+    name: str
+    likelihood_gain: float
+    outcome: str
+    why: str
+
+
+def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | None = None) -> go.Figure:
+    """Candidates by evidence [nat], the best on top, the threshold `gate` as a line, the reason beside each bar.
+
+    `taken`: evidence of the accepted candidate. A shaded band marks candidates within `gate` of it, which fit as well.
+    Candidates below 1 have no bar.
+    """
+    ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
+    fig = style.figure(title, 140 + 30 * len(ranked))
+    for outcome, colour in COLOURS.items():
+        own = [bar for bar in ranked if bar.outcome == outcome]
+        if own:
+            fig.add_bar(
+                y=[style.escaped(bar.name) for bar in own],
+                x=[max(bar.likelihood_gain, _LEAST) for bar in own],
+                orientation="h",
+                name=outcome,
+                marker_color=colour,
+                text=[f"{bar.likelihood_gain:,.0f}  {style.escaped(bar.why)}" for bar in own],
+                textposition="outside",
+                textfont={"size": 12},
+                cliponaxis=False,
+                hovertemplate="%{y}: %{text}<extra></extra>",
+            )
+    line = {"color": style.MEASURED, "width": 1.6, "dash": "dash"}
+    fig.add_vline(x=gate, line=line, name=f"very strong: {gate:g}", layer="below", showlegend=True)
+    if taken is not None:
+        fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
+    reach = np.log10(max(10.0 * gate, *(bar.likelihood_gain for bar in ranked)))
+    # The reasons are beside the bars and take half of the width.
+    fig.update_xaxes(title_text="evidence [nat]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
+    order = [style.escaped(bar.name) for bar in ranked]
+    fig.update_yaxes(title_text="candidate [-]", type="category", categoryorder="array", categoryarray=order[::-1])
+    fig.update_layout(bargap=0.35, barmode="overlay")
+    return fig
+
+
+def _decades(reach: float) -> list[float]:
+    return [10.0**k for k in range(int(np.ceil(reach)) + 1)]
+
+
+BINS = 60
+
+
+def learned_curve(
+    at: np.ndarray,
+    value: np.ndarray,
+    half: np.ndarray,
+    lines: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    data: np.ndarray,
+    title: str,
+    driver: tuple[str, str],
+    term: tuple[str, str],
+) -> go.Figure:
+    """A curve `value` (knots,) +- `half` over `at`, further `lines` (x, y) by name, and a histogram of the `data` (n,) below.
+
+    `driver`, `term`: (words, unit) of the axes.
+    """
+    labels = [f"{term[0]} [{'-' if term[1] == '1' else term[1]}]", "share of time [%]"]
+    fig = panels(title, labels, [320, 110])
+    band = {"x": np.concatenate([at, at[::-1]]), "y": np.concatenate([value + half, (value - half)[::-1]])}
+    fig.add_scatter(**band, mode="lines", fill="toself", fillcolor=style.VEIL, line_width=0, name="95 %", hoverinfo="skip")
+    colours = style.colours(lines)
+    for name, (x, y) in lines.items():
+        mode = "lines+markers" if len(x) == len(at) else "lines"
+        line = {"color": colours[name], "width": 1.8}
+        fig.add_scatter(x=x, y=y, mode=mode, name=style.escaped(name), line=line)
+    count, edges = np.histogram(data, BINS)
+    share = 100.0 * count / max(count.sum(), 1)
+    fig.add_bar(
+        x=0.5 * (edges[1:] + edges[:-1]), y=share, marker_color=style.MEASURED, name="data", showlegend=False, yaxis="y2"
+    )
+    fig.update_xaxes(title_text=f"{driver[0]} [{driver[1]}]", hoverformat=".4~g")
+    return fig
+
+
+def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
+    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from `least` on."""
+    labels = [style.escaped(name) for name in names]
+    shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
+    texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
+    fig = style.figure(title, 190 + max(30 * len(labels), 120), legend=False)
+    fig.add_heatmap(
+        x=labels[:-1],
+        y=labels[1:],
+        z=shown,
+        zmin=0,
+        zmax=1,
+        colorscale=((0.0, style.ZERO), (1.0, style.BEFORE)),
+        colorbar={"title": {"text": "squared cosine [-]"}},
+        text=texts,
+        texttemplate="%{text}",
+        textfont={"size": 11},
+        xgap=1,
+        ygap=1,
+        hovertemplate="%{y}, %{x}: %{z:.2f}<extra></extra>",
+    )
+    fig.update_xaxes(title_text="effect [-]", type="category", showgrid=False)
+    fig.update_yaxes(title_text="effect [-]", type="category", showgrid=False, autorange="reversed")
+    return fig

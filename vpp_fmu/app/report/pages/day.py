@@ -1,0 +1,205 @@
+"""The report of a rig's day: model and controller by round, and the framework of the paper."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+from plotly import graph_objects as go
+
+from vpp_fmu.app.day.day import BETTER, DIAGNOSED, TIMES, Day, Round, diagnosed
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.loop import adapted_parameters
+from vpp_fmu.app.report.figures.time import closed_loop
+from vpp_fmu.app.report.page import Page
+
+FRAMEWORK = (
+    (
+        "digital twin",
+        "the adaptive twin beside the mission; what it does not explain of an alarm, the diagnosis of its record does",
+    ),
+    ("model-based policy", "gains retuned on that model, within limits on overshoot and sensitivity"),
+    ("model-free policy", "covariance matrix adaptation on the rig's own cost, a generation a round"),
+    ("which of them leads", f"that whose gains cost less on the rig (p < {BETTER:g}); what flies stays where neither does"),
+    ("safety", "the model refuses gains that break limits before they fly; limits and watchdogs of the rig as always"),
+)
+
+
+def day_page(day: Day) -> Page:
+    """Model and controller round by round."""
+    first, last = day.rounds[0], day.rounds[-1]
+    began = float(np.mean(first.costs["what flew"]))
+    added = [n for r in day.rounds if r.chosen.name == DIAGNOSED for n in r.named]
+    page = Page("A day of the rig", _summary(day), day.begun.label)
+    page.tiles(
+        [
+            ("cost on the rig, as it began", began, "eq. 21, of measured thrust"),
+            ("cost of what flies now", last.cost, f"{100.0 * (last.cost / began - 1.0):+.1f} %"),
+            ("error of the model's thrust [N]", _error(last), "in the last mission"),
+            ("effects added", str(len(added)), ", ".join(added)),
+        ]
+    )
+    page.section("The model, round by round")
+    errors = [{m.name: m.fitted if np.isnan(m.unseen) else m.unseen for m in r.models} for r in day.rounds]
+    noise = float(np.std(np.diff(last.mission.record["thrust"])) / np.sqrt(2.0))
+    page.figure(
+        errors_by_round(errors, [r.chosen.name for r in day.rounds], noise),
+        "Where there is another model they are held against a mission that none of them saw; the noise is a single reading's.",
+    )
+    page.section("The controller, round by round")
+    costs = costs_by_round([r.costs for r in day.rounds], [r.tries for r in day.rounds], [r.winner for r in day.rounds])
+    page.figure(costs, f"Each finalist goes through the profile {TIMES} times.")
+    rows = [
+        (
+            str(r.number),
+            ", ".join(r.hidden) or "-",
+            f"{r.alarm[1]}, after {r.alarm[0]:.0f} s" if r.alarm else "none",
+            diagnosed(r) or ("explained without" if r.alarm else "-"),
+            r.chosen.name,
+            r.winner,
+        )
+        for r in day.rounds
+    ]
+    page.table(("round", "hidden in the rig", "alarm", "diagnosis", "model that goes on", "flies next"), rows, "What happened.")
+    names = [n for n in last.settings if n.startswith(("kp_", "ki_", "kd_"))]
+    gains = [(n, day.settings[n], *(r.settings[n] for r in day.rounds)) for n in names]
+    page.table(("gain", "as it began", *(f"after round {r.number}" for r in day.rounds)), gains, "Gains that fly.")
+    page.section("What the twin made of its parameters")
+    for r in day.rounds:
+        if not r.mission.twin:
+            continue
+        units = {p.name: p.unit for p in r.chosen.parameters.model.parameters}
+        units |= {n.removeprefix("adapted."): "" for n in r.mission.twin if n.startswith("adapted.") and n[8:] not in units}
+        figure = adapted_parameters(r.mission.record.time, r.mission.twin, units)
+        page.figure(figure, f"Round {r.number}. {thinning(len(r.mission.record))}")
+    page.section("The last mission")
+    page.figure(
+        closed_loop({"rig": last.mission.record}, f"The mission of round {last.number}, as it was flown"),
+        thinning(len(last.mission.record)),
+    )
+    page.section("The paper's framework, and what stands for its parts here")
+    statements = {
+        **{name: f"{np.mean(c):.4f}" for name, c in last.costs.items()},
+        "twin": f"{_error(last):.3g} N off",
+        "flies": f"{last.winner}, {last.cost:.4f}",
+    }
+    title = "Twin and policies teach each other; the rig's measured cost decides"
+    page.diagram(framework(statements), title, f"With what each had to say in round {last.number}.")
+    page.table(("Reinforcement Twinning", "here"), FRAMEWORK, "Who gives what.")
+    return page
+
+
+def _error(r: Round) -> float:
+    return r.chosen.fitted if np.isnan(r.chosen.unseen) else r.chosen.unseen
+
+
+def _summary(day: Day) -> str:
+    alarms = sum(r.alarm is not None for r in day.rounds)
+    return f"{len(day.rounds)} rounds, {alarms} with an alarm of the twin."
+
+
+def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str], noise: float) -> go.Figure:
+    """rms error [N] of each model by name, one mapping per round, on an unseen mission if there was one; `chosen`: the accepted
+    model; `noise` [N] of a reading."""
+    first, last = (e[name] for e, name in ((errors[0], chosen[0]), (errors[-1], chosen[-1])))
+    fig = style.figure(f"Error of the model's thrust: {first:.3g} N in the first round, {last:.3g} N in the last", 360)
+    rounds = np.arange(1, len(errors) + 1)
+    names = list(dict.fromkeys(name for each in errors for name in each))
+    for name, colour in zip(names, (style.BEFORE, style.LIGHT_BLUE, style.AFTER), strict=False):
+        y = np.array([each.get(name, np.nan) for each in errors])
+        fig.add_scatter(x=rounds, y=y, mode="markers", name=name, marker={"color": colour, "size": 11})
+    on = np.array([e[name] for e, name in zip(errors, chosen, strict=True)])
+    fig.add_scatter(x=rounds, y=on, mode="lines", name="goes on", line={"color": style.FIT, "width": 1.4})
+    fig.add_scatter(
+        x=rounds[[0, -1]],
+        y=[noise, noise],
+        mode="lines",
+        name="noise of a reading",
+        line={"color": style.SET_POINT, "dash": "dot"},
+    )
+    fig.update_yaxes(title_text="rms error of thrust [N]", rangemode="tozero")
+    return _by_rounds(fig, len(errors))
+
+
+def costs_by_round(
+    costs: Sequence[Mapping[str, Sequence[float]]], tries: Sequence[Sequence[float]], winners: Sequence[str]
+) -> go.Figure:
+    """Measured cost of each branch's finalists by flight, one mapping per round, and the next branch; `tries`: the single
+    flights of the search."""
+    flies = np.array([np.mean(each[name]) for each, name in zip(costs, winners, strict=True)])
+    first, last = np.mean(next(iter(costs[0].values()))), flies[-1]
+    fig = style.figure(f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end", 360)
+    x = np.concatenate([np.full(len(each), k + 1.0) for k, each in enumerate(tries)]) if tries else np.zeros(0)
+    if len(x):
+        y = np.concatenate([np.asarray(each, float) for each in tries])
+        fig.add_scatter(x=x + 0.12, y=y, mode="markers", name="tries of the search", marker={"color": style.FAINT, "size": 6})
+    names = list(dict.fromkeys(name for each in costs for name in each))
+    colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
+    for name in names:
+        at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ())]
+        points = np.array(at).reshape(-1, 2)
+        fig.add_scatter(
+            x=points[:, 0],
+            y=points[:, 1],
+            mode="markers",
+            name=name,
+            marker={"color": colours.get(name, style.FIT), "size": 10},
+        )
+    fig.add_scatter(
+        x=np.arange(1, len(flies) + 1), y=flies, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}
+    )
+    fig.update_yaxes(title_text="integral of (error / scale)² [s]")
+    return _by_rounds(fig, len(costs))
+
+
+def _by_rounds(fig: go.Figure, count: int) -> go.Figure:
+    fig.update_xaxes(title_text="round", dtick=1, range=[0.5, count + 0.5])
+    return fig
+
+
+BOXES = {
+    "rig": (0, 2, ("rig", "measured thrust and speed")),
+    "twin": (1, 2, ("digital twin", "adapts, alarms, is diagnosed")),
+    "model-free": (0, 1, ("model-free policy", "searched on the rig")),
+    "model-based": (1, 1, ("model-based policy", "retuned on the twin")),
+    "flies": (0.5, 0, ("controller", "of the lowest measured cost")),
+}
+"""Column, row and words of each part of the framework."""
+
+ARROWS = (
+    ("rig", "twin"),
+    ("rig", "model-free"),
+    ("twin", "model-based"),
+    ("model-free", "flies"),
+    ("model-based", "flies"),
+)
+
+WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
+"""Pixels: of a box, and from box to box."""
+
+
+def framework(numbers: Mapping[str, str]) -> str:
+    """SVG of the parts of Reinforcement Twinning and the data flow between them; `numbers`: results by the names of BOXES."""
+    at = {name: (20 + column * ACROSS, 10 + row * DOWN) for name, (column, row, _) in BOXES.items()}
+    parts = []
+    for one, other in ARROWS:
+        (x0, y0), (x1, y1) = at[one], at[other]
+        if y0 == y1:
+            ends = x0 + WIDE, y0 + HIGH / 2, x1 - 8, y1 + HIGH / 2
+        else:
+            ends = x0 + WIDE / 2, y0, x1 + WIDE / 2 + 0.4 * (x0 - x1), y1 + HIGH + 8
+        places = " ".join(f'{name}="{value:g}"' for name, value in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
+        parts.append(f'<line {places} stroke="currentColor" marker-end="url(#tip)"/>')
+    for name, (_, _, words) in BOXES.items():
+        x, y = at[name]
+        parts.append(f'<rect x="{x:g}" y="{y:g}" width="{WIDE}" height="{HIGH}" rx="6" fill="none" stroke="currentColor"/>')
+        for k, text in enumerate((*words, numbers.get(name, ""))):
+            weight = "bold" if k == 0 else "normal"
+            place = f'x="{x + WIDE / 2:g}" y="{y + 20 + 20 * k:g}" text-anchor="middle" font-size="14" font-weight="{weight}"'
+            parts.append(f'<text {place} fill="currentColor">{escape(text)}</text>')
+    tip = '<marker id="tip" viewBox="0 0 10 10" refX="2" refY="5" markerWidth="8" markerHeight="8" orient="auto">'
+    tip += '<path d="M0 0L10 5L0 10z" fill="currentColor"/></marker>'
+    width, height = 40 + ACROSS + WIDE, 20 + 2 * DOWN + HIGH
+    return (
+        f'<svg viewBox="0 0 {width} {height}" role="img" style="max-width:{width}px"><defs>{tip}</defs>{"".join(parts)}</svg>'
+    )

@@ -1,0 +1,424 @@
+"""The report of a diagnosis. The first screen names the effect, its size with interval, and the error before and after."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
+from identification.diagnose.guess import Guess
+from identification.diagnose.judgement import ALPHA, MIN_EVIDENCE
+from identification.diagnose.learned.description import sentence
+from identification.diagnose.search.refits import CandidateFit
+from identification.fit.noise import blocks
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.parameters import FAILED, PASSED, TAKEN, Bar, evidence_bars, overlap_heatmap, parameter_change
+from vpp_fmu.app.report.figures.residual import residual_by_section
+from vpp_fmu.app.report.figures.time import measured_against_predicted
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned
+from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
+from vpp_fmu.app.report.pages.residual import add_residual
+from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
+from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
+from vpp_fmu.record import Record
+
+SURE = {
+    "attributed": "exactly one set of effects explains the lack of fit",
+    "family": "the records do not distinguish the named effects from others",
+    "partly": "the named effect, or a similar one, explains a part of the lack of fit",
+    "learned": "an effect outside the library, learned from these records",
+    "unexplained": "no effect of the library explains the lack of fit",
+    "none": "the model explains all that exceeds the noise",
+}
+
+UNIDENTIFIABLE = "not identifiable from these records"
+
+ZOOM, SMOOTHED = 3.0, 0.2
+"""Seconds shown to both sides of a worst moment, and seconds over which the error is averaged to find it."""
+
+
+def headline(found: Diagnosis) -> str:
+    """The finding in one or two sentences, and the best guess if the lack of fit is not explained."""
+    return f"{_finding(found)} {_guessed(found.best_guess)}" if found.best_guess else _finding(found)
+
+
+def _guessed(guess: Guess) -> str:
+    share = f"{100.0 * guess.explains:.0f} %"
+    rest = f" beside {' and '.join(guess.beside)}" if guess.beside else ""
+    if guess.near:
+        return f"Best guess{rest}: {_sized(guess)}; it would explain {share} of the lack of fit, and is not accepted."
+    most = f"{100.0 * guess.most:.0f} %"
+    return f"No candidate{rest} explains more than {most} of the lack of fit; the most likely is {_sized(guess)}."
+
+
+def _sized(guess: Guess) -> str:
+    """The effects of a guess with their sizes and standard errors."""
+    found = []
+    for name in guess.effects:
+        sizes = []
+        for s in (s for s in guess.sizes if s.effect == name):
+            unit = "" if s.unit == "1" else s.unit
+            known = f" ({UNIDENTIFIABLE})" if s.std is None else ""
+            sizes.append(f"{s.name} {with_uncertainty(s.value, s.std or 0.0, unit)}{known}")
+        found.append(" ".join([name, ", ".join(sizes)]))
+    return " and ".join(found)
+
+
+def _guess(guess: Guess) -> tuple[str, str, str]:
+    """Evidence for and against the best guess, and the model from which the next experiment distinguishes it."""
+    share = f"would explain {100.0 * guess.explains:.0f} % of the lack of fit; ± is one standard error"
+    rival = guess.rival or "the model without it"
+    plan = f"{NEXT} distinguishes it from {rival}: their thrusts differ by {number(guess.there, 2)} N rms there, by"
+    plan += f" {number(guess.here, 2)} N so far"
+    value = _sized(guess) if guess.near else f"none is close; the most likely is {_sized(guess)}"
+    return "best guess", value, f"{share}; against it: {'; '.join(guess.against)}; {plan}"
+
+
+def _finding(found: Diagnosis) -> str:
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    noise, where = f"the noise is {number(found.noise.floor)} N", _where_judged(found)
+    if found.refuted:
+        return f"The best set of effects is refuted and not used: {found.refuted}. The base model is kept, {noise}."
+    if found.verdict == "none":
+        return f"Nothing is missing: the thrust error {where} is {number(before)} N, {noise}."
+    if found.learned:
+        named = f"beside {' and '.join(found.learned.beside.effects)} " if found.learned.beside.effects else ""
+        text = f"A term outside the library {named}{sentence(found.learned.term)}"
+        return f"{text}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
+    if found.verdict == "unexplained" and not found.before.significant:
+        text = f"The thrust reading has a line at the rotor frequency of {number(found.before.turning.size)} N rms"
+        return f"{text}: most of the noise power ({number(found.noise.floor)} N). Nothing else is missing."
+    if found.verdict == "unexplained" and found.before.only_speed:
+        text = f"The measured speed deviates from the model by {number(found.before.speed_rpm)} rpm rms, and no effect of the"
+        text += f" library explains it. The thrust does not show it: its error {where} is {number(before)} N, {noise}"
+        return f"{text}. Check the speed sensor first."
+    if found.verdict == "unexplained":
+        return (
+            f"No effect of the library explains the lack of fit: thrust error {number(before)} N {where.rstrip(',')}, {noise}."
+        )
+    described = {e.name: e.description for e in found.selection.final.problem.model.effects}
+    named = [f"{name} ({described[name]})" for name in found.final.effects]
+    effects = " and ".join([*named, *(f"{name} ({described[name]}; {LEFT_OUT})" for name in found.left_out)])
+    if not found.final.effects:
+        return f"{effects}. Thrust error {where} {number(after)} N, {noise}."
+    return f"{effects}: thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
+
+
+def _where_judged(found: Diagnosis) -> str:
+    return f"on {found.unseen.name}.csv, which no fit saw," if found.unseen is not None else "in cross-validation"
+
+
+def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
+    """(label, value, note) of the figures of the first screen."""
+    figures = []
+    for effect in summary(found)["effects"]:
+        if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
+            figures.append(("learned", "a curve", f"{sentence(found.learned.term)}; shown below with its 95 % band"))
+            continue
+        for name, p in effect["parameters"].items():
+            if name == "form":
+                continue
+            unit = "" if p["unit"] == "1" else f" {p['unit']}"
+            note = _known(p, effect["intervals"].get(name))
+            if "acts_times" in p:
+                times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
+                note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
+            figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    change = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
+    noise = f"noise of one reading {number(found.noise.floor)} N: {found.reading_noise.basis}"
+    figures.append((f"thrust error {_where_judged(found)}".rstrip(","), change, noise))
+    if found.given is not None:
+        as_given = summary(found)["given"]["rmse_thrust"]
+        note = f"thrust error on {found.shown_name}, before any fit"
+        figures.append(("the model as it was given", f"{number(as_given)} N", note))
+    if found.explained is not None:
+        figures.append(
+            ("of the error beyond the noise", f"{100 * found.explained:.0f} %", f"removed {_where_judged(found)}".rstrip(","))
+        )
+    rivals = [f"{name} could as well be {' or '.join(others)}" for name, others in found.selection.family.items() if others]
+    note = found.refuted or "; ".join(rivals) or SURE[found.verdict]
+    figures.append(("verdict", found.verdict, note))
+    figures.append(_lack(found))
+    figures += [quality_tile(found.quality)] if found.quality else []
+    figures += [_where(found)] if found.verdict in UNEXPLAINED else []
+    return [*figures, _guess(found.best_guess)] if found.best_guess else figures
+
+
+def _lack(found: Diagnosis) -> tuple[str, str, str]:
+    """Result of the tests of lack of fit."""
+    lack = found.after
+    note = f"p {chance(lack.p, '= ')}; the minimum size of interest is {number(lack.least, 2)} N below 10 Hz"
+    return "lack of fit", f"{number(lack.size, 2)} N" if lack.certain else "not significant", note
+
+
+def _known(parameter: Mapping, ends: Sequence[float] | None) -> str:
+    """The 95 % interval of a parameter, scanned or from its standard error, in its unit."""
+    unit = "" if parameter["unit"] == "1" else parameter["unit"]
+    if ends is not None:
+        return f"95 %: {interval(*ends, unit)}"
+    if parameter["std"] is None:
+        return UNIDENTIFIABLE
+    if parameter["std"] == 0.0:
+        return "on its bound"
+    half = 1.96 * parameter["std"]
+    return f"95 %: {interval(parameter['value'] - half, parameter['value'] + half, unit)}"
+
+
+def _where(found: Diagnosis) -> tuple[str, str, str]:
+    """Location of the unexplained error."""
+    location = found.location
+    band, section = (max(location[k], key=location[k].get) for k in ("share_by_band_hz", "mean_square_by_section"))
+    strongest, largest = location["strongest_correlate"], location["largest"]
+    note = f"largest while {_moving(section)}; correlates with {strongest['signal']} ({strongest['correlation']:+.2f}); "
+    note += f"up to {number(abs(largest['thrust']), 3)} N; input: {location['input']}"
+    return "residual", f"{band} Hz", note
+
+
+def diagnosis_page(found: Diagnosis) -> Page:
+    """The page of one diagnosis."""
+    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
+    page.tiles(key_figures(found))
+    for line in found.logger.lines:
+        page.note(f"Your logger: {line}.")
+    for effect in found.left_out:
+        page.note(f"{effect}: {LEFT_OUT}.")
+    for effect in found.final.effects:
+        if text := artefact(found, effect):
+            page.note(f"{effect}: {text}.")
+    add_quality(page, found.quality)
+    for line in found.rig.lines():
+        page.note(f"Rig: {line}.")
+    page.section("Before and after" if found.final.effects else "The model")
+    _add_whole(page, found)
+    add_diagnosis(page, found)
+    return page
+
+
+def add_diagnosis(page: Page, found: Diagnosis) -> None:
+    """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
+    page.section("The worst moments")
+    _add_worst(page, found)
+    if found.final.effects:
+        _add_sections(page, found)
+        page.section("The effect")
+        if found.learned:
+            add_learned(page, found)
+        add_effects(page, found)
+        add_shift(page, found)
+    page.section("Candidates")
+    add_evidence(page, found)
+    page.section("Residual")
+    _add_lack(page, found)
+    add_attempt(page, found)
+    add_residual(page, found)
+    _add_location(page, found)
+    page.section("Which effects these commands distinguish")
+    add_apart(page, found)
+    if found.verdict not in ("none", "attributed"):
+        ranges = ", ".join(found.rig.command_lines())
+        page.note(
+            f"next_experiment.csv has commands that distinguish effects that these do not, within {ranges}. Run it twice."
+        )
+
+
+def _add_whole(page: Page, found: Diagnosis) -> None:
+    record = found.shown
+    shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
+    errors_shown = [f"{number(p.rmse_thrust)} N" for p in shown.values()]
+    error = f"{errors_shown[0]} before and {errors_shown[1]} after" if len(errors_shown) > 1 else errors_shown[0]
+    seen = "no fit saw" if found.unseen is not None else "was fitted"
+    title = f"On a record that {seen} the thrust error is {error}; the noise alone is {number(found.noise.floor)} N"
+    lines = {name: p.thrust for name, p in shown.items()}
+    page.figure(_figure(found, record, lines, title), f"{found.shown_name}.csv. {thinning(len(record))}")
+
+
+def _add_worst(page: Page, found: Diagnosis) -> None:
+    """The largest error of the model before, and of the model after if it is elsewhere."""
+    record = found.shown
+    lines = {name: found.prediction(fit, record).thrust for name, fit in found.fits.items()}
+    at = blocks(record, SMOOTHED)
+    means = {name: np.abs(at.mean(thrust - record["thrust"])) for name, thrust in lines.items()}
+    centers = [float(at.time[np.nanargmax(mean)]) for mean in means.values()]
+    for name, center in dict(zip(means, centers, strict=True)).items():
+        if name == "after" and abs(center - centers[0]) < ZOOM:
+            continue  # in the same window
+        block = int(np.argmin(np.abs(at.time - center)))
+        there = " and ".join(f"{number(mean[block], 3)} N {other}" for other, mean in means.items()).removesuffix(" model")
+        near = np.abs(record.time - center) <= ZOOM
+        when = "" if name == "model" else f" {name}"
+        title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
+        part = {other: thrust[near] for other, thrust in lines.items()}
+        page.figure(_figure(found, record.part(near), part, title), f"Six seconds around the worst mean over {SMOOTHED:g} s.")
+
+
+def _figure(found: Diagnosis, record: Record, lines, title: str):
+    commands = {n: record[n] for n in ("omega_ref", "beta_ref")}
+    return measured_against_predicted(record.time, record["thrust"], lines, title, commands=commands, noise=found.noise.floor)
+
+
+def _add_sections(page: Page, found: Diagnosis) -> None:
+    before, after = (errors(found, fit)["sections"] for fit in (found.base, found.final))
+    names = list(before)
+    values = [np.array([each[n]["rmse_thrust"] for n in names]) for each in (before, after)]
+    k = int(np.argmax(values[0] - values[1]))
+    title = f"The error decreases most while {_moving(names[k])}: from {number(values[0][k])} to {number(values[1][k])} N"
+    figure = residual_by_section(names, *values, found.noise.floor, title)
+    page.figure(figure, f"Thrust error by moving command, {_where_judged(found).rstrip(',')}.")
+
+
+def _add_lack(page: Page, found: Diagnosis) -> None:
+    """The tests of lack of fit, before and after."""
+    before, after = found.before, found.after
+    old, new = before.score, after.score
+    tests = [("score test on the commands and time", "-", old.gain, old.p, new.gain, new.p)]
+    for one, other in zip(before.bands, after.bands, strict=True):
+        tests.append((f"pure error, {one.low:g} to {one.high:g} Hz", "N²", one.power, one.p, other.power, other.p))
+    if before.speed or after.speed:
+        tests.append(("structured share of the speed residual", "-", before.speed, None, after.speed, None))
+    if before.transient_size or after.transient_size:
+        tests.append(("share of the thrust residual absent at rest", "-", before.moving, None, after.moving, None))
+    one, other = before.turning, after.turning
+    tests.append(("line at the rotor frequency", "N", one.size, one.p, other.size, other.p))
+    rows = [(what, unit, first, _chance(p), last, _chance(now)) for what, unit, first, p, last, now in tests]
+    columns = ("test", "unit", "before", "p", "after", "p ")
+    page.table(
+        columns,
+        rows,
+        "Tests of lack of fit: log-likelihood of the score test, pure error of repeated records by band, structured residuals.",
+    )
+
+
+def _chance(p: float | None) -> str:
+    """p-value of a test; empty if there is none."""
+    return "" if p is None else chance(p)
+
+
+def _moving(section: str) -> str:
+    return {"both": "both commands move", "steady": "no command moves"}.get(
+        section, f"only the {section.removesuffix(' only')} command moves"
+    )
+
+
+def _add_location(page: Page, found: Diagnosis) -> None:
+    location, what = found.location, "error of the base model" if not found.final.effects else "residual"
+    strongest, largest = location["strongest_correlate"], location["largest"]
+    page.table(
+        ("quantity", "value"),
+        [
+            ("strongest correlation", f"{strongest['signal']}, {strongest['correlation']:+.2f}"),
+            ("input", location["input"]),
+            ("largest", f"{signed(largest['thrust'], 3)} N at {largest['time']:.1f} s"),
+            *((f"share at {band} Hz", f"{100 * share:.0f} %") for band, share in location["share_by_band_hz"].items()),
+            *((f"mean square, {n}", f"{number(max(p, 0.0), 3)} N²") for n, p in location["mean_square_by_section"].items()),
+        ],
+        f"Location of the {what}, its repeatable part.",
+    )
+
+
+VISIBLE = 10.0
+"""Log-likelihood gain at a plausible size from which an effect counts as visible."""
+
+CLOSE = 0.8
+"""Squared cosine from which a pair of effects is shown."""
+
+MOST = 14
+"""Maximum number of effects in the figure of similar effects."""
+
+
+def add_evidence(page: Page, found: Diagnosis) -> None:
+    """A figure of each round of the search, and the table of all refitted candidates."""
+    for count, tried in enumerate(found.selection.rounds, start=1):
+        fitted = [t for t in tried if t.fit is not None]
+        if fitted:
+            _add_round(page, found, count, fitted)
+    rows = []
+    for entry in (e for e in summary(found)["candidates"] if "delta_bic" in e):
+        beside = " + ".join(entry["beside"]) or "nothing"
+        form = ", ".join(f"{v:g}" for v in entry["form"].values()) or "only"
+        size = ", ".join(f"{n.partition('.')[2]} {number(v, 3)}" for n, v in entry["parameters"].items())
+        rows.append((entry["name"], form, beside, f"{0.5 * entry['delta_bic']:.1f}", size, entry["why_not"] or "accepted"))
+    columns = ("effect", "form", "beside", "evidence [nat]", "parameters", "verdict")
+    page.table(columns, rows, "Candidates that were refitted in full.")
+    for effect, judged in found.selection.judgements.items():
+        gains = ", ".join(f"{channel} {gain:+.4g}" for channel, gain in judged.gain.items())
+        page.note(
+            f"{effect}: the log-likelihood increases by {judged.likelihood_gain:.4g}; chance exceeds {judged.needed:.3g} in "
+            f"one rig of {1.0 / ALPHA:.0f}. In cross-validation: {gains}. It changes the thrust by {judged.size:.3g} N rms; "
+            f"the minimum size of interest is {judged.least:.2g} N."
+        )
+
+
+def _add_round(page: Page, found: Diagnosis, count: int, fitted: list[CandidateFit]) -> None:
+    bars = [_bar(found, t) for t in fitted]
+    beside = " and ".join(fitted[0].beside) or "nothing"
+    best = max(bars, key=lambda bar: bar.likelihood_gain)
+    taken = max((bar for bar in bars if bar.outcome == TAKEN), key=lambda bar: bar.likelihood_gain, default=None)
+    if taken is None:
+        title = f"Round {count}, beside {beside}: no candidate is accepted, {best.name} has the most evidence"
+    else:
+        title = f"Round {count}, beside {beside}: the evidence for {taken.name} is {taken.likelihood_gain:,.0f} nats"
+    page.figure(
+        evidence_bars(bars, MIN_EVIDENCE, title, None if taken is None else taken.likelihood_gain),
+        "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records. Candidates in the shaded "
+        "band fit as well as the accepted one.",
+    )
+    return bars
+
+
+def _bar(found: Diagnosis, tried: CandidateFit) -> Bar:
+    why, label = why_not(found, tried), tried.candidate.label
+    if why is None:
+        return Bar(label, tried.evidence, TAKEN, "in the final set")
+    name = tried.candidate.name
+    passed = tried.evidence > MIN_EVIDENCE and name not in found.selection.refused
+    return Bar(label, tried.evidence, PASSED if passed else FAILED, _short(why))
+
+
+def _short(reasons: str) -> str:
+    """The start of the first reason, and the number of further ones."""
+    first, *more = reasons.split("; ")
+    head = first.partition(":")[0].partition(" from ")[0]
+    return head if not more else f"{head}, and {len(more)} more"
+
+
+def add_shift(page: Page, found: Diagnosis) -> None:
+    """The bias of the base parameters without the effects."""
+    shift = summary(found)["base_parameters"]
+    names = list(shift)
+    before, after = ({n: shift[n][k] for n in names} for k in ("before", "after"))
+    for first, second in (("tau_omega_1", "tau_omega_2"), ("tau_beta_1", "tau_beta_2")):
+        if {first, second} <= set(names) and (before[first] < before[second]) != (after[first] < after[second]):
+            before[first], before[second] = before[second], before[first]
+    before, after = (np.array(list(values.values())) for values in (before, after))
+    reach = 1.96 * np.array([shift[n]["std"] or np.nan for n in names], float)
+    k = int(np.argmax(np.abs(before - after) / np.maximum(np.abs(after), 1e-9)))
+    title = f"Without the effect {names[k]} is biased to {number(before[k])}; with it, it is {number(after[k])}"
+    figure = parameter_change(names, before, after, after - reach, after + reach, title)
+    caption = "Start: the best fit without the effects; fitted: with them, 95 % intervals. Lags in the order of the latter."
+    page.figure(figure, caption)
+
+
+def add_apart(page: Page, found: Diagnosis) -> None:
+    """The effects that these commands distinguish, and those that they do not show."""
+    similarity = found.distinguishability
+    visible = [i for i, v in enumerate(similarity.visibility) if v >= VISIBLE]
+    names = np.array([label.split(" ")[0] for label in similarity.labels])
+    close = np.where(names[:, None] != names, similarity.overlap, 0.0)[:, visible].max(axis=1, initial=0.0)
+    own = set(found.final.effects)
+    chosen = [i for i in visible if close[i] >= CLOSE or names[i] in own]
+    chosen = sorted(sorted(chosen, key=lambda i: (names[i] not in own, -close[i]))[:MOST])
+    if len(chosen) > 1:
+        pairs = similarity.alike()
+        title = "These commands distinguish all visible effects"
+        if pairs:
+            one, other, _ = pairs[0]
+            title = f"These commands do not distinguish {len(pairs)} pairs of effects; the most similar are {one} and {other}"
+        labels = [similarity.labels[i] for i in chosen]
+        figure = overlap_heatmap(labels, similarity.overlap[np.ix_(chosen, chosen)], title)
+        caption = (
+            "Squared cosine of the responses to two effects, orthogonal to the base parameters' sensitivities; 1: the same."
+        )
+        page.figure(figure, f"{caption} Similar effects, and those found.")
+    unseen = ", ".join(similarity.invisible()) or "none"
+    page.note(f"Not visible at a plausible size under these commands: {unseen}.")

@@ -1,0 +1,207 @@
+"""Sections on the effects of a diagnosis: their curves, their influence at rest and over time, and learned terms."""
+
+import numpy as np
+
+from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.learned.columns import Course, lagged
+from identification.diagnose.learned.description import FILE, rival_words, sentence
+from identification.diagnose.learned.laws import curve_of
+from identification.diagnose.search.fits import Fit
+from identification.fit.noise import blocks
+from vpp_fmu.app.report.figures.map import behind_against_before, reached_against_commanded
+from vpp_fmu.app.report.figures.parameters import learned_curve
+from vpp_fmu.app.report.figures.time import stacked
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.summary import why_not_term
+from vpp_fmu.digits import number
+from vpp_fmu.kernel.learned import DRIVERS, PORTS
+from vpp_fmu.kernel.learned.shapes import LAWS, SHAPES
+from vpp_fmu.kernel.ops import NUMBERS
+from vpp_fmu.record import Record
+
+QUANTITIES = {"beta": ("pitch", "deg", 0.02), "omega": ("speed", "rpm", 5.0)}
+"""Output: its word and unit, and the minimum change by which an effect acts on it."""
+
+OUTPUTS = ("thrust", "omega", "beta")
+
+STAIRS, HOLD, STEP = 60, 3.0, 0.02
+"""Stairs of a sweep up and down, seconds on each, and the simulation step, s."""
+
+NEAR = 1.5
+"""Seconds shown to both sides of the largest influence of an effect."""
+
+AT_REST = 0.01
+"""Minimum share of the range that counts as an influence at rest."""
+
+
+def add_effects(page: Page, found: Diagnosis) -> None:
+    """For each effect of the final set: its curve at rest, if there is one, and its largest influence over time."""
+    for effect in found.final.effects:
+        on, off = _with_and_without(found.final, effect, found.shown)
+        change = on - off
+        channel = next((n for n, (*_, least) in QUANTITIES.items() if np.max(np.abs(change[n])) > least), "thrust")
+        if channel == "thrust":
+            _add_thrust(page, effect, found.shown, off, change)
+        else:
+            _add_at_rest(page, found, effect, channel)
+        _add_in_time(page, found, effect, channel, change)
+
+
+class Outputs(dict):
+    """Outputs (rows,) by name."""
+
+    def __sub__(self, other):
+        return Outputs({n: self[n] - other[n] for n in self})
+
+
+def _simulated(fit: Fit, columns, steps, late=0.0, changes=()) -> Outputs:
+    outputs = fit.problem.simulator.simulate({**fit.values, **dict(changes)}, columns, steps, late)
+    return Outputs(zip(OUTPUTS, outputs.T, strict=True))
+
+
+def _with_and_without(fit: Fit, name: str, record: Record) -> tuple[Outputs, Outputs]:
+    effect = next(e for e in fit.problem.model.effects if e.name == name)
+    off = {effect.full(n): v for n, v in effect.off.items()}
+    return _simulated(fit, *record.run), _simulated(fit, *record.run, off)
+
+
+def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> None:
+    """Reached against commanded values, up and down; nothing if the effect has no influence at rest."""
+    word, unit, _ = QUANTITIES[channel]
+    record, command = found.shown, f"{channel}_ref"
+    beside = "beta_ref" if channel == "omega" else "omega_ref"
+    levels = sorted({float(v) for v in np.percentile(record[beside], [0, 50, 100])}) if channel == "omega" else [None]
+    reached, stairs = {}, _stairs(record[command])
+    for level in levels:
+        held = {beside: float(np.median(record[beside])) if level is None else level}
+        suffix = "" if level is None else f", pitch {number(level, 3)} deg"
+        fits = found.fits if level in (None, levels[-1]) else {"after": found.final}
+        reached |= {f"{name}{suffix}": at_rest(fit, record, command, stairs, held)[channel] for name, fit in fits.items()}
+    off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
+    if off < AT_REST * np.ptp(stairs):
+        return
+    title = f"{effect}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
+    figure = reached_against_commanded(stairs, reached, title, word, unit)
+    page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
+
+
+def _stairs(command: np.ndarray) -> np.ndarray:
+    up = np.linspace(command.min(), command.max(), STAIRS + 1)
+    return np.concatenate([up, up[-2::-1]])
+
+
+def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) -> Outputs:
+    """Outputs (stairs,) at the end of each stair of a command, all other inputs constant."""
+    rows = round(HOLD / STEP)
+    n = len(stairs) * rows
+    inputs = [u.name for u in fit.problem.model.inputs if not u.clock]
+    columns = {name: np.full(n, held.get(name, float(np.mean(record[name])))) for name in inputs if name != command}
+    columns[command] = np.repeat(stairs, rows)
+    outputs = _simulated(fit, columns, np.full(n - 1, STEP))
+    return Outputs({name: values[rows - 1 :: rows] for name, values in outputs.items()})
+
+
+def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: Outputs) -> None:
+    rows = slice(None, None, max(1, len(record) // 2000))
+    largest = float(np.max(np.abs(change["thrust"])))
+    title = f"{effect}: the thrust changes by up to {number(largest, 3)} N"
+    figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
+    page.figure(
+        figure, "Difference between the model with the effect and without it, on the commands of the record shown above."
+    )
+
+
+def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change: Outputs) -> None:
+    record = found.shown
+    at = blocks(record, 0.2)
+    center = float(at.time[np.argmax(np.abs(at.mean(change[channel])))])
+    near = np.flatnonzero(np.abs(record.time - center) <= NEAR)
+    shown = {name: found.prediction(fit, record) for name, fit in found.fits.items()}
+    rows = {}
+    word, unit, _ = QUANTITIES.get(channel, ("thrust", "N", 0.0))
+    if channel != "thrust":
+        rows[f"{word} [{unit}]"] = {f"{word} command": record[f"{channel}_ref"][near]}
+        rows[f"{word} [{unit}]"] |= {"measured": record[channel][near]} if channel in record else {}
+        rows[f"{word} [{unit}]"] |= {name: getattr(p, channel)[near] for name, p in shown.items()}
+    rows["thrust [N]"] = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
+    size = float(np.max(np.abs(change["thrust"][near])))
+    change_words = "" if channel == "thrust" else f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}, "
+    title = f"{effect} has its largest influence around {center:.0f} s: {change_words}{number(size, 3)} N of thrust"
+    page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")
+
+
+POINTS = 200
+"""Points of a law's line."""
+
+MOST_TRIED = 6
+"""Rejected terms that a page lists with reasons."""
+
+
+def add_learned(page: Page, found: Diagnosis) -> None:
+    """Add the curve, the laws and the rivals."""
+    learned, stds = found.learned, found.std
+    term, curve = learned.term, learned.curve
+    page.note(f"A term outside the library {sentence(term)}. It is in the FMU, and in {FILE} for --effects-from.")
+    if curve.lead.shape == "curve":
+        driver, port = DRIVERS[term.lead.driver], PORTS[term.lead.port]
+        at, f, std = curve_of(curve)
+        fine = np.linspace(at[0], at[-1], POINTS)
+        lines = {"learned, as a table": (at, f)}
+        if term is not curve:
+            level = np.interp(at[0], at, f) - law(term, at[:1])[0] if _free(curve) else 0.0
+            lines[f"law: {term.lead.shape}"] = fine, law(term, fine) + level
+        title = f"The term at {port.words} over {driver.words}, as learned"
+        figure = learned_curve(
+            at, f, 1.96 * std, lines, data(found), title, (driver.words, driver.unit), (port.words, port.unit)
+        )
+        page.figure(figure, "Band: 95 % at each knot. Below: histogram of the fitted records. Constant beyond both ends.")
+    rows = [
+        (n, "fitted" if term.effect.full(n) in term.fit.free else "fixed", number(v), number(stds.get(term.effect.full(n)), 2))
+        for n, v in term.values.items()
+    ]
+    page.table(("parameter", "how", "value", "std"), rows, f"Parameters of {term.effect.name}.")
+    if learned.laws:
+        laws = [(name, SHAPES[name].equation, f"{evidence:.1f}") for name, evidence in learned.laws]
+        page.table(("law", "f over the driver v", "evidence over the table [nat]"), laws, "Simple laws in place of the curve.")
+    if learned.rivals:
+        others = ", ".join(dict.fromkeys(rival_words(t) for t in learned.rivals))
+        page.note(f"These records hardly distinguish it from: {others}. The commands of next_experiment.csv do.")
+
+
+def add_attempt(page: Page, found: Diagnosis) -> None:
+    """Add the rejected terms: the port of the best one suggests where to look."""
+    attempt = found.attempt
+    if attempt.learned or not attempt.tried:
+        return
+    rows = [
+        (sentence(term), number(judged.evidence), why_not_term(found, term, judged))
+        for term, judged in attempt.tried[:MOST_TRIED]
+    ]
+    caption = f"Terms outside the library: the best of {attempt.comparisons} by cross-validated gain. None is accepted."
+    page.table(("the term", "evidence [nat]", "why it is rejected"), rows, caption)
+
+
+def _free(curve) -> bool:
+    """Whether no knot is pinned: then a constant may be in the base or in the curve."""
+    return not any(n.startswith("value_") for n in curve.lead.pinned)
+
+
+def law(term, v: np.ndarray) -> np.ndarray:
+    """A term's f at values v (n,) of its driver; NaN if it has memory."""
+    shape = SHAPES[term.lead.shape]
+    if term.lead.shape not in LAWS or shape.memory:
+        return np.full(len(v), np.nan)
+    p = type("Values", (), term.values)
+    return np.array([shape.value(NUMBERS, None, p, float(one), 0.0)[0] for one in v])
+
+
+def data(found: Diagnosis) -> np.ndarray:
+    """Values of the driver over the fitted records."""
+    term, fit = found.learned.term, found.final
+    lead, parts = term.lead, []
+    for e in fit.problem.experiments:
+        outputs = fit.problem.simulator.simulate(fit.values, *e.record.run)
+        course = Course.of(e, fit.values, outputs)
+        v = course.driver(lead.driver, lead.port, lead.form, False)
+        parts.append(lagged(v, term.values.get("lag", 0.0), course.step))
+    return np.concatenate(parts)

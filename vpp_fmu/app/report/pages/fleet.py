@@ -1,0 +1,204 @@
+"""Diagnoses of several campaigns: a table with one line each, and a page with the effects found over the dates."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from identification.diagnose.diagnose import Diagnosis
+from vpp_fmu.app.report import style
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.diagnosis import headline
+from vpp_fmu.app.report.summary import summary
+from vpp_fmu.campaign import measured_on
+from vpp_fmu.digits import number
+
+WIDE = 20.0
+"""Ratio of the largest to the smallest error from which the axis is logarithmic."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One campaign in the table of a fleet.
+
+    `date`: ISO 8601, "" if unknown. `error_before`, `error_after`, `noise` [N]: held-out thrust error of the base and of the
+    exported model, and the noise of one reading. `sizes`: (value, standard error or None, unit) of each parameter found, by
+    full name, without those of learned terms, which differ from campaign to campaign. `refused`: why there is no diagnosis,
+    else "".
+    """
+
+    name: str
+    campaign: str
+    date: str
+    verdict: str = ""
+    effects: tuple[str, ...] = ()
+    error_before: float | None = None
+    error_after: float | None = None
+    noise: float | None = None
+    sizes: Mapping[str, tuple[float, float | None, str]] = field(default_factory=dict)
+    warnings: int = 0
+    refused: str = ""
+    said: str = ""
+
+    @property
+    def line(self) -> str:
+        """The line that the command prints."""
+        return f"{self.name}: refused: {self.refused}" if self.refused else f"{self.name}: {self.verdict}. {self.said}"
+
+
+def entry(name: str, found: Diagnosis) -> Entry:
+    """The line of a diagnosis."""
+    content, folder = summary(found), found.campaign.folder
+    (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
+    sizes = {
+        f"{effect['name']}.{parameter}": (p["value"], p["std"], p["unit"])
+        for effect in content["effects"]
+        for parameter, p in effect["parameters"].items()
+        if parameter != "form" and not (found.learned and effect["name"] == found.learned.term.effect.name)
+    }
+    return Entry(
+        name,
+        str(folder),
+        measured_on(folder),
+        found.verdict,
+        (*found.final.effects, *found.left_out),
+        before,
+        after,
+        found.noise.floor,
+        sizes,
+        len(found.quality),
+        said=headline(found),
+    )
+
+
+def refusal(name: str, campaign: str, why: str) -> Entry:
+    """The line of a campaign that cannot be diagnosed."""
+    return Entry(name, campaign, measured_on(Path(campaign)), refused=why)
+
+
+def columns(entries: Sequence[Entry]) -> dict[str, list]:
+    """The table by column: the common ones, then each parameter that any campaign has, with its standard error."""
+    found = {
+        "name": [e.name for e in entries],
+        "campaign": [e.campaign for e in entries],
+        "date": [e.date for e in entries],
+        "verdict": [e.verdict or "refused" for e in entries],
+        "effects": [" + ".join(e.effects) for e in entries],
+        "error_before_N": [e.error_before for e in entries],
+        "error_after_N": [e.error_after for e in entries],
+        "noise_N": [e.noise for e in entries],
+        "warnings": [e.warnings for e in entries],
+        "refused": [e.refused for e in entries],
+    }
+    for name in parameters(entries):
+        own = [e.sizes.get(name, (None, None, "")) for e in entries]
+        found |= {name: [value for value, _, _ in own], f"{name}_std": [std for _, std, _ in own]}
+    return found
+
+
+def parameters(entries: Sequence[Entry]) -> list[str]:
+    """Full names of all parameters found, in the order in which the campaigns show them."""
+    return list(dict.fromkeys(name for e in entries for name in e.sizes))
+
+
+def as_csv(entries: Sequence[Entry]) -> str:
+    """The table as CSV; a cell without value is empty."""
+    text, table = io.StringIO(), columns(entries)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*table.values(), strict=True))
+    return text.getvalue()
+
+
+def as_parquet(entries: Sequence[Entry]) -> bytes | None:
+    """The table as Parquet; None if the extra `import` is not installed."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415  (an extra)
+        from pyarrow import parquet  # noqa: PLC0415
+    except ImportError:
+        return None
+    table = columns(entries)
+    texts = {"name", "campaign", "date", "verdict", "effects", "refused"}
+    kinds = {name: pa.string() if name in texts else pa.int64() if name == "warnings" else pa.float64() for name in table}
+    packed = io.BytesIO()
+    parquet.write_table(pa.table({name: pa.array(own, kinds[name]) for name, own in table.items()}), packed)
+    return packed.getvalue()
+
+
+def fleet_page(entries: Sequence[Entry]) -> Page:
+    """The report: verdicts, errors before and after, sizes over the dates."""
+    done = [e for e in entries if not e.refused]
+    verdicts = {word: sum(e.verdict == word for e in done) for word in dict.fromkeys(e.verdict for e in done)}
+    page = Page(
+        f"Diagnosis of {len(entries)} campaigns",
+        "Each campaign was diagnosed alone; its report is in the folder of its name beside this page.",
+    )
+    page.tiles([("verdict", f"{word}: {count}", f"of {len(entries)} campaigns") for word, count in verdicts.items()])
+    if len(done) < len(entries):
+        page.tiles([("refused", len(entries) - len(done), "the table says why")])
+    if done:
+        page.section("Errors", "Held-out thrust error of the base and of the exported model.")
+        page.figure(_errors(done), "If the two are equal, nothing was added to the model.")
+    several = {name: own for name in parameters(done) if len(own := [e for e in done if name in e.sizes]) > 1}
+    if several:
+        page.section("Sizes", "Parameters found in more than one campaign.")
+    for name, own in several.items():
+        _add_size(page, name, own)
+    page.section("All campaigns")
+    rows = [
+        (e.name, e.date, e.verdict or "refused", " + ".join(e.effects) or e.refused, *_shown(e), e.warnings) for e in entries
+    ]
+    heads = ("campaign", "date", "verdict", "effects", "before [N]", "after [N]", "noise [N]", "warnings")
+    page.table(heads, rows, "One line per campaign, with the thrust error before and after; fleet.csv has the parameters, too.")
+    return page
+
+
+def _shown(e: Entry) -> tuple[str, ...]:
+    return tuple("" if value is None else number(value) for value in (e.error_before, e.error_after, e.noise))
+
+
+def _errors(done: Sequence[Entry]):
+    improved = sum(bool(e.effects) for e in done)
+    fig = style.figure(f"The thrust error decreases in {improved} of {len(done)} campaigns", 380)
+    names = [style.escaped(e.name) for e in done]
+    marks = (
+        ("before", [e.error_before for e in done], style.BEFORE, "circle"),
+        ("after", [e.error_after for e in done], style.AFTER, "diamond"),
+        ("noise of one reading", [e.noise for e in done], style.SET_POINT, "line-ew-open"),
+    )
+    for label, values, colour, symbol in marks:
+        fig.add_scatter(x=names, y=values, mode="markers", name=label, marker={"color": colour, "size": 10, "symbol": symbol})
+    errors = [error for e in done for error in (e.error_before, e.error_after) if error]
+    wide = bool(errors) and max(errors) > WIDE * min(errors)
+    fig.update_layout(
+        xaxis={"title": {"text": "campaign"}, "type": "category"},
+        yaxis={"title": {"text": "thrust error [N]"}} | ({"type": "log"} if wide else {"rangemode": "tozero"}),
+    )
+    return fig
+
+
+def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
+    """A parameter over the dates, or over the campaigns if a date is unknown."""
+    unit = having[0].sizes[name][2]
+    dated = all(e.date for e in having) and len({e.date for e in having}) > 1
+    own = sorted(having, key=lambda e: e.date) if dated else list(having)
+    values = [e.sizes[name][0] for e in own]
+    stds = [1.96 * (e.sizes[name][1] or 0.0) for e in own]
+    what = f"{name}: {number(min(values))} to {number(max(values))}{'' if unit == '1' else f' {unit}'}"
+    fig = style.figure(f"{what} in {len(own)} campaigns", 340, legend=False)
+    fig.add_scatter(
+        x=[e.date if dated else style.escaped(e.name) for e in own],
+        y=values,
+        mode="lines+markers" if dated else "markers",
+        error_y={"type": "data", "array": stds},
+        text=[style.escaped(e.name) for e in own],
+        line={"color": style.AFTER, "width": 1},
+        marker={"size": 8},
+    )
+    label = name.partition(".")[2].replace("_", " ")
+    fig.update_layout(
+        xaxis={"title": {"text": "date" if dated else "campaign"}, "type": "date" if dated else "category"},
+        yaxis={"title": {"text": label if unit == "1" else f"{label} [{unit}]"}},
+    )
+    page.figure(fig, "Bars are 95 % intervals.")

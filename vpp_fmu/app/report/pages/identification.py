@@ -1,0 +1,430 @@
+"""The report of an identification: parameters, errors of prediction, tests, static map and step responses."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identification.assessment.pairs import forms
+from identification.fit.refine import Refinement
+from identification.fit.uncertainty import NORMAL_95, Uncertainty
+from identification.gate.finding import ERROR, Finding
+from identification.identify import Identification
+from identification.static.selection import Selection, select_terms
+from identification.static.static_map import TERMS, StaticFit, coefficient_grid, design
+from identification.static.steady import FEWEST, noise, resting, samples_needed
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.map import (
+    map_lines,
+    map_residuals,
+    map_section,
+    map_uncertainty,
+    mean_convergence,
+    thrust_coefficients,
+)
+from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_curve, parameter_change
+from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation
+from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.campaign import StaticMap
+from vpp_fmu.digits import interval, number
+
+
+def quality_tile(findings: Sequence[Finding]) -> tuple[str, str, str]:
+    """(label, value, note) for the first screen."""
+    codes = list(dict.fromkeys(f.code.replace("_", " ") for f in findings))
+    errors = sum(f.level == ERROR for f in findings)
+    parts = [f"{n} {word}{'s' * (n > 1)}" for n, word in ((errors, "error"), (len(findings) - errors, "warning")) if n]
+    return "quality of the data", ", ".join(parts) or "no findings", "; ".join(codes)
+
+
+def add_quality(page: Page, findings: Sequence[Finding]) -> None:
+    """Add the findings as a table, if there are any."""
+    if not findings:
+        return
+    page.section("Quality of the data")
+    rows = [(f.level, f.code, f"{f.file}, {f.field}", f.told, f.cause, f.advice) for f in findings]
+    columns = ("level", "code", "where", "what shows it", "likely cause", "what to do")
+    page.table(columns, rows, "Findings on the files, and on the fit to them, that limit the results below.")
+
+
+def key_figures(found: Identification) -> list[tuple[str, str, str]]:
+    """(label, value, note) of the figures of the first screen."""
+    figures = [quality_tile(found.quality)] if found.quality else []
+    for name in _shown(found):
+        p, role = found.predictions[name], "fitted" if name in found.fitted else "not used to fit"
+        fit = "" if p.fit_thrust is None else f", fit {p.fit_thrust:.1f} %"
+        figures.append((f"thrust error, {name}", _newton(p.rmse_thrust), f"rmse{fit}, {role}"))
+    if found.noise is not None:
+        figures.append(("noise of one reading", _newton(found.noise.std), found.noise.basis))
+    if (r := found.refinement) is not None:
+        spent = f"{r.evaluations} evaluations, {r.starts} starts, {number(r.seconds, 3)} s"
+        figures.append(("cost", f"{number(r.cost_start, 3)} → {number(r.cost_final, 3)}", f"mean(e²)/2, {spent}"))
+    if found.static is not None:
+        note = f"adjusted R², {_newton(found.static.rmse)} rms of {found.static.used.sum()} steady points"
+        known = found.static.r2_adjusted
+        figures.append(("static map", "–" if known is None else f"{known:.6f}", note))
+    unidentified = found.not_identifiable
+    names = {*found.uncertainty.names, *unidentified}
+    note = f"not: {', '.join(unidentified)}" if unidentified else "all fitted parameters"
+    return [*figures, ("identifiable parameters", f"{len(names) - len(unidentified)} of {len(names)}", note)]
+
+
+def _newton(value: float | None) -> str:
+    return "–" if value is None else f"{number(value)} N"
+
+
+def remarks(found: Identification) -> list[str]:
+    """Limits of the result, as sentences without full stop."""
+    missing = found.campaign.missing
+    lines = [f"missing files, which are not used: {', '.join(missing)}"] if missing else []
+    if not found.predictions:
+        sources = " and ".join(n for n, there in (("steady points", found.static), ("steps", found.steps)) if there is not None)
+        lines.append(f"there is no record to fit or to validate with: the parameters are those of {sources} alone")
+        if found.steps is not None and found.static is None:
+            lines.append("without steady points the lags are those of the thrust, not of speed and pitch behind it")
+    elif not found.unseen:
+        lines.append("all records were fitted: there is no hold-out record, and the error on other data is not known")
+    return lines
+
+
+def _shown(found: Identification) -> list[str]:
+    """Records to show: all but a repeat of the open-loop record, whose figure would be the same."""
+    return [name for name in found.predictions if name != "repeat" or "open_loop" not in found.predictions]
+
+
+def identification_page(found: Identification) -> Page:
+    """The page of one identification."""
+    page = Page("Identification", "From measured records to the plant's parameters.", found.campaign.label)
+    add_identification(page, found)
+    return page
+
+
+def add_identification(page: Page, found: Identification) -> None:
+    """Add tiles, figures and tables of an identification to a page."""
+    page.tiles(key_figures(found))
+    add_quality(page, found.quality)
+    if lines := remarks(found):
+        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
+    if found.predictions:
+        page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
+        for name in _shown(found):
+            page.figure(*_record_figure(found, name))
+        _add_sections(page, found)
+        _add_tests(page, found)
+    add_found(page, found)
+    if found.static is not None:
+        add_static(page, found)
+    if found.steps is not None:
+        _add_steps(page, found)
+
+
+def _add_tests(page: Page, found: Identification) -> None:
+    tests, outside = found.tests, found.tests.outside
+    title = f"The residual correlates with itself at {100 * outside['itself']:.0f} % of the lags; chance gives 5 %"
+    page.figure(
+        autocorrelation(tests.lags, tests.own, tests.band, title), f"Thrust residual of {found.fitted[0]}, means over 20 ms."
+    )
+    if tests.crossed:
+        worst = max((n for n in outside if n != "itself"), key=outside.get)
+        title = (
+            f"The residual is correlated with changes of {worst} at {100 * outside[worst]:.0f} % of the lags; chance gives 5 %"
+        )
+        figure = cross_correlation(tests.lags, tests.crossed, tests.band, title)
+        page.figure(figure, "Correlation of the residual with earlier changes of each command.")
+
+
+def _add_steps(page: Page, found: Identification) -> None:
+    steps = found.steps
+    page.section("The step responses")
+    for channel, unit, level in (("omega", "rpm", "deg"), ("beta", "deg", "rpm")):
+        runs = [run for run in steps.runs if run.channel == channel]
+        if runs:
+            slow, fast = (steps.start.get(f"tau_{channel}_{k}") for k in (1, 2))
+            kept = sum(not run.reason for run in runs)
+            lags = "" if slow is None else f": lags of {number(slow)} and {number(fast)} s on average"
+            title = f"{kept} of {len(runs)} steps of {'speed' if channel == 'omega' else 'pitch'} are used{lags}"
+            figure = step_responses(runs, title, unit, level, steps.delayed(channel))
+            page.figure(figure, "Thrust as a share of the step; black: two lags through the static map.")
+    rows = [(run.source.rsplit("/", 1)[-1], run.reason) for run in steps.outliers]
+    if rows:
+        page.table(("run", "reason"), rows, "Step responses that are not used.")
+
+
+def _record_figure(found: Identification, name: str):
+    """(figure, caption) of a record beside its prediction."""
+    p, noise = found.predictions[name], found.noise.std
+    beside = f"; the noise alone is {_newton(noise)}"
+    used = "which was fitted" if name in found.fitted else "which no fit saw"
+    title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
+    if p.rmse_thrust is None:
+        title = f"Prediction for {name}, which has no thrust"
+    commands = {n: p.record[n] for n in ("omega_ref", "beta_ref")}
+    figure = measured_against_predicted(
+        *(p.record.time, p.record["thrust"], {"model": p.thrust}, title),
+        commands=commands,
+        noise=noise,
+        band=found.bands[name],
+    )
+    share = found.coverage[name]
+    within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
+    coverage = f"{within} the readings of {name} are within the 95 % prediction band"
+    return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
+
+
+def _add_sections(page: Page, found: Identification) -> None:
+    rows = []
+    for name, p in found.predictions.items():
+        used, summary = "fitted" if name in found.fitted else "unseen", p.summary()
+        for section, figures in ({"all": summary} | summary["sections"]).items():
+            share, fit = found.coverage[name], figures["fit_thrust"]
+            within = f"{100 * share:.1f}" if section == "all" and share is not None else ""
+            rows.append((name, used, section, figures["rmse_thrust"], None if fit is None else f"{fit:.1f}", within))
+    columns = ("record", "used", "section", "rmse [N]", "fit [%]", "readings in the 95 % band [%]")
+    page.table(columns, rows, "Thrust error by moving command.")
+
+
+TELLING = 0.2
+"""Component of the weakest direction from which a parameter is named."""
+
+
+def add_found(page: Page, found: Identification) -> None:
+    """Add figures and tables of the parameters of an identification."""
+    uncertainty = found.uncertainty
+    page.section("Parameters")
+    if found.refinement is not None:
+        _add_change(page, found)
+    _add_values(page, found)
+    if lines := not_identifiable(found):
+        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
+    if uncertainty.profiled:
+        page.note(
+            f"The cost is not quadratic in {', '.join(uncertainty.profiled)}: their 95 % intervals are those of the profile "
+            "likelihood."
+        )
+    _add_bootstrap(page, found)
+    _add_forms(page, uncertainty)
+    if found.refinement is not None:
+        _add_curve(page, found.refinement)
+    if len(uncertainty.names) > 1:
+        figure = correlation_heatmap(
+            uncertainty.names, uncertainty.correlation, _strongest(uncertainty.names, uncertainty.correlation)
+        )
+        page.figure(figure, _weakest(uncertainty))
+
+
+def not_identifiable(found: Identification) -> list[str]:
+    """Parameters that are not identifiable, or that ended on a bound, as sentences without full stop."""
+    reasons: dict[str, list[str]] = {}
+    for name, why in found.not_identifiable.items():
+        state = "fitted to" if name in found.uncertainty.names else "stays at"
+        reasons.setdefault(why, []).append(f"{name} ({state} {number(found.parameters.values[name])})")
+    lines = [f"not identifiable from these data: {', '.join(names)}: {why}" for why, names in reasons.items()]
+    return lines + [f"on a bound: {name}, which ended at {number(bound)}" for name, bound in found.at_bounds.items()]
+
+
+def _add_change(page: Page, found: Identification) -> None:
+    """Change of the parameters from the start to the end of the fit."""
+    uncertainty = found.uncertainty
+    start, (low, high) = np.array([found.start[n] for n in uncertainty.names]), uncertainty.intervals.T
+    moved = _most_moved(uncertainty.names, start, uncertainty)
+    caption = "Change in % of the start values from steps and static map; 95 % intervals."
+    page.figure(parameter_change(uncertainty.names, start, uncertainty.values, low, high, moved), caption)
+
+
+def _add_values(page: Page, found: Identification) -> None:
+    """Each value with its uncertainty."""
+    uncertainty, rows = found.uncertainty, []
+    for k, name in enumerate(uncertainty.names):
+        bound = "on its bound" if name in found.at_bounds else uncertainty.kind(name)
+        ends = interval(*uncertainty.intervals[k].tolist())
+        estimate = (float(uncertainty.values[k]), number(float(uncertainty.std[k]), 3), ends)
+        rows.append((name, found.start[name], *estimate, bound, number(uncertainty.inflation[k], 3)))
+    units = "Time constants in s, coefficients normalised"
+    if found.refinement is not None:
+        columns = ("parameter", "start", "final", "std", "95 % interval", "by", "std over white")
+        page.table(columns, rows, f"{units}; std accounts for the autocorrelation of the residuals.")
+    else:
+        columns = ("parameter", "value", "std", "95 % interval")
+        page.table(columns, [(name, *estimate) for name, _, *estimate in (row[:5] for row in rows)], f"{units}.")
+
+
+def _add_bootstrap(page: Page, found: Identification) -> None:
+    if found.bootstrap is not None:
+        b = found.bootstrap
+        ends = [interval(*each) for each in b.intervals.tolist()]
+        std, ratio = ([number(v, 3) for v in each] for each in (b.std, b.ratio))
+        rows = list(zip(b.names, std, ends, ratio, strict=True))
+        columns = ("parameter", "std", "95 % interval", "over the covariance's std")
+        page.table(columns, rows, f"Block bootstrap, {len(b.samples)} resamples: without the assumption of a quadratic cost.")
+
+
+def _add_forms(page: Page, uncertainty: Uncertainty) -> None:
+    """Sum and product of a pair of lags, which do not depend on their order."""
+    rows = [
+        (f"{'speed' if channel == 'omega' else 'pitch'}, {form} [{unit}]", estimates[form]["value"], estimates[form]["std"])
+        for channel, estimates in forms(uncertainty).items()
+        for form, unit in (("sum", "s"), ("product", "s²"))
+    ]
+    if rows:
+        relative = [(name, value, number(std, 3), number(100 * std / value, 2)) for name, value, std in rows]
+        caption = "The order of a channel's lags is not identifiable; their sum and product are identified best."
+        page.table(("lags", "value", "std", "std [%]"), relative, caption)
+
+
+def _weakest(uncertainty: Uncertainty) -> str:
+    """Caption that names the direction of the largest uncertainty."""
+    condition, direction, spread = uncertainty.directions()
+    named = [
+        f"{direction[k]:+.2f} {uncertainty.names[k]}" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) >= TELLING
+    ]
+    weakest = f"Largest uncertainty: direction {', '.join(named)} (relative), ± {number(100 * NORMAL_95 * spread, 3)} %"
+    return f"Correlation of the estimates. {weakest}; condition number {number(condition, 3)}."
+
+
+def _add_curve(page: Page, r: Refinement) -> None:
+    """Learning curve: the cost relative to its final value, minus 1, on a logarithmic axis."""
+    above = np.array(r.curve[:-1]) / r.curve[-1] - 1.0
+    if len(above) < 2 or above.min() <= 0.0:
+        return
+    first, last = number(100 * above[0], 2), number(100 * above[-1], 2)
+    title = f"In {len(above)} steps the cost decreases from {first} % to {last} % above its final value"
+    caption = f"{r.method}: half the weighted sum of squares, with the first weights, over the final one, minus 1."
+    page.figure(learning_curve(np.arange(len(above)), above, title, "cost above its final value [-]"), caption)
+
+
+def _most_moved(names, start: np.ndarray, uncertainty: Uncertainty) -> str:
+    """Title: the parameter with the largest change, in standard errors."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = np.nan_to_num(np.abs(uncertainty.values - start) / uncertainty.std, posinf=0.0)
+    k = int(np.argmax(far))
+    change = f"by {number(far[k], 2)} standard errors, from {number(start[k])} to {number(uncertainty.values[k])}"
+    return f"The fit changes {names[k]} the most: {change}"
+
+
+def _strongest(names, correlation) -> str:
+    pairs = np.abs(np.triu(correlation, 1))
+    i, j = np.unravel_index(np.argmax(pairs), pairs.shape)
+    return f"{names[i]} and {names[j]} are correlated most strongly: {correlation[i, j]:.2f}"
+
+
+MEAN_STD = 1.0 / 1500.0
+"""Required standard deviation of a steady point's mean, in thrust scales: the paper's 0.01 N of 15 N."""
+
+
+def add_static(page: Page, found: Identification) -> None:
+    """Figures and tables of the static map of an identification that has one."""
+    static, points = found.static, found.campaign.static
+    page.section("The static map")
+    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
+    if np.ptp(speeds) > 0.0 and np.ptp(pitches) > 0.0:
+        _add_grid(page, static, points, found.parameters.values)
+    elif static.used.sum() > 1:
+        _add_line(page, static, points, found.parameters.values)
+    else:
+        _add_point(page, static, points)
+    if static.not_identifiable:
+        where = f"{static.used.sum()} steady points at {_count(speeds, 'speed')} and {_count(pitches, 'pitch')}"
+        page.note(
+            f"{where} identify only combinations of {', '.join(static.not_identifiable)} with others: they stay near the "
+            "paper's."
+        )
+    elif static.used.sum() > len(TERMS) and static.r2_adjusted is not None:
+        _add_selection(page, select_terms(points, found.parameters.values))
+    _add_samples(page, found)
+
+
+def _count(values: np.ndarray, word: str) -> str:
+    count = len(np.unique(values))
+    return f"one {word}" if count == 1 else f"{count} {'pitches' if word == 'pitch' else 'speeds'}"
+
+
+def _quality(static: StaticFit) -> str:
+    return "" if static.r2_adjusted is None else f" (adjusted R² {static.r2_adjusted:.6f})"
+
+
+def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
+    """The map over both commands."""
+    omega, beta = np.linspace(points.omega_ref.min(), points.omega_ref.max(), 41), np.linspace(*static.pitch, 31)
+    used = points.omega_ref[static.used], points.beta_ref[static.used], points.thrust[static.used]
+    levels = np.unique(used[0])
+    # One line for each commanded speed, at the mean measured speed, which may differ from the command.
+    speeds = np.array([points.omega[static.used][used[0] == level].mean() for level in levels])
+    thrust = _mapped(static, scales, *np.meshgrid(speeds, beta, indexing="ij"))
+    title = f"A cubic fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
+    page.figure(
+        map_lines(speeds, beta, thrust, (points.omega[static.used], *used[1:]), title), "Lines: fitted; points: measured."
+    )
+    largest = f"The largest residual of the cubic is {number(np.max(np.abs(static.residual)))} N"
+    page.figure(map_residuals(*used[:2], static.residual, largest), "Measured minus fitted.")
+    speeds, pitches, ct = coefficient_grid(points, 1.0, scales["thrust_scale"] / (scales["omega_scale"] / 60.0) ** 2)
+    figure = thrust_coefficients(speeds, pitches, ct, _coefficients_say(pitches, ct, static.pitch), _COEFFICIENT)
+    page.figure(figure, "Normalised; blades in their linear range give one line.")
+    uncertainty = static.uncertainty(omega, beta[:, None], scales)
+    title = f"The map's standard deviation is {number(uncertainty.max())} N or less in the measured range"
+    page.figure(map_uncertainty(omega, beta, uncertainty, title), "Standard deviation from the coefficients' covariance.")
+
+
+_COEFFICIENT = "thrust over speed squared, T / w² [-]"
+
+
+def _mapped(static: StaticFit, scales, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Thrust [N] of the map at speeds [rpm] and pitches [deg] of equal shape."""
+    normalised = design(omega.ravel(), beta.ravel(), scales) @ list(static.coefficients.values())
+    return normalised.reshape(omega.shape) * scales["thrust_scale"]
+
+
+def _add_line(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
+    """The map along the only varied command."""
+    speeds, pitches = points.omega_ref[static.used], points.beta_ref[static.used]
+    along_speed = np.ptp(speeds) > 0.0
+    at = np.linspace(*((speeds.min(), speeds.max()) if along_speed else (pitches.min(), pitches.max())), 61)
+    omega, beta = (at, np.full(61, pitches[0])) if along_speed else (np.full(61, speeds[0]), at)
+    label, held = ("speed [rpm]", f"{number(pitches[0])} deg") if along_speed else ("pitch [deg]", f"{number(speeds[0])} rpm")
+    title = f"At {held} the map fits {static.used.sum()} steady points to {number(static.rmse)} N{_quality(static)}"
+    measured = (speeds if along_speed else pitches), points.thrust[static.used]
+    band = static.uncertainty(omega, beta, scales)
+    figure = map_section(at, _mapped(static, scales, omega, beta), measured, title, label, band)
+    page.figure(figure, f"All steady points are at {held}: they do not identify the influence of that command.")
+
+
+def _add_point(page: Page, static: StaticFit, points: StaticMap) -> None:
+    k = int(np.flatnonzero(static.used)[0])
+    row = (points.omega_ref[k], points.beta_ref[k], points.thrust[k], points.thrust_std[k])
+    columns = ("speed [rpm]", "pitch [deg]", "thrust [N]", "std of a reading [N]")
+    page.table(columns, [row], "The only steady point: it determines one thrust, and no map.")
+
+
+def _coefficients_say(pitches: np.ndarray, ct: np.ndarray, fitted: tuple[float, float]) -> str:
+    """Change of thrust over speed squared (speeds, pitches) with speed and pitch, inside the `fitted` range [deg]."""
+    inside = ct[:, (pitches >= fitted[0]) & (pitches <= fitted[1]) & np.isfinite(ct).any(axis=0)]
+    with_pitch = float(np.ptp(np.nanmean(inside, axis=0)))
+    with_speed = float(np.sqrt(np.nanmean(np.nanvar(inside, axis=0))))
+    return f"Thrust over speed squared changes by {number(with_pitch)} with pitch, and by {number(with_speed)} rms with speed"
+
+
+def _add_selection(page: Page, chosen: Selection) -> None:
+    rank = chosen.rank(chosen.of(), "bic") if chosen.of() else None
+    papers = "these points do not identify the paper's" if rank is None else f"the paper's set has rank {rank} of its size"
+    rows = [(size, name, f"{bic:.1f}", f"{r2:.6f}", loo) for size, name, bic, r2, loo in chosen.rows()]
+    columns = ("terms", "best set", "BIC", "adjusted R²", "leave-one-out rmse [N]")
+    page.table(columns, rows, f"The best of each number of terms w^i b^j; {papers}.")
+
+
+def _add_samples(page: Page, found: Identification) -> None:
+    record, repeat, raw = found.campaign.open_loop, found.campaign.repeat, found.campaign.static_raw
+    if raw is not None and (still := resting(raw)):
+        readings, source = noise(still), "the raw samples of the steady points, minus each point's mean"
+    elif record is not None and repeat is not None:
+        readings, source = (record["thrust"] - repeat["thrust"]) / np.sqrt(2.0), "the difference of the repeated records"
+    else:
+        return
+    readings, wanted = readings[np.isfinite(readings)], MEAN_STD * found.parameters.values["thrust_scale"]
+    if len(readings) < FEWEST or np.ptp(readings) == 0.0:
+        return
+    need = samples_needed(readings, wanted)
+    title = f"A steady point needs {need.number} readings for a mean with a standard deviation of {number(wanted, 2)} N"
+    note = f"One reading in {number(max(1.0, need.inflation), 2)} is independent, because neighbours share noise"
+    if not need.settled:
+        note = "The noise is slower than the record is long: the number is too small"
+    caption = f"Standard deviation of a mean over m readings, from {source}. {note}."
+    page.figure(mean_convergence(need.m, need.std, need.white, title, (need.number, wanted)), caption)

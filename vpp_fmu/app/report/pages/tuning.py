@@ -1,0 +1,214 @@
+"""The report of a tuning: improvement by the search, benefit of the second actuator, stability margins, robustness."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identification.tune.linear import MOVE
+from identification.tune.objective import closed_loop
+from identification.tune.operating import open_loop
+from identification.tune.summary import NAMES, against, change_rows, key_figures, labels, margin_rows, settling
+from identification.tune.tune import JUDGED, Tuned, Tuning
+from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
+from vpp_fmu.app.report.figures.parameters import learning_curve
+from vpp_fmu.app.report.figures.time import closed_loop as loop_figure
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.digits import number
+from vpp_fmu.response import BAND
+
+DRAWN = 40
+"""Number of plants whose responses are drawn."""
+
+EVERY = 2
+"""Samples between the points of a cloud."""
+
+STEPS, SEEN = 2, (0.2, 2.2)
+"""Number of steps that are drawn, and time scales before and after them."""
+
+
+def tuning_page(found: Tuning) -> Page:
+    """The page of one tuning."""
+    task = found.task
+    assumed = ", ".join(f"{name} = {task.parameters.values[name]:g}" for name in task.assumed)
+    page = Page(
+        "Gains for the model",
+        f"The search (Nelder and Mead, on the compiled loop) minimises the squared thrust error over the test signal plus "
+        f"{task.alpha:g} times the squared norm of the gains. Limits: overshoot {100 * task.overshoot:g} %, sensitivity at the "
+        f"operating points {task.sensitivity:g}, and the settling and ringing of each step under the initial gains."
+        + (f" Assumed for the design: {assumed}." if assumed else ""),
+        task.parameters.label,
+    )
+    page.tiles(key_figures(found))
+    for name, tuned in found.tuned.items():
+        _add_controller(page, found, name, tuned)
+    if len(found.tuned) > 1:
+        _add_comparison(page, found)
+    if found.plants is not None:
+        _add_robust(page, found)
+    return page
+
+
+def _names(found: Tuning, tuned: Tuned) -> dict[str, str]:
+    """Labels of the gains in figures and tables."""
+    return {which: f"{name} (before)" if which == "start" else name for which, name in labels(found, tuned).items()}
+
+
+def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
+    names, objective = _names(found, tuned), tuned.objective
+    start, cost = tuned.cost("start"), tuned.cost("tuned")
+    page.section(f"Gains of {NAMES[name]}", f"Chosen: the {labels(found, tuned)[tuned.chosen]} gains.")
+    for which, verdict in tuned.verdicts.items():
+        page.note(f"{which.capitalize()} gains: {verdict.words()}.")
+        page.table(("step", "settling", "overshoot", "ringing"), change_rows(verdict), _judged_by(found, tuned, which))
+        if rows := margin_rows(verdict):
+            page.table(
+                ("margin", "before → after"), rows, f"The smallest over all operating points, {found.task.reference} → {which}."
+            )
+    runs = {names[which]: objective.run(gains).columns for which, gains in tuned.gains.items()}
+    title = f"{NAMES[name].capitalize()}: cost {start:.4g} before the search, {cost:.4g} after"
+    page.figure(loop_figure(runs, title), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
+    rows = [(gain, *(own[k] for own in tuned.gains.values())) for k, gain in enumerate(objective.names)]
+    rows.append(("cost", *(tuned.cost(which) for which in tuned.gains)))
+    page.table(("gain, normalised", *names.values()), rows, "Gains and their cost on the nominal plant.")
+    rows = [
+        (names[which], s.time, s.before, s.after, settling(s.settling), f"{s.overshoot:.1f}", f"{s.ringing:.1f}")
+        for which, gains in tuned.gains.items()
+        for s in objective.steps(gains)
+    ]
+    columns = ("gains", "at [s]", "from [N]", "to [N]", "settled after", "overshoot [%]", "ringing [%]")
+    page.table(columns, rows, "Settled: within 2 % of the step. Ringing: the largest swing after the overshoot.")
+    curve = tuned.searches["tuned"].curve
+    ends = ", ".join(f"{stage} until {end}" for stage, end in tuned.searches["tuned"].stages)
+    shown = np.where(np.isfinite(curve), curve, np.nan)
+    title = f"{len(curve)} evaluations lead to {np.nanmin(shown):.4g}"
+    figure = learning_curve(np.arange(len(curve)), np.minimum(shown, 2.0 * start), title)
+    page.figure(figure, f"With penalties. Stages: {ends}.")
+    _add_margins(page, found, name, tuned)
+
+
+def _judged_by(found: Tuning, tuned: Tuned, which: str) -> str:
+    """The caption of a table of changes."""
+    return (
+        f"Each step without noise, {found.task.reference} → {which}. Worse: settles later by more than a sample, "
+        f"{1e3 * tuned.objective.course.dt:.3g} ms; overshoot or ringing up to the limit of {100.0 * found.task.overshoot:g} % "
+        "counts as none."
+    )
+
+
+def _add_margins(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
+    names, last, gains = _names(found, tuned), tuned.chosen, tuned.final
+    if not tuned.points[last]:
+        page.note("No operating point at which a command is free to move: no margins.")
+        return
+    thrust = {names[w]: np.array([p.thrust for p in tuned.points[w]]) for w in tuned.gains}
+
+    def over(name, scale=1.0) -> Mapping[str, np.ndarray]:
+        found = {w: [getattr(m, name) for m in tuned.margins[w]] for w in tuned.gains}
+        return {names[w]: np.array([np.nan if v is None else scale * v for v in values]) for w, values in found.items()}
+
+    quantities = {"phase [deg]": over("phase"), "delay [ms]": over("delay", 1e3), "sensitivity [-]": over("sensitivity")}
+    own = labels(found, tuned)
+    worst = {w: max((m.sensitivity for m in tuned.margins[w]), default=np.nan) for w in tuned.gains}
+    title = f"Largest sensitivity: {', '.join(f'{own[w]} {s:.3g}' for w, s in worst.items())}"
+    limits = {"sensitivity [-]": found.task.sensitivity}
+    page.figure(
+        margins_over_thrust(thrust, quantities, limits, title),
+        "Operating points at which the loop settles, on levels of thrust up and down. Dashed: the limit.",
+    )
+    points = tuned.points[last][: (len(tuned.points[last]) + 1) // 2]
+    loops = {f"{p.thrust:.3g} N": open_loop(tuned.objective, gains, p) for p in points}
+    omega = next(iter(loops.values()))[0]
+    shown = {label: loop for label, (_, loop) in loops.items()}
+    title = f"{NAMES[name].capitalize()}: distance of the open loops from -1"
+    page.figure(nyquist(shown, found.task.sensitivity, title), f"Open loops of the {own[last]} gains on increasing levels.")
+    crossed = [m.crossover for m in tuned.margins[last] if m.crossover is not None]
+    crossover = f"cross over between {min(crossed):.3g} and {max(crossed):.3g} rad/s" if crossed else "never reach a gain of 1"
+    title = f"{NAMES[name].capitalize()}: the open loops {crossover}"
+    page.figure(bode(omega, shown, title), f"The same loops, {own[last]} gains, up to half the sampling frequency.")
+    for which in dict.fromkeys(("start", *tuned.gains)):
+        _add_margin_table(page, tuned, which, own[which])
+
+
+def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
+    rows, scales = [], tuned.objective.settings
+    for p, m in zip(tuned.points[which], tuned.margins[which], strict=True):
+        gain = None if m.gain is None else 20.0 * np.log10(m.gain)
+        delay = None if m.delay is None else 1e3 * m.delay
+        free = "both" if len(p.channels) > 1 else "speed" if "omega" in p.channels else "pitch"
+        state = "stable" if m.stable else "unstable"
+        rows.append((p.thrust, *p.commands, free, gain, m.phase, delay, m.crossover, m.sensitivity, state))
+    columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "free", "gain [dB]", "phase [deg]", "delay [ms]")
+    page.table(
+        (*columns, "crossover [rad/s]", "sensitivity [-]", "closed loop"),
+        rows,
+        f"Margins of the {label} gains; a dash: no crossing. Linearised by steps of "
+        f"{number(MOVE * scales['omega_scale'])} rpm and {number(MOVE * scales['beta_scale'])} deg.",
+    )
+
+
+def _add_comparison(page: Page, found: Tuning) -> None:
+    page.section("Both actuators against speed alone")
+    runs = {NAMES[name]: tuned.objective.run(tuned.final).columns for name, tuned in found.tuned.items()}
+    rows = against(found)
+    down = [row for row in rows if row["after"] < row["before"]]
+    title = "Both actuators against speed alone"
+    if down:
+        times = [settling(down[0][name]["settling"]) for name in found.tuned]
+        title = f"Step down: both actuators settle in {times[0]}, speed alone in {times[1]}"
+    page.figure(loop_figure(runs, title), "The chosen gains.")
+    cells = []
+    for row in rows:
+        for name in found.tuned:
+            own = row[name]
+            figures = settling(own["settling"]), own["overshoot"], own["squared_error"]
+            cells.append((row["time"], row["before"], row["after"], NAMES[name], *figures))
+    columns = ("at [s]", "from [N]", "to [N]", "controller", "settled after", "overshoot [%]", "squared error [s]")
+    page.table(columns, cells, "Squared error: of normalised thrust, until the next step.")
+
+
+def _add_robust(page: Page, found: Tuning) -> None:
+    page.section("Robustness over plants within the uncertainty")
+    gains = {"nominal (before)": "tuned", "robust (after)": "robust"}
+    for name, tuned in found.tuned.items():
+        worst = " and ".join(f"{tuned.judged[which].max():.4g}" for which in gains.values())
+        title = f"{NAMES[name].capitalize()}: worst cost of {JUDGED} plants under nominal and robust gains {worst}"
+        shown = {label: tuned.judged[which] for label, which in gains.items()}
+        page.figure(cost_ranks(shown, title), "Costs, sorted for each gain set. The search used none of these plants.")
+        _add_clouds(page, found, name, gains)
+        rows = []
+        for which, label in _names(found, tuned).items():
+            costs, overshoot = tuned.judged[which], 100.0 * tuned.overshoots[which].max()
+            rows.append((label, tuned.cost(which), costs.mean(), costs.max(), overshoot))
+        columns = ("gains", "cost, nominal plant", "mean", "worst", "largest overshoot [%]")
+        page.table(columns, rows, f"Costs on the nominal plant and on {JUDGED} others.")
+
+
+def _add_clouds(page: Page, found: Tuning, name: str, gains: Mapping[str, str]) -> None:
+    """Responses to the first steps under each gain set."""
+    tuned = found.tuned[name]
+    course, found_steps = tuned.objective.course, tuned.objective.steps(tuned.gains["tuned"])[:STEPS]
+    seen = [share * tuned.objective.time_scale for share in SEEN]
+    before, after = (round(seconds / course.dt) for seconds in seen)
+    thrust = {label: _cloud(found, tuned, which) for label, which in gains.items()}
+    clouds, time = [], np.arange(-before, after, EVERY) * course.dt
+    for step in found_steps:
+        rows = round(step.time / course.dt) + np.arange(-before, after, EVERY)
+        rows = np.clip(rows, 0, len(course.wanted) - 1)
+        label = f"{step.before:.3g} → {step.after:.3g} N"
+        clouds += [Cloud(label, which, course.wanted[rows], own[:, rows]) for which, own in thrust.items()]
+    if clouds:
+        first = found_steps[0]
+        near = BAND * abs(first.after - first.before)
+        there = [int(np.sum(np.abs(c.thrust[:, -1] - first.after) <= near)) for c in clouds[: len(gains)]]
+        reached = f"{there[0]} of {DRAWN} plants are at {first.after:.3g} N under nominal gains, {there[1]} under robust ones"
+        title = f"{NAMES[name].capitalize()}: {seen[1]:.3g} s after the step {reached}"
+        caption = "Thrust around the first steps, under nominal gains above, robust ones below. At: within 2 % of the step."
+        page.figure(response_clouds(time, clouds, title, DRAWN), caption)
+
+
+def _cloud(found: Tuning, tuned: Tuned, which: str) -> np.ndarray:
+    """Thrust (DRAWN, points) N of the first DRAWN judged plants."""
+    objective = tuned.objective
+    loop = closed_loop(objective.effects)
+    _, chain, controller = loop.vectors({}, objective.chain, objective.with_gains(tuned.gains[which]))
+    return np.array([loop.run((own, chain, controller), objective.course)["thrust"] for own in found.plants[:DRAWN]])

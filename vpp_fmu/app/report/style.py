@@ -1,0 +1,210 @@
+"""Common style of all figures: the palette, in which each colour has one meaning, the plotly template, and the labels.
+
+The colours are Okabe and Ito's, which colour-blind readers can distinguish (jfly.uni-koeln.de/color).
+"""
+
+import html
+import re
+import textwrap
+from collections.abc import Iterable
+
+import numpy as np
+from plotly import graph_objects as go
+from plotly.colors import sample_colorscale
+
+MEASURED = "#4d4d4d"
+
+BEFORE = "#e08214"
+
+AFTER = "#0072b2"
+
+SET_POINT = "#8c8c8c"
+
+FIT = "#111111"
+
+PUBLISHED = "#b35806"
+
+FAINT = "#c4cad0"
+
+LIGHT_BLUE = "#56b4e9"
+
+NOISE = "rgba(77,77,77,0.14)"
+
+VEIL = "rgba(0,114,178,0.16)"
+
+BAND = "rgba(86,180,233,0.32)"
+
+ZERO = "#fbfbfb"
+
+OTHERS = (AFTER, "#009e73", "#cc79a7", LIGHT_BLUE, "#882255", BEFORE)
+"""Colours without a fixed meaning, in the order of use."""
+
+DIVERGING = ((0.0, AFTER), (0.5, ZERO), (1.0, PUBLISHED))
+"""Negative to positive, the page's own colour at zero."""
+
+SCHEME = {
+    MEASURED: ("measured", "#c9d1d9"),
+    BEFORE: ("before", "#f0a24d"),
+    AFTER: ("after", "#4fb0ea"),
+    SET_POINT: ("set-point", "#8f9aa6"),
+    FIT: ("fit", "#f3f5f7"),
+    PUBLISHED: ("published", "#e58d4b"),
+    FAINT: ("faint", "#4b5762"),
+    LIGHT_BLUE: ("light-blue", "#a3d5f5"),
+    NOISE: ("noise", "rgba(201,209,217,0.16)"),
+    VEIL: ("veil", "rgba(79,176,234,0.22)"),
+    BAND: ("band", "rgba(79,176,234,0.28)"),
+    ZERO: ("zero", "#1b222a"),
+    "#009e73": ("green", "#33c79d"),
+    "#cc79a7": ("pink", "#e09cc4"),
+    "#882255": ("wine", "#d8689f"),
+}
+"""Every colour of the figures, by its value on white: its name in the page's style, and its value on dark."""
+
+_SEQUENCE = "Viridis", (0.25, 0.85)
+"""Colours of an ordered sequence, and the part of them that is visible on white and on dark."""
+
+ROLES = {
+    "measured": MEASURED,
+    "rig": MEASURED,
+    "before": BEFORE,
+    "initial": BEFORE,
+    "start": BEFORE,
+    "base": BEFORE,
+    "after": AFTER,
+    "final": AFTER,
+    "fitted": AFTER,
+    "augmented": AFTER,
+}
+"""Words in a line's name that determine its colour."""
+
+LABELS = {
+    "time": "time [s]",
+    "thrust": "thrust [N]",
+    "thrust_set": "set-point [N]",
+    "omega": "speed [rpm]",
+    "omega_ref": "speed command [rpm]",
+    "beta": "pitch [deg]",
+    "beta_ref": "pitch command [deg]",
+    "voltage": "voltage [V]",
+    "current": "current [A]",
+}
+"""Axis labels of the columns of a record."""
+
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+
+_INK = "#1f2933"
+
+_GRID = "#e8ecef"
+
+_AXIS = {
+    "showline": True,
+    "linecolor": "#9aa5b1",
+    "gridcolor": _GRID,
+    "zeroline": False,
+    "ticks": "outside",
+    "ticklen": 4,
+    "tickcolor": "#9aa5b1",
+    "automargin": True,
+    "title": {"standoff": 8, "font": {"size": 13}},
+    "hoverformat": ".5~g",
+    "zerolinecolor": "#9aa5b1",
+    "exponentformat": "none",  # without it 20000 rpm are "20k", and 0.0001 N "100μ"
+}
+
+SHOWN = ".4~r"
+"""d3 format of a measured quantity under the pointer: four significant digits."""
+
+_WIDEST = 80
+"""Letters in a line of a title on A4."""
+
+_COLOUR_BAR = {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}
+
+TEMPLATE = go.layout.Template(
+    layout={
+        "font": {"family": FONT, "size": 13, "color": _INK},
+        "separators": ".",  # a decimal point, no thousands separator, as in the text
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "colorway": OTHERS,
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+        "hoverlabel": {"bgcolor": "rgba(255,255,255,0.94)", "bordercolor": "#9aa5b1", "font": {"size": 12}, "namelength": -1},
+        "modebar": {"bgcolor": "rgba(255,255,255,0.9)", "color": "#9aa5b1", "activecolor": AFTER},
+    },
+    data={kind: [{"colorbar": _COLOUR_BAR}] for kind in ("heatmap",)},
+)
+
+
+def ink(colour: str) -> str:
+    """A figure's colour in the page's style, light or dark; those of an ordered sequence are the same in both."""
+    if colour.startswith("rgb("):
+        return colour
+    if colour not in SCHEME:
+        raise ValueError(f"{colour} is in no scheme: it may be invisible on dark")
+    return f"var(--{SCHEME[colour][0]})"
+
+
+def shades(count: int) -> list[str]:
+    """`count` ordered colours, from low to high."""
+    name, (low, high) = _SEQUENCE
+    return sample_colorscale(name, np.linspace(low, high, count).tolist())
+
+
+def sequence() -> list[list]:
+    """The colour scale of a heat map."""
+    return [[float(at), colour] for at, colour in zip(np.linspace(0.0, 1.0, 9), shades(9), strict=True)]
+
+
+def label(name: str) -> str:
+    """The axis label "quantity [unit]" of a record's column; any other name must include its unit."""
+    return LABELS.get(name, escaped(name))
+
+
+def escaped(text: str) -> str:
+    """`text` escaped for plotly, which would interpret tags in a label."""
+    return html.escape(str(text), quote=False)
+
+
+def colours(names: Iterable[str]) -> dict[str, str]:
+    """A colour for each name: by its first word with a fixed meaning (ROLES); if none or taken, the next free one."""
+    given = {}
+    for name in names:
+        role = next((ROLES[word] for word in re.findall("[a-z]+", name.lower()) if word in ROLES), None)
+        given[name] = None if role in given.values() else role
+    free = [colour for colour in OTHERS if colour not in given.values()] or list(OTHERS)
+    unnamed = [name for name, colour in given.items() if colour is None]
+    return given | {name: free[k % len(free)] for k, name in enumerate(unnamed)}
+
+
+def figure(title: str, height: int, legend: bool = True) -> go.Figure:
+    """An empty figure `height` px high, of the page's width; the title wraps, the legend is below it."""
+    lines = _lines(title)
+    below_title = 14 + 21 * len(lines)
+    corner = {"x": 0.0, "xref": "container", "xanchor": "left", "yref": "container", "yanchor": "top"}
+    return go.Figure(
+        layout={
+            "template": TEMPLATE,
+            "height": height,
+            "title": {
+                "text": "<br>".join(f"<b>{escaped(line)}</b>" for line in lines),
+                "font": {"size": 15},
+                "y": 1.0,
+                # plotly forgets to lower a title of several lines by the height of a capital.
+                "pad": {"t": 8 if len(lines) < 2 else 19},
+                **corner,
+            },
+            "showlegend": legend,
+            "legend": {"orientation": "h", "y": 1.0 - below_title / height, "bgcolor": "rgba(0,0,0,0)", **corner},
+            "margin": {"l": 64, "r": 24, "t": below_title + (34 if legend else 10), "b": 48},
+        }
+    )
+
+
+def _lines(title: str) -> list[str]:
+    """The title in the fewest lines that fit on A4, of similar length."""
+    fewest = len(textwrap.wrap(title, _WIDEST))
+    return next(
+        (lines for width in range(24, _WIDEST) if len(lines := textwrap.wrap(title, width)) == fewest),
+        textwrap.wrap(title, _WIDEST),
+    )

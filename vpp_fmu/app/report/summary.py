@@ -1,0 +1,315 @@
+"""The content of diagnosis.json, and of the identification.json of a model that a diagnosis fitted."""
+
+import numpy as np
+
+from identification.assessment.model_error import model_error
+from identification.assessment.prediction import predict
+from identification.assessment.quality import fit_percent, rmse
+from identification.assessment.sections import sections
+from identification.diagnose.diagnose import Diagnosis
+from identification.diagnose.judgement import MIN_EVIDENCE, Judgement
+from identification.diagnose.learned.description import block
+from identification.diagnose.learned.refit import Term
+from identification.diagnose.search.fits import Fit
+from identification.diagnose.search.refits import CandidateFit
+from identification.fit.uncertainty import NORMAL_95
+from vpp_fmu.digits import number
+
+FORMAT = "vpp-diagnosis/2"
+
+NEXT = "next_experiment.csv"
+
+UNITS = {
+    "rmse_thrust": "N",
+    "rmse_omega": "rpm",
+    "fit_thrust": "%",
+    "noise_floor_thrust": "N",
+    "noise_floor_thrust_range": "N",
+    "delta_bic": "1",
+    "evidence": "nat",
+    "held_out_gain": "nat",
+    "log_likelihood": "nat",
+    "explained_fraction": "1",
+    "explains": "1",
+    "most_explained": "1",
+}
+"""Units of the numbers that have none beside them."""
+
+
+def summary(found: Diagnosis) -> dict:
+    """The content, with the names of CONTRACT.md."""
+    return {
+        "format": FORMAT,
+        "units": UNITS,
+        "verdict": found.verdict,
+        "refuted": {"effects": list(found.selection.final.effects), "why": found.refuted} if found.refuted else None,
+        "quality": [finding.summary() for finding in found.quality],
+        "logger": found.logger.summary(),
+        "lack_of_fit": {"before": found.before.summary(), "after": found.after.summary()},
+        "learned": block(found.learned, found.std) if found.learned else None,
+        "learning": _learning(found),
+        "effects": [_effect(found, name) for name in (*found.final.effects, *found.left_out)],
+        "family": {name: others for name, others in found.selection.family.items() if others},
+        "best_guess": _best_guess(found),
+        "next_experiment": NEXT if found.verdict != "none" else None,
+        "fitted": [one.name for one in found.fitted],
+        "before": errors(found, found.base),
+        "after": errors(found, found.final),
+        **({"given": _given(found)} if found.given else {}),
+        **found.reading_noise.summary(),
+        "noise_floor_verified": found.noise.verified,
+        "explained_fraction": found.explained,
+        "base_parameters": _shift(found),
+        "lag_order": found.lag_order,
+        "candidates": [_tried(found, t) for tried in found.selection.rounds for t in tried],
+        "cannot_be_seen": found.distinguishability.invisible(),
+        "cannot_be_told_apart": [{"effects": [a, b], "overlap": overlap} for a, b, overlap in found.distinguishability.alike()],
+        "unexplained": {"share_left": None if found.explained is None else 1.0 - found.explained, **found.location},
+    }
+
+
+def _best_guess(found: Diagnosis) -> dict | None:
+    """The best candidate, if the lack of fit is not explained."""
+    guess = found.best_guess
+    if guess is None:
+        return None
+    sizes = {name: {} for name in guess.effects}
+    for size in guess.sizes:
+        sizes[size.effect][size.name] = {"value": size.value, "std": size.std, "unit": size.unit}
+    return {
+        "effects": [{"name": name, "parameters": own} for name, own in sizes.items()],
+        "beside": list(guess.beside),
+        "near": guess.near,
+        "evidence": guess.evidence,
+        "explains": guess.explains,
+        "most_explained": guess.most,
+        "against": list(guess.against),
+        "next_experiment": {
+            "file": NEXT,
+            "tells_from": guess.rival or None,
+            "difference": {"value": guess.there, "unit": "N"},
+            "difference_so_far": {"value": guess.here, "unit": "N"},
+        },
+    }
+
+
+def _learning(found: Diagnosis) -> dict | None:
+    """Terms that were tried, if the library does not explain the lack of fit."""
+    attempt = found.attempt
+    if not attempt.comparisons:
+        return None
+    tried = [
+        {
+            "port": term.lead.port,
+            "driver": term.lead.driver,
+            "shape": term.lead.shape,
+            "lag": term.values.get("lag"),
+            "evidence": judged.evidence,
+            "held_out_gain": dict(judged.gain),
+            "why_not": why_not_term(found, term, judged),
+        }
+        for term, judged in attempt.tried
+    ]
+    return {"looks": attempt.comparisons, "tried": tried, "refuted": attempt.refuted or None}
+
+
+def why_not_term(found: Diagnosis, term: Term, judged: Judgement) -> str | None:
+    """Why a learned term is rejected, for table and JSON; None if it is accepted."""
+    if found.learned and term is found.learned.curve:
+        return None
+    return "; ".join(judged.refused) or "another term has a larger cross-validated gain"
+
+
+def errors(found: Diagnosis, fit: Fit) -> dict:
+    """Errors of the base or final model on the validation record, else cross-validated."""
+    if found.unseen is not None:
+        return {"record": found.unseen.name, "from": "validation", **found.prediction(fit, found.unseen.record).summary()}
+    held_out = found.held_out_before if fit is found.base else found.held_out_after
+    record, residual = found.fitted[0].record, held_out.thrust[0]
+    parts = {name: mask & np.isfinite(residual) for name, mask in sections(record).items()}
+    return {
+        "record": found.fitted[0].name,
+        "from": "cross-validation",
+        "rmse_thrust": rmse(residual),
+        "rmse_omega": held_out.rmse_omega,
+        "fit_thrust": fit_percent(record["thrust"], record["thrust"] + residual),
+        "sections": {
+            name: {
+                "rmse_thrust": rmse(residual[mask]),
+                "fit_thrust": fit_percent(record["thrust"][mask], (record["thrust"] + residual)[mask]),
+            }
+            for name, mask in parts.items()
+            if mask.any()
+        },
+    }
+
+
+def _effect(found: Diagnosis, name: str) -> dict:
+    exported, judged = name not in found.left_out, found.selection.judgements[name]
+    fit, std = (found.final, found.std) if exported else (found.selection.final, found.selection.final.std())
+    units = {p.name: p.unit for p in fit.problem.model.parameters}
+    own = [n for n in (*fit.free, *fit.forms) if n.startswith(f"{name}.")]
+    values = {n.partition(".")[2]: {"value": fit.values[n], "std": std.get(n), "unit": units[n]} for n in own}
+    intervals = {n.partition(".")[2]: list(i) for n, i in fit.thresholds.items() if n.startswith(f"{name}.")}
+    for parameter, (seconds, times) in reached(fit, name).items():
+        values[parameter] |= {"acts_seconds": seconds, "acts_times": times}
+    found_in = {"artefact": text} if (text := artefact(found, name)) else {}
+    found_in |= {} if exported else {"left_out": LEFT_OUT}
+    return {"name": name, "parameters": values, "intervals": intervals, "evidence": evidence(found, judged), **found_in}
+
+
+def reached(fit: Fit, name: str) -> dict[str, tuple[float, int]]:
+    """(seconds, times) for which each limit of an effect changes the response to the fitted commands.
+
+    The estimate of a limit rests on these moments alone; beyond them it extrapolates.
+    """
+    effect, simulator, found = next(e for e in fit.problem.model.effects if e.name == name), fit.problem.simulator, {}
+    for p in effect.parameters:
+        if p.unlimited is None or fit.values[effect.full(p.name)] == p.unlimited:
+            continue
+        seconds, times = 0.0, 0
+        for e in fit.problem.experiments:
+            ways = ({}, {effect.full(p.name): p.unlimited})
+            limited, free = (simulator.simulate(fit.values | change, *e.record.run) for change in ways)
+            acts = np.any(np.abs(limited - free) > ACTS * np.ptp(free, axis=0), axis=1)
+            seconds += float(np.sum(e.record.steps[acts[1:]]))
+            times += int(acts[0]) + int(np.sum(acts[1:] & ~acts[:-1]))
+        found[p.name] = seconds, times
+    return found
+
+
+def evidence(found: Diagnosis, judged: Judgement) -> dict:
+    """Statistics of an effect."""
+    return {
+        "delta_bic": 2.0 * judged.evidence,
+        "evidence": judged.evidence,
+        "log_likelihood": judged.likelihood_gain,
+        "log_likelihood_by_chance": judged.needed,
+        "held_out_gain": dict(judged.gain),
+        "size": {"value": judged.size, "unit": "N"},
+        "least_size": {"value": judged.least, "unit": "N"},
+        "explained_fraction": found.explained,
+    }
+
+
+LEFT_OUT = "its start value differs from record to record: not in the exported model"
+
+ACTS = 1e-3
+"""Share of a response's range from which a limit counts as active."""
+
+HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
+
+
+def artefact(found: Diagnosis, name: str) -> str:
+    """In words, why an effect belongs to the measurement and not to the rotor; empty if it does not.
+
+    A delay of the rotor's speed also shows in the measured speed. If the measured speed is predicted worse, the thrust reading
+    is late instead.
+    """
+    fit = found.selection.final
+    effect = next(e for e in fit.problem.model.effects if e.name == name)
+    if effect.reading:
+        words = f"your {HOW_READ[effect.reading]}, not your rotor: it is in the reading of the {effect.reading}"
+        if any(u.clock for u in effect.inputs):
+            (rows,) = (fit.values[effect.full(n)] for n in effect.off)
+            late = number(1e3 * rows * found.fitted[0].record.period, 2)
+            words += f"; {number(rows, 2)} rows are {late} ms of dead time of both, if rows are equidistant"
+        return words
+    if "omega" in effect.channels and found.selection.judgements[name].gain.get("omega", 0.0) < -MIN_EVIDENCE:
+        return "thrust shows it and measured speed does not: the logger's thrust is late, not the rotor"
+    return ""
+
+
+def _given(found: Diagnosis) -> dict:
+    """Errors of a given model, before any fit."""
+    return {"record": found.shown_name, **predict(found.given.model, found.given.values, found.shown).summary()}
+
+
+def _shift(found: Diagnosis) -> dict:
+    before, after = (found.parameters(fit).values for fit in (found.base, found.final))
+    std = found.std
+    names = found.base.problem.coordinates.names
+    return {n: {"before": before[n], "after": after[n], "std": std.get(n)} for n in names}
+
+
+def _tried(found: Diagnosis, tried: CandidateFit) -> dict:
+    name = tried.candidate.name
+    entry = {
+        "name": name,
+        "form": dict(tried.candidate.form),
+        "beside": list(tried.beside),
+        "promised_gain": tried.likelihood_gain,
+    }
+    if tried.fit is None:
+        return entry | {"why_not": why_not(found, tried)}
+    entry |= {"delta_bic": 2.0 * tried.evidence, "parameters": {n: tried.fit.values[n] for n in tried.candidate.free}}
+    return entry | {"why_not": why_not(found, tried)}
+
+
+def why_not(found: Diagnosis, tried: CandidateFit) -> str | None:
+    """Why a candidate is rejected, for figure, table and JSON; None if it is accepted."""
+    name, final = tried.candidate.name, found.selection.final
+    if tried.fit is None:
+        return "not refitted: screening predicts less gain than for the refitted candidates"
+    if name in final.effects:
+        if any(final.forms.get(n) != v for n, v in tried.candidate.form.items()):
+            return "another form of it explains more"
+        if name in found.left_out:
+            return None
+        if name not in found.final.effects:
+            return found.refuted or "removes less than half of the lack of fit"
+        return None
+    if any(name in others for others in found.selection.family.values()):
+        return "these data do not distinguish it from the accepted one"
+    if name in found.selection.refused:
+        return "; ".join(found.selection.refused[name].refused)
+    if tried.evidence <= MIN_EVIDENCE:
+        return f"evidence too weak: {tried.evidence:.1f} after the penalty for its parameters, {MIN_EVIDENCE:g} is asked for"
+    return "another candidate explains more"
+
+
+def identification_of(found: Diagnosis, fit: Fit) -> dict:
+    """Values and names are those of `found.parameters(fit)`.
+
+    If the campaign was identified first, the results of the static map and the steps are included.
+    """
+    uncertainty = fit.uncertainty.renamed(found.renamed(fit))
+    first = found.identification.summary() if found.identification is not None else {}
+    condition, weakest, spread = uncertainty.directions()
+    records = {one.name: one.record for one in found.fitted}
+    records |= {found.unseen.name: found.unseen.record} if found.unseen is not None else {}
+    shown = {name: found.prediction(fit, record) for name, record in records.items()}
+    unseen = [shown[found.unseen.name]] if found.unseen is not None else []
+    fitted = [shown[one.name] for one in found.fitted if one.name != "repeat"]
+    values = found.parameters(fit).values
+    error = model_error(fitted, unseen, values, len(uncertainty.names), found.noise.floor)
+    rows = zip(
+        uncertainty.names, uncertainty.values.tolist(), uncertainty.std.tolist(), uncertainty.intervals.tolist(), strict=True
+    )
+    parameters = {
+        name: {"value": value, "std": std, "interval": interval, "interval_from": uncertainty.kind(name)}
+        for name, value, std, interval in rows
+        if name not in uncertainty.left_open
+    }
+    for name, (low, high) in fit.thresholds.items():
+        entry = {"value": fit.values[name], "std": (high - low) / (2.0 * NORMAL_95), "interval": [low, high]}
+        parameters[name] = entry | {"interval_from": "scan"}
+    return {
+        "made_by": "vpp diagnose",
+        "effects": list(found.parameters(fit).model.optional),
+        "parameters": parameters,
+        "correlation": {"names": list(uncertainty.names), "matrix": uncertainty.correlation.tolist()},
+        "condition_number": condition,
+        "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
+        "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
+        "not_identifiable": dict.fromkeys(uncertainty.left_open, "not identifiable from the records"),
+        **found.reading_noise.summary(),
+        "model_error": error and error.summary(),
+        "fitted": [one.name for one in found.fitted],
+        "records": {name: p.summary() for name, p in shown.items()},
+        "rmse_thrust": {name: p.rmse_thrust for name, p in shown.items()},
+        "rmse_omega": {name: p.rmse_omega for name, p in shown.items()},
+        "fit_thrust": {name: p.fit_thrust for name, p in shown.items()},
+        "missing": list(found.campaign.missing),
+        **{name: first[name] for name in ("static_map", "steps") if name in first},
+    }
