@@ -45,9 +45,9 @@ from vpp_fmu.app.paper.study import (
 )
 from vpp_fmu.app.report import style
 from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.map import map_lines, map_residuals, thrust_coefficients
+from vpp_fmu.app.report.figures.map import map_lines, map_residuals, thrust_coefficients
+from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, stacked, step_responses
 from vpp_fmu.app.report.page import Page
-from vpp_fmu.app.report.time import closed_loop, measured_against_predicted, stacked, step_responses
 from vpp_fmu.kernel.plant import AVERAGED, BASE, FINE_TUNED
 from vpp_fmu.response import steps
 
