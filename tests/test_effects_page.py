@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from vpp_fmu.app.cli import main
-from vpp_fmu.app.cli.effects import effects_page, theory
+from vpp_fmu.app.report.pages.effects import effects_page, theory
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.own_effects import library_with
 

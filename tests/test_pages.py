@@ -10,14 +10,14 @@ from hil.outcome import Outcome
 from hil.timing import timing
 from tests import test_report, test_report_diagnosis
 from tests.browser import browser as opened
-from vpp_fmu.app.cli.effects import effects_page
-from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.drawing import Arrays, drawing
 from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
 from vpp_fmu.app.report.figures.map import map_section, map_uncertainty, mean_convergence, thrust_coefficients
 from vpp_fmu.app.report.figures.parameters import interval_widths, learned_curve
 from vpp_fmu.app.report.figures.time import planned_commands
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.effects import effects_page
 from vpp_fmu.app.report.pages.fleet import Entry, fleet_page
 from vpp_fmu.app.report.pages.rig import run_page
 from vpp_fmu.kernel.plant import LIBRARY
@@ -255,7 +255,7 @@ def test_what_cannot_be_drawn_is_refused():
     fig.data[0].line.simplify = False
     with pytest.raises(ValueError, match=r"scatter.line.simplify can't be drawn"):
         drawing(fig, Arrays())
-    fig = style.figure("Title", 300)
+    fig = figure("Title", 300)
     fig.add_pie(values=[1, 2])
     with pytest.raises(ValueError, match="a pie can't be drawn"):
         drawing(fig, Arrays())

@@ -10,7 +10,7 @@ from vpp_fmu.app.report.canvas import MOST, places, thinning
 from vpp_fmu.app.report.figures.loop import adapted_parameters
 from vpp_fmu.app.report.figures.map import map_lines, map_residuals
 from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_curve, parameter_change
-from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation, residual_by_section, residual_histogram
+from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation, residual_by_section
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, two_records
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.style import AFTER, BEFORE, MEASURED, colours
@@ -40,8 +40,7 @@ def record(samples: int, seed: int = 1) -> dict[str, np.ndarray]:
 def prediction(title: str = "The model errs by 0.1 N", samples: int = 500, name: str = "before"):
     r = record(samples)
     models = {name: r["thrust"] + 0.4, "after": r["thrust"] - 0.1}
-    commands = {"omega_ref": r["omega_ref"], "beta_ref": r["beta_ref"]}
-    return measured_against_predicted(r["time"], r["thrust"], models, title, commands=commands, noise=0.1)
+    return measured_against_predicted(r, models, title, noise=0.1)
 
 
 def grid_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,10 +58,9 @@ def figures(title: str = "The message") -> dict:
         "map": map_lines(np.linspace(2000, 6000, 3), np.linspace(-5, 10, 5), surface, (omega, beta, thrust), title),
         "map residuals": map_residuals(omega[:-1], beta[:-1], thrust[:-1] - 3, title),
         "loop": closed_loop({"dual": r, "speed only": {k: v for k, v in other.items() if k != "beta"}}, title),
-        "two": two_records(r["time"], r["thrust"], other["time"], other["thrust"], "a", "b", title, "thrust", "N"),
+        "two": two_records(("a", r["time"], r["thrust"]), ("b", other["time"], other["thrust"]), title, "thrust", "N"),
         "change": parameter_change(names, [0.1, 0.3, 0.0], [0.2, 0.2, 0.8], [0.1, 0.1, 0.7], [0.3, np.nan, 0.9], title),
         "sections": residual_by_section(["1", "2"], [0.9, 0.8], [0.4, 0.5], 0.3, title),
-        "histogram": residual_histogram(r["thrust"] - 5, 0.1, title),
         "autocorrelation": autocorrelation(lags, np.exp(-lags), 0.05, title),
         "cross-correlation": cross_correlation(lags, {"omega_ref": lags, "beta_ref": -lags}, 0.05, title),
         "correlation": correlation_heatmap(names, np.eye(3), title),
@@ -238,7 +236,7 @@ def test_band_stands_around_the_prediction_and_in_the_residual():
     r = record(500)
     std = np.linspace(0.1, 0.2, 500)
     predicted = r["thrust"] - 0.1
-    fig = measured_against_predicted(r["time"], r["thrust"], {"model": predicted}, "title", band=std)
+    fig = measured_against_predicted(r, {"model": predicted}, "title", band=std)
     edges = [trace for trace in fig.data if trace.hoverinfo == "skip"]
     assert [trace.yaxis for trace in edges] == ["y", "y", "y2", "y2"]
     for edge, centre, side in zip(edges, (predicted, predicted, 0.0, 0.0), (-1, 1, -1, 1), strict=True):
@@ -257,7 +255,7 @@ def test_one_set_point_for_runs_that_share_it():
 
 def test_difference_is_taken_where_both_records_are():
     time = np.arange(10.0)
-    fig = two_records(time, time, time[2:7] + 0.5, 2 * (time[2:7] + 0.5), "a", "b", "T", "thrust", "N")
+    fig = two_records(("a", time, time), ("b", time[2:7] + 0.5, 2 * (time[2:7] + 0.5)), "T", "thrust", "N")
     difference = fig.data[2].y
     np.testing.assert_allclose(difference[3:7], time[3:7])
     assert np.isnan(difference[[0, 1, 2, 7, 8, 9]]).all()
@@ -277,13 +275,6 @@ def test_parameter_change_is_in_percent_of_the_start():
     fig = parameter_change(["c30"], [-0.08], [-0.1], [-0.12], [-0.08], "T")
     assert fig.data[1].x[0] == pytest.approx(-25.0)
     assert fig.data[1].error_x.array[0] == pytest.approx(25.0)
-
-
-def test_histogram_is_a_density_and_holds_the_outlier():
-    residual = np.append(np.random.default_rng(5).normal(size=5000) * 0.1, 3.0)
-    bars = residual_histogram(residual, 0.1, "T").data[0]
-    assert np.sum(bars.y * bars.width) == pytest.approx(1.0)
-    assert bars.y[-1] > 0
 
 
 def test_the_same_thing_has_the_same_colour_everywhere():

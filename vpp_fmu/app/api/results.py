@@ -17,11 +17,9 @@ from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
 from vpp_fmu.app.api.objects import PathLike
 from vpp_fmu.app.cli.check import Checked, write_check
-from vpp_fmu.app.cli.cosim import loop_page
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.identify import write_identification
-from vpp_fmu.app.cli.plan import key_figures as planned_figures
-from vpp_fmu.app.cli.plan import plan_page, remarks_on, write_plan
+from vpp_fmu.app.cli.plan import remarks_on, write_plan
 from vpp_fmu.app.cli.tune import gains_of, write_tuning
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import measured_against_predicted
@@ -30,6 +28,9 @@ from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed_figures
 from vpp_fmu.app.report.pages.identification import identification_page
 from vpp_fmu.app.report.pages.identification import key_figures as identified_figures
+from vpp_fmu.app.report.pages.loop import loop_page
+from vpp_fmu.app.report.pages.plan import key_figures as planned_figures
+from vpp_fmu.app.report.pages.plan import plan_page
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.app.report.summary import summary as diagnosis_summary
 from vpp_fmu.digits import number
@@ -316,12 +317,10 @@ class SimulateResult(Result):
         p = self.prediction
         page = Page("Open loop", f"The model's response to the commands of {p.record.source}.")
         page.tiles(self.key_figures())
-        measured = p.record["thrust"] if "thrust" in p.record else p.thrust * float("nan")
         title = "Thrust, as the model predicts it"
         if self.rmse_thrust is not None:
             title = f"The model errs by {number(self.rmse_thrust)} N"
-        commands = {n: p.record[n] for n in ("omega_ref", "beta_ref")}
-        figure = measured_against_predicted(p.record.time, measured, {"model": p.thrust}, title, commands=commands)
+        figure = measured_against_predicted(p.record, {"model": p.thrust}, title)
         page.figure(figure, thinning(len(p.record)))
         return page
 

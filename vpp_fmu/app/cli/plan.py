@@ -11,17 +11,12 @@ import numpy as np
 from identification.assessment.information import read_noise
 from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
-from identification.fit.uncertainty import NORMAL_95
-from identification.plan.excitation import PAPERS_HOLD
 from identification.plan.plan import NOISE, Plan, plan
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number
 from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.app.cli.prompts import Prompts
-from vpp_fmu.app.report.canvas import thinning
-from vpp_fmu.app.report.figures.parameters import interval_widths
-from vpp_fmu.app.report.figures.time import planned_commands
-from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.plan import key_figures, plan_page
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -35,9 +30,6 @@ from vpp_fmu.rig import DECLARED, RANGES, SLEWS, Rig, declared_rig
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp plan --parameters out/parameters.json --knowledge out/identification.json --omega-slew 20000 -o next"
-
-UNKNOWN = 10.0
-"""Ratio of standard deviation to size above which a parameter counts as unknown."""
 
 COLOURED = 1.5
 """Factor by which coloured residuals must widen the present intervals for a remark."""
@@ -240,85 +232,9 @@ def _overload(found: Plan) -> list[str]:
     ]
 
 
-def key_figures(found: Plan) -> list[tuple[str, str, str]]:
-    """Key figures (label, value, note)."""
-    figures = []
-    stages = (("before", found.before), ("with the paper's plan", found.paper), ("with this plan", found.after))
-    for when, forecast in stages:
-        if forecast is not None:
-            direction, spread = forecast.weakest()
-            note = f"std of {combination(forecast.names, direction)}, in parts of the parameters"
-            figures.append((f"weakest direction {when}", _percent(spread), note))
-    figures.append(("gain over the paper's plan", f"{found.gain:.2f}", f"weakest direction, {_seconds(found)} s each"))
-    return figures
-
-
-def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (), source: str = "") -> Page:
-    """The report of a plan; its assumptions (`basis`) and `remarks` are above its figures; `source`: of the parameters."""
-    after = found.after
-    page = Page(
-        "The next experiment",
-        f"{_seconds(found)} s of commands, and the expected accuracy of the model, if a thrust reading every "
-        f"{1e3 * found.step:g} ms has white noise of {found.noise_std:.3g} N. What the model lacks, and any colour of the "
-        "noise, widens all intervals.",
-        source,
-    )
-    page.tiles(key_figures(found))
-    for line in basis:
-        page.note(f"{line[0].upper()}{line[1:]}.")
-    for remark in remarks:
-        page.note(remark)
-    for name, why in found.not_identifiable.items():
-        page.note(f"{name} is not planned for and counts as known: {why}.")
-    title = f"The paper's plan leaves {_percent(found.paper.weakest()[1])} in the weakest direction, this one"
-    widths = {"before": found.before, "the paper's plan": found.paper, "after this plan": after}
-    shown = {name: 100.0 * NORMAL_95 * forecast.relative for name, forecast in widths.items() if forecast is not None}
-    hold = [time * found.rig.scales.time_scale for time in PAPERS_HOLD]
-    page.figure(
-        interval_widths(after.names, shown, f"{title} {_percent(after.weakest()[1])}"),
-        "Predicted 95 % intervals. The paper's plan: as long, a third speed only, a third pitch only, a third both, "
-        f"levels held for {hold[0]:g} to {hold[1]:g} s."
-        + ("" if found.before is None else " Both plans add to what is known before."),
-    )
-    columns = found.commands.columns
-    changes = int(np.sum(np.any(np.diff([columns["omega_ref"], columns["beta_ref"]]) != 0.0, axis=0)))
-    title = f"Commands change at {changes} of {len(found.commands)} rows; thrust is predicted between "
-    title += f"{found.thrust.min():.3g} and {found.thrust.max():.3g} N"
-    drawn = planned_commands(columns["time"], columns["omega_ref"], columns["beta_ref"], found.thrust, title)
-    page.figure(drawn, f"plan.csv. {thinning(len(found.commands))}")
-    _add_tables(page, found)
-    return page
-
-
-def _add_tables(page: Page, found: Plan) -> None:
-    before, paper, after = found.before, found.paper, found.after
-    unknown = [None] * len(after.names)
-    known = unknown if before is None else np.where(before.relative < UNKNOWN, before.std, np.nan)
-    rows = zip(after.names, after.values, known, paper.std, after.std, *after.intervals.T, strict=True)
-    columns = ("parameter", "value", "std before", "std, paper's plan", "std after", "95 % from", "to")
-    page.table(columns, list(rows), "Time constants in s, coefficients normalised, effects' parameters in their units.")
-    directions = [unknown if f is None else f.weakest()[0] for f in (before, paper, after)]
-    rows = list(zip(after.names, *directions, strict=True))
-    page.table(("parameter", "before", "paper's plan", "after"), rows, "Weakest directions, in parts of the parameters' sizes.")
-
-
-def combination(names, direction: np.ndarray, most: int = 3) -> str:
-    """A direction in words: its largest components, by decreasing size."""
-    largest = [k for k in np.argsort(-np.abs(direction))[:most] if abs(direction[k]) > 0.2]
-    return " ".join(f"{direction[k]:+.2f} {names[k]}" for k in largest).removeprefix("+")
-
-
 def _coloured(inflation: float, noise: float) -> str:
     return (
         f"Coloured residuals made the intervals of the data so far {inflation:.1f} times as wide as white noise would; the "
         f"forecast is for white noise, so before and after do not compare. --noise {inflation * noise:.2g} would allow for as "
         "much again."
     )
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if share < UNKNOWN else "unknown"
-
-
-def _seconds(found: Plan) -> str:
-    return f"{found.commands.time[-1]:g}"

@@ -4,59 +4,53 @@ import re
 from collections.abc import Sequence
 from html import escape
 from importlib.metadata import version
+from importlib.resources import files
 from textwrap import dedent
 
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report.drawing import SCRIPT, Arrays, drawing, heading
-from vpp_fmu.app.report.sheet import SHEET
+from vpp_fmu.app.report.style import FONT, SCHEME
 from vpp_fmu.date import now
 from vpp_fmu.digits import number
 
-_STARTS_AS_NUMBER = re.compile(
-    r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d"
-)  # a date is no number, nor is a name that begins with one
+_NUMBER = re.compile(r"[<>≈~±+\-−]?\s*(?!\d{4}-\d\d-\d\d)\d|[–∞]?$|−∞$")
+"""Start of a number; a date is none, nor is a name that begins with one."""
 
 _WORDS, _PROSE = 20, 90
 """Number of letters from which a text wraps at a readable width; and from which a column of such texts gets a larger width, if
 no other column does."""
 
-
-def table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:
-    """A table of texts and numbers; columns of numbers are aligned right. `caption` is HTML."""
-    cells = [[number(value) for value in row] for row in rows]
-    right = [
-        all(_STARTS_AS_NUMBER.match(row[k]) or row[k] in {"", "–", "∞", "−∞"} for row in cells) for k in range(len(columns))
-    ]
-    longest = [0 if right[k] else max((len(row[k]) for row in cells), default=0) for k in range(len(columns))]
-    prose = sum(letters > _PROSE for letters in longest) == 1
-    kinds = [
-        ' class="number"'
-        if right[k]
-        else ' class="prose"'
-        if prose and longest[k] > _PROSE
-        else ' class="words"'
-        if longest[k] > _WORDS
-        else ' class="name"'
-        if not any(" " in row[k] for row in cells)
-        else ""
-        for k in range(len(columns))
-    ]
-    head = "".join(f"<th{kind}>{escape(text)}</th>" for text, kind in zip(columns, kinds, strict=True))
-    body = "\n".join(
-        "<tr>" + "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=True)) + "</tr>"
-        for row in cells
-    )
-    return (
-        f'<div class="table"><table>\n<caption>{caption}</caption>\n<thead><tr>{head}</tr></thead>\n'
-        f"<tbody>\n{body}\n</tbody></table></div>"
-    )
-
-
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 """Forbids all requests of the browser."""
 
 _HINT = "Figures: point at a line to read it, drag to zoom, double-click to go back, click on a name to hide it."
+
+
+_COLOURS = {
+    "paper": ("#ffffff", "#14191f"),
+    "ink": ("#1f2933", "#e4e9ee"),
+    "quiet": ("#5f6c7b", "#9aa7b4"),
+    "line": ("#d9dfe5", "#36404a"),
+    "grid": ("#e8ecef", "#262e36"),
+    "axis": ("#9aa5b1", "#5d6975"),
+    "hovered": ("#f5f7f9", "#1d242b"),
+    "strong": ("#ffffff", "#10151a"),
+    "warning": ("#fdf6ec", "#2b2317"),
+}
+"""Colours of the page by name, light and dark; `strong`: letters on the strongest colours of a heat map."""
+
+
+def _colours(which: int) -> str:
+    figures = {name: (light, dark) for light, (name, dark) in SCHEME.items()}
+    return " ".join(f"--{name}: {both[which]};" for name, both in (_COLOURS | figures).items())
+
+
+_STYLE = (
+    f":root {{ {_colours(0)} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {_colours(1)} }} }}\n"
+    f"body {{ font-family: {FONT}; }}\n{files(__package__).joinpath('page.css').read_text(encoding='utf-8')}"
+)
+"""The style sheet: for wide and narrow screens, light and dark, and for paper."""
 
 
 class Page:
@@ -108,7 +102,7 @@ class Page:
     def table(self, columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> None:
         """A table; the columns' names include the units. Reals have four significant digits."""
         self._tables += 1
-        self._parts.append(table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
+        self._parts.append(_table(columns, rows, f"<b>Table {self._tables}.</b> {escape(caption)}"))
 
     def note(self, text: str) -> None:
         """An important remark."""
@@ -124,7 +118,7 @@ class Page:
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{SHEET}</style>\n{script}</head>\n<body>\n<main>\n"
+            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>\n{script}</head>\n<body>\n<main>\n"
             f'<header><p class="source">{escape(source)}</p>\n<h1>{escape(self.title)}</h1>\n'
             f"{_paragraphs(self.summary)}</header>\n{tiles}{self._contents()}{hint}"
             + "\n".join(self._parts)
@@ -145,3 +139,32 @@ def _paragraphs(text: str) -> str:
     return "\n".join(
         f"<pre>{escape(dedent(part))}</pre>" if part.startswith("    ") else f"<p>{escape(part.strip())}</p>" for part in parts
     )
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence], caption: str) -> str:
+    """A table of texts and numbers; columns of numbers are aligned right. `caption` is HTML."""
+    cells = [[number(value) for value in row] for row in rows]
+    kinds = [_kind([row[k] for row in cells]) for k in range(len(columns))]
+    if kinds.count("prose") > 1:
+        kinds = ["words" if kind == "prose" else kind for kind in kinds]
+    marks = [f' class="{kind}"' if kind else "" for kind in kinds]
+
+    def line(tag: str, texts: Sequence[str]) -> str:
+        parts = (f"<{tag}{mark}>{escape(text)}</{tag}>" for text, mark in zip(texts, marks, strict=True))
+        return f"<tr>{''.join(parts)}</tr>"
+
+    body = "\n".join(line("td", row) for row in cells)
+    return (
+        f'<div class="table"><table>\n<caption>{caption}</caption>\n<thead>{line("th", columns)}</thead>\n'
+        f"<tbody>\n{body}\n</tbody></table></div>"
+    )
+
+
+def _kind(cells: Sequence[str]) -> str:
+    """The class of a column in the style sheet."""
+    if all(map(_NUMBER.match, cells)):
+        return "number"
+    longest = max(map(len, cells))
+    if longest > _WORDS:
+        return "prose" if longest > _PROSE else "words"
+    return "" if any(" " in cell for cell in cells) else "name"

@@ -5,7 +5,6 @@ The colours are Okabe and Ito's, which colour-blind readers can distinguish (jfl
 
 import html
 import re
-import textwrap
 from collections.abc import Iterable
 
 import numpy as np
@@ -115,9 +114,6 @@ _AXIS = {
 SHOWN = ".4~r"
 """d3 format of a measured quantity under the pointer: four significant digits."""
 
-_WIDEST = 80
-"""Letters in a line of a title on A4."""
-
 _COLOUR_BAR = {"thickness": 14, "exponentformat": "none", "title": {"font": {"size": 13}}}
 
 TEMPLATE = go.layout.Template(
@@ -175,36 +171,3 @@ def colours(names: Iterable[str]) -> dict[str, str]:
     free = [colour for colour in OTHERS if colour not in given.values()] or list(OTHERS)
     unnamed = [name for name, colour in given.items() if colour is None]
     return given | {name: free[k % len(free)] for k, name in enumerate(unnamed)}
-
-
-def figure(title: str, height: int, legend: bool = True) -> go.Figure:
-    """An empty figure `height` px high, of the page's width; the title wraps, the legend is below it."""
-    lines = _lines(title)
-    below_title = 14 + 21 * len(lines)
-    corner = {"x": 0.0, "xref": "container", "xanchor": "left", "yref": "container", "yanchor": "top"}
-    return go.Figure(
-        layout={
-            "template": TEMPLATE,
-            "height": height,
-            "title": {
-                "text": "<br>".join(f"<b>{escaped(line)}</b>" for line in lines),
-                "font": {"size": 15},
-                "y": 1.0,
-                # plotly forgets to lower a title of several lines by the height of a capital.
-                "pad": {"t": 8 if len(lines) < 2 else 19},
-                **corner,
-            },
-            "showlegend": legend,
-            "legend": {"orientation": "h", "y": 1.0 - below_title / height, "bgcolor": "rgba(0,0,0,0)", **corner},
-            "margin": {"l": 64, "r": 24, "t": below_title + (34 if legend else 10), "b": 48},
-        }
-    )
-
-
-def _lines(title: str) -> list[str]:
-    """The title in the fewest lines that fit on A4, of similar length."""
-    fewest = len(textwrap.wrap(title, _WIDEST))
-    return next(
-        (lines for width in range(24, _WIDEST) if len(lines := textwrap.wrap(title, width)) == fewest),
-        textwrap.wrap(title, _WIDEST),
-    )

@@ -7,33 +7,33 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_envelope, add_line, panels, places, to_the_eye
+from vpp_fmu.app.report.canvas import add_envelope, add_line, add_points, axis, figure, panels, places, to_the_eye
 
 REACH = 2.5
 """Half-width of the Nyquist plot, which must show the region around -1."""
 
+ADAPTED, STD = "adapted.", "std."
+
 _THIN = 0.7
 
-_GREY = {"color": style.SET_POINT, "width": 1.2, "dash": "dot"}
+_GREY = {"color": style.SET_POINT, "width": 1.2}
 
 
 def nyquist(loops: Mapping[str, np.ndarray], sensitivity: float, title: str) -> go.Figure:
     """Open loops (n,), complex, by name; the unit circle, and the circle around -1 where the sensitivity is `sensitivity`."""
-    fig = style.figure(title, 560)
-    turn = np.linspace(0.0, 2.0 * np.pi, 181)
-    for name, centre, radius in (("unit circle", 0.0, 1.0), (f"sensitivity {sensitivity:g}", -1.0, 1.0 / sensitivity)):
-        line = {**_GREY, "dash": "dot" if centre == 0.0 else "dash"}
-        x, y = centre + radius * np.cos(turn), radius * np.sin(turn)
-        fig.add_scatter(x=x, y=y, mode="lines", name=name, line=line, hoverinfo="skip")
+    fig = figure(title, 560, "real part [-]", "imaginary part [-]")
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 181))
+    circles = ("unit circle", 0.0, 1.0, "dot"), (f"sensitivity {sensitivity:g}", -1.0, 1.0 / sensitivity, "dash")
+    for name, centre, radius, dash in circles:
+        x, y = centre + radius * turn.real, radius * turn.imag
+        add_line(fig, x, y, name, style.SET_POINT, 1.2, dash=dash, hoverinfo="skip")
     colours = style.colours(loops)
     for name, loop in loops.items():
-        near = np.abs(loop) < 2.0 * REACH
-        line = {"color": colours[name], "width": 1.6}
-        fig.add_scatter(x=loop.real[near], y=loop.imag[near], mode="lines", name=style.escaped(name), line=line)
-    marker = {"symbol": "x", "size": 9, "color": style.MEASURED}
-    fig.add_scatter(x=[-1.0], y=[0.0], mode="markers", name="-1", marker=marker, showlegend=False, hoverinfo="skip")
-    fig.update_xaxes(title_text="real part [-]", range=[-REACH, 1.0])
-    fig.update_yaxes(title_text="imaginary part [-]", range=[-REACH, 1.0], scaleanchor="x", scaleratio=1.0)
+        near = loop[np.abs(loop) < 2.0 * REACH]
+        add_line(fig, near.real, near.imag, name, colours[name], 1.6)
+    add_points(fig, [-1.0], [0.0], "-1", style.MEASURED, 9, "x", showlegend=False, hoverinfo="skip")
+    fig.update_xaxes(range=[-REACH, 1.0])
+    fig.update_yaxes(range=[-REACH, 1.0], scaleanchor="x", scaleratio=1.0)
     return fig
 
 
@@ -42,12 +42,12 @@ def bode(omega: np.ndarray, loops: Mapping[str, np.ndarray], title: str) -> go.F
     fig = panels(title, ["magnitude [dB]", "phase [deg]"], [220, 200])
     colours = style.colours(loops)
     for name, loop in loops.items():
-        line = {"color": colours[name], "width": 1.6}
         phase = np.degrees(np.unwrap(np.angle(loop)))
-        add_line(fig, 0, omega, 20.0 * np.log10(np.abs(loop)), name, line)
-        add_line(fig, 1, omega, phase - 360.0 * np.round((phase[0] + 90.0) / 360.0), f"{name}, phase", line, group=name)
-    fig.add_hline(y=0.0, line=_GREY, yref="y")
-    fig.add_shape(type="line", xref="x domain", yref="y2", x0=0, x1=1, y0=-180.0, y1=-180.0, line=_GREY)
+        phase -= 360.0 * np.round((phase[0] + 90.0) / 360.0)
+        add_line(fig, omega, 20.0 * np.log10(np.abs(loop)), name, colours[name], 1.6, 0)
+        add_line(fig, omega, phase, f"{name}, phase", colours[name], 1.6, 1, group=name)
+    _add_limit(fig, 0, 0.0, "dot")
+    _add_limit(fig, 1, -180.0, "dot")
     fig.update_xaxes(type="log", title_text="frequency [rad/s]", hoverformat=".3~g")
     fig.update_layout(yaxis={"range": [-40.0, 60.0]}, yaxis2={"range": [-270.0, -45.0], "dtick": 45})
     return fig
@@ -67,15 +67,18 @@ def margins_over_thrust(
     colours = style.colours(thrust)
     for panel, (label, values) in enumerate(quantities.items()):
         for name, own in values.items():
-            line = {"color": colours[name], "width": 1.6}
-            add_line(fig, panel, thrust[name], own, name if panel == 0 else f"{name}, {label}", line, name if panel else None)
+            shown, group = (f"{name}, {label}", name) if panel else (name, None)
+            add_line(fig, thrust[name], own, shown, colours[name], 1.6, panel, group)
         if label in limits:
-            axis = "y" if panel == 0 else f"y{panel + 1}"
-            edge = {"y0": limits[label], "y1": limits[label], "line": {**_GREY, "dash": "dash"}}
-            fig.add_shape(type="line", xref="x domain", yref=axis, x0=0, x1=1, **edge)
+            _add_limit(fig, panel, limits[label], "dash")
     fig.update_traces(mode="lines+markers", marker={"size": 6})
     fig.update_xaxes(title_text="thrust at the operating point [N]", hoverformat=".3~g")
     return fig
+
+
+def _add_limit(fig: go.Figure, panel: int, at: float, dash: str) -> None:
+    line = {**_GREY, "dash": dash}
+    fig.add_shape(type="line", xref="x domain", yref=axis("y", panel), x0=0, x1=1, y0=at, y1=at, line=line)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +97,16 @@ def response_clouds(time: np.ndarray, clouds: Sequence[Cloud], title: str, shown
     colours = style.colours(dict.fromkeys(cloud.gains for cloud in clouds))
     named: set[str] = set()
 
-    def add(panel, values, name, line):
-        add_line(fig, panel, time, to_the_eye(values), name, line, name if name in named else None)
+    def add(panel: int, values: np.ndarray, name: str, colour: str, width: float, **more) -> None:
+        add_line(fig, time, to_the_eye(values), name, colour, width, panel, name if name in named else None, **more)
         named.add(name)
 
     for panel, cloud in enumerate(clouds):
         for own in cloud.thrust[:shown]:
-            add(panel, own, f"{cloud.gains}: a plant each", {"color": colours[cloud.gains], "width": _THIN})
+            add(panel, own, f"{cloud.gains}: a plant each", colours[cloud.gains], _THIN, opacity=0.4)
         for edge in np.percentile(cloud.thrust, [5.0, 95.0], axis=0):
-            add(panel, edge, "5 % and 95 %", {"color": style.MEASURED, "width": 1.6})
-        add(panel, cloud.wanted, "set-point", {"color": style.SET_POINT, "width": 1.8, "dash": "dash", "shape": "hv"})
-    fig.update_traces(opacity=0.4, selector=lambda trace: trace.line.width == _THIN)
+            add(panel, edge, "5 % and 95 %", style.MEASURED, 1.6)
+        add(panel, cloud.wanted, "set-point", style.SET_POINT, 1.8, dash="dash", shape="hv")
     fig.update_layout(hovermode="closest")
     fig.update_xaxes(title_text="time from the step [s]")
     return fig
@@ -112,32 +114,30 @@ def response_clouds(time: np.ndarray, clouds: Sequence[Cloud], title: str, shown
 
 def cost_ranks(costs: Mapping[str, Sequence[float]], title: str) -> go.Figure:
     """Costs of many plants by name, each sorted."""
-    fig = style.figure(title, 340)
+    fig = figure(title, 340, "share of the plants with no more [%]", "cost [-]")
     colours = style.colours(costs)
     for name, values in costs.items():
-        ranks = 100.0 * np.arange(1, len(values) + 1) / len(values)
-        line = {"color": colours[name], "width": 1.8}
-        fig.add_scatter(x=ranks, y=np.sort(values), mode="lines", name=style.escaped(name), line=line)
-    fig.update_xaxes(title_text="share of the plants with no more [%]")
-    fig.update_yaxes(title_text="cost [-]")
+        add_line(fig, 100.0 * np.arange(1, len(values) + 1) / len(values), np.sort(values), name, colours[name])
     return fig
-
-
-ADAPTED, STD = "adapted.", "std."
 
 
 def residual_in_band(time: np.ndarray, twin: Mapping[str, np.ndarray]) -> go.Figure:
     """Measured thrust less the twin's [N] over time [s], with the 95 % band; (n,) by the twin's outputs."""
     kept = places([twin["residual"], twin["band"], twin["alarm"]])
-    alarms = np.flatnonzero(np.diff(twin["alarm"], prepend=0.0) > 0.5)
-    said = f"alarm at {', '.join(f'{at:.1f}' for at in time[alarms[:5]])} s" if len(alarms) else "no alarm"
+    alarms = time[np.diff(twin["alarm"], prepend=0.0) > 0.5]
+    said = f"alarm at {', '.join(f'{at:.1f}' for at in alarms[:5])} s" if len(alarms) else "no alarm"
     fig = panels(f"Adaptive twin: {said}, {twin['changes'][-1]:.0f} changes followed", ["residual [N]"], [240])
     half = twin["band"][kept]
-    add_envelope(fig, 0, time[kept], -half, half, "95 % of readings expected", style.BAND)
-    add_line(fig, 0, time[kept], twin["residual"][kept], "rig − twin", {"color": style.MEASURED, "width": 1})
-    for at in time[alarms]:
-        fig.add_vline(x=float(at), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
+    add_envelope(fig, time[kept], -half, half, "95 % of readings expected", style.BAND, 0)
+    add_twin_residual(fig, time[kept], twin["residual"][kept], alarms)
     return fig
+
+
+def add_twin_residual(fig: go.Figure, time: np.ndarray, residual: np.ndarray, alarms: Sequence[float]) -> None:
+    """Measured thrust less a twin's [N], and a line at each of its alarms [s]."""
+    add_line(fig, time, residual, "rig − twin", style.MEASURED, 1, 0)
+    for at in alarms:
+        fig.add_vline(x=float(at), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
 
 
 def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: Mapping[str, str]) -> go.Figure:
@@ -147,6 +147,7 @@ def adapted_parameters(time: np.ndarray, twin: Mapping[str, np.ndarray], units: 
     fig = panels("Adapted parameters", [f"{name} [{units[name]}]" for name in names], [150] * len(names))
     for panel, name in enumerate(names):
         value, std = twin[ADAPTED + name][kept], twin[STD + name][kept]
-        add_envelope(fig, panel, time[kept], value - 2.0 * std, value + 2.0 * std, "± 2 standard deviations", style.BAND)
-        add_line(fig, panel, time[kept], value, name, {"color": style.AFTER, "width": 1.6}, group="adapted")
+        band = value - 2.0 * std, value + 2.0 * std
+        add_envelope(fig, time[kept], *band, "± 2 standard deviations", style.BAND, panel)
+        add_line(fig, time[kept], value, name, style.AFTER, 1.6, panel, "adapted")
     return fig

@@ -6,8 +6,10 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import CELLS, add_envelope, add_line, add_points, figure, heatmap
 from vpp_fmu.digits import number
-from vpp_fmu.digits import number as digits
+
+_COMMANDS = "speed [rpm]", "pitch [deg]"
 
 
 def map_lines(
@@ -17,43 +19,29 @@ def map_lines(
 
     `points`, measured: (speed [rpm], pitch [deg], thrust [N]), each (k,), in the colour of the nearest speed.
     """
-    fig = style.figure(title, 520)
+    fig = figure(title, 520, "pitch [deg]", "thrust [N]")
     omega, beta, measured = points
     nearest = np.argmin(np.abs(np.asarray(omega)[:, None] - speeds), axis=1)
     for k, (speed, line, shade) in enumerate(zip(speeds, thrust, style.shades(len(speeds)), strict=True)):
         name, own = f"{number(speed)} rpm", nearest == k
-        shared = {"legendgroup": name, "name": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:.1f}} deg"}
-        fig.add_scatter(x=pitches, y=line, mode="lines", line={"color": shade, "width": 1.6}, **shared)
-        fig.add_scatter(
-            x=beta[own], y=measured[own], mode="markers", marker={"color": shade, "size": 6}, showlegend=False, **shared
-        )
-    fig.update_xaxes(title_text="pitch [deg]")
-    fig.update_yaxes(title_text="thrust [N]")
+        shared = {"legendgroup": name, "hovertemplate": f"%{{y:{style.SHOWN}}} N at {name}, %{{x:.1f}} deg"}
+        add_line(fig, pitches, line, name, shade, 1.6, **shared)
+        add_points(fig, beta[own], measured[own], name, shade, showlegend=False, **shared)
     return fig
 
 
 def map_section(
-    at: np.ndarray,
-    thrust: np.ndarray,
-    points: tuple[np.ndarray, np.ndarray],
-    title: str,
-    label: str,
-    std: np.ndarray,
+    at: np.ndarray, thrust: np.ndarray, points: tuple[np.ndarray, np.ndarray], title: str, label: str, std: np.ndarray
 ) -> go.Figure:
     """The map along one command `at` (n,), whose axis is named `label`: thrust (n,) [N], with 1.96 `std` (n,) [N] as a band.
 
     `points`: (command, thrust [N]) as measured, each (k,).
     """
-    fig = style.figure(title, 440)
-    for side, more in ((-1.0, {}), (1.0, {"fill": "tonexty", "fillcolor": style.NOISE, "name": "95 % interval of the map"})):
-        shared = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": bool(more)}
-        fig.add_scatter(x=at, y=thrust + side * 1.96 * std, **shared, **more)
-    fig.add_scatter(x=at, y=thrust, mode="lines", name="fitted", line={"color": style.AFTER, "width": 1.8})
-    marker = {"size": 7, "color": style.MEASURED}
+    fig = figure(title, 440, label, "thrust [N]")
+    add_envelope(fig, at, thrust - 1.96 * std, thrust + 1.96 * std, "95 % interval of the map", style.NOISE)
+    add_line(fig, at, thrust, "fitted", style.AFTER)
     hover = f"%{{y:{style.SHOWN}}} N at %{{x:{style.SHOWN}}}<extra></extra>"
-    fig.add_scatter(x=points[0], y=points[1], mode="markers", name="measured", marker=marker, hovertemplate=hover)
-    fig.update_xaxes(title_text=label)
-    fig.update_yaxes(title_text="thrust [N]")
+    add_points(fig, *points, "measured", style.MEASURED, 7, hovertemplate=hover)
     return fig
 
 
@@ -68,24 +56,20 @@ def map_residuals(omega: np.ndarray, beta: np.ndarray, residual: np.ndarray, tit
     grid[row, column] = residual
     largest = float(np.nanmax(np.abs(grid))) or 1.0
     decimals = max(0, 1 - int(np.floor(np.log10(largest))))
-    fig = style.figure(title, 520, legend=False)
-    fig.add_heatmap(
-        x=speeds,
-        y=pitches,
-        z=grid,
-        zmin=-largest,
-        zmax=largest,
-        colorscale=style.DIVERGING,
-        colorbar={"title": {"text": "residual [N]"}},
+    return heatmap(
+        *(title, 520, speeds, pitches, grid, (-largest, largest), style.DIVERGING, (*_COMMANDS, "residual [N]")),
         texttemplate=f"%{{z:+.{decimals}f}}" if len(speeds) <= 16 else None,
-        textfont={"size": 11},
-        xgap=1,
-        ygap=1,
         hovertemplate=f"%{{z:+{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
+        **CELLS,
     )
-    fig.update_xaxes(title_text="speed [rpm]", showgrid=False)
-    fig.update_yaxes(title_text="pitch [deg]", showgrid=False)
-    return fig
+
+
+def map_uncertainty(omega: np.ndarray, beta: np.ndarray, std_grid: np.ndarray, title: str) -> go.Figure:
+    """Standard deviation of the map, std_grid (n, m) [N] over beta (n,) [deg] and omega (m,) [rpm]."""
+    ends = 0.0, float(np.max(std_grid))
+    hover = f"%{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>"
+    labels = *_COMMANDS, "standard deviation [N]"
+    return heatmap(title, 460, omega, beta, std_grid, ends, style.sequence(), labels, hovertemplate=hover)
 
 
 def thrust_coefficients(
@@ -95,19 +79,11 @@ def thrust_coefficients(
 
     NaN where not measured. Colours go from slow to fast. `label`: of its axis.
     """
-    fig = style.figure(title, 460)
+    fig = figure(title, 460, "blade pitch [deg]", label)
     for speed, line, shade in zip(speeds, ct, style.shades(len(speeds)), strict=True):
-        fig.add_scatter(
-            x=pitches,
-            y=line,
-            mode="lines+markers",
-            name=f"{speed:.0f} rpm",
-            line={"color": shade, "width": 1.8},
-            marker={"size": 5},
-            hovertemplate=f"%{{y:{style.SHOWN}}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>",
-        )
-    fig.update_xaxes(title_text="blade pitch [deg]")
-    fig.update_yaxes(title_text=label)
+        hover = f"%{{y:{style.SHOWN}}} at {speed:.0f} rpm, %{{x:.1f}} deg<extra></extra>"
+        more = {"mode": "lines+markers", "marker": {"size": 5}, "hovertemplate": hover}
+        add_line(fig, pitches, line, f"{speed:.0f} rpm", shade, **more)
     return fig
 
 
@@ -118,40 +94,17 @@ def mean_convergence(
 
     `wanted`: a marked point (readings, standard deviation [N]); beyond the measured line it is extrapolated.
     """
-    fig = style.figure(title, 400)
+    fig = figure(title, 400, "readings in the mean [-]", "standard deviation of the mean [N]")
     hover = {"hovertemplate": "%{y:.2~g} N for %{x} readings<extra></extra>"}
-    measured = {"color": style.MEASURED, "width": 2}
-    fig.add_scatter(x=m, y=std, mode="lines+markers", name="measured", line=measured, marker={"size": 4}, **hover)
-    line = {"color": style.AFTER, "width": 1.6, "dash": "dash"}
-    fig.add_scatter(x=m, y=white, mode="lines", name="independent readings", line=line, **hover)
+    add_line(fig, m, std, "measured", style.MEASURED, 2, mode="lines+markers", marker={"size": 4}, **hover)
+    add_line(fig, m, white, "independent readings", style.AFTER, 1.6, dash="dash", **hover)
     if wanted is not None:
-        number, good = wanted
-        name, dotted = f"{digits(good, 2)} N at {number} readings", {"color": style.MEASURED, "width": 1.2, "dash": "dot"}
-        far = number > m[-1]
-        line = {"mode": "lines", "line": dotted, "showlegend": False, "hoverinfo": "skip"}
-        fig.add_scatter(x=[m[-1], number] if far else [number], y=[std[-1], good] if far else [good], **line)
-        marker = {"size": 10, "color": style.BEFORE, "symbol": "diamond"}
-        fig.add_scatter(x=[number], y=[good], mode="markers", name=name, marker=marker, **hover)
-    fig.update_xaxes(title_text="readings in the mean [-]", type="log", dtick="D2")
-    fig.update_yaxes(title_text="standard deviation of the mean [N]", type="log", dtick="D2", tickformat="~g")
-    return fig
-
-
-def map_uncertainty(omega: np.ndarray, beta: np.ndarray, std_grid: np.ndarray, title: str) -> go.Figure:
-    """Standard deviation of the map, std_grid (n, m) [N] over beta (n,) [deg] and omega (m,) [rpm]."""
-    fig = style.figure(title, 460, legend=False)
-    fig.add_heatmap(
-        x=omega,
-        y=beta,
-        z=std_grid,
-        zmin=0.0,
-        zmax=float(np.max(std_grid)),  # plotly heeds the one with the other only
-        colorscale=style.sequence(),
-        colorbar={"title": {"text": "standard deviation [N]"}},
-        hovertemplate=f"%{{z:{style.SHOWN}}} N<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>",
-    )
-    fig.update_xaxes(title_text="speed [rpm]", showgrid=False)
-    fig.update_yaxes(title_text="pitch [deg]", showgrid=False)
+        count, good = wanted
+        x, y = ([m[-1], count], [std[-1], good]) if count > m[-1] else ([count], [good])
+        add_line(fig, x, y, "", style.MEASURED, 1.2, dash="dot", showlegend=False, hoverinfo="skip")
+        add_points(fig, [count], [good], f"{number(good, 2)} N at {count} readings", style.BEFORE, 10, "diamond", **hover)
+    fig.update_xaxes(type="log", dtick="D2")
+    fig.update_yaxes(type="log", dtick="D2", tickformat="~g")
     return fig
 
 
@@ -159,35 +112,20 @@ def reached_against_commanded(
     commanded: np.ndarray, reached: Mapping[str, np.ndarray], title: str, quantity: str, unit: str
 ) -> go.Figure:
     """Static response, lines (n,) by name in the order of the sweep, over the command (n,)."""
-    fig = style.figure(title, 440)
+    fig = figure(title, 440, f"{quantity} commanded [{unit}]", f"{quantity} reached [{unit}]")
     colours = style.colours(reached)
     ends = [float(np.min(commanded)), float(np.max(commanded))]
-    line = {"color": style.SET_POINT, "width": 1.4, "dash": "dot"}
-    fig.add_scatter(x=ends, y=ends, mode="lines", name="as commanded", line=line, hoverinfo="skip")
+    add_line(fig, ends, ends, "as commanded", style.SET_POINT, 1.4, dash="dot", hoverinfo="skip")
     for name, values in reached.items():
-        line = {"color": colours[name], "width": 1.8}
-        fig.add_scatter(x=commanded, y=values, mode="lines", name=style.escaped(name), line=line)
-    fig.update_xaxes(title_text=f"{quantity} commanded [{unit}]")
-    fig.update_yaxes(title_text=f"{quantity} reached [{unit}]")
+        add_line(fig, commanded, values, name, colours[name])
     return fig
 
 
 def behind_against_before(before: np.ndarray, change: np.ndarray, time: np.ndarray, title: str) -> go.Figure:
     """Change of the thrust by an effect [N] over the thrust without it [N], coloured by the time [s]; all (n,)."""
-    fig = style.figure(title, 440, legend=False)
-    fig.add_scatter(
-        x=before,
-        y=change,
-        mode="markers",
-        marker={
-            "size": 4,
-            "color": time,
-            "colorscale": style.sequence(),
-            "showscale": True,
-            "colorbar": {"title": {"text": "time [s]"}},
-        },
-        hovertemplate=f"%{{y:+{style.SHOWN}}} N at %{{x:{style.SHOWN}}} N<extra></extra>",
-    )
-    fig.update_xaxes(title_text="thrust without the effect [N]")
-    fig.update_yaxes(title_text="change by the effect [N]", zeroline=True)
+    fig = figure(title, 440, "thrust without the effect [N]", "change by the effect [N]", legend=False)
+    scale = {"colorscale": style.sequence(), "showscale": True, "colorbar": {"title": {"text": "time [s]"}}}
+    hover = f"%{{y:+{style.SHOWN}}} N at %{{x:{style.SHOWN}}} N<extra></extra>"
+    fig.add_scatter(x=before, y=change, mode="markers", marker={"size": 4, "color": time, **scale}, hovertemplate=hover)
+    fig.update_yaxes(zeroline=True)
     return fig

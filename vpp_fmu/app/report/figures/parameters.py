@@ -7,8 +7,22 @@ import numpy as np
 from plotly import graph_objects as go
 
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import panels
+from vpp_fmu.app.report.canvas import CELLS, add_line, add_points, figure, heatmap, panels
 from vpp_fmu.digits import interval, number
+
+MOST = 300.0
+"""Half-widths beyond this, in %, are drawn at the edge: the parameter is unknown."""
+
+TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
+COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
+
+BINS = 60
+
+_LEAST = 1.0
+"""Start of the bars on the logarithmic axis."""
+
+_NAMES = {"title_text": "parameter [-]", "type": "category", "autorange": "reversed", "tickfont_size": 12}
+"""Axis of parameters, the first on top."""
 
 
 def parameter_change(
@@ -23,62 +37,53 @@ def parameter_change(
     scale = np.where(start == 0.0, np.nan, np.abs(start)) / 100.0
     change = (final - start) / scale
     rows = [_row(*values) for values in zip(names, start, final, low, high, strict=True)]
-    fig = style.figure(title, 130 + 44 * len(rows))
+    fig = figure(title, 130 + 44 * len(rows), "change from the start [%]")
     marker = {"symbol": "line-ns-open", "size": 16, "color": style.BEFORE, "line": {"width": 3}}
     fig.add_scatter(x=np.where(np.isnan(scale), np.nan, 0.0), y=rows, mode="markers", name="start", marker=marker)
-    fig.add_scatter(
-        x=change,
-        y=rows,
-        mode="markers",
-        name="fitted, 95 % interval",
-        marker={"size": 9, "color": style.AFTER},
-        error_x={
-            "array": (high - final) / scale,
-            "arrayminus": (final - low) / scale,
-            "color": style.AFTER,
-            "thickness": 1.6,
-            "width": 4,
-        },
-        hovertemplate=f"%{{x:+{style.SHOWN}}} %<extra></extra>",
-    )
-    fig.update_xaxes(title_text="change from the start [%]", range=_reach(change, (high - low) / scale))
-    fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
+    bar = {"array": (high - final) / scale, "arrayminus": (final - low) / scale, "color": style.AFTER}
+    bar |= {"thickness": 1.6, "width": 4}
+    hover = f"%{{x:+{style.SHOWN}}} %<extra></extra>"
+    add_points(fig, change, rows, "fitted, 95 % interval", style.AFTER, 9, error_x=bar, hovertemplate=hover)
+    fig.update_xaxes(range=_reach(change, (high - low) / scale))
+    fig.update_yaxes(**_NAMES)
     return fig
 
 
 def correlation_heatmap(names: Sequence[str], matrix: np.ndarray, title: str) -> go.Figure:
     """The correlation matrix (n, n) of n parameters with its values; the diagonal is blank."""
-    labels = [style.escaped(name) for name in names]
-    fig = style.figure(title, 170 + max(28 * len(labels), 200), legend=False)
-    fig.add_heatmap(
-        x=labels,
-        y=labels,
-        z=np.where(np.eye(len(labels)), np.nan, matrix),
-        zmin=-1,
-        zmax=1,
-        colorscale=style.DIVERGING,
-        colorbar={"title": {"text": "correlation [-]"}},
-        texttemplate="%{z:.2f}",
-        textfont={"size": 11},
-        xgap=1,
-        ygap=1,
-        hovertemplate="%{y}, %{x}: %{z:.3f}<extra></extra>",
-    )
-    fig.update_xaxes(title_text="parameter [-]", type="category", showgrid=False)
-    fig.update_yaxes(title_text="parameter [-]", type="category", showgrid=False, autorange="reversed")
+    blank = np.where(np.eye(len(names)), np.nan, matrix)
+    height = 170 + max(28 * len(names), 200)
+    more = {"texttemplate": "%{z:.2f}", "hovertemplate": "%{y}, %{x}: %{z:.3f}<extra></extra>"}
+    return _pairs(title, height, names, names, blank, (-1, 1), style.DIVERGING, ("parameter [-]", "correlation [-]"), **more)
+
+
+def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
+    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from `least` on."""
+    shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
+    texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
+    height, colours = 190 + max(30 * len(names), 120), ((0.0, style.ZERO), (1.0, style.BEFORE))
+    more = {"text": texts, "texttemplate": "%{text}", "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>"}
+    labels = "effect [-]", "squared cosine [-]"
+    return _pairs(title, height, names[:-1], names[1:], shown, (0, 1), colours, labels, **more)
+
+
+def _pairs(title: str, height: int, x, y, z, ends, colours, labels: tuple[str, str], **more) -> go.Figure:
+    """A value for each pair of names; `labels`: of both axes, and of the values."""
+    x, y = ([style.escaped(name) for name in names] for names in (x, y))
+    fig = heatmap(title, height, x, y, z, ends, colours, (labels[0], *labels), **CELLS, **more)
+    fig.update_xaxes(type="category")
+    fig.update_yaxes(type="category", autorange="reversed")
     return fig
 
 
 def learning_curve(evaluations: np.ndarray, cost: np.ndarray, title: str, quantity: str = "cost [-]") -> go.Figure:
     """The cost at each of n evaluations, both (n,), and the lowest so far; cost on a logarithmic axis."""
-    fig = style.figure(title, 340)
-    fig.add_scatter(x=evaluations, y=cost, mode="markers", name="evaluation", marker={"size": 5, "color": style.SET_POINT})
+    fig = figure(title, 340, "evaluations [-]", quantity)
+    add_points(fig, evaluations, cost, "evaluation", style.SET_POINT, 5)
     best = np.fmin.accumulate(np.asarray(cost, float))
-    fig.add_scatter(
-        x=evaluations, y=best, mode="lines", name="best so far", line={"color": style.AFTER, "width": 2, "shape": "hv"}
-    )
-    fig.update_xaxes(title_text="evaluations [-]", dtick=1 if len(cost) <= 20 else None)  # whole evaluations only
-    fig.update_yaxes(title_text=quantity, type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
+    add_line(fig, evaluations, best, "best so far", style.AFTER, 2, shape="hv")
+    fig.update_xaxes(dtick=1 if len(cost) <= 20 else None)  # whole evaluations only
+    fig.update_yaxes(type="log", dtick=_ticks(cost), tickformat=".0e", hoverformat=".4~g")
     return fig
 
 
@@ -104,10 +109,6 @@ def _reach(change: np.ndarray, widths: np.ndarray) -> list[float]:
     return [min(0.0, float(change[known].min())) - margin, max(0.0, float(change[known].max())) + margin]
 
 
-MOST = 300.0
-"""Half-widths beyond this, in %, are drawn at the edge: the parameter is unknown."""
-
-
 def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], title: str) -> go.Figure:
     """Half-widths of 95 % intervals of n parameters in % of their size, each (n,), by data set; the last is best.
 
@@ -115,38 +116,19 @@ def interval_widths(names: Sequence[str], widths: Mapping[str, np.ndarray], titl
     """
     labels = [style.escaped(name) for name in names]
     shown = {name: np.minimum(np.asarray(values, float), MOST) for name, values in widths.items()}
-    fig = style.figure(title, 130 + 34 * len(labels))
-    last = list(shown.values())[-1]
-    widest = np.max(list(shown.values()), axis=0)
+    fig = figure(title, 130 + 34 * len(labels), "half-width of the 95 % interval [% of the value]")
+    last, widest = list(shown.values())[-1], np.max(list(shown.values()), axis=0)
     for label, low, high in zip(labels, last, widest, strict=True):
-        line = {"color": style.FAINT, "width": 3}
-        fig.add_scatter(x=[low, high], y=[label, label], mode="lines", line=line, showlegend=False, hoverinfo="skip")
+        add_line(fig, [low, high], [label, label], "", style.FAINT, 3, showlegend=False, hoverinfo="skip")
     colours = style.colours(shown)
     for name, values in shown.items():
         text = [f"± {width:.3g} %" if width <= MOST else "unknown" for width in np.asarray(widths[name], float)]
-        marker = {"size": 10, "color": style.SET_POINT if "paper" in name else colours[name]}
-        fig.add_scatter(
-            x=values,
-            y=labels,
-            mode="markers",
-            name=style.escaped(name),
-            marker=marker,
-            text=text,
-            hovertemplate="%{y}: %{text}<extra></extra>",
-        )
+        colour = style.SET_POINT if "paper" in name else colours[name]
+        add_points(fig, values, labels, name, colour, 10, text=text, hovertemplate="%{y}: %{text}<extra></extra>")
     ticks = [digit * 10.0**power for power in range(-3, 3) for digit in (1, 2, 5)]
-    text = "half-width of the 95 % interval [% of the value]"
-    fig.update_xaxes(title_text=text, type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
-    fig.update_yaxes(title_text="parameter [-]", type="category", autorange="reversed", tickfont_size=12)
+    fig.update_xaxes(type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
+    fig.update_yaxes(**_NAMES)
     return fig
-
-
-TAKEN, PASSED, FAILED = "taken", "strong evidence, not taken", "does not stand"
-
-COLOURS = {TAKEN: style.AFTER, PASSED: style.LIGHT_BLUE, FAILED: style.FAINT}
-
-_LEAST = 1.0
-"""Start of the bars on the logarithmic axis."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +148,7 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
     Candidates below 1 have no bar.
     """
     ranked = sorted(bars, key=lambda bar: -bar.likelihood_gain)
-    fig = style.figure(title, 140 + 30 * len(ranked))
+    fig = figure(title, 140 + 30 * len(ranked), "evidence [nat]", "candidate [-]")
     for outcome, colour in COLOURS.items():
         own = [bar for bar in ranked if bar.outcome == outcome]
         if own:
@@ -188,18 +170,12 @@ def evidence_bars(bars: Sequence[Bar], gate: float, title: str, taken: float | N
         fig.add_vrect(x0=max(taken - gate, _LEAST), x1=taken + gate, fillcolor=style.AFTER, opacity=0.15, line_width=0)
     reach = np.log10(max(10.0 * gate, *(bar.likelihood_gain for bar in ranked)))
     # The reasons are beside the bars and take half of the width.
-    fig.update_xaxes(title_text="evidence [nat]", type="log", range=[0.0, 2.0 * reach], tickvals=_decades(reach))
+    decades = [10.0**k for k in range(int(np.ceil(reach)) + 1)]
+    fig.update_xaxes(type="log", range=[0.0, 2.0 * reach], tickvals=decades)
     order = [style.escaped(bar.name) for bar in ranked]
-    fig.update_yaxes(title_text="candidate [-]", type="category", categoryorder="array", categoryarray=order[::-1])
+    fig.update_yaxes(type="category", categoryorder="array", categoryarray=order[::-1])
     fig.update_layout(bargap=0.35, barmode="overlay")
     return fig
-
-
-def _decades(reach: float) -> list[float]:
-    return [10.0**k for k in range(int(np.ceil(reach)) + 1)]
-
-
-BINS = 60
 
 
 def learned_curve(
@@ -222,39 +198,9 @@ def learned_curve(
     fig.add_scatter(**band, mode="lines", fill="toself", fillcolor=style.VEIL, line_width=0, name="95 %", hoverinfo="skip")
     colours = style.colours(lines)
     for name, (x, y) in lines.items():
-        mode = "lines+markers" if len(x) == len(at) else "lines"
-        line = {"color": colours[name], "width": 1.8}
-        fig.add_scatter(x=x, y=y, mode=mode, name=style.escaped(name), line=line)
+        add_line(fig, x, y, name, colours[name], mode="lines+markers" if len(x) == len(at) else "lines")
     count, edges = np.histogram(data, BINS)
-    share = 100.0 * count / max(count.sum(), 1)
-    fig.add_bar(
-        x=0.5 * (edges[1:] + edges[:-1]), y=share, marker_color=style.MEASURED, name="data", showlegend=False, yaxis="y2"
-    )
+    share, middle = 100.0 * count / max(count.sum(), 1), 0.5 * (edges[1:] + edges[:-1])
+    fig.add_bar(x=middle, y=share, marker_color=style.MEASURED, name="data", showlegend=False, yaxis="y2")
     fig.update_xaxes(title_text=f"{driver[0]} [{driver[1]}]", hoverformat=".4~g")
-    return fig
-
-
-def overlap_heatmap(names: Sequence[str], matrix: np.ndarray, title: str, least: float = 0.5) -> go.Figure:
-    """Squared cosines (n, n) between the sensitivities of n effects, 0 to 1; each pair once, numbers from `least` on."""
-    labels = [style.escaped(name) for name in names]
-    shown = np.where(np.tril(np.ones_like(matrix), -1) > 0, matrix, np.nan)[1:, :-1]
-    texts = np.where(shown >= least, np.char.mod("%.2f", np.nan_to_num(shown)), "")
-    fig = style.figure(title, 190 + max(30 * len(labels), 120), legend=False)
-    fig.add_heatmap(
-        x=labels[:-1],
-        y=labels[1:],
-        z=shown,
-        zmin=0,
-        zmax=1,
-        colorscale=((0.0, style.ZERO), (1.0, style.BEFORE)),
-        colorbar={"title": {"text": "squared cosine [-]"}},
-        text=texts,
-        texttemplate="%{text}",
-        textfont={"size": 11},
-        xgap=1,
-        ygap=1,
-        hovertemplate="%{y}, %{x}: %{z:.2f}<extra></extra>",
-    )
-    fig.update_xaxes(title_text="effect [-]", type="category", showgrid=False)
-    fig.update_yaxes(title_text="effect [-]", type="category", showgrid=False, autorange="reversed")
     return fig

@@ -8,7 +8,7 @@ from plotly import graph_objects as go
 
 from vpp_fmu.app.day.day import BETTER, DIAGNOSED, TIMES, Day, Round, diagnosed
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.canvas import add_line, add_points, figure, thinning
 from vpp_fmu.app.report.figures.loop import adapted_parameters
 from vpp_fmu.app.report.figures.time import closed_loop
 from vpp_fmu.app.report.page import Page
@@ -101,24 +101,17 @@ def _summary(day: Day) -> str:
 def errors_by_round(errors: Sequence[Mapping[str, float]], chosen: Sequence[str], noise: float) -> go.Figure:
     """rms error [N] of each model by name, one mapping per round, on an unseen mission if there was one; `chosen`: the accepted
     model; `noise` [N] of a reading."""
-    first, last = (e[name] for e, name in ((errors[0], chosen[0]), (errors[-1], chosen[-1])))
-    fig = style.figure(f"Error of the model's thrust: {first:.3g} N in the first round, {last:.3g} N in the last", 360)
-    rounds = np.arange(1, len(errors) + 1)
+    rounds, on = np.arange(1, len(errors) + 1), np.array([e[name] for e, name in zip(errors, chosen, strict=True)])
+    title = f"Error of the model's thrust: {on[0]:.3g} N in the first round, {on[-1]:.3g} N in the last"
+    fig = figure(title, 360, "round", "rms error of thrust [N]")
     names = list(dict.fromkeys(name for each in errors for name in each))
     for name, colour in zip(names, (style.BEFORE, style.LIGHT_BLUE, style.AFTER), strict=False):
-        y = np.array([each.get(name, np.nan) for each in errors])
-        fig.add_scatter(x=rounds, y=y, mode="markers", name=name, marker={"color": colour, "size": 11})
-    on = np.array([e[name] for e, name in zip(errors, chosen, strict=True)])
-    fig.add_scatter(x=rounds, y=on, mode="lines", name="goes on", line={"color": style.FIT, "width": 1.4})
-    fig.add_scatter(
-        x=rounds[[0, -1]],
-        y=[noise, noise],
-        mode="lines",
-        name="noise of a reading",
-        line={"color": style.SET_POINT, "dash": "dot"},
-    )
-    fig.update_yaxes(title_text="rms error of thrust [N]", rangemode="tozero")
-    return _by_rounds(fig, len(errors))
+        add_points(fig, rounds, np.array([each.get(name, np.nan) for each in errors]), name, colour, 11)
+    add_line(fig, rounds, on, "goes on", style.FIT, 1.4)
+    add_line(fig, rounds[[0, -1]], [noise, noise], "noise of a reading", style.SET_POINT, 2.0, dash="dot")
+    fig.update_xaxes(dtick=1, range=[0.5, len(errors) + 0.5])
+    fig.update_yaxes(rangemode="tozero")
+    return fig
 
 
 def costs_by_round(
@@ -128,32 +121,19 @@ def costs_by_round(
     flights of the search."""
     flies = np.array([np.mean(each[name]) for each, name in zip(costs, winners, strict=True)])
     first, last = np.mean(next(iter(costs[0].values()))), flies[-1]
-    fig = style.figure(f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end", 360)
-    x = np.concatenate([np.full(len(each), k + 1.0) for k, each in enumerate(tries)]) if tries else np.zeros(0)
-    if len(x):
-        y = np.concatenate([np.asarray(each, float) for each in tries])
-        fig.add_scatter(x=x + 0.12, y=y, mode="markers", name="tries of the search", marker={"color": style.FAINT, "size": 6})
-    names = list(dict.fromkeys(name for each in costs for name in each))
+    title = f"Cost on the rig: {first:.4f} as the day began, {last:.4f} of what flies at its end"
+    fig = figure(title, 360, "round", "integral of (error / scale)² [s]")
+    tried = [(k, cost) for k, each in enumerate(tries, start=1) for cost in each]
+    if tried:
+        x, y = np.array(tried, float).T
+        add_points(fig, x + 0.12, y, "tries of the search", style.FAINT)
     colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
-    for name in names:
-        at = [(k + 1.0, cost) for k, each in enumerate(costs) for cost in each.get(name, ())]
-        points = np.array(at).reshape(-1, 2)
-        fig.add_scatter(
-            x=points[:, 0],
-            y=points[:, 1],
-            mode="markers",
-            name=name,
-            marker={"color": colours.get(name, style.FIT), "size": 10},
-        )
-    fig.add_scatter(
-        x=np.arange(1, len(flies) + 1), y=flies, mode="lines", name="flies next", line={"color": style.FIT, "width": 1.4}
-    )
-    fig.update_yaxes(title_text="integral of (error / scale)² [s]")
-    return _by_rounds(fig, len(costs))
-
-
-def _by_rounds(fig: go.Figure, count: int) -> go.Figure:
-    fig.update_xaxes(title_text="round", dtick=1, range=[0.5, count + 0.5])
+    for name in dict.fromkeys(name for each in costs for name in each):
+        at = [(k, cost) for k, each in enumerate(costs, start=1) for cost in each.get(name, ())]
+        x, y = np.array(at, float).reshape(-1, 2).T
+        add_points(fig, x, y, name, colours.get(name, style.FIT), 10)
+    add_line(fig, np.arange(1, len(flies) + 1), flies, "flies next", style.FIT, 1.4)
+    fig.update_xaxes(dtick=1, range=[0.5, len(costs) + 0.5])
     return fig
 
 

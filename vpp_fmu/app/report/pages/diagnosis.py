@@ -253,8 +253,7 @@ def _add_worst(page: Page, found: Diagnosis) -> None:
 
 
 def _figure(found: Diagnosis, record: Record, lines, title: str):
-    commands = {n: record[n] for n in ("omega_ref", "beta_ref")}
-    return measured_against_predicted(record.time, record["thrust"], lines, title, commands=commands, noise=found.noise.floor)
+    return measured_against_predicted(record, lines, title, found.noise.floor)
 
 
 def _add_sections(page: Page, found: Diagnosis) -> None:

@@ -6,8 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from plotly import graph_objects as go
+
 from identification.diagnose.diagnose import Diagnosis
 from vpp_fmu.app.report import style
+from vpp_fmu.app.report.canvas import add_points, figure
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import headline
 from vpp_fmu.app.report.summary import summary
@@ -158,23 +161,18 @@ def _shown(e: Entry) -> tuple[str, ...]:
     return tuple("" if value is None else number(value) for value in (e.error_before, e.error_after, e.noise))
 
 
-def _errors(done: Sequence[Entry]):
+def _errors(done: Sequence[Entry]) -> go.Figure:
     improved = sum(bool(e.effects) for e in done)
-    fig = style.figure(f"The thrust error decreases in {improved} of {len(done)} campaigns", 380)
+    title = f"The thrust error decreases in {improved} of {len(done)} campaigns"
+    fig = figure(title, 380, "campaign", "thrust error [N]")
     names = [style.escaped(e.name) for e in done]
-    marks = (
-        ("before", [e.error_before for e in done], style.BEFORE, "circle"),
-        ("after", [e.error_after for e in done], style.AFTER, "diamond"),
-        ("noise of one reading", [e.noise for e in done], style.SET_POINT, "line-ew-open"),
-    )
-    for label, values, colour, symbol in marks:
-        fig.add_scatter(x=names, y=values, mode="markers", name=label, marker={"color": colour, "size": 10, "symbol": symbol})
+    add_points(fig, names, [e.error_before for e in done], "before", style.BEFORE, 10)
+    add_points(fig, names, [e.error_after for e in done], "after", style.AFTER, 10, "diamond")
+    add_points(fig, names, [e.noise for e in done], "noise of one reading", style.SET_POINT, 10, "line-ew-open")
     errors = [error for e in done for error in (e.error_before, e.error_after) if error]
     wide = bool(errors) and max(errors) > WIDE * min(errors)
-    fig.update_layout(
-        xaxis={"title": {"text": "campaign"}, "type": "category"},
-        yaxis={"title": {"text": "thrust error [N]"}} | ({"type": "log"} if wide else {"rangemode": "tozero"}),
-    )
+    fig.update_xaxes(type="category")
+    fig.update_yaxes(**({"type": "log"} if wide else {"rangemode": "tozero"}))
     return fig
 
 
@@ -184,21 +182,18 @@ def _add_size(page: Page, name: str, having: Sequence[Entry]) -> None:
     dated = all(e.date for e in having) and len({e.date for e in having}) > 1
     own = sorted(having, key=lambda e: e.date) if dated else list(having)
     values = [e.sizes[name][0] for e in own]
-    stds = [1.96 * (e.sizes[name][1] or 0.0) for e in own]
+    names = [style.escaped(e.name) for e in own]
     what = f"{name}: {number(min(values))} to {number(max(values))}{'' if unit == '1' else f' {unit}'}"
-    fig = style.figure(f"{what} in {len(own)} campaigns", 340, legend=False)
+    label = name.partition(".")[2].replace("_", " ") + ("" if unit == "1" else f" [{unit}]")
+    fig = figure(f"{what} in {len(own)} campaigns", 340, "date" if dated else "campaign", label, legend=False)
     fig.add_scatter(
-        x=[e.date if dated else style.escaped(e.name) for e in own],
+        x=[e.date for e in own] if dated else names,
         y=values,
         mode="lines+markers" if dated else "markers",
-        error_y={"type": "data", "array": stds},
-        text=[style.escaped(e.name) for e in own],
+        error_y={"type": "data", "array": [1.96 * (e.sizes[name][1] or 0.0) for e in own]},
+        text=names,
         line={"color": style.AFTER, "width": 1},
         marker={"size": 8},
     )
-    label = name.partition(".")[2].replace("_", " ")
-    fig.update_layout(
-        xaxis={"title": {"text": "date" if dated else "campaign"}, "type": "date" if dated else "category"},
-        yaxis={"title": {"text": label if unit == "1" else f"{label} [{unit}]"}},
-    )
+    fig.update_xaxes(type="date" if dated else "category")
     page.figure(fig, "Bars are 95 % intervals.")

@@ -158,13 +158,7 @@ def _record_figure(found: Identification, name: str):
     title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
     if p.rmse_thrust is None:
         title = f"Prediction for {name}, which has no thrust"
-    commands = {n: p.record[n] for n in ("omega_ref", "beta_ref")}
-    figure = measured_against_predicted(
-        *(p.record.time, p.record["thrust"], {"model": p.thrust}, title),
-        commands=commands,
-        noise=noise,
-        band=found.bands[name],
-    )
+    figure = measured_against_predicted(p.record, {"model": p.thrust}, title, noise, found.bands[name])
     share = found.coverage[name]
     within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
     coverage = f"{within} the readings of {name} are within the 95 % prediction band"

@@ -44,7 +44,7 @@ from vpp_fmu.app.paper.study import (
     parts,
 )
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.canvas import add_level, add_line, add_points, figure, thinning
 from vpp_fmu.app.report.figures.map import map_lines, map_residuals, thrust_coefficients
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, stacked, step_responses
 from vpp_fmu.app.report.page import Page
@@ -78,8 +78,6 @@ PARTS_SHOWN = {"8a": ("speed only", "speed"), "8b": ("pitch only", "pitch"), "8c
 
 AT = 4500.0, 4.0
 """rpm, deg around which the relations between gains and time constants are taken: where the open loop rests."""
-
-DRAWN = ("time", "thrust_set", "thrust", "omega_ref", "omega", "beta_ref", "beta")
 
 
 def summary(study: Study, total: float) -> dict:
@@ -285,11 +283,8 @@ def _add_fine_tuning(page: Page, study: Study) -> dict[str, int]:
     for number, (part, name) in PARTS_SHOWN.items():
         rows, own = parts(record)[part], errors[part]
         title = f"{name.capitalize()} in action: {own[INITIAL]:.3f} N before, {own[OURS]:.3f} N after fine-tuning"
-        commands = {name: record[name][rows] for name in ("omega_ref", "beta_ref")}
         shown = {name: line[rows] for name, line in lines.items()}
-        figure = measured_against_predicted(
-            record.time[rows], record["thrust"][rows], shown, title, commands=commands, noise=noise
-        )
+        figure = measured_against_predicted(record.part(rows), shown, title, noise)
         caption = "The published model is that of the paper's blades and actuator, not of these. "
         places[number] = page.figure(figure, caption + thinning(len(rows)))
     page.table(
@@ -313,8 +308,8 @@ def _add_control(page: Page, study: Study) -> dict[str, int]:
         for plant, gains in ((MODEL, PUBLISHED), (RIG, TUNED)):
             tests = {name: study.tests[Loop(plant, gains, name)] for name in controllers}
             content = "; ".join(f"{name} {test.up.seconds} up, {test.down.seconds} down" for name, test in tests.items())
-            drawn = {name: {c: test.mean[c] for c in DRAWN if c in test.mean} for name, test in tests.items()}
-            figure, run = closed_loop(drawn, f"{plant.capitalize()}, {gains}: {content}"), tests[PID].mean
+            runs = {name: test.mean for name, test in tests.items()}
+            figure, run = closed_loop(runs, f"{plant.capitalize()}, {gains}: {content}"), tests[PID].mean
             if SPEED not in controllers:
                 mark_reached(figure, steps(run)[0].time)
             figure.update_xaxes(range=[steps(run)[0].time - 0.5, float(run.time[-1])])
@@ -337,13 +332,9 @@ def _cells(merit: Merit) -> tuple:
     return merit.settling, merit.overshoot, error
 
 
-def _add(fig: go.Figure, x, y, name: str, line: dict, mode: str = "lines", **more) -> None:
-    fig.add_scatter(x=x, y=y, mode=mode, name=name, line=line, **more)
-
-
-def _published(dash: str, width: float = 2) -> dict:
+def _published(dash: str, width: float = 2.0) -> dict:
     """A line of what the paper published."""
-    return {"color": style.PUBLISHED, "width": width, "dash": dash}
+    return {"colour": style.PUBLISHED, "width": width, "dash": dash}
 
 
 def static_map(s: Statics, title: str) -> go.Figure:
@@ -355,7 +346,8 @@ def static_map(s: Statics, title: str) -> go.Figure:
     fitted = design(omega, pitches, PAPER_UNITS) @ np.array(list(s.rig.coefficients.values()))
     fig = map_lines(speeds, beta, fitted.reshape(-1, 25), points, title)
     for k, values in enumerate(paper_thrust(omega, pitches).reshape(-1, 25)[::2]):
-        _add(fig, beta, values, "paper's map", _published("dot"), legendgroup="paper's map", showlegend=k == 0)
+        shared = {"legendgroup": "paper's map", "showlegend": k == 0}
+        add_line(fig, beta, values, "paper's map", **_published("dot"), **shared)
     return fig
 
 
@@ -365,7 +357,8 @@ def coefficient(s: Statics, title: str) -> go.Figure:
     beta = np.linspace(*OPERATING_PITCH, 31)
     for speed, dash in ((2000.0, "dot"), (4000.0, "dash"), (6000.0, "solid")):
         at = np.full_like(beta, speed)
-        _add(fig, beta, thrust_coefficient(paper_thrust(at, beta), at), f"paper, {speed:.0f} rpm", _published(dash))
+        values = thrust_coefficient(paper_thrust(at, beta), at)
+        add_line(fig, beta, values, f"paper, {speed:.0f} rpm", **_published(dash))
     return fig
 
 
@@ -376,38 +369,35 @@ def step_panels(runs: Sequence[StepRun], paper: tuple[float, float], title: str,
     panels = dict.fromkeys((trace.xaxis or "x", trace.yaxis or "y") for trace in fig.data)
     for k, (x, y) in enumerate(panels):
         shared = {"legendgroup": name, "showlegend": k == 0, "legendrank": 4, "xaxis": x, "yaxis": y}
-        _add(fig, time, shares, name, _published("dash", 1.8), **shared)
+        add_line(fig, time, shares, name, **_published("dash", 1.8), **shared)
     return fig
 
 
 def learning_curves(rig: FineTuning, model: FineTuning, noise_cost: float, title: str) -> go.Figure:
     """The paper's cost over iterations: its own two numbers, its descent on the rig's record and on its model's, our search."""
-    fig = style.figure(title, 460)
-    marker = {"size": 11, "color": style.PUBLISHED, "symbol": "diamond"}
-    fig.add_scatter(x=[0, ITERATIONS], y=[COST_START, COST_END], mode="markers", name="paper, published", marker=marker)
+    fig = figure(title, 460, "iterations [-]", "cost mean(e²)/2 [-]")
+    add_points(fig, [0, ITERATIONS], [COST_START, COST_END], "paper, published", style.PUBLISHED, 11, "diamond")
     for name, tuned, colour in (("emulated rig", rig, style.AFTER), ("paper's model", model, style.OTHERS[1])):
-        line, ours = {"color": colour, "width": 2}, np.array(tuned.ours.curve) / tuned.ours.problem.size
-        _add(fig, np.arange(len(tuned.costs)), tuned.costs, f"{name}, the paper's descent", line)
-        _add(fig, np.arange(len(ours)), ours, f"{name}, our search", line | {"dash": "dot"}, "lines+markers")
-    line = {"color": style.MEASURED, "width": 1.2, "dash": "dash"}
-    fig.add_hline(y=noise_cost, line=line, name="noise of the rig alone", showlegend=True)
-    fig.update_xaxes(title_text="iterations [-]")
-    fig.update_yaxes(title_text="cost mean(e²)/2 [-]", type="log", dtick="D2", tickformat=".0e")
+        ours = np.array(tuned.ours.curve) / tuned.ours.problem.size
+        add_line(fig, np.arange(len(tuned.costs)), tuned.costs, f"{name}, the paper's descent", colour, 2)
+        add_line(fig, np.arange(len(ours)), ours, f"{name}, our search", colour, 2, dash="dot", mode="lines+markers")
+    add_level(fig, noise_cost, "noise of the rig alone", 1.2)
+    fig.update_yaxes(type="log", dtick="D2", tickformat=".0e")
     return fig
 
 
 def mark_reached(fig: go.Figure, step: float) -> None:
     """A line where the paper's step has reached its set-point; `step`: its time, s."""
     name = f"paper: reached about {REACHED:g} s after the step"
-    fig.add_vline(x=step + REACHED, line=_published("dash", 1.8), name=name, showlegend=True)
+    line = {"color": style.PUBLISHED, "width": 1.8, "dash": "dash"}
+    fig.add_vline(x=step + REACHED, line=line, name=name, showlegend=True)
 
 
 def speed_dips(found: Mapping[float, tuple[np.ndarray, np.ndarray]], title: str) -> go.Figure:
     """Speed less its command [rpm] over the time [s] from a step of pitch, by the level of speed [rpm]."""
-    fig = style.figure(title, 380)
+    fig = figure(title, 380, "time from the step [s]", "speed less its command [rpm]")
     colours = style.colours(f"{level:g} rpm" for level in found)
     for (time, dip), (name, colour) in zip(found.values(), colours.items(), strict=True):
-        _add(fig, time, dip, name, {"color": colour, "width": 1.6, "shape": "hv"})
-    fig.update_xaxes(title_text="time from the step [s]", range=[-0.5, 3.0])
-    fig.update_yaxes(title_text="speed less its command [rpm]")
+        add_line(fig, time, dip, name, colour, 1.6, shape="hv")
+    fig.update_xaxes(range=[-0.5, 3.0])
     return fig

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import numpy as np
-from plotly import graph_objects as go
 
 from hil.calibrate import LoadCell, Measured, PitchTable
 from hil.calibration import Calibration
@@ -13,13 +12,14 @@ from hil.replay import Replay
 from hil.selftest import SelfTest
 from hil.timing import EDGES, Timing
 from vpp_fmu.app.report import style
-from vpp_fmu.app.report.canvas import add_band, add_line, panels, places, thinning
-from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
+from vpp_fmu.app.report.canvas import add_band, figure, panels, places, thinning
+from vpp_fmu.app.report.figures.loop import add_twin_residual
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.loop import add_adaptive, row
 from vpp_fmu.digits import number, signed
 from vpp_fmu.record import QUANTITIES, Record
-from vpp_fmu.response import Step, smoothed
+from vpp_fmu.response import smoothed
 
 STEP_COLUMNS = ("loop", "at [s]", "from [N]", "to [N]", "within 5 % after [s]", "overshoot [%]")
 
@@ -33,7 +33,7 @@ def run_page(found: Outcome) -> Page:
     if content["ended"]:
         page.note(f"The run ended early. {content['ended']}.")
     if loops:
-        add_loops(page, loops, "Pitch is not measured on the rig.")
+        _add_loops(page, loops, "Pitch is not measured on the rig.")
     if len(loops) > 1:
         _add_difference(page, *reversed(loops.items()))
     if log is not None and content.get("twin"):
@@ -41,15 +41,15 @@ def run_page(found: Outcome) -> Page:
     if log is not None and content.get("adaptive_twin"):
         _add_adaptive(page, log, content["adaptive_twin"])
     if found.timing:
-        add_timing(page, found.timing, f"The loop had: {content.get('real_time', 'not known')}.")
-    add_counts(page, content)
+        _add_timing(page, found.timing, content.get("real_time", "not known"))
+    _add_counts(page, content)
     return page
 
 
 def fmu_page(plant: str, record: Record, profile: str) -> Page:
     """The page of a run with a plant FMU in the rig's place; `plant`, `profile`: their files."""
     page = Page("Hardware in the loop, with a plant FMU", f"{plant} over {profile}.")
-    add_loops(page, {"plant FMU": record}, "")
+    _add_loops(page, {"plant FMU": record}, "")
     return page
 
 
@@ -59,10 +59,10 @@ def selftest_page(found: SelfTest, content: Mapping, seconds: float) -> Page:
     good = sum(check.good for check in found.checks)
     page.tiles([("checks passed", f"{good} of {len(found.checks)}", "see the table")])
     if found.session.timing:
-        add_timing(page, found.session.timing, f"The loop had: {content['real_time']}.")
+        _add_timing(page, found.session.timing, content["real_time"])
     rows = [(check.what, "good" if check.good else "not good", check.found) for check in found.checks]
     page.table(("what", "verdict", "found"), rows, "What was looked at.")
-    add_counts(page, content)
+    _add_counts(page, content)
     return page
 
 
@@ -72,22 +72,21 @@ def replay_page(found: Replay, text: str) -> Page:
     for name, quantity in (("omega_ref", "speed command"), ("beta_ref", "pitch command")):
         unit = QUANTITIES[name].unit
         title = f"The replayed {quantity} differs by at most {found.largest[name]:.3g} {unit}"
-        a, b = found.recorded[name], found.record[name]
-        fig = two_records(time, a, time, b, "recorded", "replayed", title, quantity, unit)
+        pair = ("recorded", time, found.recorded[name]), ("replayed", time, found.record[name])
+        fig = two_records(*pair, title, quantity, unit)
         page.figure(fig, f"Of every row, {quantity} as recorded and as replayed.")
     return page
 
 
-def add_loops(page: Page, loops: Mapping[str, Record], notes: str) -> None:
+def _add_loops(page: Page, loops: Mapping[str, Record], notes: str) -> None:
     """The closed loops over one profile, by name, and their steps."""
     judged = {name: judged_steps(loop) for name, loop in loops.items()}
     first, found = next(iter(judged.items()))
     title = said(found[0], first) if found else "Thrust under a constant set-point"
-    shown = {name: {column: loop[column] for column in loop.columns} for name, loop in loops.items()}
     rows = max(len(loop) for loop in loops.values())
     caption = f"Thrust with its set-point, speed and pitch with their commands. {notes} {thinning(rows)}"
-    page.figure(closed_loop(shown, title), caption)
-    table = [_row(name, step) for name, found in judged.items() for step in found]
+    page.figure(closed_loop(loops, title), caption)
+    table = [(name, *row(step)) for name, found in judged.items() for step in found]
     page.table(STEP_COLUMNS, table, f"Every change of the set-point, judged on the thrust's mean over {SPAN:g} s.")
 
 
@@ -97,30 +96,25 @@ def _add_difference(page: Page, first: tuple[str, Record], second: tuple[str, Re
     between = difference(a, b)
     rms, mean = np.sqrt(np.mean(between["thrust"] ** 2)), float(between["thrust"].mean())
     title = f"{name_b} and {name_a} differ by {number(float(rms))} N rms, {signed(mean)} N on average"
-    fig = two_records(a.time, a["thrust"], b.time, b["thrust"], name_a, name_b, title, "thrust", "N")
+    fig = two_records((name_a, a.time, a["thrust"]), (name_b, b.time, b["thrust"]), title, "thrust", "N")
     largest = float(np.max(np.abs(smoothed(between, SPAN)["thrust"])))
     page.figure(fig, f"Smoothed over 0.1 s the difference is {number(largest)} N at most. {thinning(len(a))}")
 
 
-def add_timing(page: Page, found: Timing, limits_text: str) -> None:
-    """The histogram of lateness."""
+def _add_timing(page: Page, found: Timing, granted: str) -> None:
+    """Number of ticks by lateness; `granted`: what the system gave the loop."""
     p999 = 1e6 * found.late[2]
     title = f"99.9 % of {found.ticks} ticks began within {p999:.0f} us of their time, {found.missed} slots were missed"
-    page.figure(lateness(found, title), f"How late each tick began, on logarithmic axes. {limits_text}")
-
-
-def lateness(found: Timing, title: str) -> go.Figure:
-    """Number of ticks by lateness."""
-    fig = style.figure(title, 340, legend=False)
-    labels = [_edge(low) for low in EDGES[:-1]]
+    fig = figure(title, 340, "late by at least [s]", "ticks [-]", legend=False)
     last = max(k for k, count in enumerate(found.counts) if count) + 2
-    fig.add_bar(x=labels[:last], y=[count or None for count in found.counts[:last]], marker_color=style.AFTER)
-    fig.update_xaxes(title_text="late by at least [s]", type="category")
-    fig.update_yaxes(title_text="ticks [-]", type="log", dtick=1)
-    return fig
+    labels, counts = [_edge(low) for low in EDGES[:-1]], [count or None for count in found.counts]
+    fig.add_bar(x=labels[:last], y=counts[:last], marker_color=style.AFTER)
+    fig.update_xaxes(type="category")
+    fig.update_yaxes(type="log", dtick=1)
+    page.figure(fig, f"How late each tick began, on logarithmic axes. The loop had: {granted}.")
 
 
-def add_counts(page: Page, content: Mapping) -> None:
+def _add_counts(page: Page, content: Mapping) -> None:
     """Recovered device errors, and the states of the rig; `content`: hil.json."""
     states = [(one["time"], one["state"], one["why"]) for one in content["transitions"]]
     page.table(("at [s]", "state", "why"), states, "States of the rig.")
@@ -142,9 +136,7 @@ def _add_twin(page: Page, log: Record, twin: Mapping) -> None:
     fig = panels(f"Twin: {begin}", ["residual [N]"], [240])
     add_band(fig, 0, 2 * band, f"± 2 noise ({number(2 * band)} N)")
     kept = places([rows["residual"]])
-    add_line(fig, 0, time[kept], rows["residual"][kept], "rig − twin", {"color": style.MEASURED, "width": 1})
-    if len(alarmed):
-        fig.add_vline(x=float(time[alarmed[0]]), line={"color": style.BEFORE, "width": 1.6, "dash": "dash"})
+    add_twin_residual(fig, time[kept], rows["residual"][kept], time[alarmed[:1]])
     page.figure(
         fig,
         f"At most {twin['false_alarms_per_hour']:g} false alarms an hour; a constant {number(twin['smallest_found'], 3)} N is "
@@ -152,16 +144,15 @@ def _add_twin(page: Page, log: Record, twin: Mapping) -> None:
     )
 
 
-def _add_adaptive(page: Page, log: Record, twin: dict) -> None:
+def _add_adaptive(page: Page, log: Record, twin: Mapping) -> None:
     """What the twin that learns made of the run, where the log has it."""
     units = {name: unit for name, unit in twin["units"].items() if LEARNED + name in log}
     if not units or not np.isfinite(log[LEARNED + "band"]).any():
         return
     rows = log.part(np.isfinite(log[LEARNED + "band"]))
-    content = {name: rows[LEARNED + name] for name in units}
-    page.figure(residual_in_band(rows.time, content), f"Measured thrust less the adapted model's. {thinning(len(rows))}")
-    own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
-    page.figure(adapted_parameters(rows.time, content, own), "What the adaptive twin made of its parameters.")
+    outputs = {name: rows[LEARNED + name] for name in units}
+    caption = "What the adaptive twin made of its parameters."
+    add_adaptive(page, rows.time, outputs, units, "the adapted model's", caption)
 
 
 def _summary(content: dict) -> str:
@@ -220,39 +211,26 @@ def calibration_page(before: Calibration, found: Calibration, measured: Measured
 def _add_cell(page: Page, cell: LoadCell) -> None:
     """The load cell's residuals, with rising and with falling weights."""
     top = int(np.argmax(np.abs(cell.forces)))
-    worst = max(map(abs, cell.residuals))
-    fig = style.figure(f"The load cell is straight within {number(worst)} N", 340)
+    residuals = [1e3 * value for value in cell.residuals]
+    title = f"The load cell is straight within {number(max(map(abs, cell.residuals)))} N"
+    fig = figure(title, 340, "force of the weights, thrust positive [N]", "line − weight [mN]")
     for rows, name, colour in ((slice(0, top + 1), "rising", style.AFTER), (slice(top, None), "falling", style.BEFORE)):
-        force, residual = cell.forces[rows], [1e3 * value for value in cell.residuals[rows]]
-        fig.add_scatter(x=force, y=residual, mode="lines+markers", name=name, line={"color": colour})
-    fig.update_xaxes(title_text="force of the weights, thrust positive [N]")
-    fig.update_yaxes(title_text="line − weight [mN]")
+        fig.add_scatter(x=cell.forces[rows], y=residuals[rows], mode="lines+markers", name=name, line={"color": colour})
     page.figure(fig, "What the straight line says above what hung there. Rising and falling apart: friction.")
-    page.table(
-        ("force [N]", "counts", "residual [N]"),
-        list(zip(cell.forces, cell.counts, cell.residuals, strict=True)),
-        "Means over 4 s each.",
-    )
+    rows = list(zip(cell.forces, cell.counts, cell.residuals, strict=True))
+    page.table(("force [N]", "counts", "residual [N]"), rows, "Means over 4 s each.")
 
 
 def _add_pitch_table(page: Page, found: PitchTable) -> None:
     """Pitch over the pulses, from both sides."""
-    low, high = min(found.pitches), max(found.pitches)
-    fig = style.figure(f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play", 380)
-    pulses = [1e6 * pulse for pulse in found.pulses]
+    low, high, pulses = min(found.pitches), max(found.pitches), [1e6 * pulse for pulse in found.pulses]
+    title = f"The pitch goes from {low:g} to {high:g} deg, with {found.play:.2f} deg of play"
+    fig = figure(title, 380, "pulse [us]", "blade pitch [deg]")
     for pitches, name, colour in ((found.up, "rising pulses", style.AFTER), (found.down, "falling pulses", style.BEFORE)):
         fig.add_scatter(x=pulses, y=pitches, mode="lines+markers", name=name, line={"color": colour})
-    fig.update_xaxes(title_text="pulse [us]")
-    fig.update_yaxes(title_text="blade pitch [deg]")
     page.figure(fig, "As read off at 75 % of the radius. The table takes the mean of both, the middle of the play.")
     rows = list(zip(pulses, found.up, found.down, found.pitches, strict=True))
     page.table(("pulse [us]", "rising [deg]", "falling [deg]", "table [deg]"), rows, "The pitch table.")
-
-
-def _row(name: str, step: Step) -> tuple:
-    never = "not by the end" if step.last else "not before the next"
-    settled = never if step.settling is None else step.settling
-    return name, step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
 
 
 def _edge(seconds: float) -> str:

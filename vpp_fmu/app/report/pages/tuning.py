@@ -64,7 +64,7 @@ def _add_controller(page: Page, found: Tuning, name: str, tuned: Tuned) -> None:
             page.table(
                 ("margin", "before → after"), rows, f"The smallest over all operating points, {found.task.reference} → {which}."
             )
-    runs = {names[which]: objective.run(gains).columns for which, gains in tuned.gains.items()}
+    runs = {names[which]: objective.run(gains) for which, gains in tuned.gains.items()}
     title = f"{NAMES[name].capitalize()}: cost {start:.4g} before the search, {cost:.4g} after"
     page.figure(loop_figure(runs, title), f"{found.task.profile.source}. Thrust is the plant's, not its reading.")
     rows = [(gain, *(own[k] for own in tuned.gains.values())) for k, gain in enumerate(objective.names)]
@@ -148,7 +148,7 @@ def _add_margin_table(page: Page, tuned: Tuned, which: str, label: str) -> None:
 
 def _add_comparison(page: Page, found: Tuning) -> None:
     page.section("Both actuators against speed alone")
-    runs = {NAMES[name]: tuned.objective.run(tuned.final).columns for name, tuned in found.tuned.items()}
+    runs = {NAMES[name]: tuned.objective.run(tuned.final) for name, tuned in found.tuned.items()}
     rows = against(found)
     down = [row for row in rows if row["after"] < row["before"]]
     title = "Both actuators against speed alone"

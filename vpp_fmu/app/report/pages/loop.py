@@ -1,0 +1,70 @@
+"""The pages of the closed loop and the open loop of two records."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from vpp_fmu.app.report.canvas import thinning
+from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
+from vpp_fmu.app.report.figures.time import closed_loop, two_records
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.comparison import Comparison
+from vpp_fmu.digits import number
+from vpp_fmu.record import QUANTITIES, Record
+from vpp_fmu.response import Step, steps
+
+
+def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
+    """The report of a closed loop's run; `limits` as of `vpp_fmu.response.steps`."""
+    found = steps(done, limits=limits)
+    page = Page("Closed loop", summary)
+    title = sentence(found[0]) if found else "Thrust under a constant set-point"
+    drawn = closed_loop({"loop": done}, title, limits)
+    page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
+    page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
+    return page
+
+
+STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
+
+
+def row(step: Step) -> tuple:
+    """A step as cells of a table."""
+    never = "out of reach" if step.stuck else "not by the end" if step.last else "not before the next"
+    settled = never if step.settling is None else step.settling
+    return step.time, step.before, step.after, settled, f"{step.overshoot:.1f}"
+
+
+def sentence(step: Step) -> str:
+    """A step in words."""
+    change = f"The step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s"
+    if step.stuck:
+        thrust, omega, beta = step.stuck
+        at = f"{number(thrust)} N at {number(omega)} rpm, {number(beta)} deg"
+        return f"{change}: the set-point of {number(step.after)} N is out of reach: {at}"
+    never = "has not settled " + ("by the end of the run" if step.last else "before the next")
+    when = never if step.settling is None else f"has settled after {number(step.settling, 3)} s"
+    return f"{change} {when}, overshoot {step.overshoot:.1f} %"
+
+
+def add_adaptive(
+    page: Page, time: np.ndarray, outputs: Mapping[str, np.ndarray], units: Mapping[str, str], model: str, caption: str
+) -> None:
+    """Residual and parameters of an adaptive twin from its outputs (rows,) by name, with their units; `model`: whose thrust is
+    subtracted, `caption`: of the parameters."""
+    page.figure(residual_in_band(time, outputs), f"Measured thrust less {model}. {thinning(len(time))}")
+    own = {name.removeprefix(ADAPTED): unit for name, unit in units.items() if name.startswith(ADAPTED)}
+    page.figure(adapted_parameters(time, outputs, own), caption)
+
+
+def comparison_page(found: Comparison, first: str, second: str) -> tuple[Page, list[str]]:
+    """The page of two records, named by their files, and its figures' titles."""
+    page, rows, titles = Page("Two records", f"{second} beside {first}, at the times of the latter."), [], []
+    for name, figures in found.summary()["columns"].items():
+        unit = QUANTITIES[name].unit if name in QUANTITIES else "as recorded"
+        rows.append((f"{name} [{unit}]", figures["rms"], figures["mean"], figures["largest"]))
+        titles.append(f"{name} differs by {number(figures['rms'])} {unit} rms, at most {number(figures['largest'])} {unit}")
+        pair = (first, found.time, found.first[name]), (second, found.time, found.second[name])
+        page.figure(two_records(*pair, titles[-1], name, unit), "Second less first below.")
+    page.table(("column", "rms", "mean", "largest"), rows, "Differences, second less first.")
+    return page, titles
