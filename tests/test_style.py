@@ -41,7 +41,6 @@ PUBLIC = {
     ("told", "vpp_fmu/app/report/summary.py"): "key cannot_be_told_apart of diagnosis.json",
     ("told", "hil/page/"): "key of the operator's page's messages",
     ("told", "vpp_fmu/app/report/drawing.py"): "key of the figures' data, which draw.js reads",
-    ("sheet", "vpp_fmu/app/report/"): "the style sheet",
 }
 """Where a word is allowed, with the reason."""
 
