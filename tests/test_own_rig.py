@@ -17,7 +17,7 @@ import vpp_fmu as vpp
 from identification.diagnose import diagnose as diagnosing
 from identification.plan import plan as planning
 from identification.tune.controllers import rig_controller
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 from vpp_fmu.app.cli import hil as hil_verb
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import plant

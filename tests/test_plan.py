@@ -12,7 +12,7 @@ from identification.fit.problem import Prior, Problem
 from identification.fit.refine import BASE_PARAMETERS, independent_readings
 from identification.plan.excitation import candidate, paper_plan
 from identification.plan.plan import free_parameters, plan
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 from vpp_fmu.commands import ends
 from vpp_fmu.errors import BadInput, NotIdentifiable
 from vpp_fmu.files import OutputFolder

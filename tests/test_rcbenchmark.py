@@ -18,7 +18,7 @@ from identification.logs.speed_map import (
     steady_points,
     turning_from,
 )
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 from vpp_fmu.campaign import read_static
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import OMEGA

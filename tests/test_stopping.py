@@ -53,7 +53,7 @@ def at_work(process):
 SPREAD = """
 import sys, time
 from identification.workers import spread
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 cli._run = lambda words: spread(time.sleep, [1000.0] * 8, workers=2)
 sys.exit(cli.main(["identify"]))
 """

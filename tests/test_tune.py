@@ -16,7 +16,7 @@ from identification.tune.rounds import rounds
 from identification.tune.search import search
 from identification.tune.summary import summary
 from identification.tune.tune import Task, tune
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import FINE_TUNED, plant

@@ -10,7 +10,7 @@ from builders import FAST_PITCH
 from identification.tune.controllers import DESIGNED, controllers, sampling
 from identification.tune.profile import common_reach, rig_profile
 from identification.tune.tune import Task
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL
 from vpp_fmu.kernel.plant import FINE_TUNED, plant

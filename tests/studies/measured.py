@@ -23,7 +23,7 @@ from identification.fit.refine import refine
 from identification.identify import identify
 from identification.logs.mapping import FILE
 from identification.logs.rcbenchmark import read_log
-from vpp_fmu import cli
+from vpp_fmu.app import cli
 from vpp_fmu.app.report.summary import artefact
 from vpp_fmu.campaign import NAMES, Campaign, read_campaign
 from vpp_fmu.errors import BadInput, VppError
