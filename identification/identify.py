@@ -9,7 +9,7 @@ import numpy as np
 from identification.assessment.bootstrap import Bootstrap, bootstrap
 from identification.assessment.model_error import ModelError, model_error
 from identification.assessment.pairs import forms, slow_first
-from identification.assessment.prediction import Prediction, band, predict
+from identification.assessment.prediction import Prediction, band, predict, summaries
 from identification.assessment.profile import profiled
 from identification.assessment.reading_noise import ReadingNoise, reading_noise
 from identification.assessment.residual_tests import ResidualTests, residual_tests
@@ -94,25 +94,10 @@ class Identification:
     def summary(self) -> dict:
         """The content of `identification.json`."""
         uncertainty = self.uncertainty
-        condition, weakest, spread = uncertainty.directions()
-        entries = zip(
-            uncertainty.names,
-            uncertainty.values.tolist(),
-            uncertainty.std.tolist(),
-            uncertainty.intervals.tolist(),
-            strict=True,
-        )
         static = self.static
         return {
             "effects": list(self.parameters.model.optional),
-            "parameters": {
-                name: {"value": value, "std": std, "interval": interval, "interval_from": uncertainty.kind(name)}
-                for name, value, std, interval in entries
-            },
-            "correlation": {"names": list(uncertainty.names), "matrix": uncertainty.correlation.tolist()},
-            "condition_number": condition,
-            "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
-            "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
+            **uncertainty.summary(),
             "at_bounds": self.at_bounds,
             "not_identifiable": dict(self.not_identifiable),
             **self._search(),
@@ -124,10 +109,7 @@ class Identification:
             "model_error": (found := self.model_error) and found.summary(),
             "fitted": list(self.fitted),
             "unseen": list(self.unseen),
-            "records": {name: p.summary() for name, p in self.predictions.items()},
-            "rmse_thrust": {name: p.rmse_thrust for name, p in self.predictions.items()},
-            "rmse_omega": {name: p.rmse_omega for name, p in self.predictions.items()},
-            "fit_thrust": {name: p.fit_thrust for name, p in self.predictions.items()},
+            **summaries(self.predictions),
             "steps": self.steps and self.steps.summary(),
             "static_map": static and static.summary(),
             "missing": list(self.campaign.missing),

@@ -8,14 +8,10 @@ import pytest
 import vpp_fmu as vpp
 from hil.outcome import Outcome
 from hil.timing import timing
-from tests import test_report, test_report_diagnosis
+from tests import test_report
 from tests.browser import browser as opened
 from vpp_fmu.app.report.canvas import figure
 from vpp_fmu.app.report.drawing import Arrays, drawing
-from vpp_fmu.app.report.figures.loop import Cloud, bode, cost_ranks, margins_over_thrust, nyquist, response_clouds
-from vpp_fmu.app.report.figures.map import map_section, map_uncertainty, mean_convergence, thrust_coefficients
-from vpp_fmu.app.report.figures.parameters import interval_widths, learned_curve
-from vpp_fmu.app.report.figures.time import planned_commands
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.effects import effects_page
 from vpp_fmu.app.report.pages.fleet import Entry, fleet_page
@@ -89,37 +85,11 @@ CONTRAST = """(() => {
 """Contrast of text, labels and lines to the page's own colour, as WCAG 2 has it."""
 
 
-def other_figures() -> dict:
-    """Figures that test_report and test_report_diagnosis don't have, by name."""
-    x, rng = np.linspace(0.1, 20.0, 60), np.random.default_rng(1)
-    speeds, pitches = np.linspace(2000.0, 6000.0, 10), np.linspace(-10.0, 10.0, 9)
-    loops = {"published": 3.0 / (1j * x * (1.0 + 0.1j * x)), "tuned": 5.0 / (1j * x * (1.0 + 0.1j * x))}
-    names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
-    widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
-    cloud = Cloud("1.5 → 12 N", "tuned", np.full(60, 12.0), 12.0 - 10.0 * np.exp(-x) * rng.uniform(0.9, 1.1, (20, 1)))
-    return {
-        "coefficients": thrust_coefficients(speeds, pitches, 0.01 * pitches + 0.001 * speeds[:, None] / 6000.0, "One line"),
-        "convergence": mean_convergence(x, 0.1 / x**0.4, 0.1 / x**0.5, "Readings share noise", (1000, 0.01)),
-        "uncertainty": map_uncertainty(speeds, pitches, np.outer(pitches**2, speeds) * 1e-6, "Known best in the middle"),
-        "section": map_section(x, x**2, (x[::10], x[::10] ** 2), "At 4 deg", "speed [rpm]", 1.0 + 0.0 * x),
-        "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, "A curve", ("speed", "rpm"), ("thrust", "N")),
-        "commands": planned_commands(x, 3000.0 + 100.0 * np.round(x), np.round(x), x, "Commands change at 20 rows"),
-        "widths": interval_widths(names, {k: np.array(v) for k, v in widths.items()}, "Widths fall to a tenth"),
-        "nyquist": nyquist(loops, 2.0, "Both stay outside"),
-        "bode": bode(x, loops, "Gain and phase"),
-        "margins": margins_over_thrust(
-            {"tuned": x}, {"gain margin [-]": {"tuned": 2.0 + 0.1 * x}, "delay margin [s]": {"tuned": 0.1 / x}}, {}, "Margins"
-        ),
-        "clouds": response_clouds(x, [cloud], "Plants"),
-        "ranks": cost_ranks({"tuned": rng.uniform(size=30), "published": rng.uniform(1, 2, 30)}, "Tuned costs less"),
-    }
-
-
 def figures_page() -> Page:
     """All kinds of figures that the page of an identification has not."""
     page = Page("Figures", "One of each kind.", "campaign made up, no date of measurement")
     page.tiles([("pitch_command_deadband.half_width", "1.70 deg", "95 %: 1.69 to 1.71 deg")] * 3)
-    for name, fig in (test_report.figures() | test_report_diagnosis.figures() | other_figures()).items():
+    for name, fig in test_report.figures().items():
         page.section(name)
         page.figure(fig, "What it shows.")
     return page

@@ -2,18 +2,66 @@
 
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from vpp_fmu.app.report.canvas import MOST, places, thinning
-from vpp_fmu.app.report.figures.loop import adapted_parameters
-from vpp_fmu.app.report.figures.map import map_lines, map_residuals
-from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_curve, parameter_change
-from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation, residual_by_section
-from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, two_records
+from vpp_fmu.app.report.figures.loop import (
+    Cloud,
+    adapted_parameters,
+    bode,
+    cost_ranks,
+    margins_over_thrust,
+    nyquist,
+    response_clouds,
+)
+from vpp_fmu.app.report.figures.map import (
+    behind_against_before,
+    map_lines,
+    map_residuals,
+    map_section,
+    map_uncertainty,
+    mean_convergence,
+    reached_against_commanded,
+    thrust_coefficients,
+)
+from vpp_fmu.app.report.figures.parameters import (
+    FAILED,
+    PASSED,
+    TAKEN,
+    Bar,
+    correlation_heatmap,
+    evidence_bars,
+    interval_widths,
+    learned_curve,
+    learning_curve,
+    overlap_heatmap,
+    parameter_change,
+)
+from vpp_fmu.app.report.figures.residual import (
+    autocorrelation,
+    correlations,
+    cross_correlation,
+    residual_by_move,
+    residual_by_section,
+    residual_spectrum,
+)
+from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted, planned_commands, stacked, two_records
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.diagnosis import headline
 from vpp_fmu.app.report.style import AFTER, BEFORE, MEASURED, colours
+from vpp_fmu.app.report.summary import LEFT_OUT, reached
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.record import Record
+
+BARS = [
+    Bar("pitch_backlash (1)", 300.0, PASSED, "another explains more"),
+    Bar("pitch_command_deadband", 5000.0, TAKEN, "in the final set"),
+    Bar("sensor_gain", -4.0, FAILED, "evidence too weak"),
+]
 
 HOSTILE = '</script><a href="http://evil.example">x</a>'
 
@@ -49,6 +97,11 @@ def grid_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def figures(title: str = "The message") -> dict:
+    """A figure of each kind by name."""
+    return _of_models(title) | _of_diagnoses(title) | _of_designs(title)
+
+
+def _of_models(title: str) -> dict:
     r, other = record(400), record(400, seed=2)
     lags, names = np.arange(50) * 0.004, ["tau_beta_1", "c20", "added"]
     omega, beta, thrust = grid_points()
@@ -65,6 +118,47 @@ def figures(title: str = "The message") -> dict:
         "cross-correlation": cross_correlation(lags, {"omega_ref": lags, "beta_ref": -lags}, 0.05, title),
         "correlation": correlation_heatmap(names, np.eye(3), title),
         "learning": learning_curve(np.arange(1, 9), np.geomspace(1, 1e-3, 8), title),
+    }
+
+
+def _of_diagnoses(title: str) -> dict:
+    x = np.linspace(0.1, 2.0, 20)
+    both = {"before": np.exp(-x), "after": 0.1 * np.exp(-x)}
+    names = ["a", "b", "c"]
+    return {
+        "correlations": correlations(x, {"itself": both, "pitch command": both}, 0.05, title),
+        "spectrum": residual_spectrum(x, both, 0.3 + 0.0 * x, title),
+        "moves": residual_by_move(x - 1.0, x > 1.0, both, title, "move of the pitch command [deg]", 0.02),
+        "overlap": overlap_heatmap(names, np.array([[1.0, 0.95, 0.1], [0.95, 1.0, 0.2], [0.1, 0.2, 1.0]]), title),
+        "evidence": evidence_bars(BARS, 10.0, title),
+        "curve": reached_against_commanded(x, both, title, "pitch", "deg"),
+        "change": behind_against_before(x, 0.1 * x, x, title),
+        "stacked": stacked(x, {"pitch [deg]": {"pitch command": x, **both}, "thrust [N]": {"measured": x, **both}}, title),
+    }
+
+
+def _of_designs(title: str) -> dict:
+    x, rng = np.linspace(0.1, 20.0, 60), np.random.default_rng(1)
+    speeds, pitches = np.linspace(2000.0, 6000.0, 10), np.linspace(-10.0, 10.0, 9)
+    loops = {"published": 3.0 / (1j * x * (1.0 + 0.1j * x)), "tuned": 5.0 / (1j * x * (1.0 + 0.1j * x))}
+    names = ["tau_beta_1", "c20", "pitch_command_deadband.half_width"]
+    widths = {"before": [20.0, 3.0, 400.0], "the paper's plan": [10.0, 2.0, 50.0], "after this plan": [2.0, 0.5, 5.0]}
+    cloud = Cloud("1.5 → 12 N", "tuned", np.full(60, 12.0), 12.0 - 10.0 * np.exp(-x) * rng.uniform(0.9, 1.1, (20, 1)))
+    return {
+        "coefficients": thrust_coefficients(speeds, pitches, 0.01 * pitches + 0.001 * speeds[:, None] / 6000.0, title),
+        "convergence": mean_convergence(x, 0.1 / x**0.4, 0.1 / x**0.5, title, (1000, 0.01)),
+        "uncertainty": map_uncertainty(speeds, pitches, np.outer(pitches**2, speeds) * 1e-6, title),
+        "section": map_section(x, x**2, (x[::10], x[::10] ** 2), title, "speed [rpm]", 1.0 + 0.0 * x),
+        "learned": learned_curve(x, x**2, x, {"learned": (x, x**2)}, x, title, ("speed", "rpm"), ("thrust", "N")),
+        "commands": planned_commands(x, 3000.0 + 100.0 * np.round(x), np.round(x), x, title),
+        "widths": interval_widths(names, {k: np.array(v) for k, v in widths.items()}, title),
+        "nyquist": nyquist(loops, 2.0, title),
+        "bode": bode(x, loops, title),
+        "margins": margins_over_thrust(
+            {"tuned": x}, {"gain margin [-]": {"tuned": 2.0 + 0.1 * x}, "delay margin [s]": {"tuned": 0.1 / x}}, {}, title
+        ),
+        "clouds": response_clouds(x, [cloud], title),
+        "ranks": cost_ranks({"tuned": rng.uniform(size=30), "published": rng.uniform(1, 2, 30)}, title),
     }
 
 
@@ -173,7 +267,7 @@ def test_every_axis_names_its_quantity_and_unit(name):
             axes.append(value)
     assert len(axes) >= 2
     for axis in axes:
-        assert re.search(r"\w.*\[.+\]$", axis["title"]["text"])
+        assert re.search(r"\w.*\[.+\]$", axis["title"]["text"].replace("<br>", " "))
 
 
 @pytest.mark.parametrize("name", figures())
@@ -294,3 +388,101 @@ def test_an_effects_parameter_is_folded_between_their_names():
     told = {f"{kind}pitch_offset.offset": np.array([0.1, 0.2, 0.3]) for kind in ("adapted.", "std.")}
     figure = adapted_parameters(np.arange(3.0), told, {"pitch_offset.offset": "deg"})
     assert figure.layout.yaxis.title.text == "pitch_offset.<br>offset [deg]"
+
+
+@pytest.mark.parametrize("name", ["correlations", "spectrum", "curve", "stacked"])
+def test_before_and_after_keep_their_colours(name):
+    colours = {t.name: t.line.color for t in figures()[name].data if t.name in ("before", "after", "measured")}
+    assert (colours["before"], colours["after"]) == (BEFORE, AFTER)
+    assert colours.get("measured", MEASURED) == MEASURED
+
+
+def test_one_legend_entry_a_line_and_one_for_the_band_over_all_panels():
+    fig = figures()["correlations"]
+    assert [t.name for t in fig.data if t.showlegend] == ["before", "after"]
+    assert [shape.showlegend for shape in fig.layout.shapes] == [True, False]
+    assert [shape.y1 for shape in fig.layout.shapes] == [0.05, 0.05]
+    assert len({t.yaxis for t in fig.data}) == 2
+
+
+def test_candidates_are_ranked_and_say_at_which_gate_they_failed():
+    fig = figures()["evidence"]
+    assert fig.layout.yaxis.categoryarray[-1] == "pitch_command_deadband"  # plotly draws the last on top
+    assert fig.layout.yaxis.categoryarray[0] == "sensor_gain"
+    bars = {trace.name: trace for trace in fig.data}
+    assert set(bars) == {TAKEN, PASSED, FAILED}
+    assert bars[TAKEN].x == (5000.0,)
+    assert bars[FAILED].x == (1.0,)  # a rise has no bar on a logarithmic axis
+    assert "-4  evidence too weak" in bars[FAILED].text[0]
+    assert fig.layout.shapes[0].x0 == 10.0
+
+
+def test_no_reason_runs_out_of_the_figure():
+    low, high = figures()["evidence"].layout.xaxis.range
+    assert low == 0.0
+    assert high >= 2.0 * np.log10(5000.0)
+
+
+def test_moves_that_reverse_are_told_from_those_that_go_on():
+    fig = figures()["moves"]
+    points = {trace.name: trace for trace in fig.data}
+    assert set(points) == {f"{name}, {kind}" for name in ("before", "after") for kind in ("onwards", "reversed")}
+    assert points["before, onwards"].x.max() <= 0.0 < points["before, reversed"].x.min()
+    assert points["after, onwards"].marker.symbol != points["after, reversed"].marker.symbol
+    assert (fig.layout.shapes[0].y0, fig.layout.shapes[0].y1) == (-0.04, 0.04)
+
+
+def test_each_pair_is_shown_once_and_only_what_is_close_has_a_number():
+    trace = figures()["overlap"].data[0]
+    assert np.isfinite(trace.z).sum() == 3
+    assert trace.z[0][0] == 0.95
+    assert sorted(text for row in trace.text for text in row) == ["", "", "", "0.95"]
+    assert (list(trace.y), list(trace.x)) == (["b", "c"], ["a", "b"])
+
+
+def test_how_often_a_limit_is_reached_is_counted():
+    """Three pulses of 1 s beyond the limit: it acts while they last and until two lags have forgotten them."""
+    name, maximum = "speed_saturation", 5000.0
+    time = np.arange(0.0, 20.0, 0.01)
+    fast = (time % 6.0 >= 3.0) & (time % 6.0 < 4.0)
+    columns = {"time": time, "omega_ref": np.where(fast, 5500.0, 3000.0), "beta_ref": np.full(len(time), 4.0)}
+    model = plant([name])
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(
+            model=model,
+            simulator=Simulator(model),
+            experiments=[SimpleNamespace(record=Record(columns | {"thrust": np.zeros(len(time))}, "made"))],
+        ),
+        values=model.values({f"{name}.maximum": maximum}),
+    )
+    seconds, times = reached(fit, name)["maximum"]
+    assert times == 3
+    assert 3.0 < seconds < 3.0 * (1.0 + np.log(1e3) * (0.172 + 0.053))
+    fit.values[f"{name}.maximum"] = 5600.0
+    assert reached(fit, name)["maximum"] == (0.0, 0)
+    fit.values[f"{name}.maximum"] = 1e6
+    assert reached(fit, name) == {}
+
+
+@pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 N before", "0.2 N after"])])
+def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_reason(shipped, errors):
+    """Beside one that ships, before and after are that one's."""
+    model = plant((*shipped, "rotor_vibration"))
+    base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped)
+    found = SimpleNamespace(
+        errors=lambda fit: (0.3 if fit is base and shipped else 0.2, None),
+        base=base,
+        final=final,
+        noise=SimpleNamespace(floor=0.1),
+        unseen=None,
+        refuted="",
+        verdict="attributed",
+        learned=None,
+        selection=SimpleNamespace(final=SimpleNamespace(problem=SimpleNamespace(model=model))),
+        left_out=("rotor_vibration",),
+        best_guess=None,
+    )
+    said = headline(found)
+    for part in ("rotor_vibration (", LEFT_OUT, *shipped, *errors):
+        assert part in said
+    assert ("before" in said) == bool(shipped)

@@ -62,6 +62,13 @@ class Prediction:
         }
 
 
+def summaries(predictions: Mapping[str, Prediction]) -> dict:
+    """For identification.json: the errors of each record, whole and by section."""
+    names = "rmse_thrust", "rmse_omega", "fit_thrust"
+    records = {name: p.summary() for name, p in predictions.items()}
+    return {"records": records} | {each: {name: record[each] for name, record in records.items()} for each in names}
+
+
 def predict(model: Model, values: Mapping[str, float], record: Record) -> Prediction:
     """The model's open-loop response to a record's commands."""
     outputs = Simulator(model).simulate(values, *record.run)

@@ -97,6 +97,21 @@ class Uncertainty:
         size = np.where(own > 0, own, np.inf)
         return self.covariance / np.outer(size, size) + np.diag(np.where(own > 0, 0.0, 1.0))
 
+    def summary(self) -> dict:
+        """For identification.json: the values with their intervals, correlation, weakest direction, inflation."""
+        condition, weakest, spread = self.directions()
+        rows = zip(self.names, self.values.tolist(), self.std.tolist(), self.intervals.tolist(), strict=True)
+        return {
+            "parameters": {
+                name: {"value": value, "std": std, "interval": interval, "interval_from": self.kind(name)}
+                for name, value, std, interval in rows
+            },
+            "correlation": {"names": list(self.names), "matrix": self.correlation.tolist()},
+            "condition_number": condition,
+            "weakest_direction": dict(zip(self.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
+            "inflation_by_coloured_residuals": dict(zip(self.names, self.inflation.tolist(), strict=True)),
+        }
+
     def directions(self) -> tuple[float | None, np.ndarray, float]:
         """(condition number, weakest direction (n,) of unit length, its relative standard deviation), in units of the values.
 

@@ -12,29 +12,17 @@ from plotly import graph_objects as go
 from plotly.colors import sample_colorscale
 
 MEASURED = "#4d4d4d"
-
 BEFORE = "#e08214"
-
 AFTER = "#0072b2"
-
 SET_POINT = "#8c8c8c"
-
 FIT = "#111111"
-
 PUBLISHED = "#b35806"
-
 FAINT = "#c4cad0"
-
 LIGHT_BLUE = "#56b4e9"
-
 NOISE = "rgba(77,77,77,0.14)"
-
 VEIL = "rgba(0,114,178,0.16)"
-
 BAND = "rgba(86,180,233,0.32)"
-
 ZERO = "#fbfbfb"
-
 OTHERS = (AFTER, "#009e73", "#cc79a7", LIGHT_BLUE, "#882255", BEFORE)
 """Colours without a fixed meaning, in the order of use."""
 
@@ -91,11 +79,8 @@ LABELS = {
 """Axis labels of the columns of a record."""
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-
 _INK = "#1f2933"
-
 _GRID = "#e8ecef"
-
 _AXIS = {
     "showline": True,
     "linecolor": "#9aa5b1",

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identification.assessment.model_error import model_error
-from identification.assessment.prediction import predict
+from identification.assessment.prediction import predict, summaries
 from identification.assessment.quality import fit_percent, rmse
 from identification.assessment.sections import sections
 from identification.diagnose.diagnose import Diagnosis
@@ -34,6 +34,13 @@ UNITS = {
     "most_explained": "1",
 }
 """Units of the numbers that have none beside them."""
+
+LEFT_OUT = "its start value differs from record to record: not in the exported model"
+
+ACTS = 1e-3
+"""Share of a response's range from which a limit counts as active."""
+
+HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
 
 
 def summary(found: Diagnosis) -> dict:
@@ -192,14 +199,6 @@ def evidence(found: Diagnosis, judged: Judgement) -> dict:
     }
 
 
-LEFT_OUT = "its start value differs from record to record: not in the exported model"
-
-ACTS = 1e-3
-"""Share of a response's range from which a limit counts as active."""
-
-HOW_READ = {"thrust": "load cell, stand, amplifier or logger", "speed": "tachometer or logger", "thrust and speed": "logger"}
-
-
 def artefact(found: Diagnosis, name: str) -> str:
     """In words, why an effect belongs to the measurement and not to the rotor; empty if it does not.
 
@@ -274,42 +273,29 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
     If the campaign was identified first, the results of the static map and the steps are included.
     """
     uncertainty = fit.uncertainty.renamed(found.renamed(fit))
+    own = uncertainty.summary()
+    parameters = {name: entry for name, entry in own["parameters"].items() if name not in uncertainty.left_open}
+    for name, (low, high) in fit.thresholds.items():
+        entry = {"value": fit.values[name], "std": (high - low) / (2.0 * NORMAL_95), "interval": [low, high]}
+        parameters[name] = entry | {"interval_from": "scan"}
     first = found.identification.summary() if found.identification is not None else {}
-    condition, weakest, spread = uncertainty.directions()
     records = {one.name: one.record for one in found.fitted}
     records |= {found.unseen.name: found.unseen.record} if found.unseen is not None else {}
     shown = {name: found.prediction(fit, record) for name, record in records.items()}
     unseen = [shown[found.unseen.name]] if found.unseen is not None else []
     fitted = [shown[one.name] for one in found.fitted if one.name != "repeat"]
-    values = found.parameters(fit).values
-    error = model_error(fitted, unseen, values, len(uncertainty.names), found.noise.floor)
-    rows = zip(
-        uncertainty.names, uncertainty.values.tolist(), uncertainty.std.tolist(), uncertainty.intervals.tolist(), strict=True
-    )
-    parameters = {
-        name: {"value": value, "std": std, "interval": interval, "interval_from": uncertainty.kind(name)}
-        for name, value, std, interval in rows
-        if name not in uncertainty.left_open
-    }
-    for name, (low, high) in fit.thresholds.items():
-        entry = {"value": fit.values[name], "std": (high - low) / (2.0 * NORMAL_95), "interval": [low, high]}
-        parameters[name] = entry | {"interval_from": "scan"}
+    whole = found.parameters(fit)
+    error = model_error(fitted, unseen, whole.values, len(uncertainty.names), found.noise.floor)
     return {
         "made_by": "vpp diagnose",
-        "effects": list(found.parameters(fit).model.optional),
+        "effects": list(whole.model.optional),
+        **own,
         "parameters": parameters,
-        "correlation": {"names": list(uncertainty.names), "matrix": uncertainty.correlation.tolist()},
-        "condition_number": condition,
-        "weakest_direction": dict(zip(uncertainty.names, weakest.tolist(), strict=True)) | {"relative_std": spread},
-        "inflation_by_coloured_residuals": dict(zip(uncertainty.names, uncertainty.inflation.tolist(), strict=True)),
         "not_identifiable": dict.fromkeys(uncertainty.left_open, "not identifiable from the records"),
         **found.reading_noise.summary(),
         "model_error": error and error.summary(),
         "fitted": [one.name for one in found.fitted],
-        "records": {name: p.summary() for name, p in shown.items()},
-        "rmse_thrust": {name: p.rmse_thrust for name, p in shown.items()},
-        "rmse_omega": {name: p.rmse_omega for name, p in shown.items()},
-        "fit_thrust": {name: p.fit_thrust for name, p in shown.items()},
+        **summaries(shown),
         "missing": list(found.campaign.missing),
         **{name: first[name] for name in ("static_map", "steps") if name in first},
     }

@@ -24,6 +24,26 @@ FRAMEWORK = (
     ("safety", "the model refuses gains that break limits before they fly; limits and watchdogs of the rig as always"),
 )
 
+BOXES = {
+    "rig": (0, 2, ("rig", "measured thrust and speed")),
+    "twin": (1, 2, ("digital twin", "adapts, alarms, is diagnosed")),
+    "model-free": (0, 1, ("model-free policy", "searched on the rig")),
+    "model-based": (1, 1, ("model-based policy", "retuned on the twin")),
+    "flies": (0.5, 0, ("controller", "of the lowest measured cost")),
+}
+"""Column, row and words of each part of the framework."""
+
+ARROWS = (
+    ("rig", "twin"),
+    ("rig", "model-free"),
+    ("twin", "model-based"),
+    ("model-free", "flies"),
+    ("model-based", "flies"),
+)
+
+WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
+"""Pixels: of a box, and from box to box."""
+
 
 def day_page(day: Day) -> Page:
     """Model and controller round by round."""
@@ -135,27 +155,6 @@ def costs_by_round(
     add_line(fig, np.arange(1, len(flies) + 1), flies, "flies next", style.FIT, 1.4)
     fig.update_xaxes(dtick=1, range=[0.5, len(costs) + 0.5])
     return fig
-
-
-BOXES = {
-    "rig": (0, 2, ("rig", "measured thrust and speed")),
-    "twin": (1, 2, ("digital twin", "adapts, alarms, is diagnosed")),
-    "model-free": (0, 1, ("model-free policy", "searched on the rig")),
-    "model-based": (1, 1, ("model-based policy", "retuned on the twin")),
-    "flies": (0.5, 0, ("controller", "of the lowest measured cost")),
-}
-"""Column, row and words of each part of the framework."""
-
-ARROWS = (
-    ("rig", "twin"),
-    ("rig", "model-free"),
-    ("twin", "model-based"),
-    ("model-free", "flies"),
-    ("model-based", "flies"),
-)
-
-WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
-"""Pixels: of a box, and from box to box."""
 
 
 def framework(numbers: Mapping[str, str]) -> str:

@@ -36,6 +36,15 @@ UNIDENTIFIABLE = "not identifiable from these records"
 ZOOM, SMOOTHED = 3.0, 0.2
 """Seconds shown to both sides of a worst moment, and seconds over which the error is averaged to find it."""
 
+VISIBLE = 10.0
+"""Log-likelihood gain at a plausible size from which an effect counts as visible."""
+
+CLOSE = 0.8
+"""Squared cosine from which a pair of effects is shown."""
+
+MOST = 14
+"""Maximum number of effects in the figure of similar effects."""
+
 
 def headline(found: Diagnosis) -> str:
     """The finding in one or two sentences, and the best guess if the lack of fit is not explained."""
@@ -313,16 +322,6 @@ def _add_location(page: Page, found: Diagnosis) -> None:
         ],
         f"Location of the {what}, its repeatable part.",
     )
-
-
-VISIBLE = 10.0
-"""Log-likelihood gain at a plausible size from which an effect counts as visible."""
-
-CLOSE = 0.8
-"""Squared cosine from which a pair of effects is shown."""
-
-MOST = 14
-"""Maximum number of effects in the figure of similar effects."""
 
 
 def add_evidence(page: Page, found: Diagnosis) -> None:

@@ -23,7 +23,6 @@ QUANTITIES = {"beta": ("pitch", "deg", 0.02), "omega": ("speed", "rpm", 5.0)}
 """Output: its word and unit, and the minimum change by which an effect acts on it."""
 
 OUTPUTS = ("thrust", "omega", "beta")
-
 STAIRS, HOLD, STEP = 60, 3.0, 0.02
 """Stairs of a sweep up and down, seconds on each, and the simulation step, s."""
 
@@ -32,6 +31,12 @@ NEAR = 1.5
 
 AT_REST = 0.01
 """Minimum share of the range that counts as an influence at rest."""
+
+POINTS = 200
+"""Points of a law's line."""
+
+MOST_TRIED = 6
+"""Rejected terms that a page lists with reasons."""
 
 
 def add_effects(page: Page, found: Diagnosis) -> None:
@@ -128,13 +133,6 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
     change_words = "" if channel == "thrust" else f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}, "
     title = f"{effect} has its largest influence around {center:.0f} s: {change_words}{number(size, 3)} N of thrust"
     page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")
-
-
-POINTS = 200
-"""Points of a law's line."""
-
-MOST_TRIED = 6
-"""Rejected terms that a page lists with reasons."""
 
 
 def add_learned(page: Page, found: Diagnosis) -> None:

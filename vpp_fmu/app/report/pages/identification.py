@@ -28,6 +28,14 @@ from vpp_fmu.app.report.page import Page
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import interval, number
 
+TELLING = 0.2
+"""Component of the weakest direction from which a parameter is named."""
+
+MEAN_STD = 1.0 / 1500.0
+"""Required standard deviation of a steady point's mean, in thrust scales: the paper's 0.01 N of 15 N."""
+
+_COEFFICIENT = "thrust over speed squared, T / w² [-]"
+
 
 def quality_tile(findings: Sequence[Finding]) -> tuple[str, str, str]:
     """(label, value, note) for the first screen."""
@@ -177,10 +185,6 @@ def _add_sections(page: Page, found: Identification) -> None:
     page.table(columns, rows, "Thrust error by moving command.")
 
 
-TELLING = 0.2
-"""Component of the weakest direction from which a parameter is named."""
-
-
 def add_found(page: Page, found: Identification) -> None:
     """Add figures and tables of the parameters of an identification."""
     uncertainty = found.uncertainty
@@ -301,10 +305,6 @@ def _strongest(names, correlation) -> str:
     return f"{names[i]} and {names[j]} are correlated most strongly: {correlation[i, j]:.2f}"
 
 
-MEAN_STD = 1.0 / 1500.0
-"""Required standard deviation of a steady point's mean, in thrust scales: the paper's 0.01 N of 15 N."""
-
-
 def add_static(page: Page, found: Identification) -> None:
     """Figures and tables of the static map of an identification that has one."""
     static, points = found.static, found.campaign.static
@@ -356,9 +356,6 @@ def _add_grid(page: Page, static: StaticFit, points: StaticMap, scales) -> None:
     uncertainty = static.uncertainty(omega, beta[:, None], scales)
     title = f"The map's standard deviation is {number(uncertainty.max())} N or less in the measured range"
     page.figure(map_uncertainty(omega, beta, uncertainty, title), "Standard deviation from the coefficients' covariance.")
-
-
-_COEFFICIENT = "thrust over speed squared, T / w² [-]"
 
 
 def _mapped(static: StaticFit, scales, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:

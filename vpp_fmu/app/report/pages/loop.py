@@ -13,6 +13,8 @@ from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
 from vpp_fmu.response import Step, steps
 
+STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
+
 
 def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, float]] | None = None) -> Page:
     """The report of a closed loop's run; `limits` as of `vpp_fmu.response.steps`."""
@@ -23,9 +25,6 @@ def loop_page(done: Record, summary: str, limits: Mapping[str, tuple[float, floa
     page.figure(drawn, "Thrust with its set-point, speed and pitch with their commands.")
     page.table(STEP_COLUMNS, [row(step) for step in found], "Every change of the set-point.")
     return page
-
-
-STEP_COLUMNS = ("at [s]", "from [N]", "to [N]", "settled after [s]", "overshoot [%]")
 
 
 def row(step: Step) -> tuple:
