@@ -111,8 +111,7 @@ def add_identification(page: Page, found: Identification) -> None:
     """Add tiles, figures and tables of an identification to a page."""
     page.tiles(key_figures(found))
     add_quality(page, found.quality)
-    if lines := remarks(found):
-        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
+    page.remarks(remarks(found))
     if found.predictions:
         page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
         for name in _shown(found):
@@ -192,8 +191,7 @@ def add_found(page: Page, found: Identification) -> None:
     if found.refinement is not None:
         _add_change(page, found)
     _add_values(page, found)
-    if lines := not_identifiable(found):
-        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
+    page.remarks(not_identifiable(found))
     if uncertainty.profiled:
         page.note(
             f"The cost is not quadratic in {', '.join(uncertainty.profiled)}: their 95 % intervals are those of the profile "
