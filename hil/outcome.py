@@ -212,7 +212,6 @@ def finish(
         rms = float(np.sqrt(np.mean(difference(*reversed(loops.values()))["thrust"] ** 2)))
         content["beside"] = {"plant": beside[0], "rms_thrust": rms}
     found = Outcome(content, log, loops, timing(log["late"], log["busy"], log["missed"]) if real_time else None)
-    page = report(found)
     refusals: list[BadInput] = []
     if loops:
         with _collected(refusals):
@@ -220,7 +219,7 @@ def finish(
     with _collected(refusals):
         folder.write("hil.json", as_json(content))
     with _collected(refusals):
-        folder.write("report.html", page)
+        folder.write("report.html", report(found))
     _say(found, say)
     if refusals:
         raise refusals[0]

@@ -46,9 +46,13 @@ def residual_tests(record: Record, residual: np.ndarray) -> ResidualTests:
     for name in ("omega_ref", "beta_ref"):
         change = np.diff(_means(record[name], rows, n), prepend=record[name][0])
         if np.any(change):
-            crossed[name] = np.array([_correlation(e[k:], change[: n - k]) for k in range(1, count + 1)])
-    own = np.array([_correlation(e[k:], e[: n - k]) for k in range(1, count + 1)])
-    return ResidualTests(lags, own, crossed, NORMAL_95 / np.sqrt(np.isfinite(e).sum()))
+            crossed[name] = lagged_correlation(e, change, count)
+    return ResidualTests(lags, lagged_correlation(e, e, count), crossed, NORMAL_95 / np.sqrt(np.isfinite(e).sum()))
+
+
+def lagged_correlation(error: np.ndarray, signal: np.ndarray, count: int) -> np.ndarray:
+    """Correlation (count,) of an error (n,) with a signal (n,) 1 to `count` values earlier, without NaN."""
+    return np.array([_correlation(error[k:], signal[:-k]) for k in range(1, count + 1)])
 
 
 def _renewed(record: Record) -> float:

@@ -83,11 +83,17 @@ def _rate(signal: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.gradient(signal - signal[0], time)  # exactly 0 for a constant signal
 
 
-def _bands(error: np.ndarray, other: np.ndarray, step: float) -> dict[str, float]:
-    """Share of the cross-spectral power of two records' errors, one value per `step` s, by frequency band; NaN counts as 0."""
+def cross_spectrum(error: np.ndarray, other: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """(frequency [Hz], real cross-spectral density [N^2/Hz]) of two records' errors (n,) N, a value per `step` s; NaN is 0."""
     seen = np.isfinite(error) & np.isfinite(other)
     error, other = (np.where(seen, e, 0.0) for e in (error, other))
     frequency, shared = csd(error, other, fs=1.0 / step, nperseg=min(1024, len(error)), detrend=False)
-    power = np.maximum(shared.real, 0.0)
+    return frequency, shared.real
+
+
+def _bands(error: np.ndarray, other: np.ndarray, step: float) -> dict[str, float]:
+    """Share of the cross-spectral power of two records' errors, one value per `step` s, by frequency band."""
+    frequency, shared = cross_spectrum(error, other, step)
+    power = np.maximum(shared, 0.0)
     total = power.sum() or 1.0
     return {f"{a:g}-{b:g}": float(power[(frequency >= a) & (frequency < b)].sum() / total) for a, b in BANDS}

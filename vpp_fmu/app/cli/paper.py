@@ -12,7 +12,7 @@ from vpp_fmu.app.cli.options import whole
 from vpp_fmu.app.cli.output import add_output, dated, say_written
 from vpp_fmu.app.paper.control import RIG
 from vpp_fmu.app.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
-from vpp_fmu.app.report.pages.paper import page, summary, tiles, verdict
+from vpp_fmu.app.report.pages.paper import paper_page, summary, tiles, verdict
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.outputs import OutputSet
@@ -44,7 +44,7 @@ def run(options):
         total = time.perf_counter() - began
         bar.set_description("report")
         folder.write("paper.json", as_json(summary(done, total)))
-        folder.write("report.html", page(done, total).html())
+        folder.write("report.html", paper_page(done, total).html())
     lines = [verdict(done), *(f"{label}: {value} ({note})" for label, value, note in tiles(done, total))]
     lines += [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]
     lines.append(f"the whole study: {time.perf_counter() - began:.1f} s")

@@ -108,6 +108,11 @@ class Page:
         """An important remark."""
         self._parts.append(f"<aside>{_paragraphs(text)}</aside>")
 
+    def remarks(self, lines: Sequence[str]) -> None:
+        """Remarks without capital and full stop, as paragraphs of one note."""
+        if lines:
+            self.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
+
     def html(self) -> str:
         """The page; the same input gives the same bytes."""
         script = f"<script>\n{SCRIPT}</script>\n" if self.figures else ""

@@ -20,7 +20,6 @@ from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_residual
 from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
-from vpp_fmu.record import Record
 
 SURE = {
     "attributed": "exactly one set of effects explains the lack of fit",
@@ -239,7 +238,8 @@ def _add_whole(page: Page, found: Diagnosis) -> None:
     seen = "no fit saw" if found.unseen is not None else "was fitted"
     title = f"On a record that {seen} the thrust error is {error}; the noise alone is {number(found.noise.floor)} N"
     lines = {name: p.thrust for name, p in shown.items()}
-    page.figure(_figure(found, record, lines, title), f"{found.shown_name}.csv. {thinning(len(record))}")
+    figure = measured_against_predicted(record, lines, title, found.noise.floor)
+    page.figure(figure, f"{found.shown_name}.csv. {thinning(len(record))}")
 
 
 def _add_worst(page: Page, found: Diagnosis) -> None:
@@ -258,11 +258,8 @@ def _add_worst(page: Page, found: Diagnosis) -> None:
         when = "" if name == "model" else f" {name}"
         title = f"The worst moment{when}, around {center:.0f} s: the error is {there}"
         part = {other: thrust[near] for other, thrust in lines.items()}
-        page.figure(_figure(found, record.part(near), part, title), f"Six seconds around the worst mean over {SMOOTHED:g} s.")
-
-
-def _figure(found: Diagnosis, record: Record, lines, title: str):
-    return measured_against_predicted(record, lines, title, found.noise.floor)
+        figure = measured_against_predicted(record.part(near), part, title, found.noise.floor)
+        page.figure(figure, f"Six seconds around the worst mean over {SMOOTHED:g} s.")
 
 
 def _add_sections(page: Page, found: Diagnosis) -> None:
@@ -361,7 +358,6 @@ def _add_round(page: Page, found: Diagnosis, count: int, fitted: list[CandidateF
         "Evidence of each refitted candidate: half the decrease of the BIC on the fitted records. Candidates in the shaded "
         "band fit as well as the accepted one.",
     )
-    return bars
 
 
 def _bar(found: Diagnosis, tried: CandidateFit) -> Bar:

@@ -37,22 +37,24 @@ MEAN_STD = 1.0 / 1500.0
 _COEFFICIENT = "thrust over speed squared, T / w² [-]"
 
 
-def quality_tile(findings: Sequence[Finding]) -> tuple[str, str, str]:
-    """(label, value, note) for the first screen."""
-    codes = list(dict.fromkeys(f.code.replace("_", " ") for f in findings))
-    errors = sum(f.level == ERROR for f in findings)
-    parts = [f"{n} {word}{'s' * (n > 1)}" for n, word in ((errors, "error"), (len(findings) - errors, "warning")) if n]
-    return "quality of the data", ", ".join(parts) or "no findings", "; ".join(codes)
-
-
-def add_quality(page: Page, findings: Sequence[Finding]) -> None:
-    """Add the findings as a table, if there are any."""
-    if not findings:
-        return
-    page.section("Quality of the data")
-    rows = [(f.level, f.code, f"{f.file}, {f.field}", f.told, f.cause, f.advice) for f in findings]
-    columns = ("level", "code", "where", "what shows it", "likely cause", "what to do")
-    page.table(columns, rows, "Findings on the files, and on the fit to them, that limit the results below.")
+def identification_page(found: Identification) -> Page:
+    """The page of one identification."""
+    page = Page("Identification", "From measured records to the plant's parameters.", found.campaign.label)
+    page.tiles(key_figures(found))
+    add_quality(page, found.quality)
+    page.remarks(remarks(found))
+    if found.predictions:
+        page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
+        for name in _shown(found):
+            page.figure(*_record_figure(found, name))
+        _add_sections(page, found)
+        _add_tests(page, found)
+    add_found(page, found)
+    if found.static is not None:
+        add_static(page, found)
+    if found.steps is not None:
+        _add_steps(page, found)
+    return page
 
 
 def key_figures(found: Identification) -> list[tuple[str, str, str]]:
@@ -100,30 +102,49 @@ def _shown(found: Identification) -> list[str]:
     return [name for name in found.predictions if name != "repeat" or "open_loop" not in found.predictions]
 
 
-def identification_page(found: Identification) -> Page:
-    """The page of one identification."""
-    page = Page("Identification", "From measured records to the plant's parameters.", found.campaign.label)
-    add_identification(page, found)
-    return page
+def quality_tile(findings: Sequence[Finding]) -> tuple[str, str, str]:
+    """(label, value, note) for the first screen."""
+    codes = list(dict.fromkeys(f.code.replace("_", " ") for f in findings))
+    errors = sum(f.level == ERROR for f in findings)
+    parts = [f"{n} {word}{'s' * (n > 1)}" for n, word in ((errors, "error"), (len(findings) - errors, "warning")) if n]
+    return "quality of the data", ", ".join(parts) or "no findings", "; ".join(codes)
 
 
-def add_identification(page: Page, found: Identification) -> None:
-    """Add tiles, figures and tables of an identification to a page."""
-    page.tiles(key_figures(found))
-    add_quality(page, found.quality)
-    if lines := remarks(found):
-        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
-    if found.predictions:
-        page.section("How well the model predicts", f"Fitted together: {', '.join(found.fitted)}.")
-        for name in _shown(found):
-            page.figure(*_record_figure(found, name))
-        _add_sections(page, found)
-        _add_tests(page, found)
-    add_found(page, found)
-    if found.static is not None:
-        add_static(page, found)
-    if found.steps is not None:
-        _add_steps(page, found)
+def add_quality(page: Page, findings: Sequence[Finding]) -> None:
+    """Add the findings as a table, if there are any."""
+    if not findings:
+        return
+    page.section("Quality of the data")
+    rows = [(f.level, f.code, f"{f.file}, {f.field}", f.told, f.cause, f.advice) for f in findings]
+    columns = ("level", "code", "where", "what shows it", "likely cause", "what to do")
+    page.table(columns, rows, "Findings on the files, and on the fit to them, that limit the results below.")
+
+
+def _record_figure(found: Identification, name: str):
+    """(figure, caption) of a record beside its prediction."""
+    p, noise = found.predictions[name], found.noise.std
+    beside = f"; the noise alone is {_newton(noise)}"
+    used = "which was fitted" if name in found.fitted else "which no fit saw"
+    title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
+    if p.rmse_thrust is None:
+        title = f"Prediction for {name}, which has no thrust"
+    figure = measured_against_predicted(p.record, {"model": p.thrust}, title, noise, found.bands[name])
+    share = found.coverage[name]
+    within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
+    coverage = f"{within} the readings of {name} are within the 95 % prediction band"
+    return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
+
+
+def _add_sections(page: Page, found: Identification) -> None:
+    rows = []
+    for name, p in found.predictions.items():
+        used, summary = "fitted" if name in found.fitted else "unseen", p.summary()
+        for section, figures in ({"all": summary} | summary["sections"]).items():
+            share, fit = found.coverage[name], figures["fit_thrust"]
+            within = f"{100 * share:.1f}" if section == "all" and share is not None else ""
+            rows.append((name, used, section, figures["rmse_thrust"], None if fit is None else f"{fit:.1f}", within))
+    columns = ("record", "used", "section", "rmse [N]", "fit [%]", "readings in the 95 % band [%]")
+    page.table(columns, rows, "Thrust error by moving command.")
 
 
 def _add_tests(page: Page, found: Identification) -> None:
@@ -158,33 +179,6 @@ def _add_steps(page: Page, found: Identification) -> None:
         page.table(("run", "reason"), rows, "Step responses that are not used.")
 
 
-def _record_figure(found: Identification, name: str):
-    """(figure, caption) of a record beside its prediction."""
-    p, noise = found.predictions[name], found.noise.std
-    beside = f"; the noise alone is {_newton(noise)}"
-    used = "which was fitted" if name in found.fitted else "which no fit saw"
-    title = f"Thrust error on {name}, {used}: {_newton(p.rmse_thrust)}{beside}"
-    if p.rmse_thrust is None:
-        title = f"Prediction for {name}, which has no thrust"
-    figure = measured_against_predicted(p.record, {"model": p.thrust}, title, noise, found.bands[name])
-    share = found.coverage[name]
-    within = "An unknown share of" if share is None else f"{100 * share:.1f} % of"
-    coverage = f"{within} the readings of {name} are within the 95 % prediction band"
-    return figure, f"{coverage}, from parameters and residual. {thinning(len(p.record))}"
-
-
-def _add_sections(page: Page, found: Identification) -> None:
-    rows = []
-    for name, p in found.predictions.items():
-        used, summary = "fitted" if name in found.fitted else "unseen", p.summary()
-        for section, figures in ({"all": summary} | summary["sections"]).items():
-            share, fit = found.coverage[name], figures["fit_thrust"]
-            within = f"{100 * share:.1f}" if section == "all" and share is not None else ""
-            rows.append((name, used, section, figures["rmse_thrust"], None if fit is None else f"{fit:.1f}", within))
-    columns = ("record", "used", "section", "rmse [N]", "fit [%]", "readings in the 95 % band [%]")
-    page.table(columns, rows, "Thrust error by moving command.")
-
-
 def add_found(page: Page, found: Identification) -> None:
     """Add figures and tables of the parameters of an identification."""
     uncertainty = found.uncertainty
@@ -192,8 +186,7 @@ def add_found(page: Page, found: Identification) -> None:
     if found.refinement is not None:
         _add_change(page, found)
     _add_values(page, found)
-    if lines := not_identifiable(found):
-        page.note("\n\n".join(f"{line[0].upper()}{line[1:]}." for line in lines))
+    page.remarks(not_identifiable(found))
     if uncertainty.profiled:
         page.note(
             f"The cost is not quadratic in {', '.join(uncertainty.profiled)}: their 95 % intervals are those of the profile "

@@ -94,29 +94,29 @@ def summary(study: Study, total: float) -> dict:
     }
 
 
-def page(study: Study, total: float) -> Page:
+def paper_page(study: Study, total: float) -> Page:
     """The report; `total`: s that everything took before it."""
     rows = compared(study)
-    made = Page("The paper's study on the emulated rig", f"{_done(study)}\n\n{verdict(study)}")
-    made.tiles(tiles(study, total))
-    made.section("The numbers that matter")
-    made.table(COLUMNS, [rows[name].cells() for name in KEY], "± is a standard deviation. A dash: there is none.")
+    page = Page("The paper's study on the emulated rig", f"{_done(study)}\n\n{verdict(study)}")
+    page.tiles(tiles(study, total))
+    page.section("The numbers that matter")
+    page.table(COLUMNS, [rows[name].cells() for name in KEY], "± is a standard deviation. A dash: there is none.")
     if not study.is_full:
-        made.note("A quick study: fewer points, readings, steps and shorter records than the paper's. Its numbers are rough.")
+        page.note("A quick study: fewer points, readings, steps and shorter records than the paper's. Its numbers are rough.")
     places = {}
     for add in (_add_loops, _add_static, _add_steps, _add_fine_tuning, _add_control):
-        places |= add(made, study)
-    made.section("All figures")
+        places |= add(page, study)
+    page.section("All figures")
     shown = [(f"figure {n}", what, NOT_HERE.get(n) or f"figure {places[n]}") for n, what in FIGURES.items()]
-    made.table(("paper", "shows", "here"), shown, "Figures of the paper and of this page.")
-    made.section("All numbers")
-    made.table(COLUMNS, [row.cells() for row in rows.values()], "In the paper's order.")
-    made.table(("not in the paper", "here"), UNPUBLISHED, "Data that the paper does not give.")
-    made.section("Time")
+    page.table(("paper", "shows", "here"), shown, "Figures of the paper and of this page.")
+    page.section("All numbers")
+    page.table(COLUMNS, [row.cells() for row in rows.values()], "In the paper's order.")
+    page.table(("not in the paper", "here"), UNPUBLISHED, "Data that the paper does not give.")
+    page.section("Time")
     times = [*study.seconds.items(), ("the whole, before this page", total)]
     caption = f"Seed {study.seed}. In virtual time: the rig's own clock runs ahead of this one's."
-    made.table(("stage", "time [s]"), times, caption)
-    return made
+    page.table(("stage", "time [s]"), times, caption)
+    return page
 
 
 def verdict(study: Study) -> str:

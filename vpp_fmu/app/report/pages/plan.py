@@ -41,7 +41,7 @@ def plan_page(found: Plan, basis: Sequence[str] = (), remarks: Sequence[str] = (
     )
     page.tiles(key_figures(found))
     for line in basis:
-        page.note(f"{line[0].upper()}{line[1:]}.")
+        page.remarks([line])
     for remark in remarks:
         page.note(remark)
     for name, why in found.not_identifiable.items():

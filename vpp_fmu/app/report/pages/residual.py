@@ -1,11 +1,10 @@
 """Report section: correlations, spectrum and transients of the residual, before and after the effects are added."""
 
 import numpy as np
-from scipy.signal import csd
 
-from identification.assessment.residual_tests import NORMAL_95
+from identification.assessment.residual_tests import NORMAL_95, lagged_correlation
 from identification.diagnose.diagnose import Diagnosis
-from identification.diagnose.locate import RATE
+from identification.diagnose.locate import RATE, cross_spectrum
 from identification.fit.noise import Noise, blocks
 from vpp_fmu.app.report.figures.residual import correlations, residual_by_move, residual_spectrum
 from vpp_fmu.app.report.page import Page
@@ -49,12 +48,14 @@ def _add_correlations(page: Page, found: Diagnosis) -> None:
     count = max(1, min(LAGS, len(at.time) // 4))
     lags = np.arange(1, count + 1) * float(np.median(np.diff(at.time)))
     errors = {name: at.mean(error) for name, error in _residuals(found, record).items()}
-    rows = {"itself": {name: _correlated(e, e, count) for name, e in errors.items()}}
+    rows = {"itself": {name: lagged_correlation(e, e, count) for name, e in errors.items()}}
     for command, (word, _) in WORDS.items():
         level = at.mean(record[command])
         if np.ptp(level) > 0.0:
-            rows[f"{word} command"] = {name: _correlated(e, level, count) for name, e in errors.items()}
-            rows[f"rate of {word} command"] = {name: _correlated(e, np.gradient(level), count) for name, e in errors.items()}
+            rows[f"{word} command"] = {name: lagged_correlation(e, level, count) for name, e in errors.items()}
+            rows[f"rate of {word} command"] = {
+                name: lagged_correlation(e, np.gradient(level), count) for name, e in errors.items()
+            }
     band = NORMAL_95 / np.sqrt(np.isfinite(next(iter(errors.values()))).sum())
     outside = {row: [100.0 * np.mean(np.abs(v) > band) for v in lines.values()] for row, lines in rows.items()}
     worst = max(outside, key=lambda row: outside[row][0])
@@ -64,20 +65,6 @@ def _add_correlations(page: Page, found: Diagnosis) -> None:
     title = f"The residual correlates with {what} at {first:.0f} % of the lags{now}; chance gives 5 %"
     caption = f"Correlation of the open-loop thrust residual with earlier values, means over {1000 * RATE:.0f} ms."
     page.figure(correlations(lags, rows, band, title), caption)
-
-
-def _correlated(error: np.ndarray, signal: np.ndarray, count: int) -> np.ndarray:
-    """Correlation (count,) of an error (n,) with a signal (n,) 1 to `count` blocks earlier, without NaN; 0 without pairs."""
-    found = []
-    for k in range(1, count + 1):
-        late, early = error[k:], signal[:-k]
-        both = np.isfinite(late) & np.isfinite(early)
-        if not both.any():
-            found.append(0.0)
-            continue
-        late, early = late[both] - late[both].mean(), early[both] - early[both].mean()
-        found.append(late @ early / (np.sqrt((late @ late) * (early @ early)) or 1.0))
-    return np.array(found)
 
 
 def _add_spectrum(page: Page, found: Diagnosis) -> None:
@@ -96,12 +83,10 @@ def _add_spectrum(page: Page, found: Diagnosis) -> None:
 
 
 def _binned(one: np.ndarray, other: np.ndarray, step: float) -> np.ndarray:
-    """Real cross-spectral density (bins,) N^2/Hz of two errors (n,) N."""
-    both = np.isfinite(one) & np.isfinite(other)
-    one, other = (np.where(both, e, 0.0) for e in (one, other))
-    frequency, shared = csd(one, other, fs=1.0 / step, nperseg=min(1024, len(one)), detrend=False)
+    """Real cross-spectral density (bins,) N^2/Hz of two errors (n,) N; NaN where it is not positive."""
+    frequency, shared = cross_spectrum(one, other, step)
     inside = np.digitize(frequency, BINS) - 1
-    means = [shared.real[inside == k].mean() if np.any(inside == k) else np.nan for k in range(len(BINS) - 1)]
+    means = [shared[inside == k].mean() if np.any(inside == k) else np.nan for k in range(len(BINS) - 1)]
     return np.where(np.array(means) > 0.0, means, np.nan)
 
 
