@@ -332,7 +332,7 @@ def _cells(merit: Merit) -> tuple:
     return merit.settling, merit.overshoot, error
 
 
-def _published(dash: str, width: float = 2.0) -> dict:
+def _published(dash: str, width: float = 2) -> dict:
     """A line of what the paper published."""
     return {"colour": style.PUBLISHED, "width": width, "dash": dash}
 
