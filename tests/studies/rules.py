@@ -1,8 +1,8 @@
 """python -m tests.studies rules: what each rule of a diagnosis is worth.
 
 Each case of the study `diagnosis` runs with all rules, and then without one of them in turn, unless the rule decided nothing in
-the case. The table counts the cases in which a rule spoke, and those in which the verdict or the names differ without it: right
-to wrong, wrong to right, or neither. A rule that changes no verdict can be deleted.
+the case. The table counts the cases in which a rule decided, and those in which the verdict or the names differ without it:
+right to wrong, wrong to right, or neither. A rule that changes no verdict can be deleted.
 """
 
 import argparse
@@ -23,15 +23,33 @@ from .cases import Case
 
 @dataclass(frozen=True)
 class Rule:
-    """A function of the diagnosis (`place`: module:name or module:class.name). `without(original, *arguments)` replaces it;
-    it returns (value without the rule, whether the rule decided anything)."""
+    """A rule is a function of the diagnosis; `place`: module:name or module:class.name. `without(original, *arguments)` returns
+    two functions: one gives the value without the rule, one tells from the value with it whether the rule decided anything."""
 
     place: str
     without: Callable
 
     @contextmanager
-    def removed(self, off: bool, spoke: Callable[[], None]) -> Iterator[None]:
-        """Run without the rule (`off`), or with it, calling `spoke` where it decides."""
+    def removed(self) -> Iterator[None]:
+        """Run without the rule."""
+        with self._replaced(lambda called, value_without, decided: value_without()):
+            yield
+
+    @contextmanager
+    def observed(self, decides: Callable[[], None]) -> Iterator[None]:
+        """Run with the rule; `decides` is called where it decides anything."""
+
+        def kept(called, value_without, decided):
+            value = called()
+            if decided(value):
+                decides()
+            return value
+
+        with self._replaced(kept):
+            yield
+
+    @contextmanager
+    def _replaced(self, by: Callable) -> Iterator[None]:
         module, _, name = self.place.partition(":")
         owner = importlib.import_module(module)
         *outer, name = name.split(".")
@@ -41,13 +59,7 @@ class Rule:
         called = original.fget if isinstance(original, property) else original
 
         def replaced(*given, **named):
-            value, (other, decided) = None, self.without(called, *given, **named)
-            if off:
-                return other()
-            value = called(*given, **named)
-            if decided(value):
-                spoke()
-            return value
+            return by(lambda: called(*given, **named), *self.without(called, *given, **named))
 
         with patch.object(owner, name, property(replaced) if isinstance(original, property) else replaced):
             yield
@@ -80,7 +92,7 @@ def _flag(*others: str) -> Callable:
     return lambda original, lack: (lambda: False, lambda value: value and not any(getattr(lack, name) for name in others))
 
 
-def _replaced(original, searcher, found, judge):
+def _preferred(original, searcher, found, judge):
     """The preference of a special case: it decides where the set of effects is another one afterwards."""
     final = found.final
     return lambda: None, lambda value: found.final is not final
@@ -104,7 +116,7 @@ RULES: Mapping[str, Rule] = {
             lambda value: bool(value) and value[0].evidence < max(t.evidence for t in value),
         ),
     ),
-    "special case replaces": Rule(f"{HERE}.selection:_prefer_special_cases", _replaced),
+    "special case replaces": Rule(f"{HERE}.selection:_prefer_special_cases", _preferred),
     "rival with all sizes": Rule(f"{HERE}.selection:_all_on", _unchanged(2)),
     "step responses confirm a phase": Rule(f"{HERE}.validation:without", _unchanged(2)),
     "prior weighed again": Rule(f"{HERE}.search.fits:Fit.agreed", _unchanged(0)),
@@ -168,15 +180,15 @@ class Asked:
 
 def ablated(asked: Asked, threads: int) -> dict:
     """The outcome of a case, and `without`: by rule that decided something, the outcome without it."""
-    spoken: set[str] = set()
+    decided: set[str] = set()
     with ExitStack() as stack:
         for name in asked.rules:
-            stack.enter_context(RULES[name].removed(False, lambda name=name: spoken.add(name)))
+            stack.enter_context(RULES[name].observed(lambda name=name: decided.add(name)))
         row = diagnosis.outcome(asked.case, threads, LIBRARY)
     row["without"] = {}
-    for name in (name for name in asked.rules if name in spoken):
+    for name in (name for name in asked.rules if name in decided):
         began = time.perf_counter()
-        with RULES[name].removed(True, lambda: None):
+        with RULES[name].removed():
             try:
                 other = diagnosis.outcome(asked.case, threads, LIBRARY)
             except Exception as error:  # without a rule anything may happen: the table says so
