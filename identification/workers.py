@@ -35,8 +35,9 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
         pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         with _deaf():
-            results = pool.map(work, items)
-        return list(tqdm(results, total=len(items), desc=what, disable=None, leave=False))
+            # Not `map`: it cancels what is left as it ends, and the pool fails on a cancelled piece whose worker is killed.
+            futures = [pool.submit(work, item) for item in items]
+        return [future.result() for future in tqdm(futures, desc=what, disable=None, leave=False)]
     except BrokenProcessPool as error:
         raise WorkerLost(f"{what or 'work'}: one of {workers} processes has died: killed, or short of memory?") from error
     except BaseException:
