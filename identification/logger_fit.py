@@ -37,6 +37,10 @@ from vpp_fmu.sensors import ENCODER, MARK, TELEMETRY, UNKNOWN, SpeedSensor
 EARLIEST = 3
 """Maximum number of rows by which commands may act before their readings."""
 
+LATEST_ROW = 2.0
+"""Maximum offset of a logger, in rows, where a delay of one command explains the record as well: a command waits for its row to be
+written, and then for the next loop."""
+
 ROUNDS, QUARTER = 4, 0.25
 """Maximum number of fits that search for run-ins; maximum share of a record that the first of them excludes."""
 
@@ -191,6 +195,8 @@ class _Estimate:
         delayed = fit.worse_than(loose)
         if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
+        elif contract := self._one_delay(fit):
+            return contract
         rows, std = shared.value / self._period, shared.std / self._period
         for value in (0.0, float(round(rows))):
             simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
@@ -208,6 +214,15 @@ class _Estimate:
             other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
             fit = other if fit.worse_than(other) else fit
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
+
+    def _one_delay(self, fit: "_SensorFit") -> Logger | None:
+        """The logger without an offset if a delay of one command explains the record better than the offset of `fit`, or as well
+        and the offset is larger than a logger's: short lags of the other command replace its missing delay."""
+        each = (_SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=n).solved(FULL) for n in self._delays)
+        for one in each:
+            if fit.worse_than(one) or (fit.rows > LATEST_ROW and not one.worse_than(fit)):
+                return Logger(0.0, 0.0, one.sensor, {name: one.estimate(name)[1] for name in one.free}, self._period)
+        return None
 
     def _hypotheses(self) -> list[tuple[SpeedSensor, tuple[str, ...], float]]:
         """(sensor, its free parameters, log-likelihood of its renewal intervals) of those that explain them; all, if none does.
@@ -242,6 +257,7 @@ class _SensorFit:
     """The base model with delays of its commands, fitted with one kind of sensor, whose `free` parameters are fitted, too.
 
     `sensor` None: fitted to the thrust alone. `tied`: both commands have the same delay. `held`: its fixed value, in rows.
+    `alone`: the one delay that is not held.
     `renewed`: log-likelihood of the renewal intervals of the sensor.
     """
 
@@ -254,12 +270,14 @@ class _SensorFit:
         start: "_SensorFit | None" = None,
         tied: bool = False,
         held: float | None = None,
+        alone: str = "",
     ):
         self._of, self.free, self.sensor, self.renewed = of, free, sensor or UNKNOWN, renewed
         self._experiments = of._thrust_alone
         if self.sensor.kind:
             self._experiments = [e.measured_by(self.sensor) for e in of._experiments]
-        fixed = {} if held is None else dict.fromkeys(ALL_DELAYS, (EARLIEST + held) * of._period)
+        at_rest = {} if held is None else dict.fromkeys(ALL_DELAYS, (EARLIEST + held) * of._period)
+        fixed = {n: v for n, v in at_rest.items() if n != alone}
         self._start = {**(of.values if start is None else start.values), **fixed}
         self._names = [n for n in of._names if n not in fixed]
         self._problem = Problem(of._model, self._experiments, self._start, self._names)

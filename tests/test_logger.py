@@ -39,9 +39,12 @@ def commands(seed, seconds=40.0, rate=RATE):
     return Record({"time": time, "omega_ref": walk(2200.0, 5800.0), "beta_ref": walk(-4.0, 9.0)}, "commands")
 
 
-def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE):
-    """A record of the base model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm."""
+def logged(seed, rows, filter_=0.0, noise=0.05, rate=RATE, pitch=None):
+    """A record of the base model whose commands act `rows` rows later than the readings of their row; speed to 1 rpm. `pitch`
+    [deg]: of a record that holds it."""
     record = commands(seed, rate=rate)
+    if pitch is not None:
+        record = record.with_columns(beta_ref=np.full(len(record), pitch))
     fine = 20
     late = record.commands_later(rows)
     columns = {n: np.repeat(late[n], fine) for n in ("omega_ref", "beta_ref")}
@@ -168,6 +171,18 @@ def test_the_filter_is_found_beside_a_record_that_measures_no_speed():
     assert sensor.filter == pytest.approx(0.03, rel=0.1)
     alone = Experiment([Fitted("silent", silent)], independent(10.0))
     assert alone.omega_columns(np.ones((len(silent), 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("rows", [1.0, 5.0])
+def test_a_delay_that_is_a_loggers_or_the_motors_is_the_motors_from_the_third_row_on(rows):
+    """Where the pitch is held, no reading distinguishes them."""
+    record = logged(40, rows, pitch=5.0)
+    logger = as_logged(passed(campaign(record))).logger
+    assert logger.rows == pytest.approx(rows if rows <= 2.0 else 0.0, abs=0.05)
+
+
+def test_a_late_log_is_the_loggers_where_both_commands_show_it():
+    assert as_logged(passed(campaign(logged(41, 5.0)))).logger.rows == pytest.approx(5.0, abs=0.05)
 
 
 def test_a_late_log_is_mended_by_whole_rows():
