@@ -38,7 +38,7 @@ EARLIEST = 3
 """Maximum number of rows by which commands may act before their readings."""
 
 LATEST_ROW = 2.0
-"""Maximum offset of a logger, in rows, where a delay of one command explains the record as well: a command waits for its row to be
+"""Maximum offset of a logger, in rows, if a delay of one command explains the record as well. A command waits for the row to be
 written, and then for the next loop."""
 
 ROUNDS, QUARTER = 4, 0.25
@@ -216,8 +216,8 @@ class _Estimate:
         return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
-        """The logger without an offset if a delay of one command explains the record better than the offset of `fit`, or as well
-        and the offset is larger than a logger's: short lags of the other command replace its missing delay."""
+        """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or if it
+        explains it as well and the offset is larger than a logger's. Shorter lags of the other command hide its lack of delay."""
         each = (_SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=n).solved(FULL) for n in self._delays)
         for one in each:
             if fit.worse_than(one) or (fit.rows > LATEST_ROW and not one.worse_than(fit)):
