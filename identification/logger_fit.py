@@ -217,7 +217,7 @@ class _Estimate:
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or if it
-        explains it as well and the offset is larger than a logger's. Shorter lags of the other command hide its lack of delay."""
+        explains it as well and the offset is larger than a logger's. Shorter lags of the other command hide the difference."""
         each = (_SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=0.0, alone=n).solved(FULL) for n in self._delays)
         for one in each:
             if fit.worse_than(one) or (fit.rows > LATEST_ROW and not one.worse_than(fit)):
