@@ -334,6 +334,14 @@ def test_no_guess_is_made_where_nothing_is_missing(nothing_missing, example):
     assert summary(example)["best_guess"] is None
 
 
+def test_a_spent_budget_ends_the_search_after_its_first_round_and_says_what_was_not_tried(example):
+    found = diagnose(read_campaign(example_folder()), FEW, budget=0.0)
+    assert found.final.effects == example.final.effects == ("pitch_command_deadband",)
+    assert summary(found)["not_tried"] == ["a further effect + pitch_command_deadband"]
+    assert "a further effect + pitch_command_deadband" in diagnosis_page(found).html()
+    assert summary(example)["not_tried"] == []
+
+
 def test_the_validation_record_moves_nothing(example):
     """With another thrust in it everything is found as before."""
     campaign = read_campaign(example_folder())

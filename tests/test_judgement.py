@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from identification.diagnose import acceptance, crossval, diagnose, selection, validation
 from identification.diagnose.crossval import HeldOut, cross_validated, error_increases, folds
+from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import (
     ALPHA,
     FOLDS,
@@ -187,8 +188,12 @@ def test_two_effects_are_found_where_a_third_alone_looks_better_than_either(monk
     monkeypatch.setattr(selection, "_rivals", lambda *_: {})
     judge = type("Judged", (), {"searcher": SimpleNamespace(again=lambda one: one), "base": fit()})()
     judge.__class__.__call__ = lambda *_: SimpleNamespace(refused=())
-    _, found = selection.select(judge, [], lambda judge, fit: None, False, None)
+    _, found = selection.select(judge, [], lambda judge, fit: None, Effort(thorough=False), None)
     assert sorted(found.final.effects) == ["delay", "drift"]
+    spent = Effort(budget=0.0, thorough=False)
+    _, found = selection.select(judge, [], lambda judge, fit: None, spent, None)
+    (first,) = found.final.effects
+    assert spent.not_tried == [f"a further effect + {first}"]
 
 
 @pytest.mark.parametrize(("steps", "ships"), [(0.05, ("vibration", "lag")), (0.2, ("lag",)), (None, ("lag",))])

@@ -13,6 +13,7 @@ from identification.assessment.reading_noise import ReadingNoise
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.crossval import HeldOut
 from identification.diagnose.distinguish import Distinguishability, distinguishability
+from identification.diagnose.effort import Effort
 from identification.diagnose.experiment import discriminating_experiment
 from identification.diagnose.guess import Guess, best_guess
 from identification.diagnose.initial_model import (
@@ -65,7 +66,7 @@ class Diagnosis:
     selected set. `held_out_before`, `held_out_after`: cross-validation of base and final model. `unseen`: the validation
     record, used only after the model is final. `refuted`: why validation refutes the selected set, else "". `attempt`: to learn
     a term, if no effect explains the lack of fit. `best_guess`: the best candidate if the lack of fit is not explained; None
-    otherwise, or without candidates.
+    otherwise, or without candidates. `not_tried`: steps for which the time budget did not suffice.
     """
 
     campaign: Campaign
@@ -92,6 +93,7 @@ class Diagnosis:
     refuted: str
     attempt: Attempt
     best_guess: Guess | None
+    not_tried: tuple[str, ...]
 
     @property
     def learned(self) -> Learned | None:
@@ -179,25 +181,28 @@ def diagnose(
     records: Mapping[str, Record] | None = None,
     accept: Iterable[str] = (),
     thorough: bool = True,
+    budget: float | None = None,
 ) -> Diagnosis:
     """Find the effects that the model of a campaign needs. `stage` is called with the name of each stage.
 
     The model is identified from the campaign first, or it is `given`, its effects part of the base. The open-loop record, its
     repeat and further `records` are fitted; the validation record is used only after the model is final. `smallest` [N],
     `smallest_speed` [rpm]: minimum sizes of interest. `thorough`: if lack of fit remains, more candidates are refitted, and a
-    term of unknown form is learned. BadInput if the campaign has no record to fit.
+    term of unknown form is learned. `budget` [s]: no further step of the search begins after this time; the result then depends
+    on the machine's speed. BadInput if the campaign has no record to fit.
 
     The logger is estimated first, beside the base model. A missing effect may bias this estimate. So if effects are found
     beside a logger that differs from the contract's, or if one of them is a delay, it is estimated again beside the others. If
     it differs, the campaign is diagnosed with it, too.
     """
+    effort = Effort(budget, thorough, stage)
     # The fits run in parallel, each with one thread of linear algebra.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         stage("quality")
         gate = passed(campaign, records, accept)
         library = tuple(library)
         present = (given.model.optional, library, given.values) if given else ()
-        run = partial(_diagnosed, campaign, library, pool, seed, stage, given, Smallest(smallest, smallest_speed), thorough)
+        run = partial(_diagnosed, campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
         first = as_logged(gate, *present)
         found = run(first)
@@ -206,6 +211,8 @@ def diagnose(
         beside = [name for name in named if name not in LATE]
         if not named or (first.logger.plain and beside == named):
             return found
+        if not effort.allows(f"another logger beside {' + '.join(named)}"):
+            return replace(found, not_tried=tuple(effort.not_tried))
         stage("logger")
         kept = given.model.optional if given else ()
         again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
@@ -224,14 +231,13 @@ def _diagnosed(
     library: tuple[Effect, ...],
     pool: ThreadPoolExecutor,
     seed: int,
-    stage: Callable[[str], None],
+    effort: Effort,
     given: ParameterSet | None,
     smallest: Smallest,
-    thorough: bool,
     gate: Passed,
 ) -> Diagnosis:
     """Diagnose a campaign whose records passed the `gate`, corrected for its logger."""
-    stage("identify")
+    effort.stage("identify")
     groups, unseen = roles(gate.campaign, gate.further)
     fitted = tuple(one for group in groups for one in group)
     if given:
@@ -239,12 +245,12 @@ def _diagnosed(
     else:
         at = from_identification(campaign, gate, library, seed)
     options = candidates(at.library, [one.record for one in fitted])
-    stage("noise")
+    effort.stage("noise")
     give_back()
     searcher, base = prepared(groups, at, options, pool)
     judge = Judge(searcher, base, smallest, gate.campaign.steps)
     searcher.base_score_gain = judge.lack(base).score.gain
-    stage("distinguishable effects")
+    effort.stage("distinguishable effects")
     distinguishable = distinguishability(base, options, at.library, pool.map)
     give_back()
 
@@ -252,7 +258,7 @@ def _diagnosed(
         there = with_lower_noise(groups, at, judge.searcher, judge.base, fit)
         return there and Judge(*there, smallest, gate.campaign.steps)
 
-    judge, selection = select(judge, options, clearer, thorough, pool, stage)
+    judge, selection = select(judge, options, clearer, effort, pool)
     searcher, base = judge.searcher, judge.base
     give_back()
     before, after = (with_rotor_order(judge.lack(fit), fit) for fit in (base, selection.final))
@@ -262,19 +268,21 @@ def _diagnosed(
     final, refuted = identified, ""
     if word in CHANGED:
         final, refuted = shipped(identified, base, selection.final, word == "partly")
-    if refuted and (
-        others := next_valid_alternative(selection, refuted, judge, base, before, partial(shipped, identified, base))
+    if (
+        refuted
+        and effort.allows("other effects in place of the refuted")
+        and (others := next_valid_alternative(selection, refuted, judge, base, before, partial(shipped, identified, base)))
     ):
         (selection, after, final), refuted = others, ""
         word = verdict(base, selection.final, before, after, selection.family)
     lack = before if refuted else after
     word = unnamed(before) if refuted else word
     attempt = Attempt()
-    if thorough and word in UNEXPLAINED and lack.significant:
+    if effort.thorough and word in UNEXPLAINED and lack.significant and effort.allows("a term of unknown form"):
         besides = [base, selection.final] if word == "partly" else [base]
 
         def learned_beside(beside: Fit) -> Attempt:
-            return learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, stage)
+            return learn(searcher, beside, smallest, at.rig.scales, gate.campaign.steps, pool, effort)
 
         attempt, final = _learned(learned_beside, besides, judge, final, shipped)
     if attempt.learned:
@@ -282,7 +290,7 @@ def _diagnosed(
         after = with_rotor_order(judge.lack(selection.final), selection.final)
     experiment, guess = discriminating_experiment(_timed(at, final), seed, fitted[0].record.period), None
     if word in UNEXPLAINED:
-        tried = partial(nearest, judge, selection, options, pool)
+        tried = partial(nearest, judge, selection, options, effort, pool)
         guess = best_guess(judge, selection, (before, after), refuted, word == "partly", tried, experiment)
     shown = predict(final.problem.model, final.values, fitted[0].record)
     return Diagnosis(
@@ -310,6 +318,7 @@ def _diagnosed(
         refuted=refuted,
         attempt=attempt,
         best_guess=guess,
+        not_tried=tuple(effort.not_tried),
     )
 
 

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnose.acceptance import Judge
+from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import (
     ALTERNATIVE_WINDOW,
     MIN_EVIDENCE,
@@ -26,6 +27,9 @@ from identification.diagnose.search.refits import (
     refitted,
     screened,
 )
+
+AGAIN = "a search from the second best effect"
+"""A step of the search."""
 
 MORE_ROUNDS = 2
 """Further rounds of refits if no candidate is accepted and lack of fit remains."""
@@ -56,26 +60,25 @@ def select(
     judge: Judge,
     options: Iterable[Candidate],
     clearer: Callable[[Judge, Fit], Judge | None],
-    thorough: bool,
+    effort: Effort,
     pool,
-    stage: Callable[[str], None] = lambda text: None,
 ) -> tuple[Judge, Selection]:
     """Search up to MOST effects: (final judge, selection).
 
-    `thorough`: refit more candidates while lack of fit remains. `clearer(judge, fit)`: a judge with a noise estimate from the
-    residual of a fit, if that is lower; it judges from then on. If one effect does not explain all, the search starts once more
-    from the second best single effect, if that was nearly as good; the better set is kept. The result does not depend on the
-    number of workers in `pool`.
+    `clearer(judge, fit)`: a judge with a noise estimate from the residual of a fit, if that is lower; it judges from then on.
+    If one effect does not explain all, the search starts once more from the second best single effect, if that was nearly as
+    good; the better set is kept. The first round ends whatever the budget of `effort` is. Without a budget the result does not
+    depend on the number of workers in `pool`.
     """
-    forward = partial(_forward, options=list(options), clearer=clearer, thorough=thorough, pool=pool, stage=stage)
+    forward = partial(_forward, options=list(options), clearer=clearer, effort=effort, pool=pool)
     judge, found = forward(judge, Selection(judge.base, judge.base))
-    if len(found.final.effects) > 1 and (begin := _next_best(judge, found)):
+    if len(found.final.effects) > 1 and (begin := _next_best(judge, found)) and effort.allows(AGAIN):
         first, own = begin
         again, other = forward(judge, replace(found, final=first, judgements=own, rounds=found.rounds[:1], refused={}))
         known = found.final if again is judge else again.searcher.again(found.final)
         if evidence_over(other.final, known) > 0.0:
             judge, found = again, other
-    stage("judge")
+    effort.stage("judge")
     searcher = judge.searcher
     _prefer_special_cases(searcher, found, judge)
     found.refused = {n: j for n, j in found.refused.items() if n not in found.final.effects}
@@ -83,15 +86,21 @@ def select(
     return judge, found
 
 
-def _forward(judge: Judge, found: Selection, options, clearer, thorough, pool, stage) -> tuple[Judge, Selection]:
+def _forward(judge: Judge, found: Selection, options, clearer, effort, pool) -> tuple[Judge, Selection]:
     """(final judge, selection) after adding effects one by one to those `found`."""
     visited = set()
     while len(found.final.effects) < MOST and key(found.final) not in visited:
+        beside = "".join(f" + {name}" for name in found.final.effects)
+        if visited and not effort.allows(f"a further effect{beside}"):
+            break
         visited.add(key(found.final))
-        stage(f"try {len(options)} candidates" + "".join(f" + {name}" for name in found.final.effects))
+        effort.stage(f"try {len(options)} candidates{beside}")
         tried = first_round(judge.searcher, found.final, options, pool)
         best = _first_accepted(judge.searcher, found, tried, judge)
-        for _ in range(MORE_ROUNDS if best is None and thorough and judge.lack(found.final).significant else 0):
+        more = best is None and effort.thorough and judge.lack(found.final).significant
+        for _ in range(MORE_ROUNDS if more else 0):
+            if not effort.allows(f"less promising candidates{beside}"):
+                break
             further = deeper(judge.searcher, found.final, tried, pool)
             if further == tried:
                 break
@@ -139,11 +148,13 @@ Tried = list[tuple[str, Fit, Callable[[], Judgement]]]
 """(name, fit, its judgement when asked for) of candidates."""
 
 
-def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], pool) -> Tried:
+def nearest(judge: Judge, found: Selection, options: Sequence[Candidate], effort: Effort, pool) -> Tried:
     """Candidates beside the final set, by decreasing evidence: those of the last round, or the most promising one, refitted."""
     searcher, final = judge.searcher, found.final
     last = found.rounds[-1] if found.rounds else []
     if not last or key(final)[0] != tuple(sorted(last[0].beside)):
+        if not effort.allows(f"a best guess beside {' + '.join(final.effects)}"):
+            return []
         last = first_round(searcher, final, options, pool)
     refits = [t for t in last if t.fit is not None]
     if last and not refits:

@@ -5,13 +5,14 @@ base of the best refit. Terms are accepted or rejected by the rules for effects,
 comparisons reaches by chance.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.diagnose.acceptance import Judge
 from identification.diagnose.crossval import HeldOut, contiguous_folds, cross_validated, p_no_decrease
+from identification.diagnose.effort import Effort
 from identification.diagnose.judgement import ALPHA, ALPHA_HELD_OUT, ALTERNATIVE_WINDOW, MIN_EVIDENCE, Judgement, Smallest
 from identification.diagnose.learned.laws import laws_of
 from identification.diagnose.learned.refit import Term, refitted
@@ -91,28 +92,28 @@ def learn(
     scales: Scales,
     runs: Sequence[Record],
     pool,
-    stage: Callable[[str], None] = lambda text: None,
+    effort: Effort,
 ) -> Attempt:
     """Learn a term beside a fit. `smallest`: minimum sizes of interest; `scales`: of the rig; `runs`: step responses to check
-    terms."""
-    stage("search for an effect outside the library")
+    terms. The first refits always end, whatever the budget of `effort`."""
+    effort.stage("search for an effect outside the library")
     leads = screened(beside, spread=pool.map)
     comparisons = len(leads)
     searcher.points = max(searcher.points, comparisons)
     judge = Carried(searcher, beside, smallest, runs)
     chosen = short_list(leads, (), FIRST)
-    stage(f"refit {len(chosen)} of {comparisons} terms")
+    effort.stage(f"refit {len(chosen)} of {comparisons} terms")
     terms = _refitted(searcher, beside, chosen, scales, pool)
     if not terms:
         return Attempt((), comparisons)
     for _ in range(ROUNDS):
         best, *others = sorted(terms, key=lambda t: -judge.gain(t.fit, beside))
-        if not judge.lack(best.fit).significant:
+        if not judge.lack(best.fit).significant or not effort.allows("further terms of unknown form"):
             break
         base = {n: best.fit.values[n] for n in beside.problem.coordinates.names}
         again = short_list(screened(beside, base, pool.map), [t.lead for t in terms], AGAIN)
         simpler = [lead for t in (best, *others[:UNLAGGED]) for lead in unlagged(t, [*(u.lead for u in terms), *again])]
-        stage(f"refit {len(again)} more of {comparisons} terms")
+        effort.stage(f"refit {len(again)} more of {comparisons} terms")
         more = _refitted(searcher, beside, [*again, *variants(best, terms), *simpler], scales, pool, best.fit)
         terms += more
         if not more or best is max(terms, key=lambda t: judge.gain(t.fit, beside)):
@@ -125,7 +126,7 @@ def learn(
     top = judge.gain(accepted[0][0].fit, beside)
     near = [(t, j) for t, j in accepted if judge.gain(t.fit, beside) > top - MIN_EVIDENCE]
     curve, judgement = min(near, key=lambda pair: len(pair[0].free))
-    stage("try simple laws")
+    effort.stage("try simple laws")
     term, laws = laws_of(searcher, beside, curve, scales, pool)
     if term is not curve:
         by_law = judged_term(judge, term.fit, beside, comparisons)

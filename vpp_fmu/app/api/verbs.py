@@ -101,13 +101,14 @@ def diagnose(
     workers: int = 2,
     accept: Iterable[str] = (),
     effects_from: Iterable[PathLike] = (),
+    budget: float | None = None,
 ) -> DiagnoseResult:
     """Find the effects that the model lacks, and add them.
 
     `parameters`: initial and reference model (a file, a set, a result); None: the campaign is identified first. `effects`:
     names of the candidates; None: the whole library. `smallest` N, `smallest_speed` rpm: minimum rms changes of thrust and
-    speed of interest. `effects_from`: Python files with user-defined effects. BadInput: no record to fit, data that the gate
-    refuses, an unknown effect.
+    speed of interest. `effects_from`: Python files with user-defined effects. `budget` s: time after which no further step of
+    the search begins; None: no limit. BadInput: no record to fit, data that the gate refuses, an unknown effect.
 
     >>> found = vpp.diagnose(vpp.example_campaign(), effects=["pitch_command_deadband", "pitch_backlash"])
     >>> found.verdict, found.effects
@@ -128,6 +129,7 @@ def diagnose(
         smallest_speed=smallest_speed,
         records={name: as_record(record, needed) for name, record in (records or {}).items()},
         accept=accept,
+        budget=budget,
     )
     return DiagnoseResult(found)
 

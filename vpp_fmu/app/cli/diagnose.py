@@ -15,7 +15,7 @@ from identification.workers import spread
 from vpp_fmu.app.cli.identify import named_records
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, near
 from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, say_written, stages
-from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures
+from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures, not_tried
 from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
 from vpp_fmu.app.report.summary import identification_of, summary
 from vpp_fmu.campaign import read_campaign
@@ -46,6 +46,8 @@ def configure(parser):
     parser.add_argument("--smallest-speed", type=Number(0.0, 1e5, "rpm"), metavar="RPM", help=text)
     text = "number of parallel fits; for several campaigns, of parallel campaigns (default: %(default)s)"
     parser.add_argument("--workers", type=WORKERS, default=2, metavar="N", help=text)
+    text = "time after which no further step of a search begins; what was not tried is named (default: no limit)"
+    parser.add_argument("--budget", type=Number(0.0, 1e6, "s"), metavar="S", help=text)
     text = "Dask scheduler for several campaigns instead; its workers read the same folders"
     parser.add_argument("--scheduler", metavar="ADDRESS", help=text)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of random starts (default: %(default)s)")
@@ -74,6 +76,7 @@ def _one(options, campaign: str) -> None:
     lines = [finding.text for finding in found.quality]
     lines += [f"your logger: {line}" for line in found.logger.lines]
     lines.append(headline(found))
+    lines += [text] if (text := not_tried(found)) else []
     lines += [f"{label}: {value} ({note})" if note else f"{label}: {value}" for label, value, note in key_figures(found)]
     lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     say_written(folder, found.parameters(found.final), lines)
@@ -84,7 +87,7 @@ def _model(options) -> dict:
     whole = library_with(options.effects_from)
     given = read_parameters(options.parameters, lambda names: plant(names, whole)) if options.parameters else None
     library = _library(options.effects, given.model.optional if given else (), whole)
-    names = ("seed", "smallest", "smallest_speed", "accept")
+    names = ("seed", "smallest", "smallest_speed", "accept", "budget")
     return {"library": library, "given": given, **{name: getattr(options, name) for name in names}}
 
 

@@ -58,6 +58,7 @@ def summary(found: Diagnosis) -> dict:
         "effects": [_effect(found, name) for name in (*found.final.effects, *found.left_out)],
         "family": {name: others for name, others in found.selection.family.items() if others},
         "best_guess": _best_guess(found),
+        "not_tried": list(found.not_tried),
         "next_experiment": NEXT if found.verdict != "none" else None,
         "fitted": [one.name for one in found.fitted],
         "before": errors(found, found.base),

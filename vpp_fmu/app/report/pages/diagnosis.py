@@ -45,6 +45,11 @@ MOST = 14
 """Maximum number of effects in the figure of similar effects."""
 
 
+def not_tried(found: Diagnosis) -> str:
+    """Steps of the search for which the time budget did not suffice, in words; empty without any."""
+    return f"not tried within the time budget: {'; '.join(found.not_tried)}" if found.not_tried else ""
+
+
 def headline(found: Diagnosis) -> str:
     """The finding in one or two sentences, and the best guess if the lack of fit is not explained."""
     return f"{_finding(found)} {_guessed(found.best_guess)}" if found.best_guess else _finding(found)
@@ -189,6 +194,8 @@ def diagnosis_page(found: Diagnosis) -> Page:
     page.tiles(key_figures(found))
     for line in found.logger.lines:
         page.note(f"Your logger: {line}.")
+    if text := not_tried(found):
+        page.note(f"{text[0].upper()}{text[1:]}.")
     for effect in found.left_out:
         page.note(f"{effect}: {LEFT_OUT}.")
     for effect in found.final.effects:
