@@ -391,9 +391,10 @@ class _SensorFit:
         return abs(self.rows - round(self.rows))
 
     def worse_than(self, other: "_SensorFit") -> bool:
-        """Whether the evidence for another fit is very strong."""
+        """Whether the evidence for another fit is very strong, and that of the thrust is not very strong against it. The model
+        of a speed sensor is approximate: a better fit of the speed is no reason to fit the thrust worse."""
         own, its = _scores([self, other], groups=1)
-        return its - own > EVIDENCE
+        return its - own > EVIDENCE and other._thrust > self._thrust - EVIDENCE
 
     def estimate(self, *names: str) -> tuple[float, float]:
         """(sum of parameters, its standard error) under white noise; tied delays go by the name of the first."""

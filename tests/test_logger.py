@@ -1,6 +1,7 @@
 """The logger and the speed sensor: simulated, read, estimated, declared and mended."""
 
 import json
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,11 +15,11 @@ from identification.fit.tachometer import Tachometer
 from identification.gate.finding import acceptable
 from identification.gate.gate import passed
 from identification.identify import identify
-from identification.logger_fit import as_logged, mended
-from identification.roles import Fitted
+from identification.logger_fit import EVIDENCE, _Estimate, _SensorFit, as_logged, mended
+from identification.roles import Fitted, roles
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.plant import BASE, plant
+from vpp_fmu.kernel.plant import AVERAGED, BASE, LIBRARY, plant
 from vpp_fmu.native import Simulator
 from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig, read_rig
@@ -183,6 +184,18 @@ def test_a_delay_that_is_a_loggers_or_the_motors_is_the_motors_from_the_third_ro
 
 def test_a_late_log_is_the_loggers_where_both_commands_show_it():
     assert as_logged(passed(campaign(logged(41, 5.0)))).logger.rows == pytest.approx(5.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("lost", "better"), [(0.0, True), (2.0 * EVIDENCE, False)])
+def test_a_better_fit_of_the_speed_is_no_reason_to_fit_the_thrust_worse(lost, better):
+    """`lost`: log-likelihood of the thrust. Half the error of 2000 readings is a gain of 2000 ln 2."""
+    groups, _ = roles(campaign(logged(42, 0.0)), {})
+    of = _Estimate(groups, campaign(logged(42, 0.0)).rig.scales, {}, (), LIBRARY, AVERAGED)
+    fit = _SensorFit(of, SpeedSensor("encoder"), (), tied=True).solved((3,))
+    other = copy(fit)
+    other.speed = {row: [0.5 * error, std] for row, (error, std) in fit.speed.items()}
+    other._thrust = fit._thrust - lost
+    assert fit.worse_than(other) is better
 
 
 def test_a_late_log_is_mended_by_whole_rows():
