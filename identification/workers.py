@@ -35,7 +35,7 @@ def spread(work: Callable, items: Iterable, workers: int = 1, scheduler: str | N
         pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         with _deaf():
-            # Not `map`: it cancels what is left as it ends, and the pool fails on a cancelled piece whose worker is killed.
+            # Not `map`: it cancels pending pieces as it ends, and the pool fails on a cancelled piece whose worker is killed.
             futures = [pool.submit(work, item) for item in items]
         return [future.result() for future in tqdm(futures, desc=what, disable=None, leave=False)]
     except BrokenProcessPool as error:

@@ -30,7 +30,7 @@ from identification.gate.template import COLUMNS, FILES
 from identification.identify import identify
 from identification.static.static_map import TERMS
 from vpp_fmu.app.cli import main
-from vpp_fmu.campaign import Campaign, StaticMap, read_campaign
+from vpp_fmu.campaign import GRID, POWER, Campaign, StaticMap, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED
@@ -354,7 +354,7 @@ def test_the_template_is_read_back_clean_and_explains_every_column(tmp_path, cap
     assert "missing" not in out
     explained = (folder / "README.md").read_text()
     campaign = read_campaign(folder)
-    used = {*campaign.open_loop.columns, *campaign.steps[0].columns, "run", *vars(campaign.static)} - {"source"}
+    used = {*campaign.open_loop.columns, *campaign.steps[0].columns, "run", *GRID, *POWER}
     for name in used | set(FILES):
         assert f"`{name}`" in explained, name
     for name in set(COLUMNS) & set(QUANTITIES):

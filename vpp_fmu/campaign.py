@@ -24,13 +24,15 @@ RAW = "static_raw"
 
 NEED = (*COMMANDS, "thrust")
 GRID = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
+POWER = ("torque", "voltage", "current", "power")
+"""Optional columns of the static map: N.m, V, A, W."""
 
 
 @dataclass(frozen=True, eq=False)
 class StaticMap:
     """Steady points, one per row, each (n,): commands and means of `samples` readings, in rpm, deg, N.
 
-    `thrust_std` [N] is the standard deviation of the single readings, not of their mean.
+    `thrust_std` [N] is the standard deviation of the single readings, not of their mean. `further`: measured columns of POWER.
     """
 
     omega_ref: np.ndarray
@@ -40,6 +42,7 @@ class StaticMap:
     thrust_std: np.ndarray
     samples: np.ndarray
     source: str
+    further: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,23 +185,29 @@ def check_repeat(record: Record, repeat: Record) -> None:
 
 
 def read_static(path: str | os.PathLike) -> StaticMap:
-    """Read steady points. Columns beyond the six are not used; one RecordWarning names them. BadInput names line and cell."""
+    """Read steady points. Columns beyond GRID and POWER are not used; one RecordWarning names them. BadInput names line and
+    cell."""
     table = read_table(path)
-    extra = [name for name in table.columns if name not in GRID]
+    own = (*GRID, *(name for name in POWER if name in table.columns))
+    extra = [name for name in table.columns if name not in own]
     if extra:
         warnings.warn(f"{path}: columns of a static map that are not used: {', '.join(extra)}", RecordWarning, stacklevel=2)
-    known = {name: column for name, column in table.columns.items() if name in GRID}
-    columns = checked_columns(Table(table.source, known, table.lines), GRID)
+    known = {name: column for name, column in table.columns.items() if name in own}
+    columns = checked_columns(Table(table.source, known, table.lines), own)
     _check_rows(table, "thrust_std", columns, columns["thrust_std"] >= 0.0, "0 N or more")
     samples = columns["samples"]
     _check_rows(table, "samples", columns, (samples >= 1.0) & (samples == np.round(samples)), "a whole number from 1")
-    return StaticMap(**columns, source=table.source)
+    further = {name: columns.pop(name) for name in own if name in POWER}
+    return StaticMap(**columns, source=table.source, further=further)
 
 
 def write_static(folder: OutputFolder, static: StaticMap) -> Path:
     """Write steady points as static.csv, values to at most 9 significant digits."""
-    rows = zip(*(getattr(static, name).tolist() for name in GRID), strict=True)
-    return folder.write("static.csv", "\n".join([",".join(GRID), *(",".join(f"{v:.9g}" for v in row) for row in rows)]) + "\n")
+    columns = {name: getattr(static, name) for name in GRID} | dict(static.further)
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return folder.write(
+        "static.csv", "\n".join([",".join(columns), *(",".join(f"{v:.9g}" for v in row) for row in rows)]) + "\n"
+    )
 
 
 def write_steps(folder: OutputFolder, runs: Sequence[Record]) -> Path:

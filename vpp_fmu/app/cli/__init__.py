@@ -21,6 +21,7 @@ VERBS = {
     "check": "check a campaign: its files, missing data and quality problems",
     "identify": "identify parameters from a campaign",
     "diagnose": "find effects that the model lacks, and add them",
+    "allocate": "the pair of speed and pitch of least power for each thrust",
     "tune": "tune controller gains for a model",
     "export": "export parameters as FMUs",
     "cosim": "the closed loop of two FMUs",

@@ -129,3 +129,40 @@ def behind_against_before(before: np.ndarray, change: np.ndarray, time: np.ndarr
     fig.add_scatter(x=before, y=change, mode="markers", marker={"size": 4, "color": time, **scale}, hovertemplate=hover)
     fig.update_yaxes(zeroline=True)
     return fig
+
+
+def least_power(
+    thrust: np.ndarray, power: np.ndarray, half: np.ndarray, others: Mapping[str, np.ndarray], title: str
+) -> go.Figure:
+    """Least power (n,) [W] over thrust (n,) [N] with a band of +-`half` (n,) [W]; `others` (n,) [W] by name, NaN where none."""
+    fig = figure(title, 440, "thrust [N]", "power [W]")
+    hover = {"hovertemplate": f"%{{y:{style.SHOWN}}} W at %{{x:{style.SHOWN}}} N<extra></extra>"}
+    add_envelope(fig, thrust, power - half, power + half, "95 % interval", style.NOISE)
+    for name, values in others.items():
+        add_line(fig, thrust, values, name, style.BEFORE, 1.6, dash="dash", **hover)
+    add_line(fig, thrust, power, "best pairs", style.AFTER, 2.2, **hover)
+    return fig
+
+
+def best_pairs(
+    speeds: np.ndarray,
+    pitches: np.ndarray,
+    power: np.ndarray,
+    thrust: np.ndarray,
+    lines: np.ndarray,
+    pairs: tuple[np.ndarray, np.ndarray],
+    title: str,
+) -> go.Figure:
+    """Power (k, m) [W] over speeds (m,) [rpm] and pitches (k,) [deg], lines of equal thrust [N] of the thrusts (k, m), and the
+    best `pairs`, (speed, pitch), each (n,)."""
+    ends = float(power.min()), float(power.max())
+    hover = f"%{{z:{style.SHOWN}}} W<br>%{{x:.0f}} rpm, %{{y:.1f}} deg<extra></extra>"
+    fig = heatmap(title, 520, speeds, pitches, power, ends, style.sequence(), (*_COMMANDS, "power [W]"), hovertemplate=hover)
+    for level in lines:
+        omega = [np.interp(level, row, speeds, left=np.nan, right=np.nan) for row in np.maximum.accumulate(thrust, axis=1)]
+        add_line(fig, omega, pitches, f"{number(level, 3)} N", style.FIT, 1.0, hoverinfo="name")
+        at = int(np.flatnonzero(np.isfinite(omega))[-1]) if np.isfinite(omega).any() else None
+        if at is not None:
+            fig.add_annotation(text=f"{number(level, 2)} N", x=omega[at], y=pitches[at], showarrow=False, yanchor="top")
+    add_line(fig, *pairs, "best pairs", style.BEFORE, 3.0, hovertemplate="%{x:.0f} rpm, %{y:.1f} deg<extra></extra>")
+    return fig

@@ -1,0 +1,69 @@
+"""The report of an allocation: least power over thrust, and the pairs on the map of power."""
+
+import numpy as np
+
+from identification.fit.uncertainty import NORMAL_95
+from identification.power.allocation import Allocation
+from vpp_fmu.app.report.figures.map import best_pairs, least_power
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.digits import number
+
+
+def key_figures(found: Allocation) -> list[tuple[str, str, str]]:
+    """(label, value, note) of the figures of the first screen."""
+    low, high = (number(float(extreme(found.beta)), 3) for extreme in (np.min, np.max))
+    kind, points = found.power_map.kind, found.power_map.points
+    return [
+        (
+            "power saved",
+            f"{100.0 * found.saving:.1f} %",
+            f"mean, against the best fixed pitch of the same range of thrust, {found.fixed_beta:.3g} deg",
+        ),
+        ("best pitch", f"{low} to {high} deg", f"at {number(found.thrust[0], 3)} to {number(found.thrust[-1], 3)} N"),
+        (f"{kind} power", f"± {number(found.power_map.rmse, 2)} W", f"rms of {points} points about the power map"),
+        ("reserve of pitch alone", f"{number(float(np.min(found.reserve)), 2)} N", "the least over all thrusts, both ways"),
+    ]
+
+
+def allocation_page(found: Allocation, source: str = "") -> Page:
+    """The report of an allocation; `source`: of the parameters."""
+    goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
+    text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same thrust, "
+    text += f"{found.power_map.kind} power differs; the best fixed pitch takes {_more(found)} than the pairs."
+    page = Page("Speed and pitch for each thrust", text, source)
+    page.tiles(key_figures(found))
+    title = f"The pairs save {100.0 * found.saving:.1f} % of the power against the best fixed pitch, {found.fixed_beta:.3g} deg"
+    half = NORMAL_95 * found.power_std
+    fixed = {f"best fixed pitch, {found.fixed_beta:.3g} deg": found.fixed}
+    caption = "95 % interval: of the power map's coefficients; the choice of its terms is not part of it."
+    page.figure(least_power(found.thrust, found.power, half, fixed, title), caption)
+    speeds, pitches, thrust = found.surface.grid
+    few = slice(None, None, max(1, len(speeds) // 100))
+    watts = found.power_map.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
+    title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
+    lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
+    figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)
+    page.figure(
+        figure, "Colours: power. Thin lines: equal thrust. Thick line: the pairs, from the least to the greatest thrust."
+    )
+    rows = [
+        (
+            number(t, 4),
+            number(w, 5),
+            number(b, 3),
+            f"{b0:.3g} to {b1:.3g}",
+            number(p, 4),
+            number(NORMAL_95 * s, 2),
+            number(r, 3),
+        )
+        for t, w, b, (b0, b1), p, s, r in zip(
+            *(found.thrust, found.omega, found.beta, found.beta_band, found.power, found.power_std, found.reserve), strict=True
+        )
+    ]
+    columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
+    page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
+    return page
+
+
+def _more(found: Allocation) -> str:
+    return f"{100.0 * found.saving / (1.0 - found.saving):.1f} % more"
