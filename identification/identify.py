@@ -23,11 +23,13 @@ from identification.gate.fitted import of_fit
 from identification.gate.gate import Passed, passed
 from identification.logger import Logger
 from identification.logger_fit import as_logged
+from identification.power.fit import PowerFit, fit_power, moving_readings, steady_readings
 from identification.static.static_map import StaticFit, static_fit
 from identification.static.steady import steady_points
 from identification.steps.response import StepSummary, fit_steps
 from identification.unrefined import unrefined, with_steps
 from vpp_fmu.campaign import Campaign
+from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import AVERAGED, BASE
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.parameters import ParameterSet
@@ -43,7 +45,7 @@ class Identification:
     fitted records; the other predictions are of hold-out records. `logger`: the logger for which the records are corrected.
     `bands`: standard deviation (rows,) N of a predicted reading, from parameters and noise, by record. `tests`: of the thrust
     residual of the first fitted record. `noise`: of one thrust reading, None if it cannot be estimated. `quality`: findings of
-    the gate in the files and in the fit. `bootstrap`: None if not requested.
+    the gate in the files and in the fit. `bootstrap`: None if not requested. `power`: None without torque and power.
     """
 
     campaign: Campaign
@@ -62,6 +64,7 @@ class Identification:
     quality: tuple[Finding, ...]
     logger: Logger
     bootstrap: Bootstrap | None = None
+    power: PowerFit | None = None
 
     @property
     def coverage(self) -> dict[str, float | None]:
@@ -112,6 +115,7 @@ class Identification:
             **summaries(self.predictions),
             "steps": self.steps and self.steps.summary(),
             "static_map": static and static.summary(),
+            **({"power": self.power.summary()} if self.power else {}),
             "missing": list(self.campaign.missing),
             "logger": self.logger.summary(),
             "quality": [finding.summary() for finding in self.quality],
@@ -172,7 +176,7 @@ def identify(
     steps = fit_steps(campaign.steps, values, coefficients or None) if campaign.steps else None
     measured = coefficients | (steps.start if steps else {})
     if not fitted:
-        return _without_record(campaign, model, measured, static, steps, gate)
+        return with_power(_without_record(campaign, model, measured, static, steps, gate))
     start = slow_first(AVERAGED) | measured
     prior = static and Prior(tuple(coefficients), np.array(list(coefficients.values())), static.covariance)
     stage("refine")
@@ -194,7 +198,7 @@ def identify(
     lag_values = off_bounds(model, found.values, start, steps)
     rig = campaign.rig.timed(slowest(lag_values, uncertainty.names))
     source |= {"rig": rig.summary(), "sample_period": first.record.period}
-    return Identification(
+    result = Identification(
         campaign=campaign,
         parameters=ParameterSet(model.sized(rig.scales), source=source).replaced(found.values, known),
         start=start,
@@ -212,6 +216,24 @@ def identify(
         logger=gate.logger,
         bootstrap=drawn,
     )
+    return with_power(result)
+
+
+def with_power(found: Identification) -> Identification:
+    """The identification with torque and power of its plant, if the campaign has them: of the steady points, else of the first
+    fitted record. What contradicts itself is a finding, and the plant stays without."""
+    scales, static = found.parameters.values, found.campaign.static
+    try:
+        readings = steady_readings(static, scales) if static else None
+        if readings is None and found.fitted:
+            readings = moving_readings(found.predictions[found.fitted[0]], scales)
+        if readings is None:
+            return found
+        fit = fit_power(readings)
+    except BadInput as bad:
+        finding = Finding("power", bad.where, bad.field, 0.0, "1", f"{bad.found}, allowed is {bad.allowed}", "signs or units")
+        return replace(found, quality=(*found.quality, finding))
+    return replace(found, power=fit, parameters=fit.added_to(found.parameters))
 
 
 def _without_record(

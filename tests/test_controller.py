@@ -200,3 +200,51 @@ def test_it_samples_at_its_own_period_whatever_the_communication_step(millisecon
 def test_c_is_python_to_the_bit():
     inputs, steps = errors(3001), np.random.default_rng(2).choice([0.004, 0.0013, 0.011], 3000)
     np.testing.assert_array_equal(simulator(CONTROLLER).simulate(DUAL, inputs, steps)[1:], commands(DUAL, inputs, steps))
+
+
+PAIRS = {f"pair_omega_{k}": 2000.0 + 450.0 * k for k in range(9)} | {f"pair_beta_{k}": 9.0 - k for k in range(9)}
+TABLE = {**PAIRS, "pairs_thrust_min": 1.0, "pairs_thrust_max": 9.0, "k_mid": 0.7, "mode": 2.0}
+"""Knots every newton: (2000 + 450 k) rpm, (9 - k) deg at 1 + k N."""
+
+
+def test_the_allocated_law_is_that_of_its_equations():
+    inputs = errors(301)
+    inputs["thrust"] = inputs["thrust_set"] - 0.4 * np.random.default_rng(3).standard_normal(301)
+    shown = commands({**WIDE, **SOFT, **TABLE}, inputs, np.full(300, 0.004))
+    wanted = inputs["thrust_set"][:-1]
+    e = (wanted - inputs["thrust"][:-1]) / 15.0
+    best_w, best_b = (2000.0 + 450.0 * (wanted - 1.0)) / 6000.0, (9.0 - (wanted - 1.0) + 5.0) / 15.0
+    away = papers_pid(e, 0.004, 0.02, 0.3, 1.3, 0.007)
+    taken = np.cumsum(np.append(0.0, away[1:])) * 0.004
+    w = best_w + papers_pid(e, 0.004, 0.02, 0.4, 0.0, 0.011) + 0.7 * taken
+    np.testing.assert_allclose(shown, np.column_stack([6000.0 * w, 15.0 * (best_b + away) - 5.0]), rtol=1e-12, atol=1e-10)
+
+
+def test_outside_of_the_table_its_ends_hold():
+    for wanted, pair in ((0.2, (2000.0, 9.0)), (14.0, (5600.0, 1.0))):
+        inputs = {"thrust_set": [wanted] * 2, "thrust": [wanted] * 2}
+        assert commands({**WIDE, **TABLE}, inputs, [0.004])[0] == pytest.approx(pair)
+
+
+@pytest.mark.parametrize("modes", [(0.0, 2.0), (2.0, 0.0), (1.0, 2.0), (1.0, 0.0)])
+def test_commands_go_on_from_where_they_are_when_the_mode_changes(modes):
+    """At the switch the error has not changed; pitch moves on from a fixed pitch, too."""
+    law = Simulation(CONTROLLER, {**WIDE, **SOFT, **TABLE, "mode": modes[0], "t_filter": 0.004})
+    law.start({"thrust_set": 5.0, "thrust": 4.6})
+    for _ in range(50):
+        before = law.advance({"thrust_set": 5.0, "thrust": 4.6}, 0.004)
+    law.parameters["mode"] = modes[1]
+    after = law.advance({"thrust_set": 5.0, "thrust": 4.6}, 0.004)
+    moves = {n: abs(after[n] - before[n]) for n in ("omega_ref", "beta_ref")}
+    assert moves["omega_ref"] < 0.7 * 0.004 * 6000.0  # rpm, k_mid dt for 15 deg; the table is some 1000 rpm away
+    assert moves["beta_ref"] < 0.01
+
+
+def test_speed_does_not_wind_up_while_pitch_is_away_from_its_best():
+    """A wanted thrust out of reach for 20 s: speed leaves its limit with the first sample of a thrust within reach."""
+    tight = {**TABLE, "omega_max": 5000.0, "beta_min": -5.0, "beta_max": 10.0}
+    held = 5000
+    inputs = {"thrust_set": np.repeat([9.0, 3.0], held), "thrust": np.repeat([5.0, 5.0], held)}
+    shown = commands({**SOFT, **tight}, inputs, np.full(2 * held - 1, 0.004))
+    assert shown[held - 2, 0] == 5000.0
+    assert shown[held + 1, 0] < 4500.0

@@ -50,11 +50,12 @@ def test_every_variable_says_what_it_is(fmu_files, name, causality):
     units = {unit.get("name") for unit in root.iter("Unit")}
     variables = [v for v in root.iter("ScalarVariable") if v.get("causality") == causality]
     assert variables
+    switches = {("speed_only", "Boolean", "false"), ("mode", "Integer", "0")}
     for v in variables:
         assert v.get("description"), v.get("name")
         real = v.find("Real")
         if real is None:
-            assert (v.get("name"), v[0].tag, v[0].get("start")) == ("speed_only", "Boolean", "false")
+            assert (v.get("name"), v[0].tag, v[0].get("start")) in switches
             continue
         assert real.get("unit") in units, v.get("name")
         missing = {"min", "max", "nominal"} - set(real.attrib)

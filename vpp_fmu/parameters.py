@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import LIBRARY
+from vpp_fmu.kernel.power import NAMES as POWER
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import BOOLEAN, INTEGER, REAL, Model, Parameter
 from vpp_fmu.notebook import table_html
@@ -111,6 +112,17 @@ class ParameterSet:
         found = self.source.get("sample_period")
         return float(found) if isinstance(found, int | float) and _is_number(found) and found > 0.0 else None
 
+    @property
+    def without_power(self) -> "ParameterSet":
+        """This set without the effects that only add torque and power to the outputs: thrust is the same to the bit."""
+        effects = tuple(e for e in self.model.effects if e.name not in POWER)
+        if len(effects) == len(self.model.effects):
+            return self
+        outputs = tuple(y for y in self.model.outputs if y not in [y for e in self.model.effects for y in e.outputs])
+        model = replace(self.model, effects=effects, outputs=outputs)
+        known = {p.name for p in model.parameters}
+        return ParameterSet(model, {n: e for n, e in self.estimates.items() if n in known}, self.source)
+
     def replaced(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> "ParameterSet":
         """This set with other values, in the model's units, and their standard deviations if known. KeyError: unknown name."""
         units = {p.name: p.unit for p in self.model.parameters}
@@ -161,7 +173,7 @@ def check_same_model(path: str | os.PathLike, parameters: ParameterSet, of: str 
         name: _mapping(path, f"parameters, {shown(name)}", entry).get("value")
         for name, entry in _mapping(path, "parameters", entries).items()
     }
-    if set(effects) != set(parameters.model.optional):
+    if set(effects) - POWER != set(parameters.model.optional) - POWER:
         raise BadInput(path, "effects", _listed(effects), f"{_listed(parameters.model.optional)}, the model of {of}")
     for name, value in fitted.items():
         known = parameters.values.get(name)

@@ -9,7 +9,7 @@ import numpy as np
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.fmu import Fmu, FmuInstance
-from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.kernel.types import Model
@@ -66,10 +66,14 @@ class KernelPlant:
         self.dt, self._simulation = dt, Simulation(model, parameters)
 
     def start(self, omega_ref, beta_ref):
-        return Sample(**self._simulation.start({"omega_ref": omega_ref, "beta_ref": beta_ref}))
+        return self._sample(self._simulation.start({"omega_ref": omega_ref, "beta_ref": beta_ref}))
 
     def step(self, omega_ref, beta_ref):
-        return Sample(**self._simulation.advance({"omega_ref": omega_ref, "beta_ref": beta_ref}, self.dt))
+        return self._sample(self._simulation.advance({"omega_ref": omega_ref, "beta_ref": beta_ref}, self.dt))
+
+    @staticmethod
+    def _sample(outputs: Mapping[str, float]) -> Sample:
+        return Sample(*(outputs[name] for name in Sample._fields))
 
     def close(self):
         pass
@@ -80,7 +84,7 @@ def limits_of(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     speed-only mode the pitch has one value."""
     if not all(f"{u}_{end}" in values for u in ("omega", "beta") for end in ("min", "max")):
         return {}
-    fixed = values.get("speed_only", 0.0) > 0.5
+    fixed = speed_alone(values)
     pitch = 2 * (values["beta_fixed"],) if fixed else (values["beta_min"], values["beta_max"])
     return dict(zip(COMMANDS, ((values["omega_min"], values["omega_max"]), pitch), strict=True))
 

@@ -1,7 +1,7 @@
 """A record with the model's prediction for its commands, and the uncertainty of the prediction."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,12 +15,16 @@ from vpp_fmu.record import Record
 
 @dataclass(frozen=True)
 class Prediction:
-    """A record and the model's open-loop response to its commands; `thrust` N, `omega` rpm, `beta` deg, each (rows,)."""
+    """A record and the model's open-loop response to its commands; `thrust` N, `omega` rpm, `beta` deg, each (rows,).
+
+    `further`: the model's other outputs, such as torque and power, by name (rows,).
+    """
 
     record: Record
     thrust: np.ndarray
     omega: np.ndarray
     beta: np.ndarray
+    further: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rmse_thrust(self) -> float | None:
@@ -71,8 +75,9 @@ def summaries(predictions: Mapping[str, Prediction]) -> dict:
 
 def predict(model: Model, values: Mapping[str, float], record: Record) -> Prediction:
     """The model's open-loop response to a record's commands."""
-    outputs = Simulator(model).simulate(values, *record.run)
-    return Prediction(record, *outputs.T)
+    outputs = Simulator(model).simulate(values, *record.run).T
+    further = {y.name: column for y, column in zip(model.outputs[3:], outputs[3:], strict=True)}
+    return Prediction(record, *outputs[:3], further)
 
 
 def band(

@@ -195,7 +195,7 @@ def diagnose(
     beside a logger that differs from the contract's, or if one of them is a delay, it is estimated again beside the others. If
     it differs, the campaign is diagnosed with it, too.
     """
-    effort = Effort(budget, thorough, stage)
+    effort, given = Effort(budget, thorough, stage), given and given.without_power
     # The fits run in parallel, each with one thread of linear algebra.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         stage("quality")

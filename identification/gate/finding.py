@@ -59,6 +59,7 @@ KINDS = {
         WARNING, "the commands do not identify all parameters", "More moves over the whole range; vpp plan proposes them"
     ),
     "slow_sampling": Kind(WARNING, "the sampling period is longer than a fifth of the fastest lag", "Log more often"),
+    "power": Kind(WARNING, "torque or power contradicts itself, or does not suffice for a map", "Look at signs and units"),
     "no_fit": Kind(ERROR, "no model can be fitted", "See above"),
 }
 """Every finding of the gate, by code."""

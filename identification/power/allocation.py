@@ -12,8 +12,10 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.optimize import brentq, minimize_scalar
 
 from identification.fit.uncertainty import NORMAL_95
-from identification.power.power_map import PowerMap
+from identification.power.model import PowerModel
+from identification.tune.controllers import rig_controller
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, PAIRS
 from vpp_fmu.kernel.ops import NUMBERS
 from vpp_fmu.kernel.types import start
 from vpp_fmu.parameters import ParameterSet
@@ -25,10 +27,13 @@ SPEEDS, PITCHES = 401, 121
 """Fine grid on which pairs of equal thrust are found before they are refined."""
 
 DRAWS = 300
-"""Draws of the power map's coefficients for the bands of speed and pitch."""
+"""Draws of the power's parameters for the bands of speed and pitch."""
 
 BAND = (0.025, 0.975)
 """Quantiles of a 95 % band."""
+
+SLOWER = 5.0
+"""Ratio of the time in which speed takes over from pitch to the sum of lags of the slower channel."""
 
 UNREACHED = 10.0
 """Cost of a pitch at which no speed gives the thrust: far above any other, which is about 1 at most."""
@@ -81,12 +86,12 @@ class Allocation:
     """The best pair for each `thrust` (n,) [N]: `omega` [rpm], `beta` [deg], `power` [W], `reserve` [N], each (n,).
 
     `power_std` (n,) [W]: standard error of the least power. `omega_band`, `beta_band` (n, 2): 95 % of the best pairs under the
-    uncertainty of the power map. `fixed_beta`, `fixed` (n,): pitch and power of the best fixed pitch, NaN where it does not
+    uncertainty of the power. `fixed_beta`, `fixed` (n,): pitch and power of the best fixed pitch, NaN where it does not
     reach the thrust. `weight`: 0 counts power alone, 1 the reserve alone.
     """
 
     surface: Surface
-    power_map: PowerMap
+    model: PowerModel
     weight: float
     thrust: np.ndarray
     omega: np.ndarray
@@ -106,7 +111,7 @@ class Allocation:
         return float(1.0 - np.mean(self.power[there]) / np.mean(self.fixed[there])) if there.any() else 0.0
 
 
-def allocate(parameters: ParameterSet, power: PowerMap, weight: float = 0.0, count: int = 41, seed: int = 0) -> Allocation:
+def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, count: int = 41, seed: int = 0) -> Allocation:
     """The best pairs of `count` thrusts, from the least above 0 to the greatest that the rig reaches.
 
     Minimised is (1 - weight) power / greatest power - weight reserve / greatest thrust. The band of the least power follows
@@ -120,7 +125,8 @@ def allocate(parameters: ParameterSet, power: PowerMap, weight: float = 0.0, cou
     if most <= 0.0:
         raise BadInput("parameters", "settled thrust", f"at most {most:.4g} N within the rig's limits", "more than 0 N")
     thrusts = np.linspace(max(float(grid.min()), 0.0), most, count + 1)[1:]
-    draws = np.random.default_rng(seed).multivariate_normal(power.coefficients, power.covariance, DRAWS, method="eigh")
+    none = np.zeros(len(power.names))
+    draws = np.random.default_rng(seed).multivariate_normal(none, power.covariance, DRAWS, method="eigh")
 
     def cost(watts, reserve):
         return (1.0 - weight) * watts / highest - weight * reserve / most
@@ -129,10 +135,10 @@ def allocate(parameters: ParameterSet, power: PowerMap, weight: float = 0.0, cou
     for thrust in thrusts:
         omega, beta = _pairs(speeds, pitches, grid, thrust)
         spare = surface.reserve(omega, beta)
-        terms = power.columns(omega, beta)
-        at = int(np.argmin(cost(terms @ power.coefficients, spare)))
+        here = power.at(omega, beta)
+        at = int(np.argmin(cost(here, spare)))
         best = _refined(surface, power, cost, thrust, (float(omega[at]), float(beta[at])))
-        drawn = np.argmin(cost(terms @ draws.T, spare[:, None]), axis=0)
+        drawn = np.argmin(cost(here[:, None] + power.gradient(omega, beta) @ draws.T, spare[:, None]), axis=0)
         low, high = np.quantile([omega[drawn], beta[drawn]], BAND, axis=1)
         found.append([best, np.minimum(low, best), np.maximum(high, best)])  # drawn pairs are on the grid, the best is between
     best, low, high = np.moveaxis(np.array(found), 0, -1)
@@ -141,7 +147,7 @@ def allocate(parameters: ParameterSet, power: PowerMap, weight: float = 0.0, cou
     if (least := float(watts.min())) <= 0.0:
         k = int(np.argmin(watts))
         where = f"{least:.4g} W at {omega[k]:.4g} rpm, {beta[k]:.4g} deg"
-        raise BadInput("static.csv", "power map", where, "a positive power: measure steady points there")
+        raise BadInput("parameters", "power", where, "a positive power: measure steady points there")
     return Allocation(
         surface,
         power,
@@ -170,7 +176,7 @@ def _pairs(speeds: np.ndarray, pitches: np.ndarray, grid: np.ndarray, thrust: fl
     return omega, beta
 
 
-def _refined(surface: Surface, power: PowerMap, cost, thrust: float, pair: tuple[float, float]) -> tuple[float, float]:
+def _refined(surface: Surface, power: PowerModel, cost, thrust: float, pair: tuple[float, float]) -> tuple[float, float]:
     """The best pair near one of the grid, exactly of this thrust."""
     omega, beta = pair
     step = ((surface.speed[1] - surface.speed[0]) / (SPEEDS - 1), (surface.pitch[1] - surface.pitch[0]) / (PITCHES - 1))
@@ -195,7 +201,7 @@ def _refined(surface: Surface, power: PowerMap, cost, thrust: float, pair: tuple
 
 
 def _fixed(
-    power: PowerMap, speeds: np.ndarray, pitches: np.ndarray, grid: np.ndarray, thrusts: np.ndarray
+    power: PowerModel, speeds: np.ndarray, pitches: np.ndarray, grid: np.ndarray, thrusts: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """(pitch [deg], power (n,) [W] over the thrusts) of the fixed pitch of least mean power among those that reach all thrusts
     that any fixed pitch reaches; NaN where it does not reach a thrust."""
@@ -219,3 +225,25 @@ def table(found: Allocation) -> list[Sequence[float]]:
     half = NORMAL_95 * found.power_std
     columns = (found.thrust, found.omega, found.beta, found.power, found.power - half, found.power + half)
     return list(zip(*(c.tolist() for c in (*columns, *found.omega_band.T, *found.beta_band.T)), strict=True))
+
+
+def allocated_controller(found: Allocation, parameters: ParameterSet) -> ParameterSet:
+    """The rig's controller in mode 2 with the pairs as its table.
+
+    The table already gives most of the thrust, so the integral of pitch only removes the model's error: its time is the
+    pitch's sum of lags, which cancels the slow pole. The gain by which speed takes over from pitch gives that loop a crossover
+    of 1 / (SLOWER sum of lags) of the slower channel: pitch has then settled.
+    """
+    base, values = rig_controller(parameters), parameters.values
+    knots = np.linspace(found.thrust[0], found.thrust[-1], PAIRS)
+    pairs = {u: np.interp(knots, found.thrust, of).tolist() for u, of in (("omega", found.omega), ("beta", found.beta))}
+    table = {f"pair_{u}_{k}": value for u, of in pairs.items() for k, value in enumerate(of)}
+    slopes = (found.surface.spline.ev(found.omega, found.beta, *d) for d in ((1, 0), (0, 1)))
+    ratio = np.divide(*slopes) * values["omega_scale"] / values["beta_scale"]
+    lags = {u: values[f"tau_{u}_1"] + values[f"tau_{u}_2"] for u in ("omega", "beta")}
+    gains = {
+        "ki_beta": base.values["kp_beta"] / lags["beta"],
+        "k_mid": 1.0 / (SLOWER * max(lags.values()) * float(np.median(np.abs(ratio)))),
+    }
+    ends = {"pairs_thrust_min": float(knots[0]), "pairs_thrust_max": float(knots[-1])}
+    return base.replaced({"mode": ALLOCATED, "speed_only": 0.0, **gains, **ends, **table})

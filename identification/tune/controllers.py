@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vpp_fmu.errors import BadInput
-from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
+from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY, speed_alone
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, PAIRS
 from vpp_fmu.kernel.plant import FINE_TUNED
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.parameters import ParameterSet
@@ -107,7 +108,7 @@ def rig_controller(
         return papers
     kept = papers.replaced({**DUAL, "t_filter": papers.values["t_filter"]}) if published else given
     own = controllers(parameters, kept, sample_time, source, rig)
-    alone = given is not None and given.values["speed_only"] > 0.5
+    alone = given is not None and speed_alone(given.values)
     name = "speed_only" if alone else "dual"
     if name not in own.settings:
         if given is not None:
@@ -129,7 +130,9 @@ def said_of(controller: ParameterSet, gains: str | None = None) -> str:
     default = f"{'the paper' if rig.scales == PAPER else 'the model'}'s by default: no rig is known"
     where = ", ".join(dict.fromkeys(rig.origin.get(name, default) for name in ("speed", "pitch")))
     made = f"gains of {gains}" if gains else str(controller.source["made_by"])
-    which = "speed alone" if v["speed_only"] > 0.5 else "speed and pitch"
+    which = (
+        "speed alone" if speed_alone(v) else "best pairs of speed and pitch" if v["mode"] == ALLOCATED else "speed and pitch"
+    )
     return f"controller: {which} within {limits} ({where}), sampled every {1e3 * v['sample_time']:.4g} ms; {made}"
 
 
@@ -139,6 +142,10 @@ def _of_the_rig(rig: Rig, slower: Mapping[str, float], lag: float, period: float
     own = CONTROLLER.sized(rig.scales).values()
     own |= {f"omega_{end}": value for end, value in zip(("min", "max"), rig.speed, strict=True)}
     own |= {f"beta_{end}": value for end, value in zip(("min", "max"), rig.pitch, strict=True)}
+    # A table that knows no power: the greatest pitch, and speed by the square law of thrust, within the limits.
+    for k in range(PAIRS):
+        own[f"pair_omega_{k}"] = max(rig.speed[0], rig.speed[1] * (k / (PAIRS - 1)) ** 0.5)
+        own[f"pair_beta_{k}"] = rig.pitch[1]
     filter_time = own["t_filter"] * min(slower.values(), default=1.0)
     return own | {
         "beta_fixed": rig.pitch[1],
@@ -170,7 +177,8 @@ def _given(given: ParameterSet, rig: Rig, source: str) -> dict[str, float]:
     units = {p.name: p.unit for p in given.model.parameters}
     for channel, range_of in CHANNELS.items():
         low, high = getattr(rig, range_of)
-        for name in (f"{channel}_min", f"{channel}_max", f"{channel}_fixed"):
+        pairs = (f"pair_{channel}_{k}" for k in range(PAIRS))
+        for name in (f"{channel}_min", f"{channel}_max", f"{channel}_fixed", *pairs):
             if name in found and not low <= found[name] <= high:
                 allowed = f"{low:g} to {high:g} {units[name]} ({rig.origin.get(range_of, ASSUMED)})"
                 raise BadInput(source, f"parameters, {name}", f"{found[name]:g} {units[name]}", allowed)

@@ -16,7 +16,7 @@ import numpy as np
 
 from identification.tune.linear import CHANNELS, chain_response, controller_response, plant_response, pulse_response
 from identification.tune.margins import frequencies
-from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
 from vpp_fmu.own_effects import library_with
@@ -89,7 +89,7 @@ class Objective:
     def channels(self) -> tuple[str, ...]:
         """The active channels: those with a range between their limits; speed alone if the controller has no pitch."""
         room = {u: self.settings[f"{u}_min"] < self.settings[f"{u}_max"] for u in CHANNELS}
-        return tuple(u for u in CHANNELS if room[u] and (u == "omega" or self.settings["speed_only"] < 0.5))
+        return tuple(u for u in CHANNELS if room[u] and (u == "omega" or not speed_alone(self.settings)))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from identification.demo import step_profile
 from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.controller import speed_alone
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.record import Record
@@ -21,7 +22,7 @@ def reach(parameters: ParameterSet, settings: Mapping[str, float]) -> Span:
     """
     model, ends = parameters.model, []
     for end in ("min", "max"):
-        beta = settings["beta_fixed"] if settings["speed_only"] > 0.5 else settings[f"beta_{end}"]
+        beta = settings["beta_fixed"] if speed_alone(settings) else settings[f"beta_{end}"]
         inputs = {**model.measured_inputs, "omega_ref": settings[f"omega_{end}"], "beta_ref": beta}
         ends.append(float(Simulation(model, parameters.values).start(inputs)["thrust"]))
     return ends[0], ends[1]

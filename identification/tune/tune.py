@@ -16,7 +16,9 @@ from identification.tune.rounds import rounds
 from identification.tune.search import Search
 from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.commands import idle
-from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, DUAL
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.closed_loop import Course
@@ -68,15 +70,21 @@ class Task:
     lowered: bool = False
     effects_from: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", self.parameters.without_power)  # thrust is all that the loop closes
+
     @property
     def controller(self) -> Model:
         """The controller for the rig."""
         return CONTROLLER.sized(self.parameters.rig.scales)
 
     def objective(self, settings: Mapping[str, float]) -> Objective:
-        """The objective for a controller with these settings, on the nominal plant."""
+        """The objective for a controller with these settings, on the nominal plant. BadInput for mode 2, whose speed follows
+        pitch: the loop is not linear in its gains."""
+        if settings.get("mode", DUAL) == ALLOCATED:
+            raise BadInput("gains", "parameters, mode", "2", "0 or 1: the allocated law is not tuned")
         settings, values = self.controller.values(settings), self.parameters.values
-        dt, speed_only = settings["sample_time"], settings["speed_only"] > 0.5
+        dt, speed_only = settings["sample_time"], speed_alone(settings)
         rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)
         course = Course.of(self.profile, dt, values["thrust_scale"], rest=rest)
         noise = self.noise_std * np.random.default_rng([self.seed, 2]).standard_normal(len(course.wanted))

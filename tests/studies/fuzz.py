@@ -24,7 +24,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from identification.demo import example_folder
 from identification.logs.speed_map import FORMAT as SPEED_MAP_FORMAT
 from vpp_fmu.app.cli import main as vpp
 from vpp_fmu.app.cli import parser_of
-from vpp_fmu.campaign import read_campaign, write_static
+from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.record import write_record
 
@@ -57,7 +57,7 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
         ("{plain}", "--parameters", "{parameters}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
         ("{plain}", "--effects-from", "{effect}", "--effects", "pitch_offset", "--workers", "1", "-o", "{out}"),
     ],
-    "allocate": [("{powered}", "--parameters", "{parameters}", "-o", "{out}")],
+    "allocate": [("--parameters", "{powered}", "-o", "{out}")],
     "tune": [
         (
             "--parameters",
@@ -194,15 +194,13 @@ EFFECT = Effect(
 
 def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
     """Good files by name, made in `home`: a short campaign of the example's, and what other verbs make of it for `verbs`."""
-    found = {"campaign": home / "campaign", "plain": home / "campaign", "powered": home / "powered", "out": home / "out"}
+    found = {"campaign": home / "campaign", "plain": home / "campaign", "out": home / "out"}
     whole, folder = read_campaign(example_folder()), OutputFolder(home / "campaign")
     cuts = {"open_loop": whole.open_loop.part(slice(0, 5000, 4)), "repeat": whole.repeat.part(slice(0, 5000, 4))}
     cuts["validation"] = whole.validation.part(slice(0, 2000, 4))
     for name, record in cuts.items():
         write_record(folder, f"{name}.csv{'.gz' * (name == 'repeat')}", record)
     folder.write("static.csv", gzip.decompress((example_folder() / "static.csv.gz").read_bytes()))
-    watts = {"power": 200.0 * (whole.static.omega / 6000.0) ** 3}
-    write_static(OutputFolder(home / "powered"), replace(whole.static, further=watts))
     text = gzip.decompress((example_folder() / "steps.csv.gz").read_bytes()).decode().splitlines()
     runs = list(dict.fromkeys(line.partition(",")[0] for line in text[1:]))[::8]
     folder.write("steps.csv", "\n".join([text[0], *(line for line in text[1:] if line.partition(",")[0] in runs)]) + "\n")
@@ -211,7 +209,10 @@ def materials(home: Path, verbs: Iterable[str]) -> dict[str, Path]:
     folder.write("rig.json", json.dumps(rig))
     gain = {"value": 0.5, "std": None, "unit": "1"}
     gains = {"format": "vpp-parameters/1", "parameters": {"kp_omega": gain}, "effects": [], "source": {}}
+    watts = {"power_map.p30": {"value": 200.0, "std": 2.0, "unit": "W"}}
+    powered = {"format": "vpp-parameters/1", "parameters": watts, "effects": ["power_map"], "source": {}}
     texts = {
+        "powered": ("powered.json", json.dumps(powered)),
         "rig": ("own_rig.json", json.dumps(rig)),
         "profile": ("profile.csv", "time,thrust_set\n0,1.5\n0.3,6\n0.6,6\n"),
         "effect": ("cell_lag.py", EFFECT),

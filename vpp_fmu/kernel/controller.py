@@ -1,6 +1,9 @@
 """The controller: the paper's dual PID as a sampled model."""
 
+from collections.abc import Mapping
+
 from vpp_fmu.kernel.effects.dual_pid import DUAL_PID
+from vpp_fmu.kernel.effects.dual_pid import SPEED_ONLY as SPEED_MODE
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, THRUST
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Model, Signal
@@ -20,3 +23,8 @@ CONTROLLER = Model(
     sample_time="sample_time",
     sets={"dual": DUAL, "speed_only": SPEED_ONLY},
 ).sized(PAPER)
+
+
+def speed_alone(values: Mapping[str, float]) -> bool:
+    """Whether a controller of these values commands speed alone (mode 1)."""
+    return values.get("speed_only", 0.0) > 0.5 or values.get("mode", 0.0) == SPEED_MODE

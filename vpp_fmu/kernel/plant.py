@@ -41,6 +41,7 @@ from vpp_fmu.kernel.effects import (
     thrust_gain_drift,
     thrust_map,
 )
+from vpp_fmu.kernel.power import EFFECTS as POWER_EFFECTS
 from vpp_fmu.kernel.scales import PAPER, Scales
 from vpp_fmu.kernel.types import Effect, Model, Signal, compose
 
@@ -163,18 +164,19 @@ BASE = Model(
 def plant(effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, scales: Scales | None = None) -> Model:
     """The Wiener plant with the named effects on. KeyError names an effect that the library doesn't have.
 
-    `scales`: of its rig; None: those of the library's effects, the paper's.
+    `scales`: of its rig; None: those of the library's effects, the paper's. Effects of `vpp_fmu.kernel.power` are in every
+    library: they add outputs.
     """
     names, library = frozenset(effects), tuple(library)
-    for unknown in names - {e.name for e in library if e.off is not None}:
+    for unknown in names - {e.name for e in (*library, *POWER_EFFECTS) if e.off is not None}:
         raise KeyError(unknown)
     if library is LIBRARY:
         return _own(names, scales or PAPER)
-    model = compose(BASE, library, names)
+    model = compose(BASE, (*library, *POWER_EFFECTS), names)
     return model if scales is None else model.sized(scales)
 
 
 @cache
 def _own(names: frozenset[str], scales: Scales) -> Model:
     """The same model object for the same names and scales, so that derived data are reused."""
-    return compose(BASE, LIBRARY, names).sized(scales)
+    return compose(BASE, (*LIBRARY, *POWER_EFFECTS), names).sized(scales)

@@ -126,7 +126,8 @@ class Effect:
     it is. `common`: every rig has a little of it, and it is
     worth a name from this share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its
     file declares it, in shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as
-    `settled_<name>`, each with the input that it is about; "": it is about 0."""
+    `settled_<name>`, each with the input that it is about; "": it is about 0. `outputs`: signals that become outputs of a model
+    with the effect."""
 
     name: str
     description: str
@@ -145,6 +146,7 @@ class Effect:
     common: float = 0.0
     declared: "Effect | None" = None
     ahead: Mapping[str, str] = field(default_factory=dict)
+    outputs: tuple[Signal, ...] = ()
 
     def sized(self, scales: Scales) -> "Effect":
         """The effect with absolute numbers for a rig of these scales."""
@@ -247,7 +249,12 @@ def compose(model: Model, library: Iterable[Effect], names: Iterable[str]) -> Mo
     """`model` with the permanent and the named effects of `library`, in the library's order."""
     wanted = set(names)
     effects = tuple(e for e in library if e.off is None or e.name in wanted)
-    return replace(model, inputs=model.inputs + tuple(u for e in effects for u in e.inputs), effects=effects)
+    return replace(
+        model,
+        inputs=model.inputs + tuple(u for e in effects for u in e.inputs),
+        outputs=model.outputs + tuple(y for e in effects for y in e.outputs),
+        effects=effects,
+    )
 
 
 def step(model: Model, ops: Any, inputs: Mapping, states: Mapping, parameters: Mapping, dt: Any) -> tuple[dict, dict]:

@@ -164,7 +164,7 @@ def plan(
     >>> found.commands
     Record(7501 rows, 30 s every 4 ms: time, omega_ref, beta_ref)
     """
-    held = as_parameters(parameters, effects_from)
+    held = as_parameters(parameters, effects_from).without_power
     if not isinstance(rig, Rig):
         rig = held.rig if rig is None else declared_rig(rig, held.rig)
     if rig.unknown:

@@ -1,19 +1,19 @@
-"""Find for each thrust the pair of speed and pitch of least power, from steady points with power."""
+"""Find for each thrust the pair of speed and pitch of least power, from parameters with torque or power.
 
-from identification.power.allocation import COLUMNS, Allocation, allocate, table
-from identification.power.power_map import power_map
+gains.json is a controller that comes to rest on these pairs (mode 2), for vpp export --gains and vpp cosim."""
+
+from identification.power.allocation import COLUMNS, Allocation, allocate, allocated_controller, table
+from identification.power.model import PowerModel
 from vpp_fmu.app.cli.options import SEED, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
+from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, say_written
 from vpp_fmu.app.report.pages.allocation import allocation_page, key_figures
-from vpp_fmu.campaign import read_campaign
-from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import parameters_file, read_parameters
+from vpp_fmu.parameters import beside, parameters_file, read_parameters, to_json
 from vpp_fmu.structured import as_json
 
-EXAMPLE = "vpp allocate campaigns/monday --parameters out/parameters.json -o pairs"
+EXAMPLE = "vpp allocate --parameters out/parameters.json -o pairs"
 
 FORMAT = "vpp-allocation/1"
 
@@ -22,9 +22,7 @@ POINTS = whole(2, 1000)
 
 
 def configure(parser):
-    text = "folder of a campaign whose static.csv has power, or voltage and current, or torque"
-    parser.add_argument("campaign", metavar="CAMPAIGN", help=text)
-    text = "the plant's parameters, a file or its folder: its settled thrust and its rig's limits"
+    text = "the plant's parameters, a file or its folder, identified from a campaign with torque, power, or voltage and current"
     parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     add_effects_from(parser)
     text = "0: least power; 1: largest reserve of thrust that pitch alone, the fast actuator, can add and remove; between: both"
@@ -37,14 +35,15 @@ def configure(parser):
 def run(options):
     library = library_with(options.effects_from)
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    static = read_campaign(options.campaign).static
-    if static is None:
-        raise BadInput(options.campaign, "static.csv", "no such file", "steady points with power")
-    found = allocate(parameters, power_map(static, parameters.values), options.weight, options.points, options.seed)
+    power = PowerModel.of(parameters, beside(options.parameters))
+    found = allocate(parameters, power, options.weight, options.points, options.seed)
     folder = OutputSet(options.output, "allocate")
     rows = [",".join(COLUMNS), *(",".join(f"{v:.7g}" for v in row) for row in table(found))]
     folder.write("allocation.csv", "\n".join(rows) + "\n")
     folder.write("allocation.h", as_c(found))
+    folder.write(
+        "gains.json", to_json(dated(allocated_controller(found, parameters), parameters=(options.parameters, parameters)))
+    )
     folder.write("allocation.json", as_json(summary(found)))
     folder.write("report.html", allocation_page(found, parameters.label).html())
     say_written(folder, parameters, [f"{label}: {value} ({note})" for label, value, note in key_figures(found)])
@@ -60,7 +59,7 @@ def summary(found: Allocation) -> dict:
         "format": FORMAT,
         "weight": found.weight,
         "limits": {"speed": limits["speed"] | {"unit": "rpm"}, "pitch": limits["pitch"] | {"unit": "deg"}},
-        "power_map": found.power_map.summary(),
+        "kind": found.model.kind,
         "best_fixed_pitch": {"value": found.fixed_beta, "unit": "deg"},
         "saving": found.saving,
     }

@@ -96,7 +96,7 @@ class Basis:
 
 def run(options):
     library = library_with(options.effects_from)
-    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library)).without_power
     known_in, known = knowledge_of(options, parameters)
     knowledge, inflation = known or (None, 1.0)
     basis = _basis(options, parameters, known_in)

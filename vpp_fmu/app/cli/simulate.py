@@ -26,7 +26,7 @@ def run(options):
     folder = OutputSet(options.output, "simulate")
     shown = predict(parameters.model, parameters.values, record)
     columns = {name: record[name] for name in ("time", "omega_ref", "beta_ref")}
-    columns |= {"thrust": shown.thrust, "omega": shown.omega, "beta": shown.beta}
+    columns |= {"thrust": shown.thrust, "omega": shown.omega, "beta": shown.beta, **shown.further}
     write_record(folder, "prediction.csv", Record(columns, "vpp simulate"))
     measured = "thrust" in record and shown.rmse_thrust is not None
     lines = [f"thrust: rmse {number(shown.rmse_thrust)} N against {options.record}"] if measured else []

@@ -12,7 +12,7 @@ from vpp_fmu.digits import number
 def key_figures(found: Allocation) -> list[tuple[str, str, str]]:
     """(label, value, note) of the figures of the first screen."""
     low, high = (number(float(extreme(found.beta)), 3) for extreme in (np.min, np.max))
-    kind, points = found.power_map.kind, found.power_map.points
+    share = float(np.max(NORMAL_95 * found.power_std / found.power))
     return [
         (
             "power saved",
@@ -20,7 +20,7 @@ def key_figures(found: Allocation) -> list[tuple[str, str, str]]:
             f"mean, against the best fixed pitch of the same range of thrust, {found.fixed_beta:.3g} deg",
         ),
         ("best pitch", f"{low} to {high} deg", f"at {number(found.thrust[0], 3)} to {number(found.thrust[-1], 3)} N"),
-        (f"{kind} power", f"± {number(found.power_map.rmse, 2)} W", f"rms of {points} points about the power map"),
+        (f"{found.model.kind} power", f"± {100.0 * share:.2g} %", "largest half width of its 95 % interval along the pairs"),
         ("reserve of pitch alone", f"{number(float(np.min(found.reserve)), 2)} N", "the least over all thrusts, both ways"),
     ]
 
@@ -29,17 +29,17 @@ def allocation_page(found: Allocation, source: str = "") -> Page:
     """The report of an allocation; `source`: of the parameters."""
     goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
     text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same thrust, "
-    text += f"{found.power_map.kind} power differs; the best fixed pitch takes {_more(found)} than the pairs."
+    text += f"{found.model.kind} power differs; the best fixed pitch takes {_more(found)} than the pairs."
     page = Page("Speed and pitch for each thrust", text, source)
     page.tiles(key_figures(found))
     title = f"The pairs save {100.0 * found.saving:.1f} % of the power against the best fixed pitch, {found.fixed_beta:.3g} deg"
     half = NORMAL_95 * found.power_std
     fixed = {f"best fixed pitch, {found.fixed_beta:.3g} deg": found.fixed}
-    caption = "95 % interval: of the power map's coefficients; the choice of its terms is not part of it."
+    caption = "95 % interval: of the power's parameters; the choice of a map's terms is not part of it."
     page.figure(least_power(found.thrust, found.power, half, fixed, title), caption)
     speeds, pitches, thrust = found.surface.grid
     few = slice(None, None, max(1, len(speeds) // 100))
-    watts = found.power_map.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
+    watts = found.model.at(*np.meshgrid(speeds[few], pitches, indexing="ij"))
     title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
     lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
     figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)

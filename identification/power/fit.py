@@ -1,0 +1,231 @@
+"""Torque and power of a campaign: maps by least squares, and the motor between them, with standard deviations.
+
+Steady points are used where they have torque or power, else the rows of the record that was fitted, at the speed and pitch of
+the plant's simulation. There the rotor's acceleration takes power, too: its inertia is fitted beside the map and not reported.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from identification.assessment.prediction import Prediction
+from vpp_fmu.campaign import StaticMap
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.power import MOTOR, POWER_MAP, POWER_TERMS, RAD_PER_S, TORQUE_MAP, TORQUE_TERMS, polynomial
+from vpp_fmu.parameters import ParameterSet
+
+ELECTRICAL, SHAFT = "electrical", "shaft"
+
+TOLERANCE = 1.05
+"""Maximum ratio of shaft to electrical power: both are measured to some per cent."""
+
+TIMES = 4
+"""Rows per coefficient, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Torque [N.m] and electrical power [W] (n,), None if not measured, at normalised speed `w` and pitch `b` (n,), and at
+    `omega` (n,) [rad/s]. `rate` (n,) [rad/s^2]: of the speed, None for steady points. `source`: the file."""
+
+    w: np.ndarray
+    b: np.ndarray
+    omega: np.ndarray
+    torque: np.ndarray | None
+    power: np.ndarray | None
+    source: str
+    rate: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PowerFit:
+    """Parameters of effects of `vpp_fmu.kernel.power`: full `names` (k,), `values` (k,) and their `covariance` (k, k), in the
+    units of the effects. Coefficients that were not selected are not among them: they are 0.
+
+    `effects`: names; `rmse`: of "torque" [N.m] and "power" [W]; `points`: readings used, of the file `source`.
+    """
+
+    effects: tuple[str, ...]
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    rmse: Mapping[str, float]
+    points: int
+    source: str
+
+    def added_to(self, parameters: ParameterSet) -> ParameterSet:
+        """The plant with these outputs. Effects of the user stay."""
+        core = parameters.without_power.model
+        model = plant([*core.optional, *self.effects], core.effects, parameters.rig.scales)
+        std = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        own = dict(zip(self.names, self.values.tolist(), strict=True))
+        return ParameterSet(model, parameters.without_power.estimates, parameters.source).replaced(own, std)
+
+    def summary(self) -> dict:
+        """For identification.json."""
+        units = {e.full(p.name): p.unit for e in (TORQUE_MAP, MOTOR, POWER_MAP) for p in e.parameters}
+        std = np.sqrt(np.diag(self.covariance)).tolist()
+        rows = zip(self.names, self.values.tolist(), std, strict=True)
+        shown = {"torque": "N.m", "power": "W"}
+        return {
+            "effects": list(self.effects),
+            "parameters": {n: {"value": v, "std": s, "unit": units[n]} for n, v, s in rows},
+            "covariance": self.covariance.tolist(),
+            "rmse": {name: {"value": value, "unit": shown[name]} for name, value in self.rmse.items()},
+            "points": self.points,
+        }
+
+
+def steady_readings(static: StaticMap, scales: Mapping[str, float]) -> Readings | None:
+    """Readings of steady points; None without torque and power. `scales`: of the thrust map."""
+    of = static.further
+    return _readings(static.omega, static.beta_ref, of.get("torque"), _electrical(of), static.source, scales)
+
+
+def moving_readings(prediction: Prediction, scales: Mapping[str, float]) -> Readings | None:
+    """Readings of a record's rows, at the speed and pitch of the plant's simulation; None without torque and power."""
+    record = prediction.record
+    of = {name: record[name] for name in ("torque", "voltage", "current", "power") if name in record}
+    rate = np.gradient(prediction.omega, record.time) * RAD_PER_S
+    columns = [of.get("torque"), _electrical(of)]
+    kept = np.logical_and.reduce([np.isfinite(c) for c in (rate, *columns) if c is not None])
+    torque, power = (None if c is None else c[kept] for c in columns)
+    return _readings(prediction.omega[kept], prediction.beta[kept], torque, power, record.source, scales, rate[kept])
+
+
+def _electrical(of: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Electrical power [W]: as measured, else voltage times current."""
+    if "power" in of:
+        return of["power"]
+    return of["voltage"] * of["current"] if {"voltage", "current"} <= set(of) else None
+
+
+def _readings(omega, beta, torque, power, source, scales, rate=None) -> Readings | None:
+    if torque is None and power is None:
+        return None
+    w, b = omega / scales["omega_scale"], (beta + scales["beta_offset"]) / scales["beta_scale"]
+    found = Readings(w, b, omega * RAD_PER_S, torque, power, source, rate)
+    _check(found)
+    return found
+
+
+def _check(r: Readings) -> None:
+    """BadInput for a mean below 0, and where the shaft gives more than it gets."""
+    for name, unit, values in (("torque", "N.m", r.torque), ("electrical power", "W", r.power)):
+        if values is not None and not (mean := float(np.mean(values))) > 0.0:
+            raise BadInput(r.source, name, f"{mean:.4g} {unit} in the mean", f"more than 0 {unit}: change the column's sign")
+    if r.torque is not None and r.power is not None:
+        gives, gets = float(np.mean(r.torque * r.omega)), float(np.mean(r.power))
+        if gives > TOLERANCE * gets:
+            found = f"{gives:.4g} W of torque and speed in the mean, {gets:.4g} W electrical"
+            raise BadInput(r.source, "torque, power", found, "less power at the shaft: torque in N.m, power in W or V and A")
+
+
+def fit_power(readings: Readings) -> PowerFit:
+    """Fit torque with its map and, where electrical power was measured too, the motor; else the map of electrical power.
+
+    The terms of a map are the subset with the least BIC. BadInput without enough rows, or if speed or pitch does not change.
+    """
+    if readings.torque is None:
+        assert readings.power is not None
+        return _joined(readings, [_polynomial(readings, POWER_MAP.name, POWER_TERMS, readings.power)])
+    parts = [_polynomial(readings, TORQUE_MAP.name, TORQUE_TERMS, readings.torque)]
+    if readings.power is not None:
+        parts.append(_motor(readings, parts[0]))
+    return _joined(readings, parts)
+
+
+Part = tuple[str, Sequence[str], np.ndarray, np.ndarray, np.ndarray]
+"""Effect, names of its parameters, values, covariance, residual."""
+
+
+def _joined(readings: Readings, parts: Sequence[Part]) -> PowerFit:
+    sizes = [len(values) for _, _, values, _, _ in parts]
+    covariance, at = np.zeros((sum(sizes), sum(sizes))), 0
+    for _, _, values, own, _ in parts:
+        covariance[at : at + len(values), at : at + len(values)] = own
+        at += len(values)
+    return PowerFit(
+        tuple(effect for effect, *_ in parts),
+        tuple(f"{effect}.{name}" for effect, names, *_ in parts for name in names),
+        np.concatenate([values for _, _, values, _, _ in parts]),
+        covariance,
+        {"torque" if e == TORQUE_MAP.name else "power": float(np.sqrt(np.mean(r**2))) for e, _, _, _, r in parts},
+        len(readings.w),
+        readings.source,
+    )
+
+
+def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) -> Part:
+    """The map of torque or power. The inertia's term, where speed changes, is in every subset and in none of the results."""
+    columns = [polynomial((term,), (1.0,), readings.w, readings.b) for term in terms]
+    held = []
+    if readings.rate is not None:
+        held = [readings.rate if effect == TORQUE_MAP.name else readings.rate * readings.omega]
+    every = np.column_stack([*columns, *held])
+    n, size = every.shape
+    rank = int(np.linalg.matrix_rank(every))
+    if n < TIMES * size or rank < size:
+        allowed = f"{TIMES * size} or more, at three speeds and three pitches or more"
+        raise BadInput(readings.source, "rows with torque or power", f"{n} of rank {rank} for {size} terms", allowed)
+    gram, moment, total = every.T @ every, every.T @ measured, float(measured @ measured)
+    always = range(len(terms), size)
+
+    def bic(chosen: Sequence[int]) -> float:
+        at = [*chosen, *always]
+        rest = total - moment[at] @ np.linalg.solve(gram[np.ix_(at, at)], moment[at])
+        return n * float(np.log(max(rest, 1e-15 * total))) + len(at) * float(np.log(n))
+
+    best = list(min(_subsets(len(terms)), key=bic))
+    a = every[:, [*best, *always]]
+    c, *_ = np.linalg.lstsq(a, measured, rcond=None)
+    residual = measured - a @ c
+    covariance = np.linalg.inv(a.T @ a) * _variance(residual, len(c), readings.rate is not None)
+    k = len(best)
+    letter = "q" if effect == TORQUE_MAP.name else "p"
+    return effect, [f"{letter}{terms[i][0]}{terms[i][1]}" for i in best], c[:k], covariance[:k, :k], residual
+
+
+def _subsets(count: int) -> Iterator[tuple[int, ...]]:
+    return (chosen for k in range(1, count + 1) for chosen in combinations(range(count), k))
+
+
+def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:
+    """Variance of the residual (n,), for the covariance of `count` coefficients. Of rows in time it is raised by the ratio of
+    effective to nominal information, (1 + r) / (1 - r) with the correlation r of neighbours."""
+    variance = float(residual @ residual) / (len(residual) - count)
+    if not in_time or variance == 0.0:
+        return variance
+    r = float(np.clip(residual[1:] @ residual[:-1] / (residual @ residual), 0.0, 0.999))
+    return variance * (1.0 + r) / (1.0 - r)
+
+
+def _motor(readings: Readings, torque: Part) -> Part:
+    """Friction, copper loss and idle power, from the power beyond that of the torque's map. None is below 0. The torque map's
+    own error counts: it is small where the points are many."""
+    _, names, values, _, _ = torque
+    load = polynomial([(int(n[1]), int(n[2])) for n in names], values, readings.w, readings.b)
+    omega, power = readings.omega, readings.power
+    assert power is not None
+    if readings.rate is not None:
+        raise BadInput(readings.source, "torque, power", "both in a record alone", "steady points with both, for the motor")
+    scale = float(np.mean(power)) * np.array([1.0 / float(np.mean(omega)), 1.0 / float(np.mean(load**2)), 1.0])
+
+    def excess(x: np.ndarray) -> np.ndarray:
+        friction, loss, idle = x * scale
+        driven = load + friction
+        return driven * omega + loss * driven**2 + idle - power
+
+    found = least_squares(excess, [0.05, 0.1, 0.01], bounds=(0.0, np.inf), x_scale="jac", xtol=1e-12, ftol=1e-12)
+    free = found.x > 1e-6
+    covariance = np.zeros((3, 3))
+    if free.any():
+        jac = found.jac[:, free]
+        own = np.linalg.pinv(jac.T @ jac) * _variance(found.fun, int(free.sum()), False)
+        covariance[np.ix_(free, free)] = own
+    names = [p.name for p in MOTOR.parameters]
+    return MOTOR.name, names, found.x * scale, covariance * np.outer(scale, scale), found.fun

@@ -1,0 +1,89 @@
+"""Power over speed and pitch of an identified plant, with its standard deviation."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+
+import numpy as np
+
+from vpp_fmu.errors import BadInput
+from vpp_fmu.kernel.ops import Ops
+from vpp_fmu.kernel.power import EFFECTS, RAD_PER_S
+from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.structured import read_object
+
+ELECTRICAL, SHAFT = "electrical", "shaft"
+
+STEP = 1e-6
+"""Step of a derivative as a share of a parameter: exact to rounding for maps, which are linear in theirs."""
+
+
+class _Arrays(Ops):
+    """The operations that the effects of power use, on arrays."""
+
+    def where(self, condition, yes, no):
+        return np.where(condition, yes, no)
+
+
+@dataclass(frozen=True, eq=False)
+class PowerModel:
+    """Power [W] of a plant that has its effects (`vpp_fmu.kernel.power`): electrical, or of the shaft if only torque is known.
+
+    `names` (k,), `covariance` (k, k): of the parameters; those that are not named are certain.
+    """
+
+    parameters: ParameterSet
+    names: tuple[str, ...]
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, parameters: ParameterSet, knowledge: str | os.PathLike | None = None) -> "PowerModel":
+        """`knowledge`: the identification.json beside the parameters; None: standard deviations alone, as if independent.
+        BadInput for a plant without torque and power."""
+        outputs = {y.name for y in parameters.model.outputs}
+        if not outputs & {"torque", "power"}:
+            allowed = "torque_map or power_map: identify a campaign with torque, or power, or voltage and current"
+            raise BadInput("parameters", "effects", ", ".join(parameters.model.optional) or "none", allowed)
+        own = {e.full(p.name) for e in EFFECTS if e.name in parameters.model.optional for p in e.parameters}
+        std = {n: e.std for n, e in parameters.estimates.items() if n in own and e.std}
+        names, covariance = tuple(std), np.diag(np.square(list(std.values())))
+        if knowledge is not None and os.path.exists(knowledge):
+            found = read_object(knowledge, allowed="an identification.json").get("power", {})
+            if isinstance(found, dict) and set(found.get("parameters", ())) >= set(names):
+                at = [list(found["parameters"]).index(n) for n in names]
+                covariance = np.array(found["covariance"], float)[np.ix_(at, at)]
+        return cls(parameters, names, covariance)
+
+    @cached_property
+    def kind(self) -> str:
+        """ELECTRICAL or SHAFT."""
+        return ELECTRICAL if any(y.name == "power" for y in self.parameters.model.outputs) else SHAFT
+
+    def at(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Power [W] at speed [rpm] and pitch [deg], which have the same shape."""
+        return self._at(omega, beta, self.parameters.values)
+
+    def gradient(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """(..., k) derivatives of the power [W] with respect to the named parameters."""
+        values, columns = self.parameters.values, []
+        for name in self.names:
+            step = STEP * max(abs(values[name]), 1e-9)
+            ends = (self._at(omega, beta, {**values, name: values[name] + s * step}) for s in (1.0, -1.0))
+            columns.append((next(ends) - next(ends)) / (2.0 * step))
+        return np.stack(columns, axis=-1) if columns else np.zeros((*np.shape(omega), 0))
+
+    def std(self, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Standard error [W] at these points, sqrt(g.T C g) with g the gradient."""
+        g = self.gradient(omega, beta)
+        return np.sqrt(np.einsum("...i,ij,...j->...", g, self.covariance, g))
+
+    def _at(self, omega, beta, values) -> np.ndarray:
+        w = np.asarray(omega) / values["omega_scale"]
+        b = (np.asarray(beta) + values["beta_offset"]) / values["beta_scale"]
+        s = SimpleNamespace(w=w, b=b, omega_scale=values["omega_scale"])
+        for effect in self.parameters.model.effects:
+            if effect.outputs:
+                p = SimpleNamespace(**{q.name: values[effect.full(q.name)] for q in effect.parameters})
+                s.__dict__.update(effect.step(_Arrays(), s, None, p, 0.0)[0])
+        return s.power if self.kind == ELECTRICAL else s.torque * np.asarray(omega) * RAD_PER_S

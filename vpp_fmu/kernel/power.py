@@ -1,0 +1,80 @@
+"""Torque and power of the rotor: effects that add outputs to the plant and change nothing else of it.
+
+    torque_map:  Q = sum q_ij w^i b^j                           with w, b of the thrust map (as eq. 7 of the paper for thrust)
+    motor:       P = Q_m omega + loss Q_m^2 + idle,             Q_m = Q + friction
+    power_map:   P = sum p_ij w^i b^j                           electrical power where no torque was measured
+
+`motor` is the paper's eqs. 3 and 4 at rest, R i^2 + k omega i with the motor's constant k: Q_m = k i, so loss = R / k^2, which
+takes no measurement of the motor's own current; idle is the ESC's. Coefficients are in N.m or W: w and b are normalised.
+"""
+
+from itertools import product
+
+from vpp_fmu.kernel.types import Effect, Parameter, Signal
+
+RAD_PER_S = 2.0 * 3.141592653589793 / 60.0
+"""One rpm."""
+
+TORQUE_TERMS = tuple(product((1, 2), (0, 1, 2)))
+POWER_TERMS = tuple(product((1, 2, 3), (0, 1, 2)))
+"""Powers (i, j) of the terms w^i b^j. A torque's terms times the speed are among those of power; a rotor at rest takes none."""
+
+TORQUE = Signal("torque", "N.m", "torque of the rotor", -1e4, 1e4, 0.1)
+POWER = Signal("power", "W", "electrical power", -1e6, 1e6, 100.0)
+EFFICIENCY = Signal("efficiency", "1", "shaft power over electrical power of motor and ESC; 0 without power", -10.0, 10.0)
+
+
+def polynomial(terms, coefficients, w, b):
+    """Sum of coefficient w^i b^j, on any arithmetic."""
+    total = 0.0
+    for (i, j), c in zip(terms, coefficients, strict=True):
+        term = c
+        for factor in (*i * [w], *j * [b]):
+            term = term * factor
+        total = total + term
+    return total
+
+
+def _map(letter: str, terms, unit: str, output: Signal, name: str, text: str) -> Effect:
+    names = tuple(f"{letter}{i}{j}" for i, j in terms)
+
+    def step(ops, s, x, p, dt):
+        return {output.name: polynomial(terms, [getattr(p, n) for n in names], s.w, s.b)}, {}
+
+    about = "coefficient of w^{} b^{} in the map of " + output.name
+    parameters = tuple(
+        Parameter(n, unit, 0.0, -1e6, 1e6, about.format(*term), output.nominal) for n, term in zip(names, terms, strict=True)
+    )
+    off, probe = dict.fromkeys(names, 0.0), {names[-3]: output.nominal}
+    return Effect(name, text, step, parameters, off=off, probe=probe, outputs=(output,))
+
+
+TORQUE_MAP = _map("q", TORQUE_TERMS, "N.m", TORQUE, "torque_map", "torque over rotor speed and blade pitch")
+POWER_MAP = _map("p", POWER_TERMS, "W", POWER, "power_map", "electrical power over rotor speed and blade pitch")
+
+
+def _motor(ops, s, x, p, dt):
+    speed, driven = s.w * s.omega_scale * RAD_PER_S, s.torque + p.friction
+    power = driven * speed + p.loss * driven * driven + p.idle
+    takes = power > 0.0
+    return {"power": power, "efficiency": ops.where(takes, s.torque * speed / ops.where(takes, power, 1.0), 0.0)}, {}
+
+
+MOTOR = Effect(
+    "motor",
+    "electrical power of motor and ESC (paper, eqs. 3 and 4 at rest)",
+    _motor,
+    parameters=(
+        Parameter("friction", "N.m", 0.0, 0.0, 1e3, "torque of the motor without load (no-load current)", 0.01),
+        Parameter("loss", "W/N2.m2", 0.0, 0.0, 1e9, "copper loss per torque squared, R / k^2", 1e3),
+        Parameter("idle", "W", 0.0, 0.0, 1e5, "power of the ESC alone", 1.0),
+    ),
+    off={"friction": 0.0, "loss": 0.0, "idle": 0.0},
+    probe={"loss": 500.0},
+    outputs=(POWER, EFFICIENCY),
+)
+
+EFFECTS = (TORQUE_MAP, MOTOR, POWER_MAP)
+"""In their order along the chain. A model has `torque_map`, with `motor` or alone, or `power_map`."""
+
+NAMES = frozenset(e.name for e in EFFECTS)
