@@ -7,8 +7,9 @@ import numpy as np
 
 from vpp_fmu.gym.reward import Moment
 from vpp_fmu.gym.task import RATE, Task
+from vpp_fmu.kernel.effects.policy import LARGEST_INTEGRAL
 
-BOUNDS = {"thrust_set": 1e5, "thrust": 1e5, "omega": 4e5, "omega_ref": 4e5, "beta_ref": 180.0, "integral": 1e6}
+BOUNDS = {"thrust_set": 1e5, "thrust": 1e5, "omega": 4e5, "omega_ref": 4e5, "beta_ref": 180.0, "integral": LARGEST_INTEGRAL}
 """Largest absolute value of an observation, in its unit."""
 
 
@@ -34,77 +35,89 @@ class Core:
     def __init__(self, task: Task, plants: Plants, count: int):
         self.task, self.plants, self.count = task, plants, count
         self.generators = [np.random.default_rng() for _ in range(count)]
-        columns = task.actions + 1
-        self.wanted, self.at = np.zeros((count, columns)), np.zeros(count, int)
-        self._noise = np.zeros((count, columns, 2))
         self.parameters = np.zeros((count, len(task.plant.model.parameters)))
-        self.commands, self._sample = np.zeros((count, 2)), np.zeros((count, 3))
-        self._integral, self._past = np.zeros(count), np.zeros((count, task.history))
+        self._columns, self._at = task.actions + 1, np.zeros(count, int)
+        self._wanted = np.zeros((self._columns, count))
+        self._noise = [np.zeros(self._wanted.shape if std else 0) for std in task.noise_std]
+        # Quantities in rows, environments in columns: numpy's inner loops then run over all environments.
+        self._commands, self._sample = np.zeros((2, count)), np.zeros((3, count))
+        self._now = np.zeros((3, count))  # set-point, readings of thrust and speed
+        self._integral, self._past = np.zeros(count), np.zeros((task.history, count))
         self._rows = np.arange(count)
         self._order = [list(plants.outputs).index(name) for name in ("thrust", "omega", "beta")]
         self.bounds = np.array([*(BOUNDS[name] for name in task.observe), *[BOUNDS["thrust"]] * task.history])
+        self._low, self._high, self._move = (v[:, None] for v in (task.low, task.high, task.rates * task.period))
+        self._range = np.where(self._high > self._low, self._high - self._low, 1.0)
 
     def reset(self, which: np.ndarray) -> None:
         """Begin an episode in the environments `which` (some,), at rest on the lowest commands."""
-        task, (thrust, speed) = self.task, self.task.noise_std
+        task = self.task
         fixed = None if task.randomise else np.array(list(task.plant.values.values()))
         for n in which.tolist():
             rng = self.generators[n]
             self.parameters[n] = task.posterior.draw(rng) if fixed is None else fixed
-            self.wanted[n] = task.set_points(rng)
-            if thrust or speed:
-                self._noise[n] = rng.standard_normal(self._noise.shape[1:]) * (thrust, speed)
-        self.at[which], self._integral[which], self.commands[which] = 0, 0.0, task.low
-        shown = self.plants.begin(which, self.parameters[which], self.commands[which])
-        self._sample[which] = shown[:, self._order]
-        self._past[which] = self._reading()[which, None]
+            self._wanted[:, n] = task.set_points(rng)
+            for noise, std in zip(self._noise, task.noise_std, strict=True):
+                if std:
+                    noise[:, n] = std * rng.standard_normal(self._columns)
+        self._at[which], self._integral[which], self._commands[:, which] = 0, 0.0, self._low
+        shown = self.plants.begin(which, self.parameters[which], self._commands[:, which].T)
+        self._sample[:, which] = shown[:, self._order].T
+        self._read()
+        self._past[:, which] = self._now[1, which]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Hold `actions` (n, 2), -1 to 1 of their ranges: (rewards, terminated, truncated), each (n,)."""
-        task, rows = self.task, self._rows
-        before, wanted = self.commands.copy(), self.wanted[rows, self.at]
-        reading = self._reading()
-        self._integral = np.clip(self._integral + (wanted - reading) * task.period, -BOUNDS["integral"], BOUNDS["integral"])
+        task, before = self.task, self._commands
+        wanted, reading = self._now[0].copy(), self._now[1]
+        grown = self._integral + (wanted - reading) * task.period
+        self._integral = np.minimum(np.maximum(grown, -LARGEST_INTEGRAL), LARGEST_INTEGRAL)
         if task.history:
-            self._past[:, 1:], self._past[:, 0] = self._past[:, :-1].copy(), reading
-        self.commands = self._commanded(np.clip(actions, -1.0, 1.0))
-        self._sample = self.plants.advance(self.commands, task.hold)[:, self._order]
-        self.at = np.minimum(self.at + 1, task.actions)
-        thrust, omega, beta = self._sample.T
+            self._past = np.vstack([reading, self._past[:-1]])
+        self._commands = self._commanded(np.minimum(np.maximum(actions.T, -1.0), 1.0))
+        self._sample = self.plants.advance(self._commands.T, task.hold)[:, self._order].T.copy()
+        self._at = np.minimum(self._at + 1, task.actions)
+        self._read()
+        thrust, omega, beta = self._sample
         exceeded = task.exceeded(thrust, omega, beta)
-        travel = np.abs(self.commands - before) / np.where(task.high > task.low, task.high - task.low, 1.0)
-        scale = task.rig.scales.thrust_scale
-        moment = Moment(wanted, thrust, omega, beta, travel[:, 0], travel[:, 1], task.period, scale, exceeded)
-        return np.asarray(task.reward(moment), float), exceeded, (self.at >= task.actions) & ~exceeded
+        travel = np.abs(self._commands - before) / self._range
+        moment = Moment(wanted, thrust, omega, beta, *travel, task.period, task.rig.scales.thrust_scale, exceeded)
+        return np.asarray(task.reward(moment), float), exceeded, (self._at >= task.actions) & ~exceeded
 
     def observed(self) -> np.ndarray:
         """Observations (n, observed), in the task's order: thrust and speed as read, in N, rpm, deg, N s."""
+        wanted, thrust, omega = self._now
         named = {
-            "thrust_set": self.wanted[self._rows, self.at],
-            "thrust": self._reading(),
-            "omega": self._sample[:, 1] + self._noise[self._rows, self.at, 1],
-            "omega_ref": self.commands[:, 0],
-            "beta_ref": self.commands[:, 1],
+            "thrust_set": wanted,
+            "thrust": thrust,
+            "omega": omega,
+            "omega_ref": self._commands[0],
+            "beta_ref": self._commands[1],
             "integral": self._integral,
         }
-        found = np.column_stack([*(named[name] for name in self.task.observe), self._past])
-        return np.clip(np.nan_to_num(found), -self.bounds, self.bounds)
+        found = np.empty((self.count, len(self.bounds)))
+        for k, values in enumerate([*(named[name] for name in self.task.observe), *self._past]):
+            found[:, k] = np.fmin(np.fmax(values, -self.bounds[k]), self.bounds[k])
+        return found
 
     def shown(self) -> dict[str, np.ndarray]:
-        """What the plants do, without noise, by name: (n,) each."""
-        thrust, omega, beta = self._sample.T.copy()
-        return {"thrust": thrust, "omega": omega, "beta": beta, "omega_ref": self.commands[:, 0], "beta_ref": self.commands[:, 1]}
+        """What the plants do, without noise, by name: (n,) each; the next step makes new arrays."""
+        return dict(zip(("thrust", "omega", "beta", "omega_ref", "beta_ref"), (*self._sample, *self._commands), strict=True))
 
-    def _reading(self) -> np.ndarray:
-        return self._sample[:, 0] + self._noise[self._rows, self.at, 0]
+    def _read(self) -> None:
+        at = self._at * self.count + self._rows
+        self._now = np.stack([self._wanted.take(at), *self._sample[:2]])
+        for row, noise in zip(self._now[1:], self._noise, strict=True):
+            if noise.size:
+                row += noise.take(at)
 
     def _commanded(self, actions: np.ndarray) -> np.ndarray:
-        """Commands (n, 2) [rpm, deg] of actions, as the policy's FMU computes them."""
-        task = self.task
-        move = task.rates * task.period
-        if task.action == RATE:
-            wanted = self.commands + actions * move
+        """Commands (2, n) [rpm, deg] of actions, as the policy's FMU computes them."""
+        before, move = self._commands, self._move
+        if self.task.action == RATE:
+            wanted = before + actions * move
         else:
-            wanted = task.low + (task.high - task.low) * (0.5 * (actions + 1.0))
-        wanted = np.minimum(np.maximum(wanted, self.commands - move), self.commands + move)
-        return np.minimum(np.maximum(wanted, task.low), task.high)
+            wanted = self._low + (self._high - self._low) * (0.5 * (actions + 1.0))
+        if np.isfinite(move).any():
+            wanted = np.minimum(np.maximum(wanted, before - move), before + move)
+        return np.minimum(np.maximum(wanted, self._low), self._high)

@@ -181,7 +181,11 @@ class Task:
     def exceeded(self, thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
         """Whether thrust [N], speed [rpm] or pitch [deg] are beyond the rig's range; the speed may be below, as at a start."""
         found = np.zeros(len(thrust), bool)
-        for values, (low, high), lowest in ((thrust, self.rig.thrust, True), (omega, self.rig.speed, False), (beta, self.rig.pitch, True)):
+        for values, (low, high), lowest in (
+            (thrust, self.rig.thrust, True),
+            (omega, self.rig.speed, False),
+            (beta, self.rig.pitch, True),
+        ):
             margin = MARGIN * max(high - low, 1e-9)
             found |= values > high + margin
             if lowest:

@@ -131,7 +131,9 @@ def _outside(ops: Any, law: Law, seen: Sequence, z: Sequence) -> Any:
         inside = ops.where(o > low, ops.where(o < high, 1.0, 0.0), 0.0)
         outside = ops.where(inside > 0.5, outside, 1.0)
     if law.precision:
-        distance = _sum([zi * _sum([c * zj for c, zj in zip(row, z, strict=True)]) for row, zi in zip(law.precision, z, strict=True)])
+        distance = _sum(
+            [zi * _sum([c * zj for c, zj in zip(row, z, strict=True)]) for row, zi in zip(law.precision, z, strict=True)]
+        )
         outside = ops.where(distance < law.distance * law.distance, outside, 1.0)
     return outside
 
@@ -143,7 +145,10 @@ def _network(ops: Any, law: Law, z: Sequence, p: SimpleNamespace) -> list:
         return getattr(p, weight) if isinstance(weight, str) else weight
 
     for k, (weights, biases) in enumerate(law.layers, 1):
-        z = [_sum([number(b), *(number(w) * zi for w, zi in zip(row, z, strict=True))]) for row, b in zip(weights, biases, strict=True)]
+        z = [
+            _sum([number(b), *(number(w) * zi for w, zi in zip(row, z, strict=True))])
+            for row, b in zip(weights, biases, strict=True)
+        ]
         if k < len(law.layers):
             z = [ops.tanh(v) if law.activation == "tanh" else ops.maximum(v, 0.0) for v in z]
     return [ops.tanh(v) for v in z] if law.squash else list(z)
