@@ -178,6 +178,10 @@ class FmuController(_FmuRole):
 
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float | None = USUAL_STEP):
         super().__init__(path, parameters, 0.0 if dt is None else dt)
+        speed = self._fmu.variables.get("omega")
+        if speed is not None and speed.causality == "input":
+            self.close()
+            raise BadInput(path, "inputs", "omega", "thrust_set, thrust: this loop hands over no speed")
         values = {**self.starts(), **self._parameters}
         self.limits, self.sample_time = limits_of(values), values.get("sample_time")
         if dt is None:

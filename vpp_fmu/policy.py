@@ -12,7 +12,7 @@ import io
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,20 @@ class Policy:
     def size(self) -> tuple[int, ...]:
         """Units of each layer, from the observations to the commands."""
         return (len(self.law.mean), *(len(biases) for _, biases in self.law.layers))
+
+    def in_place_of(self, controller: ParameterSet) -> ParameterSet:
+        """The law on the controller's rig, with that controller to fall back on: its limits, scales and gains, where the policy
+        has none of its own. BadInput: limits beyond the controller's, other scales."""
+        own, rig = controller.values, controller.rig
+        found = self.parameters(own, rig.scales)
+        for name, value in self.values.items():
+            u, _, end = name.partition("_")
+            if end in ("min", "max") and not own[f"{u}_min"] <= value <= own[f"{u}_max"]:
+                allowed = f"{own[f'{u}_min']:g} to {own[f'{u}_max']:g}, the limits of the rig's controller"
+                raise BadInput(self.source, f"parameters, {name}", value, allowed)
+            if name in vars(rig.scales) and value != own[name]:
+                raise BadInput(self.source, f"parameters, {name}", value, f"{own[name]:g}, the scale of the rig")
+        return replace(found, source={**found.source, "rig": rig.summary()})
 
     def parameters(self, controller: Mapping[str, float] | None = None, scales: Scales = PAPER) -> ParameterSet:
         """The law's model for a rig of these scales. `controller`: values of the dual PID to fall back on, with limits; the
