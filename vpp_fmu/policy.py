@@ -4,8 +4,9 @@
      "weights": [[[...]]], "biases": [[...]], "activation": "tanh" | "relu", "squash": false, "action": "absolute" | "rate",
      "precision": [[...]], "distance": d, "parameters": {"sample_time": 0.004, "omega_max": 6000, ...}}
 
-`observe`, `weights`, `biases`, `mean`, `scale`, `low` and `high` are needed; without `precision` the box alone is checked. A .npz has
-the same names; `weights_0`, `biases_0`, ...; `parameters.sample_time`, ... What each means: `vpp_fmu.kernel.effects.policy`.
+`observe`, `weights`, `biases`, `mean`, `scale`, `low` and `high` are needed; without `precision` the box alone is checked. A
+.npz has the same names, but `weights_0`, `biases_0`, ... and `parameters.sample_time`, ... Their meaning: `Law` in
+vpp_fmu/kernel/effects/policy.py.
 """
 
 import io
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.files import OutputFolder, read_bytes
 from vpp_fmu.kernel.effects.policy import OBSERVABLE, Law
 from vpp_fmu.kernel.policy import policy_model
@@ -138,8 +139,8 @@ def policy_from_arrays(
 ) -> Policy:
     """A policy from arrays: `weights` (outputs, inputs) and `biases` (outputs,) of each layer, speed and pitch last.
 
-    `mean`, `scale`, `low`, `high` (observations,) in the observations' units; other arguments as in the file. BadInput names what
-    does not fit.
+    `mean`, `scale`, `low`, `high` (observations,) in the observations' units; other arguments as in the file. BadInput names
+    what does not fit.
     """
 
     def numbers(name: str, given: object, shape: tuple[int, ...]) -> np.ndarray:
@@ -149,7 +150,9 @@ def policy_from_arrays(
             found = np.full(1, np.nan)
         if found.shape != shape or not (np.abs(found) < 1e12).all():
             size = " x ".join(map(str, found.shape)) or "one number"
-            raise BadInput(source, name, f"{size}, {shown(np.ravel(found)[:4].tolist())}", f"{' x '.join(map(str, shape))} numbers")
+            raise BadInput(
+                source, name, f"{size}, {shown(np.ravel(found)[:4].tolist())}", f"{' x '.join(map(str, shape))} numbers"
+            )
         return found
 
     def must(name: str, good: bool, found: object, allowed: str) -> None:
@@ -172,7 +175,9 @@ def policy_from_arrays(
     for k, (w, b) in enumerate(zip(weights, biases, strict=True)):
         units = 2 if k + 1 == len(weights) else len(b)
         must(f"biases, layer {k}", 0 < units <= WIDEST, units, f"1 to {WIDEST} units")
-        layers.append((_tuples(numbers(f"weights, layer {k}", w, (units, width))), _tuples(numbers(f"biases, layer {k}", b, (units,)))))
+        layers.append(
+            (_tuples(numbers(f"weights, layer {k}", w, (units, width))), _tuples(numbers(f"biases, layer {k}", b, (units,))))
+        )
         width = units
     inverse = () if precision is None else _tuples(_positive(numbers("precision", precision, (count, count)), source))
     must("distance", precision is None or 0.0 < distance < 1e6, distance, "a number above 0, with precision")
@@ -195,12 +200,56 @@ def policy_from_arrays(
 def policy_from_torch(module: Any, **scaling: Any) -> Policy:
     """The policy of a PyTorch module: `Linear` layers with `Tanh` or `ReLU` between them, such as `Sequential`.
 
-    A `Tanh` behind the last layer is `squash`. `scaling`: the other arguments of `policy_from_arrays`. BadInput names a layer that
-    it can't take.
+    A `Tanh` behind the last layer is `squash`. `scaling`: the other arguments of `policy_from_arrays`. BadInput names the
+    layers that it can't take.
     """
     layers = [m for m in module.modules() if not any(True for _ in m.children())]
-    found = [(type(m).__name__, m.weight.tolist(), m.bias.tolist()) if hasattr(m, "weight") else (type(m).__name__,) for m in layers]
+    found = [
+        (type(m).__name__, m.weight.tolist(), m.bias.tolist()) if hasattr(m, "weight") else (type(m).__name__,) for m in layers
+    ]
     return _from_layers(found, **scaling)
+
+
+def policy_from_onnx(path: str | os.PathLike, **scaling: Any) -> Policy:
+    """The policy of an ONNX file (extra `onnx`): a chain of Gemm, or MatMul and Add, with Tanh or Relu, as `policy_from_torch`.
+
+    ExtraMissing without onnx; BadInput for a file that can't be read, or a graph that is no such chain.
+    """
+    try:
+        import onnx  # noqa: PLC0415 of an extra
+    except ImportError as error:
+        raise ExtraMissing("onnx is not installed: pip install onnx, or the extra 'onnx' of vpp-fmu") from error
+    content = read_bytes(path)
+    try:
+        graph = onnx.load_model_from_string(content).graph
+        constants = {tensor.name: onnx.numpy_helper.to_array(tensor).astype(float) for tensor in graph.initializer}
+    except Exception as error:  # its parser's errors have no common base
+        raise BadInput(path, "file", f"no ONNX model ({type(error).__name__})", "an ONNX model") from error
+    found: list[tuple] = []
+    carried = next((i.name for i in graph.input if i.name not in constants), None)
+    for node in graph.node:
+        operands = [constants[name] for name in node.input if name in constants]
+        if carried not in node.input or len(operands) + 1 != len(node.input):
+            raise BadInput(path, "graph", node.op_type, "a chain of layers from one input")
+        found = _with_node(path, found, node, operands)
+        (carried,) = node.output
+    return _from_layers(found, **{"source": path, **scaling})
+
+
+def _with_node(path: str | os.PathLike, found: list[tuple], node: Any, operands: list[np.ndarray]) -> list[tuple]:
+    """The layers with one more node of a graph, whose constant operands are given."""
+    given = {a.name: a.f or a.i for a in node.attribute}
+    if node.op_type in ("Tanh", "Relu"):
+        return [*found, ({"Relu": "ReLU"}.get(node.op_type, node.op_type),)]
+    if node.op_type == "Gemm" and not given.get("transA") and {given.get("alpha", 1.0), given.get("beta", 1.0)} == {1.0}:
+        weights = operands[0] if given.get("transB") else operands[0].T
+        return [*found, ("Linear", weights.tolist(), (operands[1] if len(operands) > 1 else np.zeros(len(weights))).tolist())]
+    if node.op_type == "MatMul" and operands[0].ndim == 2:
+        return [*found, ("Linear", operands[0].T.tolist(), [0.0] * operands[0].shape[1])]
+    if node.op_type == "Add" and found and found[-1][0] == "Linear":
+        kind, weights, biases = found[-1]
+        return [*found[:-1], (kind, weights, (np.array(biases) + operands[0].ravel()).tolist())]
+    raise BadInput(path, "graph", node.op_type, "Gemm with factors of 1, MatMul, Add, Tanh, Relu")
 
 
 def _from_layers(found: Sequence[tuple], **scaling: Any) -> Policy:

@@ -74,7 +74,9 @@ def main():
             found[f"the {name} FMU under fmpy"] = under_fmpy(make(BASE), Path(folder))
     slowest = found["the native FMU under fmpy"]
     for name, steps in found.items():
-        print(f"{name:44} {steps / 1e6:9.3f} million plant steps a second, {steps / slowest:7.3g} x the native FMU's under fmpy")
+        print(
+            f"{name:44} {steps / 1e6:9.3f} million plant steps a second, {steps / slowest:7.3g} x the native FMU's under fmpy"
+        )
 
 
 if __name__ == "__main__":

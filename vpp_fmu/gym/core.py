@@ -107,9 +107,9 @@ class Core:
     def _read(self) -> None:
         at = self._at * self.count + self._rows
         self._now = np.stack([self._wanted.take(at), *self._sample[:2]])
-        for row, noise in zip(self._now[1:], self._noise, strict=True):
+        for k, noise in enumerate(self._noise, 1):
             if noise.size:
-                row += noise.take(at)
+                self._now[k] += noise.take(at)
 
     def _commanded(self, actions: np.ndarray) -> np.ndarray:
         """Commands (2, n) [rpm, deg] of actions, as the policy's FMU computes them."""

@@ -34,8 +34,8 @@ QUICK = 5.0
 class Task:
     """What an environment is about.
 
-    `parameters`: the plant, as a set or a file or folder; None: the paper's. `randomise`: each episode draws its parameters from
-    the posterior (standard deviations of the parameters, correlation of the identification.json beside the file). `profile`:
+    `parameters`: the plant, a set or a file or folder; None: the paper's. `randomise`: each episode draws its parameters from
+    the posterior (standard deviations of the parameters, correlation of the identification.json beside it). `profile`:
     set-points as a Record or CSV with `time` [s], `thrust_set` [N]; None: random steps within reach. `seconds`: length of an
     episode; None: the profile's, else 10. `hold`: plant steps of `dt` [s] for each action; `dt` None: the period of the
     identification, else 0.004. `noise` [N, rpm]: standard deviations of the readings of thrust and speed; None: that of the

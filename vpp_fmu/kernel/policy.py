@@ -1,4 +1,4 @@
-"""A learned law as a model: the variables of the controller, whether its fallback acts, and the speed where it observes that."""
+"""A learned law as a model: the controller's variables, whether its fallback acts, and the speed where it is observed."""
 
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.effects.policy import Law, policy_effect

@@ -1,4 +1,4 @@
-"""Many plants, each with its own parameters and commands, moved by one compiled call; without a compiler as generated Python."""
+"""Many plants, each with its own parameters and commands, moved by one compiled call; without a compiler in Python."""
 
 import ctypes
 from importlib.resources import files
@@ -45,8 +45,8 @@ class ManyPlants:
         self._memory = np.zeros(library.many_size(self.count) // 8)
 
     def begin(self, which: np.ndarray, parameters: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Start the instances `which` (some,) at rest on `commands` (some, 2) [rpm, deg] with `parameters` (some, parameters) in
-        the model's order. Returns their outputs (some, outputs)."""
+        """Start the instances `which` (some,) at rest on `commands` (some, 2) [rpm, deg] with `parameters` (some, parameters)
+        in the model's order. Returns their outputs (some, outputs)."""
         self._inputs[which, :2] = commands
         shown, inputs = np.empty((len(which), len(self.outputs))), self._inputs[which]
         if self._library is None:

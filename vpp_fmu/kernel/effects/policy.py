@@ -10,7 +10,7 @@ observations in training), and for `fallback_hold` seconds after. While the law 
 its commands are those of the law: the takeover has no bump. Before the first sample the commands are the lowest ones.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -41,9 +41,9 @@ Number = float | str
 
 @dataclass(frozen=True)
 class Law:
-    """The law without its limits. `layers`: (weights (outputs, inputs), biases (outputs,)) of each; the last has the outputs speed
-    and pitch. `observe`: names of OBSERVABLE, followed by `history` earlier readings of thrust, the latest first; `mean`, `scale`,
-    `low`, `high` have a value for each, in its unit. `rate`: actions are rates of the commands. `squash`: tanh of the last layer.
+    """The law without its limits. `layers`: (weights (outputs, inputs), biases (outputs,)) of each; the last gives speed and
+    pitch. `observe`: names of OBSERVABLE, followed by `history` earlier readings of thrust, the latest first; `mean`,
+    `scale`, `low`, `high` have a value for each, in its unit. `rate`: actions are rates. `squash`: tanh of the last layer.
     `precision` (observations, observations): P; `distance`: largest allowed."""
 
     observe: tuple[str, ...]
@@ -77,7 +77,7 @@ def policy_effect(law: Law) -> Effect:
         pid, memory = DUAL_PID.step(ops, s, x, p, dt)
         wanted = dict(zip(first, _network(ops, law, z, p), strict=True))
         commands = {}
-        for u, unit in (("omega", "rpm"), ("beta", "deg")):
+        for u in ("omega", "beta"):
             u_ref, low, high = f"{u}_ref", getattr(p, f"{u}_min"), getattr(p, f"{u}_max")
             move = getattr(p, f"{u}_rate") * dt
             action = ops.clip(wanted[u_ref], -1.0, 1.0)
@@ -131,9 +131,7 @@ def _outside(ops: Any, law: Law, seen: Sequence, z: Sequence) -> Any:
         inside = ops.where(o > low, ops.where(o < high, 1.0, 0.0), 0.0)
         outside = ops.where(inside > 0.5, outside, 1.0)
     if law.precision:
-        distance = _sum(
-            [zi * _sum([c * zj for c, zj in zip(row, z, strict=True)]) for row, zi in zip(law.precision, z, strict=True)]
-        )
+        distance = _dot(z, [_dot(row, z) for row in law.precision])
         outside = ops.where(distance < law.distance * law.distance, outside, 1.0)
     return outside
 
@@ -145,17 +143,15 @@ def _network(ops: Any, law: Law, z: Sequence, p: SimpleNamespace) -> list:
         return getattr(p, weight) if isinstance(weight, str) else weight
 
     for k, (weights, biases) in enumerate(law.layers, 1):
-        z = [
-            _sum([number(b), *(number(w) * zi for w, zi in zip(row, z, strict=True))])
-            for row, b in zip(weights, biases, strict=True)
-        ]
+        z = [_dot(map(number, row), z) + number(b) for row, b in zip(weights, biases, strict=True)]
         if k < len(law.layers):
             z = [ops.tanh(v) if law.activation == "tanh" else ops.maximum(v, 0.0) for v in z]
     return [ops.tanh(v) for v in z] if law.squash else list(z)
 
 
-def _sum(terms: Sequence) -> Any:
-    """Sum in pairs: operations that do not wait for each other, and few nested brackets in generated code."""
+def _dot(one: Iterable, other: Iterable) -> Any:
+    """Scalar product, summed in pairs: few operations wait for others, and few brackets are nested in generated code."""
+    terms = [a * b for a, b in zip(one, other, strict=True)]
     while len(terms) > 1:
         terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + list(terms[len(terms) // 2 * 2 :])
     return terms[0]
