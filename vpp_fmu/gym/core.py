@@ -70,8 +70,10 @@ class Core:
         """Hold `actions` (n, 2), -1 to 1 of their ranges: (rewards, terminated, truncated), each (n,)."""
         task, before = self.task, self._commands
         wanted, reading = self._now[0].copy(), self._now[1]
-        grown = self._integral + (wanted - reading) * task.period
-        self._integral = np.minimum(np.maximum(grown, -LARGEST_INTEGRAL), LARGEST_INTEGRAL)
+        error = wanted - reading
+        moves = np.where(error > 0.0, (before < self._high).any(axis=0), (before > self._low).any(axis=0))
+        grown = np.minimum(np.maximum(self._integral + error * task.period, -LARGEST_INTEGRAL), LARGEST_INTEGRAL)
+        self._integral = np.where(moves, grown, self._integral)
         if task.history:
             self._past = np.vstack([reading, self._past[:-1]])
         self._commands = self._commanded(np.minimum(np.maximum(actions.T, -1.0), 1.0))

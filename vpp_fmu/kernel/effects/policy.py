@@ -27,7 +27,7 @@ OBSERVABLE = {
     "integral": "N.s",
 }
 """Observations and their units: set-point and reading of thrust, reading of speed, the last commands, and the integral of
-set-point less reading. The policy's FMU has an input for the speed only where it is observed."""
+set-point less reading, which stops while both commands are at the limits that the error calls for. The policy's FMU has an input for the speed only where it is observed."""
 
 UNLIMITED = 1e9
 """Rate of a command, rpm/s or deg/s, that is no limit."""
@@ -88,10 +88,9 @@ def policy_effect(law: Law) -> Effect:
         memory |= _tracked(ops, p, commands, memory, active)
         memory |= {f"{u}_before": value for u, value in commands.items()}
         memory |= {f"thrust_{k}": value for k, value in enumerate([s.thrust, *past[:-1]][: law.history], 1)}
-        integral = ops.clip(x.integral + (s.thrust_set - s.thrust) * dt, -LARGEST_INTEGRAL, LARGEST_INTEGRAL)
-        memory["integral"] = ops.where(active > 0.5, 0.0, integral)
+        memory["integral"] = ops.where(active > 0.5, 0.0, _grown(ops, x.integral, s, before, p, dt))
         memory["fallback_left"] = ops.where(outside > 0.5, p.fallback_hold, ops.maximum(x.fallback_left - dt, 0.0))
-        return {**commands, "fallback": active}, memory
+        return {**commands, "fallback": active, **{f"seen_{k}": o for k, o in enumerate(seen)}}, memory
 
     return Effect(
         "policy",
@@ -134,6 +133,16 @@ def _outside(ops: Any, law: Law, seen: Sequence, z: Sequence) -> Any:
         distance = _dot(z, [_dot(row, z) for row in law.precision])
         outside = ops.where(distance < law.distance * law.distance, outside, 1.0)
     return outside
+
+
+def _grown(ops: Any, integral: Any, s: SimpleNamespace, before: dict, p: SimpleNamespace, dt: Any) -> Any:
+    """The next integral: it stops while both commands are at the limits that the error calls for."""
+    error = s.thrust_set - s.thrust
+    below = ops.where(before["omega_ref"] < p.omega_max, 1.0, ops.where(before["beta_ref"] < p.beta_max, 1.0, 0.0))
+    above = ops.where(before["omega_ref"] > p.omega_min, 1.0, ops.where(before["beta_ref"] > p.beta_min, 1.0, 0.0))
+    moves = ops.where(error > 0.0, below, above)
+    grown = ops.clip(integral + error * dt, -LARGEST_INTEGRAL, LARGEST_INTEGRAL)
+    return ops.where(moves > 0.5, grown, integral)
 
 
 def _network(ops: Any, law: Law, z: Sequence, p: SimpleNamespace) -> list:
