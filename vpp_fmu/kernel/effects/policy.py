@@ -27,7 +27,8 @@ OBSERVABLE = {
     "integral": "N.s",
 }
 """Observations and their units: set-point and reading of thrust, reading of speed, the last commands, and the integral of
-set-point less reading, which stops while both commands are at the limits that the error calls for. The policy's FMU has an input for the speed only where it is observed."""
+set-point less reading, which stops while both commands are at the limits that the error calls for. The policy's FMU has an
+input for the speed only where it is observed."""
 
 UNLIMITED = 1e9
 """Rate of a command, rpm/s or deg/s, that is no limit."""
