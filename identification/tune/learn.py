@@ -160,6 +160,13 @@ class _Trial:
         return Flights(errors, overshoots, float(np.mean(travel)))
 
 
+def random_steps(task: Task, settings: Mapping[str, float]) -> Record:
+    """A profile, `time` [s], `thrust_set` [N], of the kind that a policy learns on: to tune the PID that it is compared with."""
+    course = _Trial(task, settings).course(np.random.default_rng([task.seed, 17]))
+    rows = np.unique([0, *(np.flatnonzero(np.diff(course.wanted)) + 1), len(course.wanted) - 1])
+    return Record({"time": rows * course.dt, "thrust_set": course.wanted[rows]}, "random steps")
+
+
 def learn(
     task: Task,
     settings: Mapping[str, float],

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from identification.assessment.information import read_noise
 from identification.tune.controllers import controllers
-from identification.tune.learn import Learned, learn
+from identification.tune.learn import Learned, learn, random_steps
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task, tune
 from vpp_fmu.app.cli.knowledge import knowledge_of
@@ -38,7 +38,7 @@ def configure(parser):
     text = "the plant's parameters, a file or its folder"
     parser.add_argument("parameters", type=parameters_file, metavar="PARAMETERS", help=text)
     add_effects_from(parser)
-    text = "the PID to compare with and to fall back on (default: tuned here, as vpp tune does)"
+    text = "the PID to compare with and to fall back on (default: tuned here on set-points of the same kind)"
     parser.add_argument("--gains", metavar="G", help=text)
     text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside PARAMETERS)"
     parser.add_argument("--knowledge", metavar="F", help=text)
@@ -101,7 +101,7 @@ def _task(options, parameters) -> tuple[Task, Mapping[str, float]]:
     )
     if given is not None:
         return task, settings
-    tuned = tune(replace(task, overshoot=0.01), {name: settings}).tuned[name]
+    tuned = tune(replace(task, profile=random_steps(task, settings)), {name: settings}).tuned[name]
     return task, tuned.objective.with_gains(tuned.final)
 
 
