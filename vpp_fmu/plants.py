@@ -141,6 +141,10 @@ class _FmuRole:
         """Make the instance for the next `start` in advance, which is then fast."""
         self._ready = self._ready or self._made()
 
+    def starts(self) -> dict[str, float]:
+        """Start values of its numeric parameters, by name."""
+        return _starts(self._fmu)
+
     @property
     def path(self) -> Path:
         """The file."""
@@ -178,7 +182,11 @@ class FmuController(_FmuRole):
 
     def __init__(self, path: str | Path, parameters: Mapping[str, float] | None = None, dt: float | None = USUAL_STEP):
         super().__init__(path, parameters, 0.0 if dt is None else dt)
-        values = {**_starts(self._fmu), **self._parameters}
+        speed = self._fmu.variables.get("omega")
+        if speed is not None and speed.causality == "input":
+            self.close()
+            raise BadInput(path, "inputs", "omega", "thrust_set, thrust: this loop hands over no speed")
+        values = {**self.starts(), **self._parameters}
         self.limits, self.sample_time = limits_of(values), values.get("sample_time")
         if dt is None:
             self.dt = self.sample_time or USUAL_STEP

@@ -72,6 +72,12 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
             "{out}",
         )
     ],
+    "learn": [
+        (
+            *("{parameters}", "--knowledge", "{knowledge}", "--gains", "{gains}"),
+            *("--seconds", "0.2", "--plants", "2", "-o", "{out}"),
+        )
+    ],
     "export": [
         ("--parameters", "{parameters}", "--gains", "{gains}", "-o", "{out}"),
         ("--parameters", "{parameters}", "--gains", "{gains}", "--flavour", "native", "-o", "{out}"),

@@ -53,12 +53,13 @@ class Course:
 
 
 class ClosedLoop:
-    """A plant with the project's controller, ready to run. Measured inputs of the plant's effects keep their start values."""
+    """A plant with the project's controller, or another of its inputs and outputs, ready to run. Measured inputs of the
+    plant's effects keep their start values."""
 
-    def __init__(self, plant: Model):
-        self.models = plant, MEASUREMENT, CONTROLLER
+    def __init__(self, plant: Model, controller: Model = CONTROLLER):
+        self.models = plant, MEASUREMENT, controller
         self._extra = tuple(plant.measured_inputs.values())
-        memo, made = plant.memo, "closed_loop"
+        memo, made = plant.memo, ("closed_loop", id(controller))  # the runner keeps the controller, and so its id
         if made not in memo:
             memo[made] = _runner(self.models)
         self._run = memo[made]

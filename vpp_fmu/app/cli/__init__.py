@@ -23,6 +23,7 @@ VERBS = {
     "diagnose": "find effects that the model lacks, and add them",
     "allocate": "the pair of speed and pitch of least power for each thrust",
     "tune": "tune controller gains for a model",
+    "learn": "learn a control law on plants drawn from the parameters' uncertainty",
     "export": "export parameters as FMUs",
     "cosim": "the closed loop of two FMUs",
     "simulate": "the open-loop response to a record",

@@ -31,6 +31,7 @@ from vpp_fmu.kernel.types import Effect, Model
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_ssv
+from vpp_fmu.policy import read_policy
 from vpp_fmu.ssp import NAME, loop_ssp
 
 EXAMPLE = "vpp export --parameters out/parameters.json --flavour both -o fmus"
@@ -48,6 +49,8 @@ def configure(parser):
         "the controller's parameters (default: the published gains, within the limits and at the pace of the parameters' rig)"
     )
     parser.add_argument("--gains", metavar="G", help=text)
+    text = "a learned law in the controller's place: a .json or .npz of arrays (vpp_fmu/policy.py); --gains are its fallback's"
+    parser.add_argument("--policy", metavar="FILE", help=text)
     text = "also the adaptive twin of the parameters' rig; I: identification.json of --parameters (default: the one beside F)"
     parser.add_argument("--twin", nargs="?", const="", metavar="I", help=text)
     text = "the plant's parameters that the twin adapts (default: thrust gain, pitch and reading offset, the slower lags)"
@@ -121,6 +124,8 @@ def oldest_glibc(files: Mapping[str, bytes | str]) -> str | None:
 def _check(options) -> None:
     """BadInput for options that do not fit together."""
     native = options.flavour != "python"
+    if options.policy and options.model:
+        raise BadInput("vpp export", "--policy", "given with --model", "one of them")
     if options.twin is not None and (options.model or not options.parameters):
         given = "--model" if options.model else "no --parameters"
         raise BadInput("vpp export", "--twin", given, "the --parameters of an identified plant")
@@ -142,9 +147,12 @@ def _plant_and_controller(options) -> list[ParameterSet]:
         else ParameterSet(plant())
     )
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    controller = rig_controller(model, given, options.gains)
+    if options.policy:
+        controller = read_policy(options.policy).in_place_of(controller)
     return [
         model,
-        rig_controller(model, given, options.gains),
+        controller,
         *([twin_of(options, library)] if options.twin is not None else []),
     ]
 

@@ -1,0 +1,130 @@
+"""Learn a control law, a small network, on plants drawn from the parameters' uncertainty; compare it with the tuned PID.
+
+An evolution strategy (cma) searches the weights on the compiled loop. The comparison flies plants, set-points and noise that
+are not part of the search. `vpp export --policy` makes an FMU of the law, which falls back on the PID where an observation
+leaves the range of the training."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from tqdm import tqdm
+
+from identification.assessment.information import read_noise
+from identification.tune.controllers import controllers
+from identification.tune.learn import Learned, learn, random_steps
+from identification.tune.profile import rig_profile
+from identification.tune.tune import Task, tune
+from vpp_fmu.app.cli.knowledge import knowledge_of
+from vpp_fmu.app.cli.options import SEED, Number, whole
+from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
+from vpp_fmu.app.report.pages.learning import key_figures, learning_page
+from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.scales import PAPER
+from vpp_fmu.outputs import OutputSet
+from vpp_fmu.own_effects import library_with
+from vpp_fmu.parameters import parameters_file, read_parameters
+from vpp_fmu.policy import FILE
+from vpp_fmu.structured import as_json
+
+EXAMPLE = "vpp learn out/parameters.json --seconds 60 -o policy"
+
+FORMAT = "vpp-learning/1"
+
+
+def configure(parser):
+    text = "the plant's parameters, a file or its folder"
+    parser.add_argument("parameters", type=parameters_file, metavar="PARAMETERS", help=text)
+    add_effects_from(parser)
+    text = "the PID to compare with and to fall back on (default: tuned here on set-points of the same kind)"
+    parser.add_argument("--gains", metavar="G", help=text)
+    text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside PARAMETERS)"
+    parser.add_argument("--knowledge", metavar="F", help=text)
+    text = "time for the search in s (default: %(default)g)"
+    parser.add_argument("--seconds", type=Number(0.1, 86400.0, "s"), default=120.0, metavar="S", help=text)
+    text = "units of the network's hidden layer (default: %(default)s)"
+    parser.add_argument("--hidden", type=whole(1, 64), default=6, metavar="N", help=text)
+    text = "held-out plants of the comparison (default: %(default)s)"
+    parser.add_argument("--plants", type=whole(2, 10000), default=100, metavar="N", help=text)
+    text = "overshoot in %% of a step that costs nothing (default: %(default)g)"
+    parser.add_argument("--overshoot", type=Number(0.01, 100.0, "%"), default=5.0, metavar="X", help=text)
+    text = "standard deviation, as a share, of parameters whose file has none (default: %(default)g)"
+    parser.add_argument("--spread", type=Number(0.0, 1.0), default=0.1, metavar="X", help=text)
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of plants, set-points, noise and search")
+    add_output(parser)
+
+
+def run(options):
+    library = library_with(options.effects_from)
+    parameters = read_parameters(options.parameters, lambda names: plant(names, library))
+    task, settings = _task(options, parameters)
+    folder = OutputSet(options.output, "learn")
+    with tqdm(total=100, unit="%", disable=None, leave=False) as bar:
+        found = learn(
+            task,
+            settings,
+            options.hidden,
+            options.seconds,
+            options.plants,
+            lambda share: bar.update(round(100 * share) - bar.n),
+        )
+    folder.write(FILE, as_json(found.policy.to_dict()))
+    rows = [f"{n},{c:.7g}" for n, c in zip(found.evaluations, found.cost, strict=True)]
+    folder.write("learning_curve.csv", "\n".join(["evaluations,cost", *rows]) + "\n")
+    folder.write("learning.json", as_json(summary(found)))
+    folder.write("report.html", learning_page(found, parameters.label).html())
+    say_written(folder, parameters, [f"{label}: {value} ({note})" for label, value, note in key_figures(found)])
+
+
+def _task(options, parameters) -> tuple[Task, Mapping[str, float]]:
+    """The task and all values of the PID."""
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    known_in, knowledge = knowledge_of(options, parameters)
+    noise = read_noise(known_in) if known_in else None
+    own = controllers(parameters, given, source=options.gains)
+    name, settings = next(iter(own.settings.items()))
+    resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
+    task = Task(
+        parameters=parameters,
+        profile=rig_profile(parameters, own.settings),
+        chain={"delay": min(1.0 / CONVERSIONS / settings["sample_time"], 8.0), "resolution": resolution},
+        noise_std=noise[0] if noise else 0.0,
+        overshoot=options.overshoot / 100.0,
+        spread=options.spread,
+        knowledge=knowledge and knowledge[0],
+        seed=options.seed,
+        effects_from=tuple(options.effects_from),
+        reference=own.reference,
+        lowered=own.scaled,
+    )
+    if given is not None:
+        return task, settings
+    tuned = tune(replace(task, profile=random_steps(task, settings)), {name: settings}).tuned[name]
+    return task, tuned.objective.with_gains(tuned.final)
+
+
+def summary(found: Learned) -> dict:
+    """The content of learning.json."""
+    compared = {
+        name: {
+            "squared_error_mean": float(np.mean(f.errors)),
+            "squared_error_worst": float(np.max(f.errors)),
+            "overshoot_median": float(np.median(f.overshoots)),
+            "travel_per_second": f.travel,
+        }
+        for name, f in found.flights.items()
+    }
+    return {
+        "format": FORMAT,
+        "units": {"squared_error": "s", "overshoot": "share of a step", "travel": "ranges of the commands"},
+        "network": list(found.policy.size),
+        "held_out_plants": len(found.flights["policy"].errors),
+        "held_out": compared,
+        "share_of_plants_with_less_error": found.better,
+        "share_of_time_in_fallback": found.fallback,
+        "generations": len(found.cost),
+        "evaluations": int(found.evaluations[-1]),
+        "seconds": found.seconds,
+    }

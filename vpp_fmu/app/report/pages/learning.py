@@ -1,0 +1,56 @@
+"""The report of a learned law: its search, and held-out flights beside the tuned PID's."""
+
+import numpy as np
+
+from identification.tune.learn import Learned
+from vpp_fmu.app.report.figures.loop import cost_ranks
+from vpp_fmu.app.report.figures.parameters import learning_curve
+from vpp_fmu.app.report.figures.time import closed_loop
+from vpp_fmu.app.report.page import Page
+from vpp_fmu.digits import number
+
+NAMES = {"policy": "learned law", "PID": "tuned PID"}
+
+
+def key_figures(found: Learned) -> list[tuple[str, str, str]]:
+    """(label, value, note) of the figures of the first screen."""
+    policy, pid = found.flights["policy"], found.flights["PID"]
+    change, count = np.mean(policy.errors) / np.mean(pid.errors) - 1.0, len(policy.errors)
+    worst = number(float(np.max(pid.errors)), 3), number(float(np.max(policy.errors)), 3)
+    return [
+        ("squared error", f"{100.0 * change:+.0f} %", f"mean of {count} held-out plants, tuned PID → learned law"),
+        ("less error", f"{100.0 * found.better:.0f} %", "share of the held-out plants"),
+        ("worst plant", f"{worst[0]} → {worst[1]} s", "integral of the squared normalised error, PID → law"),
+        ("commands", f"{pid.travel:.3g} → {policy.travel:.3g} 1/s", "ranges that the commands travel a second, PID → law"),
+        ("fallback", f"{100.0 * found.fallback:.2g} %", "share of time in which the PID acts in the law's place"),
+        ("search", f"{found.evaluations[-1]}", f"evaluations in {found.seconds:.0f} s, with the comparison"),
+    ]
+
+
+def learning_page(found: Learned, source: str = "") -> Page:
+    """The page of one learned law; `source`: of the parameters."""
+    size = " x ".join(map(str, found.policy.size))
+    text = (
+        f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the uncertainty "
+    )
+    text += "of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The comparison flies "
+    text += "plants, set-points and noise that are not part of the search."
+    page = Page("A learned control law", text, source)
+    page.tiles(key_figures(found))
+    errors = {NAMES[name]: f.errors.tolist() for name, f in found.flights.items()}
+    verb = "less" if found.better > 0.5 else "more"
+    title = f"The learned law has {verb} error than the tuned PID on most of the held-out plants"
+    page.figure(cost_ranks(errors, title), "Integral of the squared normalised thrust error of each plant, in order.")
+    runs = {NAMES[name]: run for name, run in found.example.items()}
+    title = "A flight of the identified plant with held-out set-points"
+    page.figure(closed_loop(runs, title), "Thrust is the plant's, not its reading.")
+    title = f"The median cost of a generation falls to {number(float(found.cost[-1]), 3)}"
+    caption = "Each generation flies other plants and set-points, so that its cost varies."
+    page.figure(learning_curve(found.evaluations, found.cost, title), caption)
+    rows = [
+        (NAMES[n], *(number(float(v), 4) for v in (np.mean(f.errors), np.max(f.errors), np.median(f.overshoots), f.travel)))
+        for n, f in found.flights.items()
+    ]
+    columns = ("controller", "mean squared error [s]", "worst [s]", "median overshoot of a step [-]", "travel [1/s]")
+    page.table(columns, rows, "Held-out plants. Travel: of the commands, in their ranges, a second.")
+    return page

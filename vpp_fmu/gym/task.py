@@ -1,0 +1,198 @@
+"""A control task: the plant, its limits, the set-points of an episode, what is observed and what an action means."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from identification.assessment.information import read_knowledge, read_noise
+from identification.tune.draws import Posterior
+from vpp_fmu.errors import BadInput
+from vpp_fmu.gym.reward import Moment, Reward
+from vpp_fmu.kernel.effects.policy import OBSERVABLE
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters
+from vpp_fmu.record import Record, held, read_profile
+from vpp_fmu.rig import Rig
+
+RATE, ABSOLUTE = "rate", "absolute"
+
+HOLDS = 2.0, 6.0
+"""Shortest and longest hold of a random set-point, in time scales of the rig: a step takes about one."""
+
+MARGIN = 0.02
+"""A limit counts as exceeded beyond this share of its range: commands reach the limits, and a channel may overshoot."""
+
+QUICK = 5.0
+"""Ranges per second that a command moves at most where actions are rates and the rig declares no slew rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What an environment is about.
+
+    `parameters`: the plant, a set or a file or folder; None: the paper's. `randomise`: each episode draws its parameters from
+    the posterior (standard deviations of the parameters, correlation of the identification.json beside it). `profile`:
+    set-points as a Record or CSV with `time` [s], `thrust_set` [N]; None: random steps within reach. `seconds`: length of an
+    episode; None: the profile's, else 10. `hold`: plant steps of `dt` [s] for each action; `dt` None: the period of the
+    identification, else 0.004. `noise` [N, rpm]: standard deviations of the readings of thrust and speed; None: that of the
+    identification for thrust, none for speed. `observe`: names of OBSERVABLE; `history`: number of earlier thrust readings
+    behind them. `action`: "absolute" commands or their "rate", both as -1 to 1 of their range. BadInput.
+    """
+
+    parameters: ParameterSet | str | None = None
+    randomise: bool = False
+    profile: Record | str | None = None
+    seconds: float | None = None
+    dt: float | None = None
+    hold: int = 1
+    noise: tuple[float, float] | None = None
+    observe: tuple[str, ...] = ("thrust_set", "thrust", "omega")
+    history: int = 0
+    action: str = ABSOLUTE
+    reward: Callable[[Moment], np.ndarray] = field(default_factory=Reward)
+    limits: Rig | None = None
+
+    def __post_init__(self):
+        unknown = [name for name in self.observe if name not in OBSERVABLE]
+        allowed = f"names of {', '.join(OBSERVABLE)}"
+        _check("observe", self.observe, bool(self.observe) and not unknown, allowed)
+        _check("action", self.action, self.action in (RATE, ABSOLUTE), f"{ABSOLUTE!r} or {RATE!r}")
+        for name, low, high in (("hold", 1, 10_000), ("history", 0, 1000)):
+            value = getattr(self, name)
+            _check(name, value, isinstance(value, int) and low <= value <= high, f"a whole number from {low} to {high}")
+        for name in ("dt", "seconds"):
+            value = getattr(self, name)
+            _check(name, value, value is None or 1e-6 <= value <= 1e6, "seconds from 1e-6 to 1e6")
+        noise = self.noise or (0.0, 0.0)
+        _check("noise", self.noise, len(noise) == 2 and min(noise) >= 0.0, "two numbers from 0, in N and rpm")
+
+    @cached_property
+    def _given(self) -> tuple[ParameterSet, str | None]:
+        if self.parameters is None:
+            return ParameterSet(plant()), None
+        if isinstance(self.parameters, ParameterSet):
+            return self.parameters, None
+        file = parameters_file(self.parameters)
+        found = read_parameters(file, plant)
+        knowledge = beside(file)
+        if not knowledge.is_file():
+            return found, None
+        check_same_model(knowledge, found, file)
+        return found, str(knowledge)
+
+    @property
+    def plant(self) -> ParameterSet:
+        """The plant and its parameters."""
+        return self._given[0]
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """Distribution of the parameters."""
+        parameters, known_in = self._given
+        found = Posterior(parameters, read_knowledge(known_in)[0] if known_in else None)
+        allowed = "parameters with standard deviations, as vpp identify writes them"
+        _check("randomise", "no standard deviation in the parameters", bool(found.names), allowed)
+        return found
+
+    @cached_property
+    def noise_std(self) -> tuple[float, float]:
+        """Standard deviations of a reading of thrust [N] and of speed [rpm]."""
+        if self.noise is not None:
+            return self.noise
+        known_in = self._given[1]
+        found = read_noise(known_in) if known_in else None
+        return (found[0] if found else 0.0), 0.0
+
+    @cached_property
+    def rig(self) -> Rig:
+        """Limits of the rig."""
+        return self.limits or self.plant.rig
+
+    @cached_property
+    def step(self) -> float:
+        """Communication step of the plant, s."""
+        return self.dt or self.plant.sample_period or 0.004
+
+    @property
+    def period(self) -> float:
+        """Duration of an action, s."""
+        return self.step * self.hold
+
+    @cached_property
+    def low(self) -> np.ndarray:
+        """Least commands (2,) [rpm, deg]."""
+        return np.array([self.rig.speed[0], self.rig.pitch[0]])
+
+    @cached_property
+    def high(self) -> np.ndarray:
+        """Greatest commands (2,) [rpm, deg]."""
+        return np.array([self.rig.speed[1], self.rig.pitch[1]])
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """Fastest change of the commands (2,) [rpm/s, deg/s]."""
+        slew = np.array([self.rig.speed_slew, self.rig.pitch_slew])
+        return np.where(np.isfinite(slew), slew, QUICK * (self.high - self.low)) if self.action == RATE else slew
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Thrust [N] at rest on the lowest and on the highest commands, within the rig's range. BadInput if it is empty."""
+        model, ends = self.plant.model, []
+        for commands in (self.low, self.high):
+            inputs = dict(zip(("omega_ref", "beta_ref"), commands.tolist(), strict=True))
+            ends.append(Simulation(model, self.plant.values).start(model.measured_inputs | inputs)["thrust"])
+        low, high = max(ends[0], self.rig.thrust[0]), min(ends[1], self.rig.thrust[1])
+        _check("thrust in reach", f"{low:.4g} to {high:.4g} N", low < high, "thrust that grows with the commands")
+        return low, high
+
+    @cached_property
+    def _wanted(self) -> np.ndarray | None:
+        """Set-points (actions + 1,) of the profile."""
+        if self.profile is None:
+            return None
+        profile = self.profile if isinstance(self.profile, Record) else read_profile(self.profile)
+        found = held(profile, self.period)[1]
+        count = len(found) - 1 if self.seconds is None else self._count(self.seconds)
+        _check("profile", f"{profile.time[-1]:g} s", count > 0, f"{self.period:g} s or more")
+        return np.append(found, np.full(max(0, count + 1 - len(found)), found[-1]))[: count + 1]
+
+    def _count(self, seconds: float) -> int:
+        return max(1, math.ceil(seconds / self.period - 1e-9))
+
+    @cached_property
+    def actions(self) -> int:
+        """Actions of an episode."""
+        return self._count(self.seconds or 10.0) if self._wanted is None else len(self._wanted) - 1
+
+    def set_points(self, rng: np.random.Generator) -> np.ndarray:
+        """Set-points of an episode (actions + 1,) N."""
+        if self._wanted is not None:
+            return self._wanted
+        scale = self.rig.scales.time_scale
+        most = math.ceil((self.actions + 1) * self.period / (HOLDS[0] * scale)) + 1
+        ends = np.cumsum(rng.uniform(*HOLDS, most) * scale)
+        levels = rng.uniform(*self.reach, most)
+        return levels[np.searchsorted(ends, self.period * np.arange(self.actions + 1), side="right")]
+
+    def exceeded(self, thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Whether thrust [N], speed [rpm] or pitch [deg] are beyond the rig's range; the speed may be below, as at a start."""
+        found = np.zeros(len(thrust), bool)
+        for values, (low, high), lowest in (
+            (thrust, self.rig.thrust, True),
+            (omega, self.rig.speed, False),
+            (beta, self.rig.pitch, True),
+        ):
+            margin = MARGIN * max(high - low, 1e-9)
+            found |= values > high + margin
+            if lowest:
+                found |= values < low - margin
+        return found | ~np.isfinite(thrust)
+
+
+def _check(field_name: str, found: object, good: bool, allowed: str) -> None:
+    if not good:
+        raise BadInput("vpp_fmu.gym", field_name, found, allowed)
