@@ -10,6 +10,7 @@ import numpy as np
 
 from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis, diagnose
+from identification.thrust_steps import step_profile
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.commands import idle
 from vpp_fmu.export.toolchain import host
@@ -23,13 +24,6 @@ from vpp_fmu.record import Record
 from vpp_fmu.rig import Rig
 
 STEP = 0.004
-
-LEVELS = (0.1, 0.8)
-"""Of the step profile, in shares of the thrust scale: the paper's 1.5 and 12 N."""
-
-RESERVE = 0.03
-"""Share of the rig's thrust, at either end, that the profile leaves to the controller: one that is asked for the last newton
-can only saturate."""
 
 Export = Callable[[Sequence[ParameterSet], str], Mapping[str, bytes | str]]
 """(plant's parameters, and controller's where there is one; flavour) -> contents of files by name."""
@@ -59,16 +53,6 @@ class Demo:
 def example_folder() -> Path:
     """The campaign that ships with the project."""
     return Path(str(files("identification") / "example"))
-
-
-def step_profile(rig: Rig | None = None) -> Record:
-    """Thrust up and down between LEVELS, as the paper's tests, as far as the rig gives it (default: the paper's); `time` [s],
-    `thrust_set` [N]."""
-    rig = rig or Rig()
-    reserve = RESERVE * (rig.thrust[1] - rig.thrust[0])
-    low, high = np.clip(np.array(LEVELS) * rig.scales.thrust_scale, rig.thrust[0] + reserve, rig.thrust[1] - reserve)
-    time = 6.0 * rig.scales.time_scale * np.arange(4.0)
-    return Record({"time": time, "thrust_set": np.array([low, high, low, low])}, "step profile")
 
 
 def local_flavour() -> str:

@@ -23,17 +23,28 @@ from vpp_fmu.scratch import remove_scratch
 
 SHARE_A_LONG_RUN = ("test_fmu", "test_native", "test_native_fmu")
 
+LONGEST_FIRST = (
+    *("real time", "long run", "test_paper", "test_own_rig", "test_readme", "test_api", "test_hil_campaign", "test_day"),
+    *("test_notebooks", "test_blind_study", "test_check", "test_diagnose", "test_report", "test_emulator", "test_adjoint"),
+)
+"""Groups that take longest. Side by side they go first, so that none of them is still at work when all others are done."""
+
+IN_VIRTUAL_TIME = ("test_day", "test_hil_campaign")
+"""Files of the rig in which nothing waits for a clock."""
+
 
 def pytest_configure(config):
     """A run in the background ignores these signals, and so would every process that a test starts and stops."""
     for number in (signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    config.option.loadscopereorder = False  # pytest-xdist would begin with the groups of most tests
 
 
 def in_real_time(item):
     """Whether a test must not share the machine with another one of its kind."""
-    return item.path.parent.name == "hil" or item.path.stem == "test_stopping"
+    stem = item.path.stem
+    return stem == "test_stopping" or (item.path.parent.name == "hil" and stem not in IN_VIRTUAL_TIME)
 
 
 STALLS = pytest.StashKey[Stalls]()
@@ -72,9 +83,13 @@ def pytest_runtest_makereport(item, call):
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
     """Where tests run side by side, those in real time run one after the other; the rest of a file stays together, too."""
+    groups = {}
     for item in items:
         group = "real time" if in_real_time(item) else "long run" if item.path.stem in SHARE_A_LONG_RUN else item.path.stem
         item.add_marker(pytest.mark.xdist_group(group))
+        groups.setdefault(group, []).append(item)
+    order = [*(group for group in LONGEST_FIRST if group in groups), *groups]
+    items[:] = [item for group in dict.fromkeys(order) for item in groups[group]]
 
 
 @pytest.fixture(scope="session")

@@ -43,14 +43,17 @@ def test_pure_error_has_its_level_on_noise_and_sees_what_repeats():
     assert within.sum() == pytest.approx(1.0, rel=0.15)
 
 
+DRAWS = 400
+
+
 @pytest.mark.parametrize("repeat", [False, True])
 @pytest.mark.parametrize(("rho", "parameters"), [(0.0, 0), (0.5, 0), (0.5, 20)])
 def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parameters, repeat):
     """Slow shapes in noise whose colour nobody took out, from which a fit of slow sensitivities has taken its share: rejected
-    at 1 % in 1 % of 1000 draws, within 3 standard errors, with the noise of another record as with what is left of this one."""
+    at 1 % in 1 % of the draws, within 3 standard errors, with the noise of another record as with what is left of this one."""
     rng, rows, count = np.random.default_rng(7), 1200, 12
     rejected = 0
-    for _ in range(1000):
+    for _ in range(DRAWS):
         slow = np.linalg.qr(np.cumsum(rng.standard_normal((rows, count + parameters)), axis=0))[0].T
         fitted, shapes = slow[:parameters], slow[parameters:]
         noise, other = lfilter([1.0], [1.0, -rho], rng.standard_normal((2, rows + 50)))[:, 50:]
@@ -60,7 +63,7 @@ def test_the_score_test_keeps_its_level_where_the_noise_is_estimated(rho, parame
         statistic = float(score @ np.linalg.solve(covariance, score))
         if chi2.sf(statistic, count) < 0.01:  # F terms exceed those of a chi-square: p can't be smaller
             rejected += ScoreTest(0.5 * (statistic - count), count, bands).p < 0.01
-    assert rejected / 1000 < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 1000)
+    assert rejected / DRAWS < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / DRAWS)
 
 
 def test_what_records_do_not_share_is_as_large_as_the_noise_of_their_mean():

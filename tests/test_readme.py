@@ -1,5 +1,8 @@
 """What the pages of the project claim can be run, found and cited."""
 
+import contextlib
+import io
+import json
 import re
 import shlex
 from pathlib import Path
@@ -7,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vpp_fmu import __version__
-from vpp_fmu.app.cli import parser_of
+from vpp_fmu.app.cli import main, parser_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "tests/README.md", "identification/README.md", "fmu_src/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -31,15 +34,46 @@ def test_every_link_leads_somewhere(page):
         assert ((ROOT / page).parent / link).exists(), link
 
 
-def test_the_script_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    exec(re.search(r"```python\n(import vpp_fmu as vpp\n.*?)```", README, flags=re.S)[1], {})
-    said = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    """The README's script, run: (what it printed, its names)."""
+    names, said = {}, io.StringIO()
+    with contextlib.chdir(tmp_path_factory.mktemp("script")), contextlib.redirect_stdout(said):
+        exec(re.search(r"```python\n(import vpp_fmu as vpp\n.*?)```", README, flags=re.S)[1], names)
+    return said.getvalue(), names
+
+
+def test_the_script_runs(script):
+    said, _ = script
     assert "verdict: attributed" in said
     before, after = map(float, re.search(r"no fit saw: (\S+) → (\S+) N", said).groups())
     told = re.search(r"is (\S+) N off before and (\S+) N after", README.replace("\n", " "))
     assert (f"{before:.3f}", f"{after:.3f}") == told.groups()
     assert "LoopResult(1.5 → 12 N: " in said
+
+
+def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
+    """The diagnosis is the script's: the same campaign, the same library."""
+    diagnosis = script[1]["found"].found
+
+    def diagnosed(campaign, **_):
+        assert campaign.folder == diagnosis.campaign.folder
+        return diagnosis
+
+    monkeypatch.setattr("identification.demo.diagnose", diagnosed)
+    assert main(["demo", "-o", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    before, after = map(float, re.search(r"FMU in fmpy: ([\d.]+) → ([\d.]+) N", said).groups())
+    floor = float(said.split("noise of one reading ")[1].split(" N")[0])
+    assert floor < after < before < 2 * floor  # the example's model lacks something, but not more than the noise itself
+    for name in (
+        *("parameters.json", "parameters.ssv", "parameters_base.json", "identification.json", "diagnosis.json", "report.html"),
+        *("VppPlant.fmu", "VppPlant_base.fmu", "VppController.fmu", "VppLoop.ssp", "gains.json", "run_dual.csv"),
+    ):
+        assert (tmp_path / name).stat().st_size > 0
+    found = json.loads((tmp_path / "diagnosis.json").read_text())
+    for printed, entry in ((before, found["before"]), (after, found["after"])):
+        assert printed == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
 
 
 def test_the_citation_has_the_version():

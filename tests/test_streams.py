@@ -47,8 +47,10 @@ def simulate(here, *more):
     return ["simulate", here + b"/record.csv", "--parameters", here + b"/p.json", "-o", here + b"/out", *more]
 
 
-@pytest.mark.parametrize("environment", [ASCII, C_LOCALE, {}], ids=["ascii", "C locale", "as it is"])
-@pytest.mark.parametrize("redirected", ["", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    ("environment", "redirected"),
+    [(ASCII, ""), (C_LOCALE, ""), ({}, ">&-"), (ASCII, "2>&-"), (C_LOCALE, "<&- >&- 2>&-")],
+)
 def test_streams_that_are_closed_or_not_utf_8_are_no_errors(environment, redirected, here):
     code, out, said = run(simulate(here), redirected, **environment)
     assert (code, said) == (0, b"")

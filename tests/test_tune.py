@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from builders import FAST_PITCH
 
-from identification.demo import step_profile
 from identification.fit.problem import Prior
+from identification.thrust_steps import step_profile
 from identification.tune.draws import draws, standard_deviations
 from identification.tune.objective import Objective, Point
 from identification.tune.operating import margins_at

@@ -5,7 +5,7 @@ import pytest
 from builders import FAST_PITCH, PROBES
 from scipy.signal import lsim
 
-from identification.demo import step_profile
+from identification.thrust_steps import step_profile
 from identification.tune.check import Measured
 from vpp_fmu.commands import idle
 from vpp_fmu.errors import SimulationFailed

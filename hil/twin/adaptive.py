@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from hil.twin.band import Band
 from vpp_fmu.errors import BadInput
@@ -58,7 +58,7 @@ def adaptive(
     adapted = tuple(adapted or adapted_by_default(values))
     model = twin(parameters.model, adapted, sample_time or SAMPLE_TIME)
     # Few degrees of freedom: scale the model error so that 1.96 standard deviations cover 95 %, as Student's t does.
-    steady = band.steady * float(t.isf(0.025, band.freedom)) / WITHIN
+    steady = band.steady * float(stdtrit(band.freedom, 0.975)) / WITHIN
     noises = {"white": band.white, "slow": band.slow, "slow_time": band.slow_time, "steady": steady, "moving": band.moving}
     sample_time = model.values()["sample_time"]
     found = values | noises | {"threshold": threshold(false_alarms, sums(len(watched(parameters.model, adapted))), sample_time)}

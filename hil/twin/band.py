@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import exp, inf, sqrt
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from vpp_fmu.errors import BadInput
 from vpp_fmu.structured import read_object
@@ -43,7 +43,7 @@ class Band:
     def deviations(self, probability: float) -> float:
         """Two-sided quantile of the model error, in standard deviations: Student's t, because these are estimated from a
         campaign."""
-        return float(t.isf(0.5 * probability, self.freedom))
+        return float(-stdtrit(self.freedom, 0.5 * probability))
 
 
 def read_band(path: str | os.PathLike) -> Band:

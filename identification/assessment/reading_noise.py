@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from identification.assessment.prediction import Prediction
 from identification.fit.converter import grid
@@ -168,5 +168,5 @@ def _pooled(parts: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
     share = weights / weights.sum()
     variance = float(share @ squares)
     error = np.sqrt(np.sum((share * (squares - variance)) ** 2) * len(parts) / (len(parts) - 1.0))
-    reach = float(t.ppf(0.975, len(parts) - 1) * error)
+    reach = float(stdtrit(len(parts) - 1, 0.975) * error)
     return variance, max(variance - reach, 0.0), variance + reach

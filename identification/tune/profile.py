@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.demo import step_profile
+from identification.thrust_steps import step_profile
 from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import speed_alone
 from vpp_fmu.kernel.simulation import Simulation

@@ -124,6 +124,7 @@ def told(tmp_path_factory):
 
 def test_a_day_leaves_its_rounds_and_goes_on_with_what_flies(told, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(flight, "MISSION", 30.0)
+    monkeypatch.setattr(days, "TIMES", 2)
     folder = tmp_path / "day"
     options = ["--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", str(told / "parameters.json")]
     assert main(["twin", str(folder), *options]) == 0
@@ -144,6 +145,7 @@ def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_p
     """The load cell reads 0.85 of the thrust: nothing is left for a diagnosis."""
     monkeypatch.setattr(days, "diagnose", no_diagnosis)
     monkeypatch.setattr(flight, "MISSION", 45.0)
+    monkeypatch.setattr(days, "TIMES", 1)  # nothing flies against what flew
     done = a_round(told, tmp_path, "load_cell_gain=0.85")
     assert done.alarm
     assert done.verdict == ""
@@ -158,6 +160,7 @@ def test_after_a_loss_of_thrust_the_adapted_model_explains_the_alarm(told, tmp_p
 def test_what_hides_within_the_models_own_error_shows_from_mission_to_mission(told, tmp_path, monkeypatch):
     """An actuator that moves only after 3 deg, which no parameter of a twin explains."""
     monkeypatch.setattr(flight, "MISSION", 45.0)
+    monkeypatch.setattr(days, "TIMES", 1)  # nothing flies against what flew
     monkeypatch.setattr(days, "diagnose", no_diagnosis)
     before = a_round(told, tmp_path / "before", "")
     assert not before.alarm

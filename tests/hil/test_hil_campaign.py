@@ -1,5 +1,6 @@
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,6 +136,12 @@ def test_any_commands_are_brought_to_the_loops_own_times():
     assert [found["omega_ref"][k] for k in (0, 24, 25, 49, 50)] == [3.0, 3.0, 4.0, 4.0, 5.0]
 
 
+@pytest.fixture
+def short_steps(monkeypatch):
+    """Half a second behind a step is recorded, instead of five."""
+    monkeypatch.setattr("vpp_fmu.app.cli.hil.plan_for", lambda rig: replace(plan_for(rig), after=0.5))
+
+
 SMALL = ["--points", "2", "--samples", "50", "--settle", "1", "--levels", "1", "--section", "5", "--validation-seconds", "5"]
 
 
@@ -178,7 +185,7 @@ def declared(path, **entries):
 NARROW = {"speed": {"min": 2513.37, "max": 4000.0}, "pitch": {"min": 4.0, "max": 4.0}, "slew": {"speed": 3000.0}}
 
 
-def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path, capsys):
+def test_a_campaign_stays_within_what_the_rig_json_declares_and_says_so(tmp_path, capsys, short_steps):
     file, out = declared(tmp_path / "rig.json", **NARROW), tmp_path / "campaign"
     short = ["--points", "3", "--samples", "10", "--settle", "0.2", "--section", "5", "--validation-seconds", "5"]
     assert main(["hil", "campaign", "--virtual", "--rig", str(file), *short, "--levels", "1", "-o", str(out)]) == 0
@@ -250,7 +257,7 @@ def test_a_part_that_a_fault_ends_is_told_and_its_log_kept(tmp_path, capsys):
     assert sorted(set(os.listdir(out)) - {"validation.partial.csv"}) == names
 
 
-def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, capsys, monkeypatch):
+def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_not(tmp_path, capsys, monkeypatch, short_steps):
     small = ["hil", "campaign", "--virtual", *SMALL, "--points", "3", "--parts", "static", "steps", "validation"]
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert main([*small, "-o", str(whole)]) == 0
@@ -264,7 +271,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
 
     monkeypatch.setattr(Rig, "step", cut)
     resume = []
-    for ticks, kept in ((1000, "static.partial.csv"), (8000, "steps.partial.csv"), (12000, "steps.partial.csv")):
+    for ticks, kept in ((1000, "static.partial.csv"), (5000, "steps.partial.csv"), (4000, "steps.partial.csv")):
         left[0] = ticks
         assert main([*small, *resume, "-o", str(out)]) == 2
         assert "operator: interrupted" in capsys.readouterr().err
@@ -291,7 +298,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
     np.testing.assert_array_equal(first.validation["omega_ref"], second.validation["omega_ref"])
 
 
-def test_a_piece_of_the_log_is_what_the_loop_recorded(tmp_path, monkeypatch):
+def test_a_piece_of_the_log_is_what_the_loop_recorded(tmp_path, short_steps):
     out = tmp_path / "out"
     assert main(["hil", "campaign", "--virtual", *SMALL, "--parts", "steps", "-o", str(out)]) == 0
     write_record(OutputFolder(tmp_path), "again.csv", partial("steps", measured_so_far(out, "steps")))

@@ -20,10 +20,10 @@ from hil.campaign import steep
 from hil.commands import grid, open_loop, steps, validation
 from hil.cycle import PERIOD
 from hil.safety.limits import Limiter, limits_of
-from identification.demo import step_profile
 from identification.diagnose.experiment import discriminating_experiment
 from identification.plan.excitation import candidate, paper_plan, variant
 from identification.plan.plan import plan
+from identification.thrust_steps import step_profile
 from vpp_fmu.commands import commanded, idle
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.record import Record

@@ -4,7 +4,8 @@ import time
 
 from tqdm import tqdm
 
-from identification.demo import Demo, demo, example_folder, step_profile
+from identification.demo import Demo, demo, example_folder
+from identification.thrust_steps import step_profile
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import WORKERS

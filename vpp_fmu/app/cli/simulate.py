@@ -1,6 +1,6 @@
 """Predict the open-loop response to the commands of a record."""
 
-from identification.identify import predict
+from identification.assessment.prediction import predict
 from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.plant import plant

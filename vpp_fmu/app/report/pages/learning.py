@@ -33,7 +33,9 @@ def learning_page(found: Learned, source: str = "") -> Page:
     text = (
         f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the uncertainty "
     )
-    text += "of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The comparison flies "
+    text += (
+        "of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The comparison flies "
+    )
     text += "plants, set-points and noise that are not part of the search."
     page = Page("A learned control law", text, source)
     page.tiles(key_figures(found))

@@ -1,0 +1,23 @@
+"""The step of thrust that controllers are shown and tuned on."""
+
+import numpy as np
+
+from vpp_fmu.record import Record
+from vpp_fmu.rig import Rig
+
+LEVELS = (0.1, 0.8)
+"""Of the step profile, in shares of the thrust scale: the paper's 1.5 and 12 N."""
+
+RESERVE = 0.03
+"""Share of the rig's thrust, at either end, that the profile leaves to the controller: one that is asked for the last newton
+can only saturate."""
+
+
+def step_profile(rig: Rig | None = None) -> Record:
+    """Thrust up and down between LEVELS, as the paper's tests, as far as the rig gives it (default: the paper's); `time` [s],
+    `thrust_set` [N]."""
+    rig = rig or Rig()
+    reserve = RESERVE * (rig.thrust[1] - rig.thrust[0])
+    low, high = np.clip(np.array(LEVELS) * rig.scales.thrust_scale, rig.thrust[0] + reserve, rig.thrust[1] - reserve)
+    time = 6.0 * rig.scales.time_scale * np.arange(4.0)
+    return Record({"time": time, "thrust_set": np.array([low, high, low, low])}, "step profile")
