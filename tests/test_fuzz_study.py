@@ -32,7 +32,7 @@ def test_good_files_are_no_reason_to_refuse(tmp_path):
 
 def test_every_verb_that_takes_a_file_of_the_user_s_is_in_the_study():
     """The others take none, or make their own."""
-    assert set(VERBS) - set(fuzz.COMMANDS) == {"demo", "paper", "cache"}
+    assert set(VERBS) - set(fuzz.COMMANDS) == {"demo", "paper", "cache", "completion"}
 
 
 def test_the_damage_is_told_from_no_damage(found):

@@ -7,9 +7,11 @@ import os
 import sys
 import warnings
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TextIO
 
 from vpp_fmu import __version__
+from vpp_fmu.app.cli.next_step import next_step
 from vpp_fmu.app.cli.options import near
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import reason
@@ -34,6 +36,7 @@ VERBS = {
     "check-effect": "check a user-defined effect",
     "paper": "the paper's study on the emulated rig, every number beside the paper's",
     "twin": "a rig's day: model and controller improve each other, round by round",
+    "completion": "a script with which bash, zsh or fish completes verbs and options",
     "cache": "show or delete the cached compiled models",
     "hil": "the loop with the rig, emulated or real, in the plant's place",
 }
@@ -111,6 +114,8 @@ def _run(arguments: list[str]) -> None:
     parser.epilog = f"verbs:\n{listing}\n\nvpp VERB --help tells the rest"
     parser.add_argument("--version", action="version", version=f"vpp {__version__}")
     parser.add_argument("verb", choices=verbs, metavar="VERB")
+    if not arguments:
+        raise BadCall(f"vpp: no verb. Next: {next_step(Path.cwd())}; vpp --help lists all verbs")
     verb = parser.parse_args(arguments[:1]).verb
     parser, module = parser_of(verb)
     module.run(parser.parse_args(arguments[1:]))

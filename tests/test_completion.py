@@ -1,0 +1,79 @@
+"""Completion in real shells, and the next step where no verb is given."""
+
+import shutil
+import subprocess
+
+import pytest
+
+from vpp_fmu.app.cli import VERBS, main
+
+
+@pytest.fixture
+def script(tmp_path, capsys):
+    def written(shell):
+        if not shutil.which(shell):
+            pytest.skip(f"{shell} is not installed")
+        assert main(["completion", shell]) == 0
+        path = tmp_path / f"vpp.{shell}"
+        path.write_text(capsys.readouterr().out)
+        return path
+
+    return written
+
+
+def ran(shell, *words):
+    return subprocess.run([shell, *words], capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [("dia", ["diagnose"]), ("tune --rob", ["--robust"]), ("tune --robust ", ["mean", "worst"]), ("hil self", ["selftest"])],
+)
+def test_bash_completes_verbs_options_and_choices(script, line, offered):
+    words = ["vpp", *line.split(" ")]
+    told = " ".join(f"'{word}'" for word in words)
+    asked = f"COMP_WORDS=({told}); COMP_CWORD={len(words) - 1}; _shtab_vpp; echo ${{COMPREPLY[@]}}"
+    assert sorted(ran("bash", "-c", f"source {script('bash')}; {asked}").split()) == offered
+
+
+def test_fish_completes_every_verb(script):
+    offered = ran("fish", "-c", f"source {script('fish')}; complete -C 'vpp '").splitlines()
+    assert set(VERBS) <= {line.partition("\t")[0] for line in offered}
+
+
+def test_zsh_loads_it_as_the_completion_of_the_command(script):
+    path = script("zsh")
+    path.rename(path.with_name("_vpp"))
+    told = (
+        f"fpath=({path.parent} $fpath); autoload -U compinit; compinit -u -D; echo $_comps[vpp]; autoload +X _vpp; which _vpp"
+    )
+    found = ran("zsh", "-f", "-c", told)
+    assert found.startswith("_vpp\n")
+    assert all(f"{verb}:" in found for verb in VERBS)
+
+
+def test_an_unknown_shell_is_one_line(capsys):
+    assert main(["completion", "ksh"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ((), "vpp demo"),
+        (("flight.csv",), "vpp import csv flight.csv"),
+        (("static.csv", "open_loop.csv.gz"), "vpp diagnose . -o out (a campaign is here: open_loop, static)"),
+        (("monday/open_loop.csv",), "vpp diagnose monday"),
+        (("parameters.json", "open_loop.csv"), "vpp export --parameters ."),
+        (("VppPlant.fmu", "VppController.fmu", "profile.csv"), "vpp cosim VppPlant.fmu VppController.fmu"),
+    ],
+)
+def test_without_a_verb_the_next_step_is_told(tmp_path, monkeypatch, capsys, files, told):
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    assert main([]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"vpp: no verb. Next: {told}")
+    assert error.count("\n") == 1
