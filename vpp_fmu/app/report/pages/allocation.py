@@ -43,9 +43,11 @@ def allocation_page(found: Allocation, source: str = "") -> Page:
     title = "Pairs of equal thrust cross lines of equal power: the best ones lie on the line"
     lines = np.linspace(0.0, float(found.thrust[-1]), 7)[1:-1]
     figure = best_pairs(speeds[few], pitches, watts.T, thrust[few].T, lines, (found.omega, found.beta), title)
-    page.figure(
-        figure, "Colours: power. Thin lines: equal thrust. Thick line: the pairs, from the least to the greatest thrust."
+    values = ", ".join(number(level, 3) for level in lines)
+    caption = (
+        f"Colours: power. Thin lines: equal thrust, {values} N. Thick line: the pairs, from the least to the greatest thrust."
     )
+    page.figure(figure, caption)
     rows = [
         (
             number(t, 4),
