@@ -19,6 +19,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import BASE, plant
 from vpp_fmu.native import Simulator
+from vpp_fmu.native.closed_loop import ClosedLoop
 from vpp_fmu.parameters import ParameterSet, read_parameters, to_json
 from vpp_fmu.record import Record, write_record
 
@@ -141,6 +142,10 @@ def test_the_plant_with_torque_and_power_has_the_thrust_of_the_plant_without_to_
     full = fitted(points(torque=torque, power=electrical)).added_to(pitch_only())
     assert [y.name for y in full.model.outputs[3:]] == ["torque", "power", "efficiency"]
     assert full.without_power.model.outputs == BASE.outputs
+    assert full.without_power.with_power_of(full).values == full.values
+    assert full.without_power.with_power_of(full).model.outputs == full.model.outputs
+    with pytest.raises(ValueError, match="the loop has room for"):
+        ClosedLoop(full.model)
     steps = np.full(400, 0.01)
     columns = {"omega_ref": np.repeat([3000.0, 5500.0], 201)[:401], "beta_ref": np.repeat([8.0, 1.0, 4.0], 134)[:401]}
     with_power, without = (Simulator(p.model).simulate(p.values, columns, steps) for p in (full, full.without_power))

@@ -123,6 +123,16 @@ class ParameterSet:
         known = {p.name for p in model.parameters}
         return ParameterSet(model, {n: e for n, e in self.estimates.items() if n in known}, self.source)
 
+    def with_power_of(self, other: "ParameterSet") -> "ParameterSet":
+        """This set with the torque and power of another set of the same scales: unchanged if that has none."""
+        brought = tuple(e for e in other.model.effects if e.name in POWER)
+        if not brought:
+            return self
+        outputs = self.without_power.model.outputs + tuple(y for e in brought for y in e.outputs)
+        model = replace(self.model, effects=self.without_power.model.effects + brought, outputs=outputs)
+        own = {e.full(p.name) for e in brought for p in e.parameters}
+        return ParameterSet(model, dict(self.estimates) | {n: e for n, e in other.estimates.items() if n in own}, self.source)
+
     def replaced(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> "ParameterSet":
         """This set with other values, in the model's units, and their standard deviations if known. KeyError: unknown name."""
         units = {p.name: p.unit for p in self.model.parameters}

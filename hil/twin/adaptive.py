@@ -25,6 +25,7 @@ CERTAIN = 2.0
 def adaptable(parameters: ParameterSet, where: str, adapted: Sequence[str] | None = None) -> ParameterSet:
     """The plant with the effects that each twin includes, switched off if they are added. BadInput, with `where`, for an
     unknown name in `adapted`."""
+    parameters = parameters.without_power
     model = parameters.model
     brought = tuple(e for e in LIBRARY if e.name in BROUGHT and e.name not in model.optional)
     order = {e.name: k for k, e in enumerate(LIBRARY)}

@@ -130,7 +130,9 @@ class Diagnosis:
         source["logger"] = self.logger.summary()
         renamed = self.renamed(fit)
         values, std = ({renamed.get(n, n): v for n, v in each.items()} for each in (fit.values, fit.std()))
-        return ParameterSet(exportable(fit.problem.model), source=source).replaced(values, std)
+        found = ParameterSet(exportable(fit.problem.model), source=source).replaced(values, std)
+        start = self.given or (self.identification and self.identification.parameters)
+        return found.with_power_of(start) if start else found
 
     def renamed(self, fit: Fit) -> dict[str, str]:
         """Names under which a fit's lags are written, if they differ from its own."""
@@ -195,13 +197,13 @@ def diagnose(
     beside a logger that differs from the contract's, or if one of them is a delay, it is estimated again beside the others. If
     it differs, the campaign is diagnosed with it, too.
     """
-    effort, given = Effort(budget, thorough, stage), given and given.without_power
+    effort = Effort(budget, thorough, stage)
     # The fits run in parallel, each with one thread of linear algebra.
     with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         stage("quality")
         gate = passed(campaign, records, accept)
         library = tuple(library)
-        present = (given.model.optional, library, given.values) if given else ()
+        present = (given.without_power.model.optional, library, given.without_power.values) if given else ()
         run = partial(_diagnosed, campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
         first = as_logged(gate, *present)
@@ -214,7 +216,7 @@ def diagnose(
         if not effort.allows(f"another logger beside {' + '.join(named)}"):
             return replace(found, not_tried=tuple(effort.not_tried))
         stage("logger")
-        kept = given.model.optional if given else ()
+        kept = given.without_power.model.optional if given else ()
         again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
         return found if again.logger.agrees_with(first.logger) else _simpler(found, run(again))
 
@@ -241,7 +243,7 @@ def _diagnosed(
     groups, unseen = roles(gate.campaign, gate.further)
     fitted = tuple(one for group in groups for one in group)
     if given:
-        at = from_given(gate.campaign, given, library, [one.record for one in fitted])
+        at = from_given(gate.campaign, given.without_power, library, [one.record for one in fitted])
     else:
         at = from_identification(campaign, gate, library, seed)
     options = candidates(at.library, [one.record for one in fitted])

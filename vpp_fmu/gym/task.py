@@ -75,9 +75,9 @@ class Task:
         if self.parameters is None:
             return ParameterSet(plant()), None
         if isinstance(self.parameters, ParameterSet):
-            return self.parameters, None
+            return self.parameters.without_power, None
         file = parameters_file(self.parameters)
-        found = read_parameters(file, plant)
+        found = read_parameters(file, plant).without_power
         knowledge = beside(file)
         if not knowledge.is_file():
             return found, None

@@ -57,6 +57,8 @@ class ClosedLoop:
     plant's effects keep their start values."""
 
     def __init__(self, plant: Model, controller: Model = CONTROLLER):
+        if len(plant.outputs) != len(ROW) - 2:
+            raise ValueError(f"a plant with {[y.name for y in plant.outputs]}: the loop has room for {ROW[2:]}")
         self.models = plant, MEASUREMENT, controller
         self._extra = tuple(plant.measured_inputs.values())
         memo, made = plant.memo, ("closed_loop", id(controller))  # the runner keeps the controller, and so its id
