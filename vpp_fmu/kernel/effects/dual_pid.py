@@ -54,6 +54,10 @@ def _best_pair(ops, thrust_set, p):
     return pair
 
 
+def _mode(ops, p):
+    return ops.where(p.speed_only > 0.5, SPEED_ONLY, p.mode)
+
+
 def _continued(ops, switched, integral, ki, before, rest):
     """The integral, or after a switch that with which the sum `rest + ki integral` is the command `before`."""
     return ops.where(switched, ops.where(ki > 0.0, (before - rest) / ops.where(ki > 0.0, ki, 1.0), 0.0), integral)
@@ -66,7 +70,7 @@ def _step(ops, s, x, p, dt):
     move = ops.where(running, 0.5 * (before + e) * dt, 0.0)
     delta = dt / ops.maximum(p.t_filter, dt)
     rate = (1.0 - delta) * x.rate + delta * ((e - before) / dt)
-    mode = ops.where(p.speed_only > 0.5, SPEED_ONLY, p.mode)
+    mode = _mode(ops, p)
     allocated = mode > 1.5
     last = ops.where(running, x.mode, mode)
     switched = (mode - last) * (mode - last) > 0.25
@@ -166,7 +170,7 @@ DUAL_PID = Effect(
         State("error", "1", "normalised thrust error at the last sample", _nothing),
         State("rate", "1/s", "filtered rate of the normalised thrust error", _nothing),
         State("running", "1", "0 before the first sample, then 1", _nothing),
-        State("mode", "1", "mode at the last sample", _nothing),
+        State("mode", "1", "mode at the last sample", lambda ops, s, p: _mode(ops, p)),
         State("speed", "1", "commanded speed at the last sample, normalised", _nothing),
         State("pitch", "1", "commanded pitch at the last sample, normalised", _nothing),
     ),
