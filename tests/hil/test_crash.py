@@ -58,6 +58,7 @@ def ended(out):
     ("how", "code", "cause"),
     [
         ("hangs", -signal.SIGKILL, "is killed"),
+        ("exits", 3, "the loop is "),
         ("crashes", -signal.SIGSEGV, "the loop is "),
         ("errs", 2, "controller: failed"),
     ],
