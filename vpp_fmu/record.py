@@ -19,13 +19,14 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder, Table, as_bytes, read_table
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA, BETA_REF, OMEGA, OMEGA_REF, THRUST
+from vpp_fmu.kernel.power import POWER, TORQUE
 from vpp_fmu.kernel.types import Signal
 from vpp_fmu.notebook import table_html
 from vpp_fmu.sensors import UNKNOWN, SpeedSensor
 
 VOLTAGE = Signal("voltage", "V", "supply voltage", 0.0, 100.0, 25.0)
 CURRENT = Signal("current", "A", "supply current", -500.0, 500.0, 10.0)
-MEASURED = (OMEGA, THRUST, BETA, VOLTAGE, CURRENT)
+MEASURED = (OMEGA, THRUST, BETA, VOLTAGE, CURRENT, TORQUE, POWER)
 QUANTITIES = {s.name: s for s in (OMEGA_REF, BETA_REF, *MEASURED, *CONTROLLER.inputs)}
 """Known columns beside `time`, by name, with unit and range."""
 

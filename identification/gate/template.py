@@ -34,8 +34,8 @@ COLUMNS = {
     "beta": "measured pitch; optional",
     "voltage": "supply voltage; optional, required by effects of the supply",
     "current": "supply current; optional",
-    "torque": "of static.csv only: torque of the rotor; optional",
-    "power": "of static.csv only: electrical power; optional",
+    "torque": "torque of the rotor; optional",
+    "power": "electrical power; optional",
     "run": "of steps.csv only: number of the run; each run has one step of one command, and its rows are contiguous",
     "thrust_std": "of static.csv only: standard deviation of the single readings at the point, not of their mean",
     "samples": "of static.csv only: number of independent readings of the mean",
@@ -72,8 +72,6 @@ def explanation() -> str:
         "run": "1",
         "thrust_std": "N",
         "samples": "1",
-        "torque": "N.m",
-        "power": "W",
     }
     files = "\n".join(f"- `{name}`: {text}." for name, text in FILES.items())
     columns = "\n".join(f"| `{name}` | {units[name]} | {text} |" for name, text in COLUMNS.items())
@@ -91,8 +89,8 @@ A file is a CSV with these columns, by these names, in any order; other columns 
 | --- | --- | --- |
 {columns}
 
-`static.csv` has {", ".join(f"`{n}`" for n in GRID)}; for `vpp allocate` also `power`, or
-`voltage` and `current`, or `torque`. A record needs `time`, `omega_ref`, `beta_ref` and `thrust`; to
+`static.csv` has {", ".join(f"`{n}`" for n in GRID)}; for `vpp allocate` it, or the record, also
+has `power`, or `voltage` and `current`, or `torque`. A record needs `time`, `omega_ref`, `beta_ref` and `thrust`; to
 identify a lag, the sampling period must be at most a fifth of it.
 
 `{FILE}`: `speed`, `pitch` and `thrust` are ranges (least, greatest) of the commands and of the thrust sensor. Commands that

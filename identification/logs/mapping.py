@@ -41,13 +41,15 @@ _WORDS = {
     "signal": "esc throttle pwm dshot gas",
     "voltage": "voltage volt volts u vbat vbatt spannung v vin battery",
     "current": "current amp amps ampere i ibat strom ibatt",
+    "torque": "torque drehmoment",
+    "power": "",
     "run": "run step stepnumber lauf test",
     "thrust_std": "",
     "samples": "samples",
     "ct": "ct",
     "advance_ratio": "j advance",
 }
-"""Words of a header by quantity, the most specific first."""
+"""Words of a header by quantity, the most specific first. Power has none: a log may have that of the shaft, too."""
 
 
 _PITCH = ("pitch", "collective", "servo", "beta", "anstellwinkel", "blattwinkel")

@@ -43,6 +43,8 @@ QUANTITIES = {
         Quantity("beta", "deg", "measured pitch"),
         Quantity("voltage", "V", "supply voltage"),
         Quantity("current", "A", "supply current"),
+        Quantity("torque", "N.m", "torque of the rotor"),
+        Quantity("power", "W", "electrical power"),
         Quantity("signal", "", "signal to the motor's controller: us, % or 1, in the place of omega_ref"),
         Quantity("run", "", "number of a step's run"),
         Quantity("thrust_std", "N", "spread of the readings of a mean", force=True),
@@ -58,6 +60,9 @@ _NO += (RecursionError, tokenize.TokenError)
 """Errors by which pint's parser of expressions rejects a text that is not a unit."""
 
 _ELECTRICAL = re.compile(r"(?i)e[-_ ]?rpm\s*/\s*([1-9]\d*)")
+
+_NEWTON_METRES = re.compile(r"N([cm]?m)\b")
+"""As people write it: Nm, Ncm, mNm."""
 
 _POINT = r"\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*"
 _CALIBRATION = re.compile(rf"(?i)([^@]*)@{_POINT}={_POINT},{_POINT}={_POINT}")
@@ -77,6 +82,7 @@ def factor_of(quantity: Quantity, unit: str) -> float | None:
         return 1.0 if unit.strip() in ("", "1", "-") else None
     if quantity.turning and (electrical := _ELECTRICAL.fullmatch(unit.strip())):
         return 1.0 / int(electrical[1])
+    unit = _NEWTON_METRES.sub(r"N \1", unit) if quantity.name == "torque" else unit
     for text in dict.fromkeys((unit.strip(), unit.strip().lower())):
         found = _parsed(text)
         if found is not None and (factor := _factor(quantity, found)) is not None:

@@ -11,7 +11,8 @@ uses it again.
 A table of coefficients (rpm, CT, perhaps J and pitch) becomes static.csv with --as static --diameter D: T = CT rho n^2 D^4, n
 in rev/s; rows with J above 0 are left out.
 
-Names: time omega_ref beta_ref omega thrust beta voltage current signal run thrust_std samples ct advance_ratio."""
+Names: time omega_ref beta_ref omega thrust beta voltage current torque power signal run thrust_std samples ct
+advance_ratio."""
 
 import codecs
 from pathlib import Path

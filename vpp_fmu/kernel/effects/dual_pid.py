@@ -55,7 +55,7 @@ def _best_pair(ops, thrust_set, p):
 
 
 def _mode(ops, p):
-    return ops.where(p.speed_only > 0.5, SPEED_ONLY, p.mode)
+    return ops.whole(ops.where(p.speed_only > 0.5, SPEED_ONLY, p.mode))
 
 
 def _continued(ops, switched, integral, ki, before, rest):
