@@ -18,8 +18,6 @@ from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.power import MOTOR, POWER_MAP, POWER_TERMS, RAD_PER_S, TORQUE_MAP, TORQUE_TERMS, polynomial
 from vpp_fmu.parameters import ParameterSet
 
-ELECTRICAL, SHAFT = "electrical", "shaft"
-
 TOLERANCE = 1.05
 """Maximum ratio of shaft to electrical power: both are measured to some per cent."""
 
