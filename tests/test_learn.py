@@ -21,13 +21,24 @@ from vpp_fmu.policy import read_policy
 
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
-    """A folder with what two seconds of learning wrote; gains.json are the published ones."""
+    """A folder with what 40 generations of learning wrote; gains.json are the published ones."""
     folder = tmp_path_factory.mktemp("learned")
     std = {"tau_omega_1": 0.02, "tau_beta_2": 0.04, "c20": 0.01, "c21": 0.05}
     ParameterSet(plant()).replaced({n: FINE_TUNED[n] for n in std}, std).save(folder)
     (folder / "gains").mkdir()
     gains = ParameterSet(CONTROLLER).replaced({"t_filter": 0.02}).save(folder / "gains") / "parameters.json"
-    command = ["learn", str(folder), "--gains", str(gains), "--seconds", "2", "--plants", "8", "-o", str(folder / "policy")]
+    command = [
+        "learn",
+        str(folder),
+        "--gains",
+        str(gains),
+        "--generations",
+        "40",
+        "--plants",
+        "8",
+        "-o",
+        str(folder / "policy"),
+    ]
     assert main(command) == 0
     return folder / "policy"
 

@@ -40,7 +40,7 @@ RIGS = {
 
 SHORTER = {
     "diagnose": ["--effects", "pitch_backlash", "--workers", "1"],
-    "learn": ["--seconds", "1", "--plants", "4"],
+    "learn": ["--generations", "10", "--plants", "4"],
     "twin": ["--rounds", "1", "--policy", "fixed"],
 }
 """Options that only save time."""

@@ -171,11 +171,12 @@ def learn(
     task: Task,
     settings: Mapping[str, float],
     hidden: int,
-    seconds: float,
+    generations: int,
     judged: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Learned:
-    """Learn a policy of `hidden` units for `seconds`; compare it with the controller of these `settings` on `judged` plants.
+    """Learn a policy of `hidden` units in so many generations; compare it with the controller of these `settings` on `judged`
+    plants.
 
     `task`: plant, its posterior, noise, limit on overshoot and seed. The policy has the settings' limits and period, and their
     gains to fall back on.
@@ -199,8 +200,8 @@ def learn(
     options = {"seed": task.seed + 1, "verbose": -9, "verb_log": 0, "verb_disp": 0}
     search = cma.CMAEvolutionStrategy(network.start(), STEP, options)
     evaluations, curve = [], []
-    while (passed := time.monotonic() - began) < seconds or not curve:
-        progress(min(passed / seconds, 1.0))
+    for k in range(generations):
+        progress(k / generations)
         candidates = np.array(search.ask())
         found = costs(candidates)
         search.tell(list(candidates), found.tolist())
@@ -220,8 +221,8 @@ def learn(
         course = trial.course(np.random.default_rng([task.seed, 15]))
         example[name] = ClosedLoop(model, which).run((nominal[None], trial.chain[None], vector[None]), course)
     fallback = _seen(policy, trial, plants[: min(judged, 20)], (task.seed, 14))[1]
-    passed = time.monotonic() - began
-    return Learned(policy, np.array(evaluations), np.array(curve), flights, example, fallback, passed)
+    seconds = time.monotonic() - began
+    return Learned(policy, np.array(evaluations), np.array(curve), flights, example, fallback, seconds)
 
 
 def _guarded(network: _Network, weights: np.ndarray, trial: _Trial, plants: np.ndarray) -> Policy:

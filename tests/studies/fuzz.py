@@ -75,7 +75,7 @@ COMMANDS: Mapping[str, Sequence[tuple[str, ...]]] = {
     "learn": [
         (
             *("{parameters}", "--knowledge", "{knowledge}", "--gains", "{gains}"),
-            *("--seconds", "0.2", "--plants", "2", "-o", "{out}"),
+            *("--generations", "2", "--plants", "2", "-o", "{out}"),
         )
     ],
     "export": [

@@ -29,7 +29,7 @@ from vpp_fmu.parameters import parameters_file, read_parameters
 from vpp_fmu.policy import FILE
 from vpp_fmu.structured import as_json
 
-EXAMPLE = "vpp learn out/parameters.json --seconds 60 -o policy"
+EXAMPLE = "vpp learn out/parameters.json --generations 500 -o policy"
 
 FORMAT = "vpp-learning/1"
 
@@ -42,8 +42,8 @@ def configure(parser):
     parser.add_argument("--gains", metavar="G", help=text)
     text = "identification.json: correlation of the parameters, noise of thrust (default: the one beside PARAMETERS)"
     parser.add_argument("--knowledge", metavar="F", help=text)
-    text = "time for the search in s (default: %(default)g)"
-    parser.add_argument("--seconds", type=Number(0.1, 86400.0, "s"), default=120.0, metavar="S", help=text)
+    text = "generations of the search (default: %(default)s, a minute or two)"
+    parser.add_argument("--generations", type=whole(1, 10**6), default=1000, metavar="N", help=text)
     text = "units of the network's hidden layer (default: %(default)s)"
     parser.add_argument("--hidden", type=whole(1, 64), default=6, metavar="N", help=text)
     text = "held-out plants of the comparison (default: %(default)s)"
@@ -66,7 +66,7 @@ def run(options):
             task,
             settings,
             options.hidden,
-            options.seconds,
+            options.generations,
             options.plants,
             lambda share: bar.update(round(100 * share) - bar.n),
         )
