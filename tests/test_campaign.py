@@ -194,14 +194,14 @@ def test_static_maps_are_checked(tmp_path, old, new, message):
 
 def test_unknown_columns_are_named(tmp_path):
     static = "\n".join(line + end for line, end in zip(STATIC.splitlines(), (",note", ",a", ",b"), strict=True))
-    steps = "run,time,omega_ref,beta_ref,thrust,torque\n0,0,4000,5,7,0.1\n0,1,4500,5,8,0.2\n1,0,4000,5,7,0.3\n"
+    steps = "run,time,omega_ref,beta_ref,thrust,strain\n0,0,4000,5,7,0.1\n0,1,4500,5,8,0.2\n1,0,4000,5,7,0.3\n"
     filled(tmp_path, static=static, steps=steps)
     with pytest.warns(RecordWarning) as caught:
         campaign = read_campaign(tmp_path)
     static_warning, steps_warning = (str(warning.message) for warning in caught)
     assert static_warning == f"{tmp_path / 'static.csv'}: columns of a static map that are not used: note"
-    assert steps_warning == f"{tmp_path / 'steps.csv'}: columns that nothing here knows, kept as they are: torque"
-    np.testing.assert_array_equal(campaign.steps[0]["torque"], [0.1, 0.2])
+    assert steps_warning == f"{tmp_path / 'steps.csv'}: columns that nothing here knows, kept as they are: strain"
+    np.testing.assert_array_equal(campaign.steps[0]["strain"], [0.1, 0.2])
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
