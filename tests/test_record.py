@@ -99,14 +99,14 @@ def test_gaps_in_measured_columns_become_nan(tmp_path):
 
 
 def test_unknown_columns_are_kept_and_named_in_one_warning(tmp_path):
-    text = "time,omega_ref,beta_ref,torque,note,gap\n0,1,2,0.5,start,\n1,1,2,0.6,,3\n"
+    text = "time,omega_ref,beta_ref,strain,note,gap\n0,1,2,0.5,start,\n1,1,2,0.6,,3\n"
     with pytest.warns(RecordWarning) as caught:
         record = read_record(written(tmp_path, text))
     assert len(caught) == 1
     assert "record.csv" in str(caught[0].message)
-    assert str(caught[0].message).endswith("torque, note, gap")
+    assert str(caught[0].message).endswith("strain, note, gap")
     assert caught[0].filename == __file__
-    np.testing.assert_array_equal(record["torque"], [0.5, 0.6])
+    np.testing.assert_array_equal(record["strain"], [0.5, 0.6])
     assert list(record["note"]) == ["start", ""]
     assert list(record["gap"]) == ["", "3"]
 
