@@ -109,6 +109,29 @@ def test_torque_alone_is_power_of_the_shaft():
     assert float(shaft.at(3000.0, 2.5)) == pytest.approx(P30 / 8.0 + P32 / 8.0 * 0.25)
 
 
+def test_a_fixed_pitch_has_a_map_of_speed():
+    every = points()
+    rows = np.flatnonzero(every.beta_ref == every.beta_ref[0])
+    fixed = {
+        n: np.tile(getattr(every, n)[rows], 2) for n in ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
+    }
+    found = fitted(StaticMap(**fixed, source="static.csv", further={"power": 60.0 * (fixed["omega"] / 6000.0) ** 3}))
+    assert found.names == ("power_map.p30",)
+    assert found.values == pytest.approx([60.0])
+
+
+@pytest.mark.parametrize("broken", [[], {"parameters": {"power_map.p30": {}}, "covariance": [[1.0, 2.0]]}, {"parameters": 3}])
+def test_a_broken_covariance_is_refused_and_a_whole_one_is_used(tmp_path, broken):
+    found = fitted(points(noise=3.0))
+    plant_of = found.added_to(pitch_only())
+    path = tmp_path / "identification.json"
+    path.write_text(json.dumps({"power": found.summary()}))
+    np.testing.assert_allclose(PowerModel.of(plant_of, path).covariance, found.covariance)
+    path.write_text(json.dumps({"power": broken}))
+    with pytest.raises(BadInput, match="covariance"):
+        PowerModel.of(plant_of, path)
+
+
 def test_volts_times_amperes_are_electrical_power():
     found = fitted(points(voltage=lambda w, b: 600.0 + 0.0 * w, current=lambda w, b: w**3))
     assert (found.effects, found.names) == (("power_map",), ("power_map.p30",))

@@ -226,6 +226,13 @@ def test_outside_of_the_table_its_ends_hold():
         assert commands({**WIDE, **TABLE}, inputs, [0.004])[0] == pytest.approx(pair)
 
 
+def test_a_table_of_one_thrust_divides_by_nothing():
+    inputs = {"thrust_set": [2.0, 2.0], "thrust": [2.0, 2.0]}
+    flat = {**TABLE, "pairs_thrust_min": 3.0, "pairs_thrust_max": 3.0}
+    assert commands({**WIDE, **flat}, inputs, [0.004])[0] == pytest.approx([2000.0, 9.0])
+    assert np.isfinite(commands({**WIDE, **flat, "mode": 0.0}, inputs, [0.004])).all()
+
+
 @pytest.mark.parametrize("modes", [(0.0, 2.0), (2.0, 0.0), (1.0, 2.0), (1.0, 0.0)])
 def test_commands_go_on_from_where_they_are_when_the_mode_changes(modes):
     """At the switch the error has not changed; pitch moves on from a fixed pitch, too."""

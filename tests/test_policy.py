@@ -136,6 +136,13 @@ def test_the_fallback_is_the_dual_pid_and_the_takeover_has_no_bump():
     assert found == held
 
 
+def test_the_allocated_law_is_no_fallback():
+    law = policy_from_arrays([np.zeros((2, 2))], [[0.0, 0.0]], **scaling(("thrust_set", "thrust")))
+    assert not {"mode", "k_mid", "pair_omega_0"} & {p.name for p in law.parameters().model.parameters}
+    with pytest.raises(BadInput, match="0 or 1"):
+        law.parameters(CONTROLLER.values({"mode": 2.0}))
+
+
 def test_a_reading_that_is_no_number_is_outside():
     model = Simulation(CASES["tanh"].parameters().model)
     model.start({"thrust_set": 1.0, "thrust": 1.0})

@@ -22,6 +22,7 @@ import numpy as np
 
 from vpp_fmu.errors import BadInput, ExtraMissing
 from vpp_fmu.files import OutputFolder, read_bytes
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION, DUAL
 from vpp_fmu.kernel.effects.policy import OBSERVABLE, Law
 from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.scales import PAPER, Scales
@@ -79,7 +80,10 @@ class Policy:
         """The law's model for a rig of these scales. `controller`: values of the dual PID to fall back on, with limits; the
         policy's own come first. BadInput names an unknown parameter or a value out of its range."""
         found = ParameterSet(policy_model(self.law, scales), source={"made_by": "a learned law", "policy": self.source})
-        values = {**(controller or {}), **self.values}
+        fallback = {n: v for n, v in (controller or {}).items() if n not in ALLOCATION}
+        if (controller or {}).get("mode", DUAL) == ALLOCATED:
+            raise BadInput("gains", "parameters, mode", "2", "0 or 1: a policy falls back on the dual PID, or on speed alone")
+        values = {**fallback, **self.values}
         known = {p.name: p for p in found.model.parameters}
         for name, value in values.items():
             if name not in known:

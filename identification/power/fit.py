@@ -91,6 +91,8 @@ def moving_readings(prediction: Prediction, scales: Mapping[str, float]) -> Read
     rate = np.gradient(prediction.omega, record.time) * RAD_PER_S
     columns = [of.get("torque"), _electrical(of)]
     kept = np.logical_and.reduce([np.isfinite(c) for c in (rate, *columns) if c is not None])
+    if not kept.any():
+        return None
     torque, power = (None if c is None else c[kept] for c in columns)
     return _readings(prediction.omega[kept], prediction.beta[kept], torque, power, record.source, scales, rate[kept])
 
@@ -126,7 +128,8 @@ def _check(r: Readings) -> None:
 def fit_power(readings: Readings) -> PowerFit:
     """Fit torque with its map and, where electrical power was measured too, the motor; else the map of electrical power.
 
-    The terms of a map are the subset with the least BIC. BadInput without enough rows, or if speed or pitch does not change.
+    The terms of a map are the subset with the least BIC, among those of a power below the number of speeds, or of pitches, that
+    were measured: a rig of fixed pitch has a map of speed alone. BadInput without enough rows.
     """
     if readings.torque is None:
         assert readings.power is not None
@@ -160,6 +163,9 @@ def _joined(readings: Readings, parts: Sequence[Part]) -> PowerFit:
 
 def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) -> Part:
     """The map of torque or power. The inertia's term, where speed changes, is in every subset and in none of the results."""
+    first = min(i for i, _ in terms)
+    speeds, pitches = (len(np.unique(np.round(values, 3))) for values in (readings.w, readings.b))
+    terms = [(i, j) for i, j in terms if i - first < speeds and j < pitches]
     columns = [polynomial((term,), (1.0,), readings.w, readings.b) for term in terms]
     held = []
     if readings.rate is not None:
@@ -168,7 +174,7 @@ def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) ->
     n, size = every.shape
     rank = int(np.linalg.matrix_rank(every))
     if n < TIMES * size or rank < size:
-        allowed = f"{TIMES * size} or more, at three speeds and three pitches or more"
+        allowed = f"{TIMES * size} or more, of independent speeds and pitches"
         raise BadInput(readings.source, "rows with torque or power", f"{n} of rank {rank} for {size} terms", allowed)
     gram, moment, total = every.T @ every, every.T @ measured, float(measured @ measured)
     always = range(len(terms), size)

@@ -26,6 +26,27 @@ class _Arrays(Ops):
         return np.where(condition, yes, no)
 
 
+def _covariance(path: str | os.PathLike, names: tuple[str, ...]) -> np.ndarray | None:
+    """Covariance (k, k) of the parameters from an identification.json; None if it has none of them. BadInput."""
+    found = read_object(path, allowed="an identification.json").get("power")
+    if found is None:
+        return None
+    try:
+        order = list(found["parameters"])
+        whole = np.array(found["covariance"], float)
+    except (TypeError, KeyError, ValueError):
+        order, whole = [], np.zeros(0)
+    n = len(order)
+    if whole.shape != (n, n) or n == 0 or not np.isfinite(whole).all() or not np.allclose(whole, whole.T):
+        raise BadInput(
+            path, "power", "no covariance of its parameters", "parameters by name, and a symmetric matrix of numbers"
+        )
+    if not set(names) <= set(order):
+        return None
+    at = [order.index(name) for name in names]
+    return whole[np.ix_(at, at)]
+
+
 @dataclass(frozen=True, eq=False)
 class PowerModel:
     """Power [W] of a plant that has its effects (`vpp_fmu.kernel.power`): electrical, or of the shaft if only torque is known.
@@ -48,12 +69,8 @@ class PowerModel:
         own = {e.full(p.name) for e in EFFECTS if e.name in parameters.model.optional for p in e.parameters}
         std = {n: e.std for n, e in parameters.estimates.items() if n in own and e.std}
         names, covariance = tuple(std), np.diag(np.square(list(std.values())))
-        if knowledge is not None and os.path.exists(knowledge):
-            found = read_object(knowledge, allowed="an identification.json").get("power", {})
-            if isinstance(found, dict) and set(found.get("parameters", ())) >= set(names):
-                at = [list(found["parameters"]).index(n) for n in names]
-                covariance = np.array(found["covariance"], float)[np.ix_(at, at)]
-        return cls(parameters, names, covariance)
+        known = _covariance(knowledge, names) if knowledge is not None and os.path.exists(knowledge) else None
+        return cls(parameters, names, covariance if known is None else known)
 
     @cached_property
     def kind(self) -> str:

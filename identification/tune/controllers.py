@@ -130,9 +130,8 @@ def said_of(controller: ParameterSet, gains: str | None = None) -> str:
     default = f"{'the paper' if rig.scales == PAPER else 'the model'}'s by default: no rig is known"
     where = ", ".join(dict.fromkeys(rig.origin.get(name, default) for name in ("speed", "pitch")))
     made = f"gains of {gains}" if gains else str(controller.source["made_by"])
-    which = (
-        "speed alone" if speed_alone(v) else "best pairs of speed and pitch" if v["mode"] == ALLOCATED else "speed and pitch"
-    )
+    both = "best pairs of speed and pitch" if v.get("mode") == ALLOCATED else "speed and pitch"
+    which = "speed alone" if speed_alone(v) else both
     return f"controller: {which} within {limits} ({where}), sampled every {1e3 * v['sample_time']:.4g} ms; {made}"
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from identification.tune.profile import reach
 from identification.tune.tune import Task
 from vpp_fmu.commands import idle
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATION
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.types import Model, Signal
@@ -109,6 +110,7 @@ class _Network:
     def policy(self, weights: np.ndarray, values: Mapping[str, float], **more) -> Policy:
         """The policy of weights (count,), without a box unless `more` has one."""
         inner, bias, outer, last = self.arrays(weights)
+        values = {n: v for n, v in values.items() if n not in ALLOCATION}
         wide = np.full(len(self.mean), 1e9)
         own = {"mean": self.mean, "scale": self.scale, "low": -wide, "high": wide, **more}
         mean, scale = (np.asarray(own[name]) for name in ("mean", "scale"))
@@ -123,7 +125,8 @@ class _Network:
         named = [np.array([next(names) for _ in range(int(np.prod(s)))]).reshape(s).tolist() for s in self.shapes]
         layers = tuple((tuple(map(tuple, rows)), tuple(biases)) for rows, biases in (named[:2], named[2:]))
         model = policy_model(replace(self.policy(np.zeros(self.count), {}).law, layers=layers), scales, outputs=2)
-        return model, np.array(list(model.values(values).values()))
+        own = {n: v for n, v in values.items() if n not in ALLOCATION}
+        return model, np.array(list(model.values(own).values()))
 
 
 class _Trial:

@@ -298,5 +298,5 @@ def identification_of(found: Diagnosis, fit: Fit) -> dict:
         "fitted": [one.name for one in found.fitted],
         **summaries(shown),
         "missing": list(found.campaign.missing),
-        **{name: first[name] for name in ("static_map", "steps") if name in first},
+        **{name: first[name] for name in ("static_map", "steps", "power") if name in first},
     }

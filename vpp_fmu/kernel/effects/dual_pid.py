@@ -42,9 +42,14 @@ def _channel(ops, e, move, integral, rate, kp, ki, kd, low, high):
     return kp * e + ki * kept + kd * rate, kept
 
 
+NARROWEST = 1e-6
+"""Share of the thrust scale that the table spans at least: no division by zero, whatever an importer sets."""
+
+
 def _best_pair(ops, thrust_set, p):
     """The table's (speed [rpm], pitch [deg]) for a wanted thrust [N]; its ends outside."""
-    at = (PAIRS - 1) * (thrust_set - p.pairs_thrust_min) / (p.pairs_thrust_max - p.pairs_thrust_min)
+    span = ops.maximum(p.pairs_thrust_max - p.pairs_thrust_min, NARROWEST * p.thrust_scale)
+    at = (PAIRS - 1) * (thrust_set - p.pairs_thrust_min) / span
     pair = []
     for knots in ([getattr(p, f"pair_{u}_{k}") for k in range(PAIRS)] for u in ("omega", "beta")):
         value = knots[0]
@@ -175,3 +180,6 @@ DUAL_PID = Effect(
         State("pitch", "1", "commanded pitch at the last sample, normalised", _nothing),
     ),
 )
+
+ALLOCATION = {p.name: p.default for p in DUAL_PID.parameters if p.name in ("mode", "k_mid") or p.name[:4] == "pair"}
+"""Parameters of the choice of mode and of mode 2, with their defaults: mode 0."""

@@ -11,11 +11,11 @@ its commands are those of the law: the takeover has no bump. Before the first sa
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
-from vpp_fmu.kernel.effects.dual_pid import DUAL_PID
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATION, DUAL_PID
 from vpp_fmu.kernel.types import Effect, Parameter, State
 
 OBSERVABLE = {
@@ -75,7 +75,7 @@ def policy_effect(law: Law) -> Effect:
         z = [(o - m) / c for o, m, c in zip(seen, law.mean, law.scale, strict=True)]
         outside = _outside(ops, law, seen, z)
         active = ops.where(outside > 0.5, 1.0, ops.where(x.fallback_left > 0.0, 1.0, 0.0))
-        pid, memory = DUAL_PID.step(ops, s, x, p, dt)
+        pid, memory = DUAL_PID.step(ops, s, x, SimpleNamespace(**ALLOCATION, **vars(p)), dt)
         wanted = dict(zip(first, _network(ops, law, z, p), strict=True))
         commands = {}
         for u in ("omega", "beta"):
@@ -98,14 +98,14 @@ def policy_effect(law: Law) -> Effect:
         "a learned law on the thrust error, with the dual PID to fall back on",
         step,
         parameters=(
-            *DUAL_PID.parameters,
+            *(q for q in DUAL_PID.parameters if q.name not in ALLOCATION),
             _rate("omega", "rpm/s", "speed"),
             _rate("beta", "deg/s", "pitch"),
             Parameter("fallback_hold", "s", 1.0, 0.0, 1e4, "how long the fallback acts after the last bad observation"),
             *(Parameter(name, "1", 0.0, -1e6, 1e6, "weight of the network") for name in names),
         ),
         states=(
-            *DUAL_PID.states,
+            *(replace(x, start=_nothing) for x in DUAL_PID.states),  # the mode, too: the fallback has no parameter for it
             State("omega_ref_before", "rpm", "last commanded speed", _nothing),
             State("beta_ref_before", "deg", "last commanded pitch", _nothing),
             State("integral", "N.s", "integral of set-point less reading", _nothing),

@@ -161,8 +161,5 @@ def best_pairs(
     for level in lines:
         omega = [np.interp(level, row, speeds, left=np.nan, right=np.nan) for row in np.maximum.accumulate(thrust, axis=1)]
         add_line(fig, omega, pitches, f"{number(level, 3)} N", style.FIT, 1.0, hoverinfo="name")
-        at = int(np.flatnonzero(np.isfinite(omega))[-1]) if np.isfinite(omega).any() else None
-        if at is not None:
-            fig.add_annotation(text=f"{number(level, 2)} N", x=omega[at], y=pitches[at], showarrow=False, yanchor="top")
     add_line(fig, *pairs, "best pairs", style.BEFORE, 3.0, hovertemplate="%{x:.0f} rpm, %{y:.1f} deg<extra></extra>")
     return fig

@@ -29,10 +29,12 @@ def allocation_page(found: Allocation, source: str = "") -> Page:
     """The report of an allocation; `source`: of the parameters."""
     goal = "the least power" if found.weight == 0.0 else f"power and reserve of thrust at a weight of {found.weight:g}"
     text = f"For each thrust the pair of speed and pitch of {goal}, within the rig's limits. Between pairs of the same thrust, "
-    text += f"{found.model.kind} power differs; the best fixed pitch takes {_more(found)} than the pairs."
+    text += f"{found.model.kind} power differs."
     page = Page("Speed and pitch for each thrust", text, source)
     page.tiles(key_figures(found))
-    title = f"The pairs save {100.0 * found.saving:.1f} % of the power against the best fixed pitch, {found.fixed_beta:.3g} deg"
+    share = f"{100.0 * abs(found.saving):.1f} %"
+    verb = f"save {share} of the power" if found.saving >= 0.0 else f"take {share} more power"
+    title = f"The pairs {verb} against the best fixed pitch, {found.fixed_beta:.3g} deg"
     half = NORMAL_95 * found.power_std
     fixed = {f"best fixed pitch, {found.fixed_beta:.3g} deg": found.fixed}
     caption = "95 % interval: of the power's parameters; the choice of a map's terms is not part of it."
@@ -65,7 +67,3 @@ def allocation_page(found: Allocation, source: str = "") -> Page:
     columns = ("thrust [N]", "speed [rpm]", "pitch [deg]", "pitch, 95 % [deg]", "power [W]", "± 95 % [W]", "reserve [N]")
     page.table(columns, rows[:: max(1, len(rows) // 20)], "Pairs; allocation.csv has all of them.")
     return page
-
-
-def _more(found: Allocation) -> str:
-    return f"{100.0 * found.saving / (1.0 - found.saving):.1f} % more"

@@ -30,13 +30,9 @@ def key_figures(found: Learned) -> list[tuple[str, str, str]]:
 def learning_page(found: Learned, source: str = "") -> Page:
     """The page of one learned law; `source`: of the parameters."""
     size = " x ".join(map(str, found.policy.size))
-    text = (
-        f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the uncertainty "
-    )
-    text += (
-        "of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The comparison flies "
-    )
-    text += "plants, set-points and noise that are not part of the search."
+    text = f"A network of {size} units in the controller's place. Its weights were searched on plants drawn from the "
+    text += "uncertainty of the parameters. The PID was tuned on set-points of the same kind, unless gains were given. The "
+    text += "comparison flies plants, set-points and noise that are not part of the search."
     page = Page("A learned control law", text, source)
     page.tiles(key_figures(found))
     errors = {NAMES[name]: f.errors.tolist() for name, f in found.flights.items()}
@@ -46,7 +42,7 @@ def learning_page(found: Learned, source: str = "") -> Page:
     runs = {NAMES[name]: run for name, run in found.example.items()}
     title = "A flight of the identified plant with held-out set-points"
     page.figure(closed_loop(runs, title), "Thrust is the plant's, not its reading.")
-    title = f"The median cost of a generation falls to {number(float(found.cost[-1]), 3)}"
+    title = f"The median cost of a generation ends at {number(float(found.cost[-1]), 3)}"
     caption = "Each generation flies other plants and set-points, so that its cost varies."
     page.figure(learning_curve(found.evaluations, found.cost, title), caption)
     rows = [
