@@ -8,7 +8,7 @@ Effects of a rig delay its response. There are three delays: from each command t
 measured speed. The smallest is the logger's; the excess of the others belongs to the sensor or the rig.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -58,6 +58,9 @@ ENOUGH_ROWS, ENOUGH_MOVES = 12_000, 4
 """A record is used up to this row, or up to this move of each command, if that is later: together they identify the offset to a
 hundredth of a row."""
 
+SPLIT = 0.01
+"""Maximum time between simulated rows, s: a fifth of the shortest lag of such rigs."""
+
 FAST = 3.0
 """Minimum difference of two successive values of a changing speed, in digits."""
 
@@ -104,14 +107,23 @@ ALL_DELAYS = tuple(f"{name}.delay" for name in DELAYS.values())
 
 @threadpool_limits.wrap(limits=1)  # threads do not help with ten columns
 def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None) -> Passed:
-    """The records that passed the gate, corrected for their logger and without run-ins.
+    """The first of `likely_loggers`."""
+    return next(likely_loggers(gate, effects, library, values))
+
+
+def likely_loggers(
+    gate: Passed, effects: Iterable[str] = (), library: Iterable[Effect] = LIBRARY, values=None
+) -> Iterator[Passed]:
+    """The records that passed the gate, corrected for their logger and without run-ins: for the most likely logger first, then
+    for others that are not distinguished from it.
 
     The logger is estimated from the fitted records, beside `effects` of a `library` at `values`. Without records it is the
     contract's, and run-ins are not searched."""
     campaign, declared = gate.campaign, gate.campaign.rig.sensor
     if not any((campaign.open_loop, campaign.repeat, campaign.validation, *gate.further.values())):
         found = Logger(sensor=SpeedSensor(**declared) if "kind" in declared else SpeedSensor())
-        return replace(gate.changed(found.applied), logger=found)
+        yield replace(gate.changed(found.applied), logger=found)
+        return
     values = {**AVERAGED, **(values or {})}
     longest = 0.5 * BLOCKS * slowest(values, values)
     settled = gate.without_run_ins(lambda record: min(longest, QUARTER * float(record.time[-1])))
@@ -122,8 +134,8 @@ def as_logged(gate: Passed, effects: Iterable[str] = (), library: Iterable[Effec
         before, settled = settled, gate.without_run_ins(of.run_in)
         if {(f.code, f.where) for f in settled.findings} == {(f.code, f.where) for f in before.findings}:
             break
-    found = of.logger()
-    return replace(settled.changed(found.applied), logger=found)
+    for found in of.loggers():
+        yield replace(settled.changed(found.applied), logger=found)
 
 
 def mended(record: Record) -> tuple[Record, list[str]]:
@@ -146,9 +158,9 @@ class _Estimate:
         delays = (e for e in LIBRARY if e.name in DELAYS.values() and e.name not in {known.name for known in library})
         self._model = plant([*effects, *DELAYS.values()], sized((*library, *delays), scales))
         # A repeat adds no other moments.
-        self._groups = [[Fitted(group[0].name, _as_modelled(group[0].record))] for group in groups]
-        self._first, self._declared = self._groups[0][0].record, declared
+        self._first, self._declared = groups[0][0].record, declared
         self._period = self._first.period
+        self._groups = [[Fitted(group[0].name, _split(_as_modelled(group[0].record)))] for group in groups]
         moves = {u: any(np.ptp(g[0].record[f"{u}_ref"]) > 0.0 for g in groups) for u in DELAYS}
         own = [e.full(p.name) for e in self._model.effects if e.name in effects for p in e.parameters if not p.choices]
         self._delays = delays = [f"{name}.delay" for u, name in DELAYS.items() if moves[u]]
@@ -171,24 +183,33 @@ class _Estimate:
         outputs = Simulator(self._model).simulate(self.values, *shown.run)
         return run_in(shown, outputs, slowest(self.values, self._names))
 
-    def logger(self) -> Logger:
-        """The most likely logger. Each sensor is fitted roughly with one offset of all readings, the best ones in full. Of
-        sensors that are not distinguishable, one that reads samples is taken, and then that with the offset nearest to whole
-        rows."""
+    def loggers(self) -> Iterator[Logger]:
+        """The most likely logger, then others that are not distinguished from it.
+
+        Each sensor is fitted roughly with one offset of all readings, the best ones in full. Of those that are not
+        distinguished, one that reads samples is preferred, and then that with the offset nearest to whole rows."""
         start = _SensorFit(self, None, (), tied=True).solved(FULL)
         if not self._measured:
-            return self._logger_of(start)
+            yield from self._loggers_of(start)
+            return
         fits = [_SensorFit(self, *one, start, tied=True).solved(ROUGH) for one in self._hypotheses()]
         scores = _scores(fits)
         near = [fit.solved(FULL) for fit, score in zip(fits, scores, strict=True) if score > max(scores) - NEAR]
         scores = _scores(near)
         likely = [fit for fit, score in zip(near, scores, strict=True) if score >= max(scores) - NOT_DISTINGUISHED]
-        return self._logger_of(min(likely, key=lambda fit: (fit.sensor.averaged, fit.from_whole_rows())))
+        shown: list[Logger] = []
+        for fit in sorted(likely, key=lambda fit: (fit.sensor.averaged, fit.from_whole_rows())):
+            for found in self._loggers_of(fit):
+                if not any(found.agrees_with(other) for other in shown):
+                    shown.append(found)
+                    yield found
 
-    def _logger_of(self, fit: "_SensorFit") -> Logger:
-        """The logger of a fit with one offset, unless further parameters have very strong evidence."""
+    def _loggers_of(self, fit: "_SensorFit") -> Iterator[Logger]:
+        """The logger of a fit with one offset, unless further parameters have very strong evidence. An offset of zero or of
+        whole rows comes before the estimate if it explains the records as well."""
         if not self._delays:
-            return Logger(sensor=fit.sensor, period=self._period)
+            yield Logger(sensor=fit.sensor, period=self._period)
+            return
         shared = fit.late(self._delays[0])
         freer = fit.tied or fit.with_delay != fit.free
         loose = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit).solved(FULL) if freer else fit
@@ -196,24 +217,30 @@ class _Estimate:
         if delayed:  # the rig or the sensor has further delays
             shared = loose.shared()
         elif contract := self._one_delay(fit):
-            return contract
+            yield contract
+            return
         rows, std = shared.value / self._period, shared.std / self._period
+
+        def logger_at(value: float, fit: "_SensorFit") -> Logger:
+            own = (
+                delayed
+                and "speed_delay.delay" in self._delays
+                and loose.late("speed_delay.delay").differs_from(value * self._period)
+            )
+            if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
+                other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=value).solved(FULL)
+                fit = other if fit.worse_than(other) else fit
+            return Logger(value, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
+
         for value in (0.0, float(round(rows))):
             simpler = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=value).solved(FULL)
-            if abs(rows - value) < FINEST or not simpler.worse_than(fit):
-                rows, fit = value, simpler
+            same = abs(rows - value) < FINEST
+            if same or not (simpler.worse_than(fit) or simpler.reads_ahead):
+                yield logger_at(value, simpler)
+                if same:
+                    return
                 break
-        else:
-            fit = _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL)
-        own = (
-            delayed
-            and "speed_delay.delay" in self._delays
-            and loose.late("speed_delay.delay").differs_from(rows * self._period)
-        )
-        if delayed and fit.with_delay != fit.free and loose.has_delay and not own:
-            other = _SensorFit(self, fit.sensor, fit.with_delay, fit.renewed, fit, held=rows).solved(FULL)
-            fit = other if fit.worse_than(other) else fit
-        return Logger(rows, std, fit.sensor, {name: fit.estimate(name)[1] for name in fit.free}, self._period)
+        yield logger_at(rows, _SensorFit(self, fit.sensor, fit.free, fit.renewed, fit, held=rows).solved(FULL))
 
     def _one_delay(self, fit: "_SensorFit") -> Logger | None:
         """The logger without an offset, if a delay of one command explains the record better than the offset of `fit`, or if it
@@ -232,15 +259,18 @@ class _Estimate:
         kinds = [declared["kind"]] if "kind" in declared else [MARK, ENCODER, TELEMETRY]
         marks = [declared["marks_per_revolution"]] if "marks_per_revolution" in declared else MARKS
         ways = [declared["averaged"]] if "averaged" in declared else [True] if mixed else [False, True]
-        every: list[tuple[SpeedSensor, Sequence]] = [(SpeedSensor(kind), [1.0]) for kind in kinds if kind == ENCODER]
+        every: list[tuple[SpeedSensor, Sequence]] = [
+            (SpeedSensor(ENCODER, averaged=averaged), [1.0]) for averaged in ways if ENCODER in kinds
+        ]
         for n, averaged in product(marks if MARK in kinds else [], ways):
             held = turn / n  # where means show no mixed rows, a value is held for less than three rows
             expected = [np.where(held < 3.0, held - 1.0, np.inf), 1.0] if averaged and not mixed else [held]
             every.append((SpeedSensor(MARK, n, averaged=averaged), expected))
-        # Telemetry that is faster than the rows is renewed in each row.
-        for interval in {1.0, float(rows.mean()) if len(rows) else 1.0} if TELEMETRY in kinds else ():
-            refresh = float(interval > 1.0) * interval * self._period
-            every.append((SpeedSensor(TELEMETRY, filter=FILTER, refresh=refresh, averaged=mixed), [interval]))
+        # Telemetry that is faster than the rows is renewed in each row: with it, or some time before.
+        renewed = {0.0, 1.0, float(rows.mean()) if len(rows) else 1.0} if TELEMETRY in kinds else ()
+        for interval, means in product(renewed, ways):
+            sensor = SpeedSensor(TELEMETRY, filter=FILTER, refresh=interval * self._period, averaged=means)
+            every.append((sensor, [max(interval, 1.0)]))
         known = {k: v for k, v in declared.items() if k in ("filter", "refresh", "delay")}
         explained = [one for one in every if not unexplained(one[0].kind, rows, *one[1])]
         return [
@@ -306,8 +336,17 @@ class _SensorFit:
     def has_delay(self) -> bool:
         """Whether the delay of the sensor exceeds its uncertainty: SIGNIFICANT standard errors, and the unknown instant of a
         value. A negative delay is a late thrust reading, which is an effect of the library."""
-        delay, std = self.estimate("delay")
-        return delay > max(SIGNIFICANT * std, self.unknown_instant)
+        return self.sensor.delay > self._delay_tolerance
+
+    @property
+    def reads_ahead(self) -> bool:
+        """Whether the sensor's delay is below zero by more than its uncertainty: no sensor shows what is yet to come, so that
+        the offset is wrong."""
+        return -self.sensor.delay > self._delay_tolerance
+
+    @property
+    def _delay_tolerance(self) -> float:
+        return max(SIGNIFICANT * self.estimate("delay")[1], self.unknown_instant)
 
     def solved(self, limits: Sequence[int]) -> "_SensorFit":
         """Fit in rounds with `limits` of evaluations; after each round, the channels are weighted by their residuals."""
@@ -482,6 +521,24 @@ def _scores(fits: Sequence[_SensorFit], groups: int = GROUPS) -> list[float]:
 def _as_modelled(record: Record) -> Record:
     moves = [np.flatnonzero(np.diff(record[f"{u}_ref"]))[:ENOUGH_MOVES] for u in DELAYS]
     return record.part(slice(0, max(ENOUGH_ROWS, *(int(rows.max(initial=0)) + 1 for rows in moves)))).commands_later(-EARLIEST)
+
+
+def _split(record: Record) -> Record:
+    """The record with each row split into rows of at most SPLIT s; the new ones have no readings. Between rows a speed is taken
+    for a parabola, and a sensor reads more precisely than that is right in a slow log."""
+    parts = int(np.ceil(record.period / SPLIT - 1e-9))
+    if parts == 1:
+        return record
+    count = parts * (len(record) - 1) + 1
+    columns = {"time": np.interp(np.arange(count) / parts, np.arange(len(record)), record.time)}
+    for name in ("omega_ref", "beta_ref"):
+        if name in record:
+            columns[name] = np.repeat(record[name], parts)[:count]
+    for name in ("omega", "thrust"):
+        if name in record:
+            columns[name] = np.full(count, np.nan)
+            columns[name][::parts] = record[name]
+    return replace(record, columns=columns, late=0.0).commands_later(parts * record.late)
 
 
 def renewals(record: Record) -> tuple[np.ndarray, np.ndarray, bool]:

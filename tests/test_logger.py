@@ -11,11 +11,11 @@ import pytest
 from identification.demo import example_folder
 from identification.fit.experiment import Experiment
 from identification.fit.noise import independent
-from identification.fit.tachometer import Tachometer
+from identification.fit.tachometer import Tachometer, row_means
 from identification.gate.finding import acceptable
 from identification.gate.gate import passed
 from identification.identify import identify
-from identification.logger_fit import EVIDENCE, _Estimate, _SensorFit, as_logged, mended
+from identification.logger_fit import EVIDENCE, _Estimate, _SensorFit, as_logged, likely_loggers, mended
 from identification.roles import Fitted, roles
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
@@ -132,6 +132,33 @@ def test_means_over_the_row_are_told_from_samples(averaged):
     read = {n: c.reshape(-1, fine).mean(axis=1) if averaged else c[::fine] for n, c in read.items()}
     read["thrust"] += np.random.default_rng(28).normal(0.0, 0.05, len(sent))
     assert as_logged(passed(campaign(sent.with_columns(**read)))).logger.sensor == SpeedSensor("mark", 3, averaged=averaged)
+
+
+def test_a_mean_of_a_parabola_exceeds_its_middle_by_a_24th_of_the_curvature_times_the_width_squared():
+    time = np.sort(np.random.default_rng(3).uniform(0.0, 1.0, 200))
+    width = 0.02
+    inner = (time > time[2]) & (time - 0.5 * width > time[1]) & (time + 0.5 * width < time[-2])
+    np.testing.assert_allclose((row_means(time, width) @ time**2)[inner], time[inner] ** 2 + width**2 / 12.0, rtol=1e-9)
+
+
+def test_means_over_slow_rows_are_told_from_telemetry():
+    """An encoder at 25 Hz, all readings means over their row: its middle is half a row after the command."""
+    sent, fine = commands(31, rate=25.0), 80
+    held = {n: np.repeat(sent[n], fine) for n in ("omega_ref", "beta_ref")}
+    thrust, omega, _ = Simulator(BASE).simulate({}, held, np.full(len(sent) * fine - 1, 1.0 / (25.0 * fine))).T
+    read = {"omega": np.round(omega), "thrust": thrust}
+    read = {n: c.reshape(-1, fine).mean(axis=1) for n, c in read.items()}
+    read["thrust"] += np.random.default_rng(32).normal(0.0, 0.05, len(sent))
+    found = as_logged(passed(campaign(sent.with_columns(**read)))).logger
+    assert found.sensor == SpeedSensor("encoder", averaged=True)
+    assert found.rows == pytest.approx(-0.5, abs=0.02)
+
+
+def test_loggers_that_are_not_distinguished_are_all_given():
+    """An offset of a fifth of a row in much noise: none comes first, the estimate second."""
+    first, second, *_ = likely_loggers(passed(campaign(logged(5, 0.2, filter_=0.03, noise=0.5, rate=250.0))))
+    assert first.logger.rows == 0.0
+    assert abs(second.logger.rows - 0.2) < 4.4 * second.logger.std
 
 
 def test_telemetry_reads_a_ramp_late_by_filter_delay_and_half_a_renewal():

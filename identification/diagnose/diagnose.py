@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
 from threadpoolctl import threadpool_limits
 
@@ -39,7 +40,7 @@ from identification.gate.finding import Finding
 from identification.gate.gate import Passed, passed
 from identification.identify import Identification, off_bounds
 from identification.logger import Logger
-from identification.logger_fit import as_logged
+from identification.logger_fit import as_logged, likely_loggers
 from identification.roles import Fitted, Unseen, roles
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
@@ -51,6 +52,12 @@ from vpp_fmu.rig import Rig
 
 LATE = ("row_clock", "reading_delay", "speed_delay", "pitch_delay")
 """Effects that a wrong offset of the logger resembles."""
+
+OTHERS = 2
+"""Maximum number of other loggers with which a campaign is diagnosed."""
+
+MOST_OF_LOGGER = 100.0
+"""Evidence of effects (nats) from which another logger is not tried: ten times the difference of those not distinguished."""
 
 UNEXPLAINED = ("partly", "unexplained")
 """Verdicts with an unexplained lack of fit; a best guess is added."""
@@ -193,7 +200,8 @@ def diagnose(
     term of unknown form is learned. `budget` [s]: no further step of the search begins after this time; the result then depends
     on the machine's speed. BadInput if the campaign has no record to fit.
 
-    The logger is estimated first, beside the base model. A missing effect may bias this estimate. So if effects are found
+    The logger is estimated first, beside the base model. If something is missing with it, other loggers that are not
+    distinguished from it are tried, too. A missing effect may bias this estimate. So if effects are found
     beside a logger that differs from the contract's, or if one of them is a delay, it is estimated again beside the others. If
     it differs, the campaign is diagnosed with it, too.
     """
@@ -206,24 +214,41 @@ def diagnose(
         present = (given.without_power.model.optional, library, given.without_power.values) if given else ()
         run = partial(_diagnosed, campaign, library, pool, seed, effort, given, Smallest(smallest, smallest_speed))
         stage("logger")
-        first = as_logged(gate, *present)
+        likely = likely_loggers(gate, *present)
+        first = next(likely)
         found = run(first)
+        for other in islice(likely, OTHERS) if _may_be_loggers(found) else ():
+            if found.verdict == "none" or not effort.allows("another logger"):
+                break
+            found = _simpler(found, run(other))
         known = [e.name for e in library]
         named = [name for name in found.selection.final.effects if name in known]
         beside = [name for name in named if name not in LATE]
-        if not named or (first.logger.plain and beside == named):
-            return found
-        if not effort.allows(f"another logger beside {' + '.join(named)}"):
-            return replace(found, not_tried=tuple(effort.not_tried))
-        stage("logger")
-        kept = given.without_power.model.optional if given else ()
-        again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
-        return found if again.logger.agrees_with(first.logger) else _simpler(found, run(again))
+        biased = named and not (found.logger.plain and beside == named)
+        if biased and effort.allows(f"another logger beside {' + '.join(named)}"):
+            stage("logger")
+            kept = given.without_power.model.optional if given else ()
+            again = as_logged(gate, [*kept, *beside], library, found.selection.final.values)
+            if not again.logger.agrees_with(found.logger):
+                found = _simpler(found, run(again))
+        return replace(found, not_tried=tuple(effort.not_tried))
+
+
+def _may_be_loggers(found: Diagnosis) -> bool:
+    """Whether another logger may explain what is missing: loggers that are not distinguished differ by few nats, also in
+    records that are longer than those that the logger was estimated from."""
+    selection = found.selection
+    return found.verdict != "none" and evidence_over(selection.final, selection.base) < MOST_OF_LOGGER
 
 
 def _simpler(one: Diagnosis, other: Diagnosis) -> Diagnosis:
-    """The diagnosis of fewer effects, if its held-out error has at most the share FORM more power than that of the other."""
-    few, many = sorted((one, other), key=lambda found: (len(found.final.effects), found.held_out_after.rmse_thrust))
+    """The diagnosis that finds less missing, if its held-out error has at most the share FORM more power than that of the
+    other."""
+
+    def missing(found: Diagnosis) -> tuple:
+        return len(found.final.effects), found.verdict != "none", found.held_out_after.rmse_thrust
+
+    few, many = sorted((one, other), key=missing)
     powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 

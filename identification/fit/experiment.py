@@ -12,10 +12,11 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import helmert
+from scipy.sparse import csr_array
 
 from identification.fit.converter import Converter
 from identification.fit.noise import Noise, blocks
-from identification.fit.tachometer import Tachometer
+from identification.fit.tachometer import Tachometer, row_means
 from identification.roles import Fitted
 from vpp_fmu.native import Simulator
 from vpp_fmu.native.simulator import PIECE
@@ -49,6 +50,7 @@ class Experiment:
         order = noise.colour.order
         self._complete = _index(np.isfinite(noise.colour.whiten(self.thrust)))
         self._share = 1.0 / np.sqrt(len(own))  # standard deviation of the mean over that of one record
+        self._averages = self.record.sensor.averaged
         self.thrust_time = self._blocks.time[order:][self._complete]
         self._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in channels])
 
@@ -74,6 +76,7 @@ class Experiment:
     def measured_by(self, sensor: SpeedSensor) -> "Experiment":
         """The same records with their speed measured by another sensor."""
         other = copy(self)
+        other._averages = sensor.averaged
         own = [replace(r.record, sensor=sensor) for r in self.records]
         other._read_speed([Tachometer(r) for r in own if "omega" in r and "omega" in self.channels])
         return other
@@ -89,7 +92,8 @@ class Experiment:
 
     def thrust_residual(self, predicted: np.ndarray) -> np.ndarray:
         """Whitened residual, predicted minus measured thrust (n, ...), from predicted thrust (rows, ...) N."""
-        shown = predicted if self._is_fine else self.converter.reads(predicted)
+        shown = self._over_rows(predicted)
+        shown = shown if self._is_fine else self.converter.reads(shown)
         means = self._blocks.mean(self._where_measured(shown))
         return self._white((means.T - self.thrust).T)
 
@@ -103,7 +107,16 @@ class Experiment:
         """Whitened change of the residual (n, ...) for a change, or for sensitivities, of the thrust (rows, ...) N."""
         if not tangents.any():
             return np.zeros((self.sizes["thrust"], *tangents.shape[1:]))
-        return self._white(self._blocks.mean(self._where_measured(tangents)))
+        return self._white(self._blocks.mean(self._where_measured(self._over_rows(tangents))))
+
+    @cached_property
+    def _row_means(self) -> csr_array:
+        read = self.record.time[self._measured]
+        return row_means(self.record.time, float(np.median(np.diff(read))))
+
+    def _over_rows(self, thrust: np.ndarray) -> np.ndarray:
+        """Thrust (rows, ...) as the logger reads it: of its instants, or its means over the rows."""
+        return self._row_means @ thrust if self._averages else thrust
 
     def sensitivities(
         self, simulator: Simulator, values: Mapping[str, float], into: np.ndarray | None = None
@@ -111,14 +124,15 @@ class Experiment:
         """(outputs (rows, 3), whitened sensitivities (n, wrt) by channel) of a simulator's model.
 
         `into` (n, wrt): an array that those of thrust may use. The sensitivities of a long record need by far the most memory.
-        If a block has several rows, the record is simulated in pieces, and of those of thrust only block means are kept.
+        If a block has several rows, the record is simulated in pieces, and of those of thrust only block means are kept. There
+        the means of a logger over its rows change nothing that matters, and are left out.
         """
         k, count, length = len(simulator.wrt), len(self._blocks.time), int(self._blocks.edges[1])
         means = np.empty((count, k)) if into is None or len(into) < count else into
         speed = np.empty((len(self.record) * bool(len(self.omega_time)), k))
         if length == 1:
             outputs = simulator.simulate(values, *self.record.run, {0: means, 1: speed} if len(speed) else {0: means})
-            thrust = self._thrust_tangents(slice(None), outputs, means)
+            thrust = self._thrust_tangents(slice(None), outputs, self._over_rows(means))
         else:
             outputs, first, rows = np.empty((len(self.record), len(simulator.outputs))), 0, max(1, PIECE // length) * length
             for at, shown, tangents in simulator.pieces(values, *self.record.run, rows=rows, of=self.compared):
@@ -177,7 +191,10 @@ class Experiment:
             raise NotImplementedError("the adjoint gradient supports white noise only")
         means = np.zeros(len(self._blocks.time))
         means[self._complete] = weights["thrust"] / (self._share * noise.colour.innovation)
-        cotangents[:, 0] = self._blocks.spread(means, self._measured) * self.converter.slope(outputs[:, 0])
+        slope = self.converter.slope(self._over_rows(outputs[:, 0]))
+        cotangents[:, 0] = self._blocks.spread(means, self._measured) * slope
+        if self._averages:
+            cotangents[:, 0] = self._row_means.T @ cotangents[:, 0]
         ends = np.cumsum([len(time) for time in self.omega_times])
         parts = np.split(weights["omega"], ends[:-1]) if len(self.omega_time) else []
         for t, own in zip(self.tachometers, parts, strict=False):

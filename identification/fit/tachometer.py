@@ -52,15 +52,18 @@ class Tachometer:
             middle, width = time - 0.5 * since, np.zeros(len(time))
             if self.sensor.averaged and self.sensor.refresh >= 3.0 * np.median(step):
                 new &= ~np.append(new[1:], False)  # without the rows that mix two values
+            elif self.sensor.averaged:
+                width = step
+                new &= (middle - 0.5 * width >= time[0]) & (middle + 0.5 * width <= time[-1])
         self.rows = np.flatnonzero(new)
         self.measured, since = shown[self.rows], since[self.rows]
         self.unknown = 0.5 * float(np.median(since)) if len(since) else 0.0
         middle, width = middle[self.rows] - self.sensor.delay, width[self.rows]
         self.std = self._uncertainty(since)
-        if kind == ENCODER and not self.sensor.delay:
+        if kind == ENCODER and not self.sensor.delay and not self.sensor.averaged:
             self._average = csr_array((np.ones(len(self)), (np.arange(len(self)), self.rows)), shape=(len(self), len(time)))
             return
-        if kind == MARK:
+        if width.any():
             start = np.clip(middle - 0.5 * width, time[0], time[-1] - width)
             straight, bent = _means(time, start, start + width)
         else:
@@ -185,6 +188,13 @@ def _bends(time: np.ndarray) -> csr_array:
     share = 1.0 / (inner[:-1] + inner[1:])
     sides = diags_array([share[1:], share[:-1]], offsets=[-1, 0], shape=(n - 1, n - 2))
     return csr_array(diags_array([-(steps**2) / 12.0], offsets=[0]) @ sides @ bend)
+
+
+def row_means(time: np.ndarray, width: float) -> csr_array:
+    """Matrix (rows, rows): the mean of a signal over `width` s around each time (rows,) s; parabolas between rows."""
+    ends = (np.clip(time + side * width, time[0], time[-1]) for side in (-0.5, 0.5))
+    straight, bent = _means(time, *ends)
+    return csr_array(straight + bent @ _bends(time))
 
 
 def _instants(time: np.ndarray, at: np.ndarray) -> tuple[csr_array, csr_array]:
