@@ -6,7 +6,16 @@ import vpp_fmu
 
 PAGE = "reference/api.md"
 
-RESULTS = ("Result", "CheckResult", "IdentifyResult", "DiagnoseResult", "PlanResult", "TuneResult", "SimulateResult", "LoopResult")
+RESULTS = (
+    "Result",
+    "CheckResult",
+    "IdentifyResult",
+    "DiagnoseResult",
+    "PlanResult",
+    "TuneResult",
+    "SimulateResult",
+    "LoopResult",
+)
 POLICIES = ("Policy", "policy_from_arrays", "policy_from_torch", "policy_from_onnx", "read_policy")
 
 VERBS = tuple(name for name in vpp_fmu.__all__ if vpp_fmu._HOME[name] == "vpp_fmu.app.api.verbs")
@@ -41,7 +50,14 @@ def page() -> str:
 
 
 def _environments() -> Iterable[tuple[str, str]]:
-    return (("task", "Task"), ("reward", "Reward"), ("reward", "Moment"), ("envs", "VppThrustEnv"), ("envs", "VppThrustVectorEnv"), ("envs", "VppFmuEnv"))
+    return (
+        ("task", "Task"),
+        ("reward", "Reward"),
+        ("reward", "Moment"),
+        ("envs", "VppThrustEnv"),
+        ("envs", "VppThrustVectorEnv"),
+        ("envs", "VppFmuEnv"),
+    )
 
 
 def _named(names: Iterable[str]) -> list[str]:

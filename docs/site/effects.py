@@ -41,7 +41,9 @@ def page() -> str:
 def _theory(effect: Effect) -> str:
     found = [part for part in theory(effect).split("\n\n") if part.strip()]
     return "\n\n".join(
-        f"<pre><code>{escape(dedent(part)).strip(chr(10))}</code></pre>" if part.startswith("    ") else f"<p>{escape(part.strip())}</p>"
+        f"<pre><code>{escape(dedent(part)).strip(chr(10))}</code></pre>"
+        if part.startswith("    ")
+        else f"<p>{escape(part.strip())}</p>"
         for part in found
     )
 

@@ -23,12 +23,19 @@ class Missing(Exception):
 def with_included(page: str, text: str) -> str:
     """The Markdown of a page, `page` is its path below docs/, with all that it includes."""
 
+    folder = PurePosixPath("docs", page).parent
+
     def included(found: re.Match) -> str:
         above = [len(match[1]) for line in prose(text[: found.start()]) if (match := _HEADING.match(line))]
         body = section(found["file"], found["title"], (above or [1])[-1] + 1)
         return _LINK.sub(lambda link: _moved(link, PurePosixPath(found["file"]).parent, page), body)
 
-    return python_markdown(INCLUDE.sub(included, text))
+    own = _LINK.sub(lambda link: _moved(link, folder, page) if _leaves(folder / link[3]) else link[0], text)
+    return python_markdown(INCLUDE.sub(included, own))
+
+
+def _leaves(target: PurePosixPath) -> bool:
+    return not normpath(target).startswith("docs/")
 
 
 def section(file: str, title: str | None, level: int) -> str:
@@ -67,6 +74,9 @@ def pictures() -> Iterator[str]:
     """Files of pictures that pages name, or what they include."""
     for path in sorted(DOCS.rglob("*.md")):
         text = path.read_text(encoding="utf-8")
+        folder = path.relative_to(ROOT).parent
+        named = (normpath(folder / link[3]) for link in _LINK.finditer(text) if link[1])
+        yield from (file for file in named if not file.startswith("docs/"))
         for match in INCLUDE.finditer(text):
             for link in _LINK.finditer(section(match["file"], match["title"], 2)):
                 if link[1]:
