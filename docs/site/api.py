@@ -28,8 +28,8 @@ def page() -> str:
     return "\n\n".join(
         [
             "# Python",
-            "`import vpp_fmu as vpp` is all that a script needs. Units are rpm, deg, N and s. Bad input raises a `BadInput` with one line: "
-            "the file, the field, the value found and the values allowed. The examples below run as tests.",
+            "`import vpp_fmu as vpp` is all that a script needs. Units are rpm, deg, N and s. Bad input raises a `BadInput` "
+            "with one line: the file, the field, the value found and the values allowed. The examples below run as tests.",
             "## Verbs",
             *_named(VERBS),
             "## Files",

@@ -1,5 +1,6 @@
 """The page of effects: what `vpp effects --html` writes, as a page of the site with drawings that need no script."""
 
+import re
 from html import escape
 from textwrap import dedent
 
@@ -25,12 +26,14 @@ def page() -> str:
     drawn = effects_page(effects, LIBRARY).figures
     parts = [
         "# Effects",
-        f"The plant may have {len(effects)} effects beside the base model. They are listed in their order from command to reading. "
-        "Each is declared once, in a file of `vpp_fmu/kernel/effects`. This page, the simulation, the C code, the sensitivities and "
-        "the FMU variables are made from the declaration. `vpp effects --html FILE` writes the same with figures that can be zoomed; "
-        "with `--effects-from` for your own effects, too.",
-        "Each picture shows the output that the effect changes most, without it (grey) and with it (colour), and the difference "
-        "below. The value of each parameter in the picture is its *probe*. Bounds are those of a rig of the paper's size.",
+        f"The plant may have {len(effects)} effects beside the base model. They are listed in their order from "
+        "command to reading. "
+        "Each is declared once, in a file of `vpp_fmu/kernel/effects`. This page, the simulation, the C code, the "
+        "sensitivities and the FMU variables are made from the declaration. `vpp effects --html FILE` writes the same with "
+        "figures that can be zoomed; with `--effects-from` for your own effects, too.",
+        "Each picture shows the output that the effect changes most, without it (grey) and with it (colour), and the "
+        "difference below. The value of each parameter in the picture is its *probe*. Bounds are those "
+        "of a rig of the paper's size.",
     ]
     for effect, figure in zip(effects, drawn, strict=True):
         parts += [f"## {effect.name} {{ #{effect.name} }}", f"{effect.description[0].upper()}{effect.description[1:]}."]
@@ -64,7 +67,7 @@ def drawing(figure: go.Figure) -> str:
         if trace.x is not None and len(trace.x) > 1:
             panels.setdefault(trace.yaxis or "y", []).append(trace)
     parts, top = [], 4
-    title = figure.layout.title.text.replace("<br>", " ")
+    title = " ".join(re.sub(r"<[^>]*>", " ", figure.layout.title.text).split())
     for axis, traces in panels.items():
         label = getattr(figure.layout, "yaxis" + axis[1:]).title.text or ""
         parts.append(_panel(traces, label, top, last=axis == list(panels)[-1]))
@@ -91,8 +94,8 @@ def _panel(traces: list, label: str, top: float, last: bool) -> str:
     for y in ticks(low, high):
         parts.append(f'<path class="grid" d="M{LEFT} {py(y):.1f}H{right}"/>')
         parts.append(f'<text class="y" x="{LEFT - 6}" y="{py(y) + 4:.1f}">{number(float(y), 3)}</text>')
-    for x in ticks(begin, end):
-        parts.append(f'<text class="x" x="{px(x):.1f}" y="{bottom + 15}">{number(float(x), 3)}{" s" if last else ""}</text>')
+    for x in ticks(begin, end) if last else ():
+        parts.append(f'<text class="x" x="{px(x):.1f}" y="{bottom + 15}">{number(float(x), 3)} s</text>')
     for k, trace in enumerate(traces):
         every = max(1, len(trace.x) // POINTS)
         pairs = zip(np.asarray(trace.x, float)[::every], np.asarray(trace.y, float)[::every], strict=True)

@@ -116,8 +116,8 @@ def _outside_fences(lines: list[str]) -> Iterator[int]:
 
 
 def python_markdown(text: str) -> str:
-    """The same in the dialect of Python-Markdown: a list needs an empty line before it, and what belongs to an item four spaces."""
-    lines, outside = text.splitlines(), None
+    """The same in the dialect of Python-Markdown: an empty line before a list, four spaces before what belongs to an item."""
+    lines = text.splitlines()
     outside = set(_outside_fences(lines))
     found: list[str] = []
     in_list = False

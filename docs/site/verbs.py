@@ -13,10 +13,10 @@ def index() -> str:
     rows = "\n".join(f"| [`vpp {verb}`]({verb}.md) | {text} |" for verb, text in VERBS.items())
     return (
         "# Command line\n\n"
-        "Each verb has its own page. `vpp VERB --help` prints the same text: both come from the verb's parser.\n\n"
+        "Each verb has its own page. `vpp VERB --help` prints the same text: both come from the parser.\n\n"
         f"| verb | purpose |\n| --- | --- |\n{rows}\n\n"
-        "Exit codes: 0 success, 2 bad input after one line on standard error, 3 an alarm of the twin in `vpp hil`, 141 the reader of the\n"
-        "output has closed it, 128 plus the number of the signal that ended the verb.\n"
+        "Exit codes: 0 success, 2 bad input after one line on standard error, 3 an alarm of the twin in `vpp hil`, 141 the "
+        "reader of the output has closed it, 128 plus the number of the signal that ended the verb.\n"
     )
 
 
