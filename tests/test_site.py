@@ -82,6 +82,11 @@ def test_lists_are_those_of_python_markdown():
     assert included.python_markdown(given) == "It needs\n\n- one\n    thing\n- two\n\n```\n- not\n- these\n```\n"
 
 
+def test_an_item_after_a_paragraph_of_the_one_before_is_an_item():
+    given = "1. One:\n   - a\n\n   Then more,\n   and more.\n2. Two\n"
+    assert "    and more.\n\n2. Two\n" in included.python_markdown(given)
+
+
 def test_every_verb_has_a_page_with_its_options():
     made = verbs.pages()
     assert set(made) == {f"reference/verbs/{verb}.md" for verb in VERBS}

@@ -120,7 +120,7 @@ def python_markdown(text: str) -> str:
     lines = text.splitlines()
     outside = set(_outside_fences(lines))
     found: list[str] = []
-    in_list = False
+    in_list = loose = False
     for k, line in enumerate(lines):
         new = line
         if k in outside:
@@ -130,6 +130,11 @@ def python_markdown(text: str) -> str:
                 found.append("")
             if line.strip() and not line.startswith(" ") and not item:
                 in_list = in_list and bool(before.strip())  # a lazy continuation belongs to the item
+            if item and not line.startswith(" "):
+                if in_list and loose and before.strip() and not _ITEM.match(before):
+                    found.append("")  # the item before had a paragraph of its own, which would go on
+                loose = False
+            loose = loose or (in_list and not line.strip())
             in_list = in_list or item
             if in_list and re.match(r" {2,3}\S", line):
                 new = "    " + line.lstrip()

@@ -11,8 +11,8 @@ _FENCE = re.compile(r"^( *)```(\w*)(?: +title=\"(.+?)\")?\n(.*?)^\1```$", re.M |
 _INDENTED = re.compile(r"(?:^    (?:vpp (?![\w-]+:)|export |\.venv/bin/).*\n)+", re.M)
 _MARK = re.compile(r"<!-- (not run|run by|file): (.+?) -->\s*\Z")
 _VPP = re.compile(r"^(?:\.venv/bin/)?vpp (?![\w-]+:)(.*)$", re.M)
-_COMMANDS = r"vpp|fmpy|make|pip|pipx|uvx|python3?|docker|conda|avr-\w+|avrdude|ssh"
-_TYPED = re.compile(rf"^(?:\$ )?(?:sudo |\. |cd )?(?:\.?venv/bin/)?(?:{_COMMANDS}) ", re.M)
+_COMMANDS = r"sudo|cd|echo|vpp|fmpy|make|pip|pipx|uvx|python3?|docker|conda|avr-[\w+]+|avrdude|ssh"
+_TYPED = re.compile(rf"^(?:\$ )?(?:\.?venv/bin/)?(?:{_COMMANDS}) ", re.M)
 
 
 @dataclass(frozen=True)
