@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from tests.site.blocks import Block, Page, page
@@ -20,11 +21,10 @@ def run(found: Page, folder: Path, done: dict[str, Path]) -> Path:
     """The folder in which a page has been run; `done`: pages that were run before, by name. Failed."""
     if found.name in done:
         return done[found.name]
-    own = folder / found.name.replace("/", "-").removesuffix(".md")
-    if found.after:
-        shutil.copytree(run(page(found.after), folder, done), own)
-    else:
-        own.mkdir()
+    before = run(page(found.after), folder, done) if found.after else None
+    own = Path(tempfile.mkdtemp(prefix=f"{Path(found.name).stem}-", dir=folder))
+    if before:
+        shutil.copytree(before, own, dirs_exist_ok=True)
     names, printed = {"__name__": "__main__"}, ""
     for block in found.blocks:
         if block.skipped:
