@@ -1,8 +1,8 @@
-# make demo: the whole job on the example campaign. make test: lint, layers, types, tests. Both set themselves up.
+# make demo: the whole job on the example campaign. make test: lint, layers, types, tests. make docs: the site. All set themselves up.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test bench study interop clean
+.PHONY: demo test bench study interop docs docs-test release clean
 
 demo: .venv/ready
 	$(BIN)/vpp demo -o demo
@@ -27,10 +27,25 @@ interop: .venv/ready
 	.venv/cofmupy/bin/python -m pip install --quiet --disable-pip-version-check cofmupy
 	$(BIN)/python -m tests.interop
 
+docs: .venv/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet -f docs/site/mkdocs.yml # warnings are errors, links are checked
+	@echo "build/site/index.html; with search: $(BIN)/python -m http.server -d build/site"
+
+docs-test: .venv/docs
+	$(BIN)/python -m tests.site
+
+release: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[release]'
+	$(BIN)/python -m tests.release
+
+.venv/docs: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	touch $@
+
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,import,watch]'
 	touch $@
 
 clean:
-	rm -rf .venv demo out
+	rm -rf .venv demo out build

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from vpp_fmu import __version__
 from vpp_fmu.app.cli import main, parser_of
 
 ROOT = Path(__file__).parents[1]
@@ -74,7 +73,3 @@ def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
     found = json.loads((tmp_path / "diagnosis.json").read_text())
     for printed, entry in ((before, found["before"]), (after, found["after"])):
         assert printed == pytest.approx(entry["rmse_thrust"], abs=5.1e-4)  # three digits are printed
-
-
-def test_the_citation_has_the_version():
-    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
