@@ -7,7 +7,6 @@ import re
 import shlex
 import shutil
 import zipfile
-from contextlib import chdir
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -52,7 +51,8 @@ BEYOND_THE_EMULATOR = {"rig_e", "rig_f"}
 def written(request, tmp_path_factory):
     """(rig, folder, by verb: exit code and text): all of the README's commands on it, one after the other, in its order."""
     rig, folder = request.param, tmp_path_factory.mktemp(request.param)
-    with pytest.MonkeyPatch.context() as quick, chdir(folder):
+    with pytest.MonkeyPatch.context() as quick:
+        quick.chdir(folder)
         quick.setattr("vpp_fmu.app.cli.diagnose.diagnose", functools.partial(diagnosing.diagnose, thorough=False))
         quick.setattr("identification.tune.tune.STARTS", (1.0,))
         quick.setattr("identification.tune.tune.SHAKES", (0, 0))

@@ -37,7 +37,8 @@ def test_every_link_leads_somewhere(page):
 def script(tmp_path_factory):
     """The README's script, run: (what it printed, its names)."""
     names, said = {}, io.StringIO()
-    with contextlib.chdir(tmp_path_factory.mktemp("script")), contextlib.redirect_stdout(said):
+    with pytest.MonkeyPatch.context() as there, contextlib.redirect_stdout(said):
+        there.chdir(tmp_path_factory.mktemp("script"))
         exec(re.search(r"```python\n(import vpp_fmu as vpp\n.*?)```", README, flags=re.S)[1], names)
     return said.getvalue(), names
 
