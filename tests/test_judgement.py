@@ -657,10 +657,11 @@ def test_a_term_must_explain_all_or_be_told_from_others_and_beside_the_base_more
 def test_a_logger_replaces_a_delay_where_it_predicts_as_well(error, chosen):
     """An error of form, 0.25 % of the power, is 0.125 % of the rms."""
 
-    def found(name, effects, rmse):
-        return SimpleNamespace(
-            name=name, final=SimpleNamespace(effects=effects), held_out_after=SimpleNamespace(rmse_thrust=rmse)
-        )
+    def found(name, effects, rmse, verdict="attributed"):
+        final, held_out = SimpleNamespace(effects=effects), SimpleNamespace(rmse_thrust=rmse)
+        return SimpleNamespace(name=name, final=final, held_out_after=held_out, verdict=verdict)
 
     few, many = found("few", ("a",), error), found("many", ("a", "delay"), 1.0)
     assert diagnose._simpler(few, many).name == diagnose._simpler(many, few).name == chosen
+    nothing, some = found("few", (), error, "none"), found("many", (), 1.0, "unexplained")
+    assert diagnose._simpler(nothing, some).name == diagnose._simpler(some, nothing).name == chosen

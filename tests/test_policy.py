@@ -15,6 +15,7 @@ from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.gym import VppThrustEnv
 from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATION
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.policy import policy_model
 from vpp_fmu.kernel.simulation import Simulation
@@ -240,7 +241,8 @@ def test_the_command_exports_it_and_the_loop_runs(tmp_path, capsys):
     found, controller = Fmu(out / "VppPolicy.native.fmu"), {s.name for s in (*CONTROLLER.inputs, *CONTROLLER.outputs)}
     assert controller | {"fallback"} == {n for n, v in found.variables.items() if v.causality in ("input", "output")}
     assert found.variables["fallback"].type == "Boolean"
-    assert {p.name for p in CONTROLLER.parameters} <= set(found.variables)
+    assert {p.name for p in CONTROLLER.parameters} - set(ALLOCATION) <= set(found.variables)
+    assert not set(ALLOCATION) & set(found.variables)  # a policy rests on no table of pairs
     (tmp_path / "step.csv").write_text("time,thrust_set\n0,3\n1,9\n3,9\n")
     runs = []
     for suffix in ("", ".native"):

@@ -220,7 +220,8 @@ def diagnose(
         for other in islice(likely, OTHERS) if _may_be_loggers(found) else ():
             if found.verdict == "none" or not effort.allows("another logger"):
                 break
-            found = _simpler(found, run(other))
+            if _missing(again := run(other)) < _missing(found):
+                found = _simpler(found, again)
         known = [e.name for e in library]
         named = [name for name in found.selection.final.effects if name in known]
         beside = [name for name in named if name not in LATE]
@@ -241,14 +242,15 @@ def _may_be_loggers(found: Diagnosis) -> bool:
     return found.verdict != "none" and evidence_over(selection.final, selection.base) < MOST_OF_LOGGER
 
 
+def _missing(found: Diagnosis) -> tuple[int, bool]:
+    """(number of effects, whether anything is missing), in the order in which diagnoses are preferred."""
+    return len(found.final.effects), found.verdict != "none"
+
+
 def _simpler(one: Diagnosis, other: Diagnosis) -> Diagnosis:
     """The diagnosis that finds less missing, if its held-out error has at most the share FORM more power than that of the
     other."""
-
-    def missing(found: Diagnosis) -> tuple:
-        return len(found.final.effects), found.verdict != "none", found.held_out_after.rmse_thrust
-
-    few, many = sorted((one, other), key=missing)
+    few, many = sorted((one, other), key=lambda found: (*_missing(found), found.held_out_after.rmse_thrust))
     powers = [found.held_out_after.rmse_thrust**2 for found in (few, many)]
     return few if powers[0] <= (1.0 + FORM) * powers[1] else many
 

@@ -21,6 +21,9 @@ TIMER = 4e-6
 MORE = 1.3
 """Minimum number of new values per revolution for a sensor of unknown kind to be taken for an encoder."""
 
+OF_NOISE = 3.0 * 20.0**0.5 / 12.0
+"""Three standard deviations of a change of curvature, a third difference over 12, in those of a reading."""
+
 FADED = 12.0
 """Time constants after which a filter has forgotten its input."""
 
@@ -118,27 +121,31 @@ class Tachometer:
 
     def _kinks(self) -> np.ndarray:
         """(m,) rpm: maximum deviation of the speed from a parabola between rows, from the change of curvature between
-        readings."""
+        readings that exceeds their noise: a weight must not depend on the error of its own reading."""
         bend = np.zeros(len(self))
         if len(self) < 3:
             return bend
         bend[1:-1] = np.diff(self.measured, 2) / 12.0
-        kink = np.abs(np.diff(bend, prepend=0.0))
+        kink = np.maximum(np.abs(np.diff(bend, prepend=0.0)) - OF_NOISE * self._noise, 0.0)
         return np.maximum.reduce([kink, np.append(kink[1:], 0.0), np.append(0.0, kink[:-1])])
 
-    def _uncertainty(self, step: np.ndarray) -> np.ndarray:
-        """(m,) rpm: from the display's digit, the timer's tick, the marks' jitter, and acceleration over the unknown time
-        `step`."""
-        if len(self.rows) < 3:
-            return np.full(len(self.rows), 1.0)
+    @cached_property
+    def _noise(self) -> np.ndarray:
+        """(m,) rpm: from the display's digit, the timer's tick and the marks' jitter."""
         values = np.unique(self.measured)
         digit = np.min(np.diff(values)) if len(values) > 1 else 1.0
         tick = self.measured**2 * TIMER / 60.0 * (self.sensor.marks_per_revolution if self.sensor.kind == MARK else 1)
         # A late pulse makes one revolution longer and the next shorter: neighbours differ by sqrt 3 times the jitter.
         change = np.diff(self.measured)
         jitter = 1.4826 * np.median(np.abs(change - np.median(change))) / np.sqrt(3.0)
+        return np.sqrt((digit**2 + 2.0 * tick**2) / 12.0 + jitter**2)
+
+    def _uncertainty(self, step: np.ndarray) -> np.ndarray:
+        """(m,) rpm: from noise, and acceleration over the unknown time `step`."""
+        if len(self) < 3:
+            return np.full(len(self), 1.0)
         rate = np.gradient(self.measured, self.times)
-        return np.sqrt((digit**2 + 2.0 * tick**2) / 12.0 + jitter**2 + 1.5 * (rate * step) ** 2 / 12.0)
+        return np.hypot(self._noise, np.sqrt(1.5 / 12.0) * rate * step)
 
 
 def _renewed(time: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
