@@ -316,7 +316,8 @@ class _SensorFit:
         self.tied = tied and len(of._delays) == 2
         self._kept = [k for k, n in enumerate(c.names) if not (self.tied and n == of._delays[1])]
         self._tied = (c.names.index(of._delays[1]), self._kept.index(c.names.index(of._delays[0]))) if self.tied else None
-        earliest = -of._period if self.sensor.kind == TELEMETRY else -LATEST
+        # Telemetry is taken for half an interval old on average; it cannot be newer than its row.
+        earliest = -0.5 * min(of._period, self.sensor.refresh) if self.sensor.kind == TELEMETRY else -LATEST
         limits = {"delay": (earliest, LATEST), "filter": (0.1 * of._period, LATEST)}
         self._lower, self._upper = (
             np.append(x[self._kept], [limits[n][k] for n in free]) for k, x in enumerate((c.lower, c.upper))

@@ -85,9 +85,10 @@ SOME = tuple(e for e in LIBRARY if e.off is None or e.name in NAMES)
     "case", [Logged(50.0, True), Logged(50.0, False, age=1.0), Logged(50.0, True, late=0.03)], ids=lambda case: case.name
 )
 def test_what_a_logger_does_is_named(case):
-    """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row."""
+    """As `python -m tests.studies readings`, with fewer rivals and half the record; told to half a row. A delay and a lag of
+    the load cell of a row and a half may not be distinguished; the verdict then names both."""
     found = outcome(replace(case, seconds=30.0), library=SOME)
-    assert found["word"] == "right"
+    assert found["word"] in ("right", "family")
     assert all("not your rotor" in said for said in found["said"].values())
     assert ("later than the readings of its row" in found["logger"][0]) == bool(case.age)
     assert np.all(np.abs(found["off"]) < 0.5e3 / case.rate)

@@ -23,6 +23,7 @@ from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.plant import LIBRARY
 from vpp_fmu.record import Record
 from vpp_fmu.rig import infer_rig
+from vpp_fmu.sensors import MARK
 
 from .command_sequences import Clock, open_loop
 from .noise import LSB, SHARE, Noise
@@ -86,7 +87,9 @@ class Logged:
     def campaign(self, seed: int = 0) -> Campaign:
         """An open-loop record, and another one."""
         one, other = (self.record(np.random.default_rng([seed, k]), name) for k, name in enumerate(("open_loop", "validation")))
-        return Campaign(Path("logged"), None, (), one, None, other, rig=infer_rig([one], None, SIZES["paper"].declared))
+        # Rows slower than a revolution do not tell the kind of sensor: their user declares it.
+        rig = infer_rig([one], None, SIZES["paper"].declared | {"sensor": {"kind": MARK, "marks_per_revolution": 1}})
+        return Campaign(Path("logged"), None, (), one, None, other, rig=rig)
 
     def record(self, rng: np.random.Generator, name: str) -> Record:
         """What the logger writes of the rig, commands a row."""
