@@ -123,7 +123,9 @@ def measure(
 
 
 STATIC = ("omega_ref", "beta_ref", "omega", "thrust", "thrust_std", "samples")
-"""Columns of static.csv."""
+"""Columns of static.csv; behind them those of POWER that were read."""
+
+POWER = ("voltage", "current", "torque")
 
 
 def static_map(
@@ -131,26 +133,33 @@ def static_map(
 ) -> Record:
     """Means over `samples` readings at each point of the grid, after `settle` s; behind the rows that `have` holds. Each point
     is kept beside the log as soon as it is known."""
-    rows = [tuple(row) for row in have]
+    rows, names = [tuple(row) for row in have], powered(rig.supply)
     rig.start(*grid[max(len(rows) - 1, 0)])  # the point before, from which the next one is approached
     for k, point in list(enumerate(grid))[len(rows) :]:
         for _ in range(round(settle / rig.dt)):
             sample = rig.step(*point)
-        thrust, omega = np.empty(samples), 0.0
+        thrust, omega, power = np.empty(samples), 0.0, np.empty((samples, len(names)))
         for n in range(samples):
             sample = rig.step(*point)
             thrust[n] = sample.thrust
             omega += sample.omega
-        rows.append((*point, omega / samples, thrust.mean(), thrust.std(ddof=1) if samples > 1 else 0.0, samples))
+            power[n] = [rig.supply[name] for name in names]
+        spread = thrust.std(ddof=1) if samples > 1 else 0.0
+        rows.append((*point, omega / samples, thrust.mean(), spread, samples, *power.mean(axis=0)))
         rig.keep(point=[float(value) for value in rows[-1]])
         progress((k + 1) / len(grid))
     rig.stop()
-    return static_record(rows)
+    return static_record(rows, names)
 
 
-def static_record(rows: Sequence[Sequence[float]]) -> Record:
-    """Rows of points as static.csv holds them."""
-    return Record(dict(zip(STATIC, np.array(rows, float).T, strict=True)), "static")
+def powered(supply: Iterable[str]) -> tuple[str, ...]:
+    """Columns of power in static.csv, by what is wired."""
+    return tuple(name for name in POWER if name in supply)
+
+
+def static_record(rows: Sequence[Sequence[float]], power: Sequence[str] = ()) -> Record:
+    """Rows of points as static.csv holds them, with columns of `power`."""
+    return Record(dict(zip((*STATIC, *power), np.array(rows, float).T, strict=True)), "static")
 
 
 def step_responses(rig: Rig, steps: Sequence[Step], plan: Plan, progress, have: Sequence[Record] = ()) -> Record:

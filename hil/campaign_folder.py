@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from hil.campaign import PARTS, Plan, follow, measure, parts_for, same_commands, seconds, static_record, steps_record
+from hil.campaign import PARTS, Plan, follow, measure, parts_for, powered, same_commands, seconds, static_record, steps_record
 from hil.commands import grid, resampled, steps
 from hil.cycle import PERIOD
 from hil.log import events_of, read_events
@@ -87,7 +87,7 @@ class Measuring:
                 content |= {"status": ENDED_EARLY, "completed": now()}
             folder.write("hil.json", as_json(content))
             if ended:
-                _keep(folder, part, say)
+                _keep(folder, part, powered(self.setup.calibration.supply), say)
                 raise ended
             found[part] = record
             self._write(folder, part, found, say)
@@ -144,10 +144,10 @@ class Measuring:
         (folder.path / f"{part}{PARTIAL}").unlink(missing_ok=True)
 
 
-def _keep(folder: OutputFolder, part: str, say: Callable[[str], None]) -> None:
+def _keep(folder: OutputFolder, part: str, power: Sequence[str], say: Callable[[str], None]) -> None:
     """What was measured of a part that did not come to its end, beside the files that others read."""
     have = measured_so_far(folder.path, part)
-    record = partial(part, have)
+    record = partial(part, have, power)
     if record is not None:
         write_record(folder, f"{part}{PARTIAL}", record)
         what = "points" if part == "static" else "steps" if part == "steps" else "rows"
@@ -223,8 +223,8 @@ def piece(log: Record, first: int, count: int) -> Record:
     return Record({"time": np.arange(length) * PERIOD, **columns}, log.source)
 
 
-def partial(part: str, have: list) -> Record | None:
-    """What was measured as a record, None where that is nothing."""
+def partial(part: str, have: list, power: Sequence[str] = ()) -> Record | None:
+    """What was measured as a record, None where that is nothing; `power`: columns of a static map beside the usual ones."""
     if not have:
         return None
-    return static_record(have) if part == "static" else steps_record(have) if part == "steps" else have[0]
+    return static_record(have, power) if part == "static" else steps_record(have) if part == "steps" else have[0]

@@ -31,10 +31,12 @@ COLUMNS = (
     Column("voltage"),
     Column("current"),
     Column("temperature"),
+    Column("torque"),
 )
 """A tick's row, in s, N, rpm, deg: what was sampled at its time; the commands that the controller wants and those that act from
 then on; throttle [1]; bits of `hil.safety.limits.Cut`; the twin's residual [N] and alarm; how late the tick began, how long its
-work took, how many slots were missed before it; what is read of the motor's supply [V, A, degC]."""
+work took, how many slots were missed before it; what is read of the motor's supply [V, A, degC] and the
+rotor's torque [N.m]."""
 
 LEARNED = "twin."
 """Prefix of the adaptive twin's outputs: the last columns, which have values only while a loop is closed."""
@@ -56,6 +58,7 @@ SHOWN = (
     ("voltage", "5.1f", "V"),
     ("current", "5.1f", "A"),
     ("temperature", "4.0f", "degC"),
+    ("torque", "6.3f", "N.m"),
     ("missed", "3.0f", ""),
     ("done", "3.0f", "%"),
     ("page", "s", ""),

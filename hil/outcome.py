@@ -57,6 +57,7 @@ DONE = BEGUN | {
     "counters": {"*": {"*": int}},
     "log": {"ticks": int, "rows": int, "lost": int, "failure": str},
     "timing?": dict,
+    "energy?": {"value": float, "unit": str, "mean_power": float, "peak_power": float},
 }
 """The same of a run whose loop has written all it had to say."""
 
@@ -204,6 +205,8 @@ def finish(
     content = {**content, "status": ENDED_EARLY if content["ended"] else ENDED, "completed": now()}
     record = loop_part(log) if log is not None else None
     loops = {"rig": record} if record is not None and len(record.time) > 1 else {}
+    if loops and (taken := energy(record)):
+        content["energy"] = taken
     if "twin" in content:
         content["twin"] = _with_residual(content["twin"], log)
     real_time = log is not None and content.get("timing")
@@ -241,6 +244,19 @@ def _with_residual(twin: dict, log: Record | None) -> dict:
     return {**known, **twin, "residual_rms": float(np.sqrt(np.mean(residual**2))) if len(residual) else None}
 
 
+def energy(run: Record) -> dict | None:
+    """Electrical energy that a loop took from the supply, with mean and largest power [W], as hil.json holds it; None where
+    voltage and current were not both read. Readings are held until the next one."""
+    if not {"voltage", "current"} <= set(run.columns):
+        return None
+    power = run["voltage"] * run["current"]
+    if not (read := np.isfinite(power[:-1])).any():
+        return None
+    mean = float(np.average(power[:-1][read], weights=np.diff(run.time)[read]))
+    joule = mean * float(run.time[-1] - run.time[0])
+    return {"value": joule, "unit": "J", "mean_power": mean, "peak_power": float(np.nanmax(power))}
+
+
 def difference(first: Record, second: Record) -> Record:
     """Thrust [N] of a second loop less that of a first one, at the times of the latter."""
     both = compare(first, second)
@@ -268,6 +284,10 @@ def _say_steps(loops: dict[str, Record], say: Say) -> None:
 def _say(found: Outcome, say: Say) -> None:
     content = found.content
     _say_steps(found.loops, say)
+    if "energy" in content:
+        taken = content["energy"]
+        watt = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
+        say(f"energy from the supply: {number(taken['value'], 3)} J, {watt}")
     if "beside" in content:
         say(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
     if content.get("twin") and content["twin"]["residual_rms"] is not None:

@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from statistics import stdev
 from typing import NamedTuple
@@ -187,6 +187,11 @@ class Rig:
         """The last readings."""
         sensors = self._cycle.sensors
         return RigSample(sensors.thrust, sensors.omega, math.nan, sensors.thrust_age, sensors.mark_age)
+
+    @property
+    def supply(self) -> Mapping[str, float]:
+        """The last readings of what the calibration has wired beside load cell and tachometer, NaN before the first."""
+        return {name: self._cycle.sensors.supply[name] for name in self._cycle.bench.calibration.supply}
 
     @property
     def acting(self) -> tuple[float, float]:

@@ -206,7 +206,8 @@ class _Estimate:
 
     def _loggers_of(self, fit: "_SensorFit") -> Iterator[Logger]:
         """The logger of a fit with one offset, unless further parameters have very strong evidence. An offset of zero or of
-        whole rows comes before the estimate if it explains the records as well."""
+        whole rows comes before the estimate if it explains the records as well. An offset at its limit is none: the rig responds
+        faster at first than two lags do."""
         if not self._delays:
             yield Logger(sensor=fit.sensor, period=self._period)
             return
@@ -220,6 +221,8 @@ class _Estimate:
             yield contract
             return
         rows, std = shared.value / self._period, shared.std / self._period
+        if rows < FINEST - EARLIEST:
+            rows, std = 0.0, 0.0
 
         def logger_at(value: float, fit: "_SensorFit") -> Logger:
             own = (

@@ -281,3 +281,8 @@ def test_the_example_has_the_contracts_logger():
     logger = as_logged(passed(read_campaign(example_folder()))).logger
     assert logger.plain
     assert logger.sensor.kind == "mark"
+
+
+def test_a_rig_that_responds_before_any_logger_could_has_the_contracts():
+    """Commands act five rows before the readings of their row: no logger is that early, so the lags are wrong."""
+    assert as_logged(passed(campaign(logged(4, -5.0)))).logger.rows == 0.0

@@ -1,4 +1,4 @@
-"""Voltage, current and temperature of the motor's supply: a second ADS1115, whose inputs are read one after the other.
+"""Voltage and current of the motor's supply, its temperature, the rotor's torque: a second ADS1115, read input by input.
 
 It is a chip of its own because a chip converts one input at a time: three inputs of the load cell's would be free, but each
 look at one of them would cost thrust two readings.
@@ -11,11 +11,11 @@ from typing import NamedTuple
 from hil.clock import Clock
 from hil.devices.ads1115 import Ads1115
 
-NAMES = {"voltage": "V", "current": "A", "temperature": "degC"}
+NAMES = {"voltage": "V", "current": "A", "temperature": "degC", "torque": "N.m"}
 """What may be wired, and its unit."""
 
 EVERY = 25
-"""Ticks from one input to the next, 0.1 s: nothing here changes faster than a fuse."""
+"""Ticks from one input to the next, 0.1 s: limits of the supply need no more, and power is a mean over seconds."""
 
 HOLD = 1.0
 """s that the last readings may stand in while the bus fails."""

@@ -37,6 +37,13 @@ BUS, SECOND, LINE, PORT, PULSES, SHOWN, HAND = "i2c", "i2c-second", "line", "tty
 
 CALIBRATION = files("hil.emulator") / "calibration.json"
 
+POWERED = {
+    "voltage": Input("AIN0", 0.0, 11.0),
+    "current": Input("AIN1", -25.0, 50.0),
+    "torque": Input("AIN2", -1.0, 1.0),
+}
+"""What else the emulated rig can read: a divider of 100 and 10 kOhm, a Hall sensor, a torque cell of 1 N.m/V."""
+
 LARGEST_SPEED = 6900.0
 """rpm, of a rig that the emulated one may stand for: it is the paper's, with its rotor of 6000 rpm."""
 

@@ -60,10 +60,10 @@ class World:
         self._stepper = Stepper(model, parameters, inputs)
         places = {name: k for k, name in enumerate(self._stepper.outputs)}
         self._at = [places[name] for name in ("thrust", "omega", "beta", "angle")]
-        self._current_at = places["current"]
+        self._current_at, self._torque_at = places["current"], places["torque"]
         values = model.values(parameters)
         self._source, self._leads = inputs["supply"], values["lead_resistance"]
-        self.voltage, self.current, self.temperature = self._source, 0.0, AMBIENT
+        self.voltage, self.current, self.temperature, self.torque = self._source, 0.0, AMBIENT, 0.0
         self._steps, self._angle = 0, 0.0
         self._thrusts = [0.0] * _KEPT
         self._passes: list[tuple[float, int, float]] = [(start, 0, 0.0)]
@@ -89,7 +89,7 @@ class World:
                     self._pass(row[angle_at])
                 self._angle = row[angle_at]
         self.thrust, self.omega, self.beta = row[thrust_at], row[omega_at], row[beta_at]
-        motor = row[self._current_at]
+        motor, self.torque = row[self._current_at], row[self._torque_at]
         self.current = self._others[self._throttle] * motor
         self.voltage = self._source - self._leads * self.current
         kept = exp(-stepped * STEP / WARMS)

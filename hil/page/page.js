@@ -3,7 +3,7 @@
 const at = (id) => document.getElementById(id);
 const SHOWN = 60; // s of the curves
 const LEARNED = 180; // s of what the adaptive twin makes of them: it takes minutes
-const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"]];
+const SUPPLY = [["voltage", 1, "V"], ["current", 1, "A"], ["temperature", 0, "°C"], ["torque", 3, "N·m"]];
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let told = {}, part = {}, number = -1, columns = [], curves = {time: []}, alarms = [], now = {}, map = [], heard = performance.now(), ended = "", presses = 0, failed = "", drawn = 0, news = false, learns = false;
 
@@ -107,6 +107,7 @@ function limits() {
   const read = told.supply || [];
   if (read.includes("voltage")) single.push(["lowest voltage", "voltage_min", "V"], ["highest voltage", "voltage_max", "V"]);
   if (read.includes("current")) single.push(["current", "current_max", "A"]);
+  if (read.includes("voltage") && read.includes("current")) single.push(["power", "power_max", "W"]);
   if (read.includes("temperature")) single.push(["temperature", "temperature_max", "°C"]);
   return rows.concat(single.filter(([, name]) => name in known).map(([name, key, unit]) => row([name, `${known[key]} ${unit}`], "", [])));
 }

@@ -20,7 +20,7 @@ MEANS = ("thrust", "omega", "residual")
 LATEST = ("thrust_set", "omega_ref", "beta_ref", "omega_wanted", "beta_wanted")
 """Of a point, behind its time [s]: N, rpm, N above the twin; the last commands: N, rpm, deg. Where an adaptive
 twin runs its residual [N] is among the means, its band [N] and what it adapts, each in its unit, among the latest."""
-SUPPLY = ("voltage", "current", "temperature")
+SUPPLY = ("voltage", "current", "temperature", "torque")
 RESIDUAL, BAND = f"{LEARNED}residual", f"{LEARNED}band"
 VALUES = ("time", *MEANS, *LATEST, RESIDUAL, BAND, "throttle", "thrust_age", "omega_age", "late", *SUPPLY)
 

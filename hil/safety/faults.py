@@ -37,7 +37,7 @@ class FaultKind(Enum):
     SPEED_JUMP = "speed jump", Reaction.RAMP_DOWN, "the speed changed faster than torque and inertia allow"
     OVER_SPEED = "over-speed", Reaction.IDLE, "the rotor is faster than allowed"
     OVER_THRUST = "over-thrust", Reaction.IDLE, "the thrust is larger than allowed"
-    SUPPLY = "supply beyond its limit", Reaction.RAMP_DOWN, "voltage, current or temperature is where it must not be"
+    SUPPLY = "supply beyond its limit", Reaction.RAMP_DOWN, "voltage, current, power or temperature is where it must not be"
     STUCK_ACTUATOR = "stuck actuator", Reaction.RAMP_DOWN, "the thrust does not follow the commanded pitch"
     POLARITY = "wrong polarity", Reaction.RAMP_DOWN, "thrust or pitch has the wrong sign"
     SLOPE = "wrong slope", Reaction.RAMP_DOWN, "pitch changes the thrust by something else than the map says"

@@ -88,6 +88,7 @@ class Limits:
     )
     voltage_max: float = _limit(1000.0, "V", 0.0, 1000.0, "highest voltage")
     current_max: float = _limit(1000.0, "A", 0.0, 1000.0, "largest current, of either sign")
+    power_max: float = _limit(1e5, "W", 0.0, 1e5, "highest power, where voltage and current are read")
     temperature_max: float = _limit(1000.0, "degC", 0.0, 1000.0, "highest temperature")
 
     def __post_init__(self):

@@ -207,6 +207,9 @@ class Plausibility:
         return Fault("pitch actuator", FaultKind.STUCK_ACTUATOR, detail)
 
 
+UNITS = NAMES | {"power": "W"}
+
+
 class SupplyLimits:
     """Looks at each new reading of the motor's supply while the rotor is driven."""
 
@@ -214,17 +217,22 @@ class SupplyLimits:
         self._ranges = {
             "voltage": (limits.voltage_min, limits.voltage_max),
             "current": (-limits.current_max, limits.current_max),
-            "temperature": (-float("inf"), limits.temperature_max),
+            "temperature": (-math.inf, limits.temperature_max),
+            "power": (-math.inf, limits.power_max),
         }
         self._beyond: Counter[str] = Counter()
 
     def check(self, values: Mapping[str, float], new: Iterable[str]) -> Fault | None:
         """Of the `values` by name those that are `new`; the first that is beyond its limit once more."""
-        for name in new:
+        read = {**values, "power": values.get("voltage", math.nan) * values.get("current", math.nan)}
+        looked = [name for name in new if name in self._ranges]
+        if math.isfinite(read["power"]) and {"voltage", "current"} & set(new):
+            looked.append("power")
+        for name in looked:
             low, high = self._ranges[name]
-            inside = low <= values[name] <= high
+            inside = low <= read[name] <= high
             self._beyond[name] = 0 if inside else self._beyond[name] + 1
             if self._beyond[name] >= BEYOND:
-                unit, bound = NAMES[name], f"at least {low:g}" if values[name] < low else f"at most {high:g}"
-                return Fault("supply", FaultKind.SUPPLY, f"{name} {values[name]:.1f} {unit}, allowed is {bound} {unit}")
+                unit, bound = UNITS[name], f"at least {low:g}" if read[name] < low else f"at most {high:g}"
+                return Fault("supply", FaultKind.SUPPLY, f"{name} {read[name]:.1f} {unit}, allowed is {bound} {unit}")
         return None

@@ -16,12 +16,12 @@ from pathlib import Path
 
 from hil import calibrate
 from hil.bench import Wiring, check_limits
-from hil.calibration import check, never_measured, read_calibration, to_json
+from hil.calibration import Calibration, check, never_measured, read_calibration, to_json
 from hil.campaign import PARTS, Plan, limits_for, plan_for
 from hil.campaign_folder import Measuring, commands_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
-from hil.emulator.rig import CALIBRATION, calibrated_for, with_effects
+from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, with_effects
 from hil.outcome import Outcome, Task, carry_out, finish, finish_fmu, fmu_loop, kept_of, of_log
 from hil.page.operator_page import OperatorPage, served
 from hil.replay import replay
@@ -95,7 +95,9 @@ def add_rig(parser, fmu: bool = False) -> None:
     add("--operator", metavar="NAME", help="who runs it, for hil.json (default: the user)")
 
 
-def _add_watch_and_records(parser) -> None:
+def _add_measurements(parser) -> None:
+    text = "measure electrical power: voltage and current of the supply, and torque where it is wired; the emulated rig has "
+    parser.add_argument("--power", action="store_true", help=f"{text}all three, a real one what its calibration wires")
     text = "serve a page with what the rig does, and STOP, on this machine's own address, which is printed"
     parser.add_argument(
         "--watch", nargs="?", type=whole(1024, 65535), const=0, metavar="PORT", help=f"{text} (default: a free port)"
@@ -121,7 +123,7 @@ def _add_run(parser) -> None:
     add("--adapt", nargs="+", metavar="NAME", help=text)
     text = "what the twin's alarm does: tell (note), ramp down, idle at once (default: note); the exit code is 3 either way"
     add("--on-alarm", choices=tuple(ON_ALARM), default="note", metavar="WHAT", help=text)
-    _add_watch_and_records(parser)
+    _add_measurements(parser)
     text = "the same loop with this plant FMU too, which runs its author's code, and the difference in N"
     add("--beside", metavar="PLANT.fmu", help=text)
     text = "commands that the run starts from, rpm and deg (default: the rig's lowest speed, the pitch next to 0)"
@@ -151,7 +153,7 @@ def _add_campaign(parser) -> None:
         longer = f" {kind.unit}, longer for a rig slower than the paper's" if kind.unit else ""
         add(f"--{name}", type=kind, metavar="N", help=f"{text} (default: {getattr(Plan(), field):g}{longer})")
     add("--resume", action="store_true", help="go on with the campaign in DIR: with the same options as before")
-    _add_watch_and_records(parser)
+    _add_measurements(parser)
     add_output(parser)
 
 
@@ -374,10 +376,21 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
     limits, allowed = _limits(options, allowed_of(options, turning), steps)
     if not real and not options.calibration:
         calibration = calibrated_for(calibration, allowed)
+    if getattr(options, "power", False):
+        calibration = _with_power(calibration, options.calibration)
     check_limits(options.limits or "limits", calibration, limits.beta_min, limits.beta_max)
     if real:
         return Setup(calibration, limits, wiring=_wiring(options), allowed=allowed)
     return Setup(calibration, limits, with_effects(options.hide, options.seed), options.virtual, allowed=allowed)
+
+
+def _with_power(calibration: Calibration, file: str | None) -> Calibration:
+    """The calibration of a rig that measures its power. BadInput for a given one without voltage or current."""
+    if file is None:
+        return replace(calibration, supply=POWERED)
+    if missing := [name for name in ("voltage", "current") if name not in calibration.supply]:
+        raise BadInput(file, "supply", f"no {' and no '.join(missing)}", "both voltage and current wired, for --power")
+    return calibration
 
 
 def _wiring(options) -> Wiring:

@@ -29,7 +29,7 @@ def run_page(found: Outcome) -> Page:
     content, loops, log = found.content, found.loops, found.log
     when = (content.get("begun") or "a date not known")[:10]
     page = Page("Hardware in the loop", _summary(content), f"{content.get('rig') or 'unknown'} rig, run of {when}")
-    _tiles(page, content, found.timing)
+    _tiles(page, content, found.timing, loops)
     if content["ended"]:
         page.note(f"The run ended early. {content['ended']}.")
     if loops:
@@ -168,7 +168,20 @@ def _summary(content: dict) -> str:
     )
 
 
-def _tiles(page: Page, content: dict, found: Timing | None) -> None:
+def _tiles(page: Page, content: dict, found: Timing | None, loops: Mapping[str, Record]) -> None:
+    """What the loop did, then how it ran."""
+    for name, loop in loops.items():
+        if judged := judged_steps(loop):
+            settled = [step.settling for step in judged if step.settling is not None]
+            slowest = f"{number(max(settled), 3)} s" if settled else "none"
+            of = f"{len(settled)} of {len(judged)} steps settle; overshoot up to {max(s.overshoot for s in judged):.0f} %"
+            page.tiles([(f"slowest settling, {name}", slowest, of)])
+    if "energy" in content:
+        taken = content["energy"]
+        watt = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
+        page.tiles([("energy from the supply", f"{number(taken['value'], 3)} J", watt)])
+    if "beside" in content:
+        page.tiles([("rig against plant FMU", f"{number(content['beside']['rms_thrust'])} N", "rms of the thrust difference")])
     log = content["log"]
     page.tiles([("rows in the log", f"{log['rows']}", f"{log['lost']} of {log['ticks']} ticks lost")])
     if found:
