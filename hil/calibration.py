@@ -29,8 +29,8 @@ class Calibration:
     """The rig's calibration. `zero`: counts without load at the calibration; the tare before each run is near it.
 
     `pulses` [s], increasing, and `pitches` [deg], falling or rising, are the table of blade pitch against the LAC's pulse;
-    between its points it is straight. `rest_pitch` is where the blades idle. `supply`: what of voltage, current, temperature and
-    torque is wired to a second ADC at `supply_address`. `source`: who, when, how.
+    between its points it is straight. `rest_pitch` is where the blades idle. `supply`: what of voltage, current, temperature
+    and torque is wired to a second ADC at `supply_address`. `source`: who, when, how.
     """
 
     newton_per_count: float

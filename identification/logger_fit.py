@@ -206,8 +206,8 @@ class _Estimate:
 
     def _loggers_of(self, fit: "_SensorFit") -> Iterator[Logger]:
         """The logger of a fit with one offset, unless further parameters have very strong evidence. An offset of zero or of
-        whole rows comes before the estimate if it explains the records as well. An offset at its limit is none: the rig responds
-        faster at first than two lags do."""
+        whole rows comes before the estimate if it explains the records as well. An offset at its limit is none: the rig
+        responds faster at first than two lags do."""
         if not self._delays:
             yield Logger(sensor=fit.sensor, period=self._period)
             return

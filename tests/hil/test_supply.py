@@ -12,6 +12,7 @@ from hil.calibration import read_calibration, to_json
 from hil.devices.supply import EVERY, Input
 from hil.emulator.rig import Rig as Emulated
 from hil.emulator.world import AMBIENT, HEATS, WARMS, LoadCell, World
+from hil.outcome import energy
 from hil.physics.rig_model import POWERTRAIN
 from hil.run import loop_part, run_on_rig
 from hil.safety.faults import FaultKind
@@ -19,10 +20,14 @@ from hil.safety.limits import Limits
 from hil.safety.plausibility import SupplyLimits
 from hil.session import Setup, read_log
 from vpp_fmu.app.cli import main
+from vpp_fmu.campaign import read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.plants import KernelController
 from vpp_fmu.record import Record, write_record
+
+RPM, K = 2.0 * np.pi / 60.0, 30.0 / (np.pi * 550.0)
+"""rad/s of one rpm; N.m/A of the paper's motor, 550 rpm/V."""
 
 WIRED = {
     "voltage": Input("AIN0", 0.0, 11.0),  # a divider of 100 and 10 kOhm
@@ -93,6 +98,7 @@ def test_thrust_is_what_it_is_without(tmp_path):
         ({"voltage_min": 23.99}, r"voltage 23\.\d V, allowed is at least 23\.99 V"),
         ({"voltage_max": 20.0}, r"voltage \d\d\.\d V, allowed is at most 20 V"),
         ({"current_max": 2.0}, r"current \d+\.\d A, allowed is at most 2 A"),
+        ({"power_max": 40.0}, r"power \d+\.\d W, allowed is at most 40 W"),
         ({"temperature_max": 20.5}, r"temperature 20\.\d degC, allowed is at most 20\.5 degC"),
     ],
 )
@@ -174,3 +180,40 @@ def test_the_command_says_what_it_reads(tmp_path, capsys):
     told = json.loads((tmp_path / "out" / "hil.json").read_text())
     assert told["supply"] == list(WIRED)
     assert told["limits"]["voltage_max"] == 20.0
+
+
+def test_energy_is_the_integral_of_voltage_times_current_held_until_the_next_reading():
+    nan = float("nan")
+    columns = {"time": [0.0, 1.0, 2.0, 4.0], "voltage": [nan, 24.0, 23.0, 22.0], "current": [nan, 2.0, 4.0, 9.0]}
+    found = energy(Record({name: np.array(column) for name, column in columns.items()}, "run"))
+    mean = (48.0 * 1.0 + 92.0 * 2.0) / 3.0
+    assert found == pytest.approx({"value": 4.0 * mean, "unit": "J", "mean_power": mean, "peak_power": 198.0})
+    assert energy(PROFILE) is None
+
+
+def test_a_run_and_a_campaign_measure_power_where_it_is_asked_for(tmp_path, capsys):
+    """The shaft's power is below that of the supply, and what the winding and the leads take is most of the difference."""
+    write_record(OutputFolder(tmp_path), "profile.csv", PROFILE)
+    given = ["hil", "run", "--virtual", "--power", "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "run")]
+    assert main(given) == 0
+    assert re.search(r"energy from the supply: \d+ J, \d+\.?\d* W in the mean", capsys.readouterr().out)
+    (folder,) = (tmp_path / "run" / "runs").iterdir()
+    told = json.loads((folder / "hil.json").read_text())
+    assert told["energy"]["value"] == pytest.approx(told["energy"]["mean_power"] * 4.0, rel=0.01)
+    assert "energy from the supply" in (folder / "report.html").read_text()
+    small = ["--parts", "static", "--points", "3", "--samples", "500", "--settle", "2.0"]
+    assert main(["hil", "campaign", "--virtual", "--power", *small, "-o", str(tmp_path / "c")]) == 0
+    static = read_campaign(tmp_path / "c").static
+    electrical = static.further["voltage"] * static.further["current"]
+    shaft = (static.further["torque"] + 0.0104 + 1.8e-5 * static.omega * RPM) * static.omega * RPM
+    assert np.all(shaft < electrical)
+    copper = (static.further["torque"] + 0.0104 + 1.8e-5 * static.omega * RPM) ** 2 / K**2 * 0.045
+    np.testing.assert_allclose(shaft + copper, electrical, rtol=0.05, atol=1.0)
+
+
+def test_power_of_a_rig_without_its_sensors_is_refused(tmp_path, capsys):
+    path = tmp_path / "c.json"
+    path.write_text(to_json(replace(CALIBRATION, supply={"voltage": WIRED["voltage"]})))
+    assert main(["hil", "campaign", "--virtual", "--power", "--calibration", str(path), "-o", str(tmp_path / "c")]) == 2
+    assert "supply: found no current" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()

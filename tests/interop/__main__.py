@@ -22,13 +22,13 @@ import numpy as np
 from hil.twin.adaptive import adaptable, adaptive
 from hil.twin.band import Band
 from tests.interop import hosts
-from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS
+from tests.interop.trials import BEFORE, COMMANDS, IMPORTERS, LOOP_STEPS, NOT_RUN, STEP, STEPS, WANTED
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.errors import CompilerMissing
 from vpp_fmu.export import native_fmu, python_fmu
 from vpp_fmu.fmu import Fmu
 from vpp_fmu.kernel.controller import CONTROLLER
-from vpp_fmu.kernel.plant import BASE
+from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.simulation import Simulation
 from vpp_fmu.parameters import ParameterSet
 
@@ -39,10 +39,15 @@ BAND = Band(white=0.12, slow=0.04, slow_time=1.0, steady=0.1)
 """Of the twin, whose numbers are none of a rig's."""
 REST = dict.fromkeys(COMMANDS, 0.0)
 
+PLANT = ParameterSet(plant(("torque_map", "motor"))).replaced(
+    {"torque_map.q20": 0.15, "torque_map.q22": 0.25, "motor.friction": 0.01, "motor.loss": 150.0, "motor.idle": 3.0}
+)
+"""The plant with torque and power, so that importers show all outputs that a plant may have."""
+
 
 def alone() -> list[np.ndarray]:
     """What a plant alone may show at the end: under the commands, and at rest where they can't be given."""
-    plant = Simulation(BASE)
+    plant = Simulation(PLANT.model, PLANT.values)
     rows = [list(plant.start(REST).values())]
     for k in range(BEFORE + STEPS):
         rows.append(list(plant.advance(REST if k < BEFORE else COMMANDS, STEP).values()))
@@ -54,7 +59,7 @@ def loops(wanted: float) -> list[np.ndarray]:
     stepped beside the controller or after it, and in when they look."""
     found = []
     for late, sequential in ((0, False), (1, False), (0, True)):
-        plant, controller = Simulation(BASE), Simulation(CONTROLLER)
+        plant, controller = Simulation(PLANT.model, PLANT.values), Simulation(CONTROLLER)
         shown = plant.start(REST)
         commands = controller.start({"thrust_set": wanted, "thrust": shown["thrust"]})
         for k in range(LOOP_STEPS + 2):
@@ -124,7 +129,7 @@ def row(importer: str, flavour: str, folder: Path, expected: dict) -> tuple[list
 
 def not_python(flavours: list[str]) -> None:
     """Plant, controller and twin in the host in C and in every checker that is here."""
-    parts = {"plant": ParameterSet(BASE), "controller": ParameterSet(CONTROLLER)}
+    parts = {"plant": PLANT, "controller": ParameterSet(CONTROLLER)}
     parts["twin"] = adaptive(adaptable(parts["plant"], "interop"), BAND)
     print("| host or checker | FMU | exit code: what it printed last |\n|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
@@ -162,7 +167,7 @@ def in_c(folder: Path, fmus: dict) -> None:
 
 
 def main():
-    parts = [ParameterSet(BASE), ParameterSet(CONTROLLER)]
+    parts = [PLANT, ParameterSet(CONTROLLER)]
     right = alone()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -180,7 +185,7 @@ def main():
             if interpreter(importer) == sys.executable and find_spec(kind.package) is None:
                 print(f"| {importer} | | skipped: {kind.package} is not installed | | | |")
                 continue
-            ends, expected = [], {"alone": right, "loop": loops(kind.wanted)}
+            ends, expected = [], {"alone": right, "loop": loops(WANTED)}
             for flavour in flavours:
                 cells, shown = row(importer, flavour, folder, expected)
                 ends.append(shown)

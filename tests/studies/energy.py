@@ -1,6 +1,7 @@
 """Energy of a mission under four laws, on random rigs whose power follows momentum theory.
 
     python -m tests.studies energy --rigs 20
+    python -m tests.studies energy --emulated
 
 Aim: the allocated law takes at most 2 % more energy than the reference, and settles no later than the paper's law.
 
@@ -11,25 +12,46 @@ noise, and fitted; the controllers know the fit, with 1 % of error in each param
 Reference: for the thrust that the allocated law has flown, the least power of any pair of speed and pitch with that thrust, at
 each instant, on the known rig. Power is a function of the pair alone, so no law can take less: a bound, where dynamic
 programming would give a value above it.
+
+--emulated: the emulated rig is measured (`vpp hil campaign --power`), identified, allocated, and flies the mission behind its
+buses under each law (`vpp hil run --virtual --power`), and so does its identified plant in the loop of `vpp cosim`. The rig's
+own equations, settled over throttle and pitch, give its reference.
 """
 
 import argparse
+import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from hil.calibration import read_calibration
+from hil.campaign import Plan, steep
+from hil.campaign_folder import Measuring
+from hil.commands import PAPERS
+from hil.emulator.rig import CALIBRATION, POWERED
+from hil.emulator.rig import Rig as Emulated
+from hil.outcome import energy
+from hil.physics.rig_model import POWERTRAIN
+from hil.run import run_on_rig
+from hil.safety.limits import limits_of
+from hil.session import Setup
+from identification.identify import identify
 from identification.power.allocation import allocate, allocated_controller
 from identification.power.fit import fit_power, steady_readings
 from identification.power.model import PowerModel
 from identification.tune.controllers import controllers
-from vpp_fmu.campaign import StaticMap
+from vpp_fmu.campaign import StaticMap, read_campaign
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.effects.thrust_map import normalised_thrust
 from vpp_fmu.kernel.plant import BASE, FINE_TUNED
+from vpp_fmu.native import Simulator
 from vpp_fmu.native.closed_loop import ClosedLoop, Course
 from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.plants import KernelController
 from vpp_fmu.record import Record
-from vpp_fmu.response import Step, steps
+from vpp_fmu.response import Step, smoothed, steps
 
 DT = 0.004
 """Period of the loop, s."""
@@ -151,11 +173,70 @@ def compared(seed: int) -> tuple[dict[str, Flown], float]:
     return done, reference(truth, done["allocated"].thrust)
 
 
+SMALL = Plan(points=7, samples=250, settle=1.5, section=20.0)
+"""A campaign of some ten minutes on the rig."""
+
+
+def least_power(supply: float = 24.0) -> tuple[np.ndarray, np.ndarray]:
+    """((n,) thrusts [N], least electrical power [W] of any settled pair) of the emulated rig, by its own equations."""
+    rig = limits_of(PAPERS)
+    throttle, beta = np.linspace(0.02, 1.0, 197), np.linspace(rig.beta_min, rig.beta_max, 121)
+    levels, simulator = np.linspace(0.5, 14.0, LEVELS), Simulator(POWERTRAIN)
+    least, at = np.full(LEVELS, np.inf), {name: k for k, name in enumerate(simulator.outputs)}
+    leads = POWERTRAIN.values()["lead_resistance"]
+    for pitch in beta:
+        held = [{"throttle": np.full(2, t), "beta_ref": np.full(2, pitch), "supply": np.full(2, supply)} for t in throttle]
+        settled = np.array([simulator.simulate({}, inputs, np.array([0.001]))[0] for inputs in held])
+        current = throttle * settled[:, at["current"]]
+        power, thrust, omega = current * (supply - leads * current), settled[:, at["thrust"]], settled[:, at["omega"]]
+        kept = (omega >= rig.omega_min) & (omega <= rig.omega_max) & (np.maximum.accumulate(thrust) == thrust)
+        if kept.sum() > 1:
+            least = np.fmin(least, np.interp(levels, thrust[kept], power[kept], left=np.nan, right=np.nan))
+    return levels, least
+
+
+def emulated(seed: int = 0) -> None:
+    """Print the energy of the mission on the emulated rig and in the loop of its identified plant, for each law."""
+    calibration = replace(read_calibration(str(CALIBRATION)), supply=POWERED)
+    setup = Setup(calibration, limits_of(PAPERS), Emulated(seed=seed), virtual=True, map_is_known=False)
+    levels, least = least_power()
+    with tempfile.TemporaryDirectory() as name:
+        folder = OutputFolder(Path(name))
+        measuring = Measuring(replace(setup, limits=steep(setup.limits)), SMALL, ("static", "open_loop"))
+        measuring.run(folder, measuring.begin(folder.path, {"begun": ""}, False), None, print)
+        parameters = identify(read_campaign(name)).parameters
+        found = allocate(parameters, PowerModel.of(parameters))
+        own = controllers(parameters, sample_time=DT).settings
+        laws = {
+            "speed only, best fixed pitch": {**own["speed_only"], "beta_fixed": found.fixed_beta},
+            "dual PID (paper)": own["dual"],
+            "allocated": allocated_controller(found, parameters).values | {"sample_time": DT},
+        }
+        top = min(float(np.interp(found.fixed_beta, found.beta, found.thrust)), float(found.thrust[-1]))
+        profile = mission(top, np.random.default_rng([seed, 46]))
+        first = float(profile["thrust_set"][0])
+        rest = float(np.interp(first, found.thrust, found.omega)), float(np.interp(first, found.thrust, found.beta))
+        print(f"\n{'law':30s} {'rig: energy [J]':>16s} {'reference [J]':>14s} {'over [%]':>9s} {'cosim: energy [J]':>18s}")
+        for law, settings in laws.items():
+            flown = run_on_rig(setup, KernelController(settings, DT), profile, Path(name), rest).record
+            bound = float(np.interp(smoothed(flown, 0.1)["thrust"], levels, least).sum() * DT)
+            taken = energy(flown)["value"]
+            core = parameters.without_power
+            loop = ClosedLoop(core.model)
+            run = loop.run(loop.vectors(core.values, {}, settings), Course.of(profile, DT, 15.0, rest=rest))
+            model = float(PowerModel.of(parameters).at(run["omega"], run["beta"]).sum() * DT)
+            print(f"{law:30s} {taken:16.0f} {bound:14.0f} {100.0 * (taken / bound - 1.0):9.1f} {model:18.0f}", flush=True)
+
+
 def main(options=None):
     parser = argparse.ArgumentParser(prog="python -m tests.studies energy", description=__doc__.splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N")
+    parser.add_argument("--emulated", action="store_true", help="fly the mission on the emulated rig instead")
     parsed = parser.parse_args(options)
+    if parsed.emulated:
+        emulated(parsed.first_seed)
+        return
     found = []
     for seed in range(parsed.first_seed, parsed.first_seed + parsed.rigs):
         found.append(compared(seed))
