@@ -8,6 +8,7 @@ import subprocess
 import fmpy
 import numpy as np
 import pytest
+from studies.power import draw
 
 from identification.assessment.prediction import predict
 from identification.power.allocation import allocate
@@ -142,23 +143,20 @@ FRICTION, LOSS, IDLE = 0.004, 90.0, 3.0
 """The paper's eqs. 3 and 4 at rest: Q_m omega + R i^2 with k i = Q_m, and the ESC."""
 
 
-def electrical(w, b, noise=0.0, rng=None):
+def electrical(w, b):
     driven = torque(w, b) + FRICTION
-    return driven * FULL * w + LOSS * driven**2 + IDLE + (noise * rng.standard_normal(len(w)) if rng else 0.0)
+    return driven * FULL * w + LOSS * driven**2 + IDLE
 
 
-def test_the_motor_is_found_with_its_standard_errors():
-    """100 sets of points: the errors over the standard errors are standard normal, which are those of the Cramer-Rao bound."""
+def test_the_motor_is_found_with_the_error_of_the_cramer_rao_bound():
+    """Of torque and power together, and its 95 % intervals have the truth."""
     exact = fitted(points(torque=torque, power=electrical))
     assert exact.effects == ("torque_map", "motor")
     assert exact.values[-3:] == pytest.approx([FRICTION, LOSS, IDLE], rel=1e-5)
-    errors = []
-    for k in range(100):
-        rng = np.random.default_rng(k)
-        found = fitted(points(torque=torque, power=lambda w, b, rng=rng: electrical(w, b, 0.3, rng)))
-        errors.append((found.values[-3:] - [FRICTION, LOSS, IDLE]) / np.sqrt(np.diag(found.covariance))[-3:])
-    assert np.std(errors, axis=0) == pytest.approx(1.0, abs=4.0 / np.sqrt(200.0))
-    assert np.mean(np.abs(errors) < 1.96) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / 300.0))
+    own = [d for d in map(draw, range(100)) if d.chosen]
+    ratio = np.sqrt(np.mean([(d.errors / d.bound) ** 2 for d in own], axis=0))
+    assert ratio == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * len(own)))
+    assert np.mean([d.covered for d in own]) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / (6 * len(own))))
 
 
 def test_the_plant_with_torque_and_power_has_the_thrust_of_the_plant_without_to_the_bit():

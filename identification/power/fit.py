@@ -24,6 +24,12 @@ TOLERANCE = 1.05
 TIMES = 4
 """Rows per coefficient, at least."""
 
+ROUNDS = 4
+"""Fits of torque and motor together, after each of which both readings are weighted by their residuals."""
+
+SHARE, EXACT = 0.01, 1e-9
+"""Noise of a reading over its mean: of power before the first fit; the least, for readings without noise."""
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:
@@ -133,35 +139,33 @@ def fit_power(readings: Readings) -> PowerFit:
     """
     if readings.torque is None:
         assert readings.power is not None
-        return _joined(readings, [_polynomial(readings, POWER_MAP.name, POWER_TERMS, readings.power)])
-    parts = [_polynomial(readings, TORQUE_MAP.name, TORQUE_TERMS, readings.torque)]
-    if readings.power is not None:
-        parts.append(_motor(readings, parts[0]))
-    return _joined(readings, parts)
+        return _polynomial(readings, POWER_MAP.name, POWER_TERMS, readings.power).alone(readings)
+    torque = _polynomial(readings, TORQUE_MAP.name, TORQUE_TERMS, readings.torque)
+    return torque.alone(readings) if readings.power is None else _with_motor(readings, torque)
 
 
-Part = tuple[str, Sequence[str], np.ndarray, np.ndarray, np.ndarray]
-"""Effect, names of its parameters, values, covariance, residual."""
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """A map of torque or power: names of its coefficients, their values and covariance, and the residual (n,)."""
+
+    effect: str
+    names: Sequence[str]
+    values: np.ndarray
+    covariance: np.ndarray
+    residual: np.ndarray
+
+    def alone(self, readings: Readings) -> PowerFit:
+        """The fit of a map without a motor."""
+        names = tuple(f"{self.effect}.{name}" for name in self.names)
+        rmse = {"torque" if self.effect == TORQUE_MAP.name else "power": _rms(self.residual)}
+        return PowerFit((self.effect,), names, self.values, self.covariance, rmse, len(readings.w), readings.source)
 
 
-def _joined(readings: Readings, parts: Sequence[Part]) -> PowerFit:
-    sizes = [len(values) for _, _, values, _, _ in parts]
-    covariance, at = np.zeros((sum(sizes), sum(sizes))), 0
-    for _, _, values, own, _ in parts:
-        covariance[at : at + len(values), at : at + len(values)] = own
-        at += len(values)
-    return PowerFit(
-        tuple(effect for effect, *_ in parts),
-        tuple(f"{effect}.{name}" for effect, names, *_ in parts for name in names),
-        np.concatenate([values for _, _, values, _, _ in parts]),
-        covariance,
-        {"torque" if e == TORQUE_MAP.name else "power": float(np.sqrt(np.mean(r**2))) for e, _, _, _, r in parts},
-        len(readings.w),
-        readings.source,
-    )
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
-def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) -> Part:
+def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) -> _Map:
     """The map of torque or power. The inertia's term, where speed changes, is in every subset and in none of the results."""
     first = min(i for i, _ in terms)
     speeds, pitches = (len(np.unique(np.round(values, 3))) for values in (readings.w, readings.b))
@@ -191,7 +195,7 @@ def _polynomial(readings: Readings, effect: str, terms, measured: np.ndarray) ->
     covariance = np.linalg.inv(a.T @ a) * _variance(residual, len(c), readings.rate is not None)
     k = len(best)
     letter = "q" if effect == TORQUE_MAP.name else "p"
-    return effect, [f"{letter}{terms[i][0]}{terms[i][1]}" for i in best], c[:k], covariance[:k, :k], residual
+    return _Map(effect, [f"{letter}{terms[i][0]}{terms[i][1]}" for i in best], c[:k], covariance[:k, :k], residual)
 
 
 def _subsets(count: int) -> Iterator[tuple[int, ...]]:
@@ -208,28 +212,44 @@ def _variance(residual: np.ndarray, count: int, in_time: bool) -> float:
     return variance * (1.0 + r) / (1.0 - r)
 
 
-def _motor(readings: Readings, torque: Part) -> Part:
-    """Friction, copper loss and idle power, from the power beyond that of the torque's map. None is below 0. The torque map's
-    own error counts: it is small where the points are many."""
-    _, names, values, _, _ = torque
-    load = polynomial([(int(n[1]), int(n[2])) for n in names], values, readings.w, readings.b)
+def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
+    """The torque's map and friction, copper loss and idle power of the motor, none below 0: fitted together to both readings,
+    each weighted by its noise, from the map that torque alone gives."""
     omega, power = readings.omega, readings.power
     assert power is not None
     if readings.rate is not None:
         raise BadInput(readings.source, "torque, power", "both in a record alone", "steady points with both, for the motor")
-    scale = float(np.mean(power)) * np.array([1.0 / float(np.mean(omega)), 1.0 / float(np.mean(load**2)), 1.0])
+    k, n, mean = len(torque.values), len(power), float(np.mean(power))
+    columns = np.column_stack([polynomial([(int(q[1]), int(q[2]))], (1.0,), readings.w, readings.b) for q in torque.names])
+    load = columns @ torque.values
+    motor = mean * np.array([1.0 / float(np.mean(omega)), 1.0 / float(np.mean(load**2)), 1.0])
+    scale, lower = np.append(np.abs(torque.values), motor), np.append(np.full(k, -np.inf), np.zeros(3))
+    x = np.append(np.sign(torque.values), [0.05, 0.1, 0.01])
+    noise, least = np.array([_rms(torque.residual), SHARE * mean]), EXACT * np.array([float(np.mean(load)), mean])
 
-    def excess(x: np.ndarray) -> np.ndarray:
-        friction, loss, idle = x * scale
-        driven = load + friction
-        return driven * omega + loss * driven**2 + idle - power
+    def residuals(x: np.ndarray) -> np.ndarray:
+        driven = columns @ (x * scale)[:k] + x[k] * scale[k]
+        electrical = driven * omega + x[k + 1] * scale[k + 1] * driven**2 + x[k + 2] * scale[k + 2]
+        return np.array([columns @ (x * scale)[:k] - readings.torque, electrical - power])
 
-    found = least_squares(excess, [0.05, 0.1, 0.01], bounds=(0.0, np.inf), x_scale="jac", xtol=1e-12, ftol=1e-12)
-    free = found.x > 1e-6
-    covariance = np.zeros((3, 3))
-    if free.any():
-        jac = found.jac[:, free]
-        own = np.linalg.pinv(jac.T @ jac) * _variance(found.fun, int(free.sum()), False)
-        covariance[np.ix_(free, free)] = own
-    names = [p.name for p in MOTOR.parameters]
-    return MOTOR.name, names, found.x * scale, covariance * np.outer(scale, scale), found.fun
+    for _ in range(ROUNDS):
+        noise = np.maximum(noise, least)
+        found = least_squares(
+            lambda x, noise=noise: (residuals(x) / noise[:, None]).ravel(),
+            *(x, "2-point", (lower, np.inf)),
+            x_scale="jac",
+            xtol=1e-12,
+            ftol=1e-12,
+        )
+        x, weighed = found.x, noise
+        free = np.isinf(lower) | (x > 1e-6)
+        # What is free is shared between the two readings by the terms of the map and those of the motor.
+        shares = np.array([n - k, n - free[k:].sum()])
+        noise = np.sqrt(np.sum(residuals(x) ** 2, axis=1) / shares)
+    covariance = np.zeros((k + 3, k + 3))
+    jacobian = (found.jac.reshape(2, n, k + 3) * (weighed / np.maximum(noise, least))[:, None, None]).reshape(2 * n, k + 3)
+    covariance[np.ix_(free, free)] = np.linalg.pinv(jacobian[:, free].T @ jacobian[:, free])
+    names = [*(f"{TORQUE_MAP.name}.{q}" for q in torque.names), *(f"{MOTOR.name}.{p.name}" for p in MOTOR.parameters)]
+    rmse = dict(zip(("torque", "power"), map(_rms, residuals(x)), strict=True))
+    effects = TORQUE_MAP.name, MOTOR.name
+    return PowerFit(effects, tuple(names), x * scale, covariance * np.outer(scale, scale), rmse, n, readings.source)
