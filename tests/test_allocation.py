@@ -282,3 +282,23 @@ def test_the_plant_is_an_fmu_with_power_and_the_loop_rests_on_the_best_pair(tmp_
     assert float(last["thrust"]) == pytest.approx(6.0, abs=0.02)
     assert float(last["beta"]) == pytest.approx(np.interp(6.0, best.thrust, best.beta), abs=0.2)
     assert float(last["omega"]) == pytest.approx(np.interp(6.0, best.thrust, best.omega), rel=0.02)
+
+
+def test_the_law_of_the_best_pairs_is_tuned_for_an_objective(tmp_path, capsys):
+    """No step settles later than under the gains of `vpp allocate`, and the loop keeps the limit on sensitivity."""
+    words = parameters(tmp_path, points())
+    (tmp_path / "profile.csv").write_text("time,thrust_set\n0,3\n1,6\n4,6\n")
+    common = [*words[1:3], "--profile", str(tmp_path / "profile.csv"), "-o", str(tmp_path / "tuned")]
+    assert main(["tune", *common, "--objective", "power"]) == 0
+    told = json.loads((tmp_path / "tuned" / "tuning.json").read_text())["controllers"]["allocated"]
+    gains = json.loads((tmp_path / "tuned" / "gains.json").read_text())["parameters"]
+    best = allocate(pitch_only(), model(points()))
+    assert gains["mode"]["value"] == 2
+    assert gains["pair_beta_8"]["value"] == pytest.approx(best.beta[-1], abs=0.01)
+    assert told["fmu_difference_thrust"] == 0.0
+    assert "both actuators on the best pairs" in capsys.readouterr().out
+    assert main(["tune", *common, "--objective", "fast"]) == 2
+    assert "power or agility" in capsys.readouterr().err
+    (tmp_path / "parameters.json").write_text(to_json(pitch_only()))
+    assert main(["tune", *common, "--objective", "power"]) == 2
+    assert "torque_map or power_map" in capsys.readouterr().err

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from builders import reference, simulator
+from scipy.optimize import brentq
 
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
 from vpp_fmu.kernel.plant import BASE
 from vpp_fmu.kernel.simulation import Simulation
+from vpp_fmu.native.closed_loop import ClosedLoop, Course
+from vpp_fmu.record import Record
 
 WIDE = {"omega_min": 0.0, "omega_max": 30000.0, "beta_min": -45.0, "beta_max": 45.0}
 SOFT = {"kp_omega": 0.4, "ki_omega": 0.9, "kd_omega": 0.011, "kp_beta": 0.3, "ki_beta": 1.3, "kd_beta": 0.007}
@@ -255,3 +258,22 @@ def test_speed_does_not_wind_up_while_pitch_is_away_from_its_best():
     shown = commands({**SOFT, **tight}, inputs, np.full(2 * held - 1, 0.004))
     assert shown[held - 2, 0] == 5000.0
     assert shown[held + 1, 0] < 4500.0
+
+
+@pytest.mark.parametrize("error", [0.95, 1.05])
+@pytest.mark.parametrize("pitch", [4.0, 10.0])
+def test_on_the_best_pairs_thrust_has_no_error_at_rest_though_the_table_has(error, pitch):
+    """Also where the best pitch is the greatest: then only speed can add thrust. The table's speeds are wrong by 5 %."""
+    plant = Simulation(BASE)
+
+    def speed_of(thrust):
+        return brentq(lambda w: plant.start({"omega_ref": w, "beta_ref": pitch})["thrust"] - thrust, 500.0, 9000.0)
+
+    table = {f"pair_omega_{k}": error * speed_of(2.0 + k) for k in range(9)} | {f"pair_beta_{k}": pitch for k in range(9)}
+    settings = {**table, "mode": 2.0, "pairs_thrust_min": 2.0, "pairs_thrust_max": 10.0}
+    profile = Record({"time": np.array([0.0, 30.0, 60.0]), "thrust_set": np.array([7.0, 3.0, 3.0])}, "steps")
+    loop, course = ClosedLoop(BASE), Course.of(profile, 0.004, 15.0, rest=(4000.0, pitch))
+    run = loop.run(loop.vectors({}, {}, settings), course)
+    for end, thrust in ((len(run) // 2 - 2, 7.0), (-1, 3.0)):
+        assert run["thrust"][end] == pytest.approx(thrust, abs=0.02)
+        assert run["beta_ref"][end] == pytest.approx(pitch, abs=0.1)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import freqz
 
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.types import Model
@@ -69,10 +70,15 @@ def controller_response(settings: Mapping[str, float], channel: str, omega: np.n
 
         C(z) = kp + ki (dt / 2) (z + 1) / (z - 1) + kd (delta / dt) (z - 1) / (z - 1 + delta),   delta = dt / t_filter
 
+    In mode 2 the integral of speed is that of pitch's command: instead of ki ..., k_mid dt z / (z - 1) C_beta(z).
     The z-transform of `vpp_fmu.kernel.effects.dual_pid`; `settings`: all of the controller's values.
     """
     dt = settings["sample_time"]
     delta = dt / max(settings["t_filter"], dt)
     z = np.exp(1j * omega * dt)
     kp, ki, kd = (settings[f"{gain}_{channel}"] for gain in ("kp", "ki", "kd"))
-    return kp + ki * 0.5 * dt * (z + 1.0) / (z - 1.0) + kd * delta / dt * (z - 1.0) / (z - 1.0 + delta)
+    if channel == "omega" and settings.get("mode") == ALLOCATED:
+        integral = settings["k_mid"] * dt * z / (z - 1.0) * controller_response(settings, "beta", omega)
+    else:
+        integral = ki * 0.5 * dt * (z + 1.0) / (z - 1.0)
+    return kp + integral + kd * delta / dt * (z - 1.0) / (z - 1.0 + delta)

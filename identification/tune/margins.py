@@ -39,14 +39,14 @@ def frequencies(dt: float, time_scale: float) -> np.ndarray:
     return np.geomspace(LOWEST / time_scale, np.pi / dt * (1.0 - 1e-9), POINTS)
 
 
-def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
+def margins(omega: np.ndarray, loop: np.ndarray, integrators: int = 1) -> Margins:
     """Margins of the open loop's response `loop` (n,) at `omega` (n,) rad/s, a grid fine enough to resolve its phase.
 
-    The open loop must be stable except for one integrator. The closed loop is stable if the angle of 1 + L goes from -90 deg,
-    due to the integrator at low frequencies, to 0 at the highest (Nyquist).
+    The open loop must be stable except for its `integrators`. The closed loop is stable if the angle of 1 + L goes from -90 deg
+    for each integrator, at low frequencies, to 0 at the highest (Nyquist).
     """
-    turned = np.unwrap(np.angle(1.0 + loop))
-    stable = bool(abs(turned[-1] - turned[0] - np.pi / 2.0) < np.pi / 2.0 and abs(turned[-1]) < np.pi / 2.0)
+    ends = np.angle(1.0 + loop[-1])
+    stable = bool(holds(loop, integrators) and abs(ends) < np.pi / 2.0)
     at, size = _crossings(loop.imag, np.log(omega), np.where(loop.real < 0.0, np.log(np.abs(loop)), np.nan))
     up, down = size[size < 0.0], size[size >= 0.0]
     at, angle = _crossings(np.log(np.abs(loop)), np.log(omega), np.unwrap(np.angle(loop)))
@@ -63,6 +63,13 @@ def margins(omega: np.ndarray, loop: np.ndarray) -> Margins:
         delay=float(delay.min()) if len(delay) else None,
         sensitivity=float(1.0 / np.abs(1.0 + loop).min()),
     )
+
+
+def holds(loop: np.ndarray, integrators: int | np.ndarray = 1) -> bool:
+    """Whether all closed loops of the open loops (..., m), with so many `integrators` each, are stable, as in `margins`."""
+    from_critical = 1.0 + loop
+    turned = np.angle(from_critical[..., 1:] * from_critical[..., :-1].conj()).sum(axis=-1)
+    return bool((np.abs(turned - integrators * np.pi / 2.0) < np.pi / 2.0).all())
 
 
 def _crossings(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,8 +15,9 @@ from functools import cache, cached_property
 import numpy as np
 
 from identification.tune.linear import CHANNELS, chain_response, controller_response, plant_response, pulse_response
-from identification.tune.margins import frequencies
+from identification.tune.margins import frequencies, holds
 from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.native.closed_loop import ROW, ClosedLoop, Course
 from vpp_fmu.own_effects import library_with
@@ -92,9 +93,19 @@ class Objective:
         return tuple(u for u in CHANNELS if room[u] and (u == "omega" or not speed_alone(self.settings)))
 
     @property
+    def allocated(self) -> bool:
+        """Whether the law is that of mode 2, in which speed integrates pitch."""
+        return self.settings.get("mode") == ALLOCATED
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the gains of the active channels: proportional, then integral, then derivative."""
-        return tuple(f"{kind}_{channel}" for kind in ("kp", "ki", "kd") for channel in self.channels)
+        names = (f"{kind}_{channel}" for kind in ("kp", "ki", "kd") for channel in self.channels)
+        return tuple("k_mid" if self.allocated and name == "ki_omega" else name for name in names)
+
+    def integrators(self, point: "Point") -> int:
+        """Integrators in a row in the open loop at a point."""
+        return 2 if self.allocated and "omega" in point.channels else 1
 
     @property
     def gains(self) -> np.ndarray:
@@ -180,25 +191,53 @@ class Objective:
         if not self.points:
             return 0.0
         loop = np.einsum("i,ijk->jk", gains, self._shares)  # not BLAS: its threads cost more than this
-        return float(1.0 / np.abs(1.0 + loop).min()) if _holds(loop) else float(UNSTABLE + np.abs(loop).max())
+        if self.allocated:  # speed's integral is of pitch's command: a product of gains
+            loop = loop + gains[self.names.index("k_mid")] * np.einsum("i,ijk->jk", gains, self._shares_by_pitch)
+        stable = holds(loop, np.array([self.integrators(point) for point in self.points]))
+        return float(1.0 / np.abs(1.0 + loop).min()) if stable else float(UNSTABLE + np.abs(loop).max())
+
+    @cached_property
+    def _omega(self) -> np.ndarray:
+        """Frequencies (m,) [rad/s] of a search."""
+        return frequencies(self.course.dt, self.time_scale)[::EVERY]
+
+    @cached_property
+    def _paths(self) -> list[dict[str, np.ndarray]]:
+        """For each of the points the response (m,) from a free channel's command to the thrust reading."""
+        model, dt, omega = self.loop.models[0], self.course.dt, self._omega
+        values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
+        chain = chain_response(self.chain, omega, dt)
+
+        def path(point: Point, channel: str) -> np.ndarray:
+            pulse = pulse_response(model, values, point.commands, channel, dt, self.time_scale)
+            return chain * plant_response(pulse, omega, dt)
+
+        return [{channel: path(point, channel) for channel in point.channels} for point in self.points]
+
+    def _unit_shares(self, channel: str, units: np.ndarray, of: str) -> np.ndarray:
+        """Contribution to the open loop (n, points, m) by one channel, of each gain that belongs to the channel `of`; `units`:
+        (n, n) gains, one set a row."""
+        shares = np.zeros((len(self.names), len(self.points), len(self._omega)), complex)
+        for i, name in enumerate(self.names):
+            if name.endswith(of):
+                response = controller_response(self.with_gains(units[i]), channel, self._omega)
+                for k, paths in enumerate(self._paths):
+                    if channel in paths:
+                        shares[i, k] = paths[channel] * response
+        return shares
 
     @cached_property
     def _shares(self) -> np.ndarray:
         """Contribution of each unit gain to the open loop (n, points, m), in the order of the gains."""
-        model, dt = self.loop.models[0], self.course.dt
-        omega = frequencies(dt, self.time_scale)[::EVERY]
-        values = dict(zip((p.name for p in model.parameters), self.plants[0].tolist(), strict=True))
-        chain = chain_response(self.chain, omega, dt)
-        shares = np.zeros((len(self.names), len(self.points), len(omega)), complex)
-        for k, point in enumerate(self.points):
-            for channel in point.channels:
-                path = chain * plant_response(
-                    pulse_response(model, values, point.commands, channel, dt, self.time_scale), omega, dt
-                )
-                for i, one in enumerate(np.eye(len(self.names))):
-                    if self.names[i].endswith(channel):
-                        shares[i, k] = path * controller_response(self.with_gains(one), channel, omega)
-        return shares
+        units = np.eye(len(self.names))
+        return sum(self._unit_shares(channel, units, channel) for channel in self.channels)
+
+    @cached_property
+    def _shares_by_pitch(self) -> np.ndarray:
+        """The same of each unit gain of pitch by way of speed, with k_mid 1."""
+        units = np.eye(len(self.names))
+        units[:, self.names.index("k_mid")] = 1.0
+        return self._unit_shares("omega", units, "beta")
 
     @cached_property
     def _chain(self) -> np.ndarray:
@@ -209,10 +248,3 @@ class Objective:
 
     def _over(self, costs: np.ndarray) -> float:
         return float(costs.max() if self.over == "worst" else costs.mean())
-
-
-def _holds(loop: np.ndarray) -> bool:
-    """Whether all closed loops of the open loops (points, m) are stable; see `margins`."""
-    from_critical = 1.0 + loop
-    turned = np.angle(from_critical[:, 1:] * from_critical[:, :-1].conj()).sum(axis=-1)
-    return bool((np.abs(turned - np.pi / 2.0) < np.pi / 2.0).all())

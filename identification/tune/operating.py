@@ -62,4 +62,4 @@ def open_loop(objective: Objective, gains: np.ndarray, point: Point) -> tuple[np
 
 def margins_at(objective: Objective, gains: np.ndarray, points: tuple[Point, ...]) -> tuple[Margins, ...]:
     """Margins at each point."""
-    return tuple(margins(*open_loop(objective, gains, point)) for point in points)
+    return tuple(margins(*open_loop(objective, gains, point), objective.integrators(point)) for point in points)

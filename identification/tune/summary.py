@@ -9,7 +9,7 @@ from identification.tune.verdict import Verdict
 from vpp_fmu.record import Record
 from vpp_fmu.response import Step
 
-NAMES = {"dual": "both actuators", "speed_only": "speed alone"}
+NAMES = {"dual": "both actuators", "speed_only": "speed alone", "allocated": "both actuators on the best pairs"}
 
 
 def labels(found: Tuning, tuned: Tuned) -> dict[str, str]:

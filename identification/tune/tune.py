@@ -16,9 +16,7 @@ from identification.tune.rounds import rounds
 from identification.tune.search import Search
 from identification.tune.verdict import Verdict, verdict
 from vpp_fmu.commands import idle
-from vpp_fmu.errors import BadInput
 from vpp_fmu.kernel.controller import CONTROLLER, speed_alone
-from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, DUAL
 from vpp_fmu.kernel.measurement import MEASUREMENT
 from vpp_fmu.kernel.types import Model
 from vpp_fmu.native.closed_loop import Course
@@ -79,10 +77,7 @@ class Task:
         return CONTROLLER.sized(self.parameters.rig.scales)
 
     def objective(self, settings: Mapping[str, float]) -> Objective:
-        """The objective for a controller with these settings, on the nominal plant. BadInput for mode 2, whose speed follows
-        pitch: the loop is not linear in its gains."""
-        if settings.get("mode", DUAL) == ALLOCATED:
-            raise BadInput("gains", "parameters, mode", "2", "0 or 1: the allocated law is not tuned")
+        """The objective for a controller with these settings, on the nominal plant."""
         settings, values = self.controller.values(settings), self.parameters.values
         dt, speed_only = settings["sample_time"], speed_alone(settings)
         rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)
@@ -144,7 +139,7 @@ class Tuned:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Results for the controllers "dual" and "speed_only"; `plants` (JUDGED, parameters): the hold-out plants."""
+    """Results for the controllers "dual" and "speed_only", or "allocated"; `plants` (JUDGED, parameters): hold-out plants."""
 
     task: Task
     tuned: Mapping[str, Tuned]

@@ -5,11 +5,14 @@ are accepted only if no step settles later, overshoots or rings more than with t
 result is simulated again with both FMUs. With --robust, gains are optimised for the worst case, or the mean, over plants drawn
 from the parameters' uncertainty."""
 
+import argparse
 import os
 from collections.abc import Iterator, Mapping
 
 from identification.assessment.information import read_noise
-from identification.tune.controllers import controllers
+from identification.power.allocation import allocate, allocated_controller
+from identification.power.model import PowerModel
+from identification.tune.controllers import POWERS, controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
 from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
@@ -22,20 +25,21 @@ from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
+from vpp_fmu.kernel.effects.dual_pid import ALLOCATED, ALLOCATION
 from vpp_fmu.kernel.effects.thrust_reading import LONGEST
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, parameters_file, read_parameters, to_json
 from vpp_fmu.record import read_profile, write_record
 from vpp_fmu.rig import ASSUMED
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp tune --parameters out/parameters.json --assume tau_beta_2=0.05 -o out"
 
-FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json"}
+FILES = {"dual": "gains.json", "speed_only": "gains_speed_only.json", "allocated": "gains.json"}
 
 UNITS_OF = {"omega": "rpm", "beta": "deg"}
 
@@ -55,6 +59,8 @@ RANGES = {
 }
 """Ranges of the options."""
 
+WEIGHT, WEIGHTS = Number(0.0, 1.0), {"power": 0.0, "agility": 1.0}
+
 PAPERS = "the paper's fine-tuned set"
 """Default parameters."""
 
@@ -71,6 +77,9 @@ def configure(parser):
     parser.add_argument("--assume", action="append", default=[], metavar="NAME=VALUE", help=text)
     text = "limits, filter, sample time and first gains of the controller (default: the rig's limits, the paper's gains)"
     parser.add_argument("--gains", metavar="G", help=text)
+    text = "tune the law that rests on the best pairs of speed and pitch instead (vpp allocate): those of least power, of the "
+    text += "largest reserve of thrust by pitch, or a weight between 0 (power) and 1 (agility); for parameters with power"
+    parser.add_argument("--objective", type=_weight, metavar="power|agility|W", help=text)
     text = "CSV with time, thrust_set (default: 0.1 to 0.8 of the thrust scale and back, as far as the rig reaches)"
     parser.add_argument("--profile", metavar="P", help=text)
     text = (
@@ -156,7 +165,8 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
         raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
-    profile = read_profile(options.profile) if options.profile else rig_profile(parameters, own.settings)
+    starts = _starts(options, parameters, own.settings, given)
+    profile = read_profile(options.profile) if options.profile else rig_profile(parameters, starts)
     if profile.time[-1] < 10.0 * period:
         raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")
     resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
@@ -181,7 +191,28 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
         left_out=own.left_out,
         lowered=own.scaled,
     )
-    return task, own.settings
+    return task, starts
+
+
+def _starts(options, parameters: ParameterSet, settings, given: ParameterSet | None) -> dict[str, dict[str, float]]:
+    """Settings of each controller to tune: those of the rig, or the law of the best pairs alone. BadInput without power."""
+    if options.objective is None:
+        pairs = given is not None and given.values["mode"] == ALLOCATED
+        return {"allocated": dict(settings["dual"])} if pairs and "dual" in settings else dict(settings)
+    power = PowerModel.of(parameters, options.parameters and beside(options.parameters))
+    own = allocated_controller(allocate(parameters, power, options.objective), parameters).values
+    kept = {} if given is None else {name: e.value for name, e in given.estimates.items() if name[:3] in POWERS}
+    return {"allocated": {**settings["dual"], **{n: own[n] for n in (*ALLOCATION, "ki_beta")}, **kept}}
+
+
+def _weight(text: str) -> float:
+    """The weight that an objective stands for."""
+    if text in WEIGHTS:
+        return WEIGHTS[text]
+    try:
+        return WEIGHT(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}, {' or '.join(WEIGHTS)}") from error
 
 
 def _noise(options, known_in: str | None) -> float:

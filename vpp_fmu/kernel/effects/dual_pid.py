@@ -13,6 +13,9 @@ actuator, corrects the error; speed follows until pitch is back at its best (mid
     b_ref = b* + kp e + ki I + kd D
     w_ref = w* + kp e + k_mid M + kd D,    M[k] = M[k-1] + (b_ref - b*) dt
 
+There I and M go on beyond the limits of pitch, by its range at most, while speed is free: the best pitch of many rotors is at
+a limit, where only what pitch would do tells speed that thrust is missing.
+
 Clamping is separate for each channel: an integral stops if its sum is outside of its limits and the step would increase the
 excess. With a shared integral, or a shared test, a channel within its limits would stop with the other. When the mode changes
 during a run, the integrals are set such that the commands go on from where they are; fixed pitch alone jumps.
@@ -86,7 +89,9 @@ def _step(ops, s, x, p, dt):
     low, high = (p.beta_min + p.beta_offset) / p.beta_scale, (p.beta_max + p.beta_offset) / p.beta_scale
     rest = b_best + p.kp_beta * e + p.kd_beta * rate
     integral = _continued(ops, switched, x.beta_integral, p.ki_beta, x.pitch, rest)
-    low, high = low - b_best, high - b_best
+    span = ops.where(allocated, high - low, 0.0)
+    low = low - b_best - ops.where(x.speed > p.omega_min / p.omega_scale, span, 0.0)
+    high = high - b_best + ops.where(x.speed < p.omega_max / p.omega_scale, span, 0.0)
     b, beta_integral = _channel(ops, e, move, integral, rate, p.kp_beta, p.ki_beta, p.kd_beta, low, high)
     away = ops.clip(b, low, high)
 
