@@ -90,10 +90,11 @@ def limits_of(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
 
 
 class KernelController:
-    """The controller's functions in Python. `limits`: of each command, as from `limits_of`; `sample_time` s."""
+    """The controller's functions in Python, or those of another `model` with its inputs and outputs, such as a policy's.
+    `limits`: of each command, as from `limits_of`; `sample_time` s."""
 
-    def __init__(self, parameters: Mapping[str, float] | None = None, dt: float = 0.004):
-        self._dt, self._simulation = dt, Simulation(CONTROLLER, parameters)
+    def __init__(self, parameters: Mapping[str, float] | None = None, dt: float = 0.004, model: Model = CONTROLLER):
+        self._dt, self._simulation = dt, Simulation(model, parameters)
         self.limits, self.sample_time = limits_of(self._simulation.parameters), self._simulation.parameters["sample_time"]
 
     def start(self, thrust_set, thrust):

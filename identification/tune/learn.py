@@ -75,6 +75,12 @@ class Learned:
     seconds: float
 
     @property
+    def passes(self) -> bool:
+        """Whether the policy may fly: less error than the PID in the mean of the held-out plants, and no larger worst one."""
+        own, other = (self.flights[name].errors for name in ("policy", "PID"))
+        return bool(np.mean(own) < np.mean(other) and np.max(own) <= np.max(other))
+
+    @property
     def better(self) -> float:
         """Share of the held-out plants on which the policy has less error."""
         return float(np.mean(self.flights["policy"].errors < self.flights["PID"].errors))

@@ -10,8 +10,10 @@ import pytest
 
 from hil.cycle import PERIOD
 from hil.rig import RunEnded
+from hil.session import read_log
 from hil.twin.band import read_band
 from identification.assessment.prediction import predict
+from identification.tune.learn import learn
 from identification.tune.profile import rig_profile
 from vpp_fmu.app.cli import hil as hil_verb
 from vpp_fmu.app.cli import main
@@ -249,3 +251,35 @@ def test_what_is_wrong_is_one_line_and_leaves_no_folder(told, tmp_path, capsys, 
     assert line.count("\n") == 1
     assert said in line
     assert not (tmp_path / "day").exists()
+
+
+def mad(policy, factor=100.0):
+    """A policy whose output weights are `factor` times as large."""
+    *inner, (weights, biases) = policy.law.layers
+    layers = (*inner, (tuple(tuple(factor * w for w in row) for row in weights), biases))
+    return replace(policy, law=replace(policy.law, layers=layers))
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_a_policy_that_goes_mad_stays_within_the_limits_of_the_rig(told, tmp_path, guarded):
+    """Behind its box the PID takes over, longer each time, and the thrust comes to the set-point; without a box the limits of
+    the rig hold it."""
+    setup = days_setup(told, None)
+    tuning = task(PLANT, rig_profile(PLANT, {"dual": SETTINGS}), 0.1, PERIOD, 0)
+    policy = mad(learn(tuning, SETTINGS, 4, 2, 2).policy)
+    if not guarded:
+        far = tuple(1e9 for _ in policy.law.low)
+        policy = replace(policy, law=replace(policy.law, low=tuple(-x for x in far), high=far, precision=(), distance=0.0))
+    profile = Record({"time": np.array([0.0, 3.0, 16.0]), "thrust_set": np.array([4.0, 8.0, 8.0])}, "step")
+    done = days.fly(setup, days.Law(SETTINGS, policy), profile, tmp_path)
+    log, limits = read_log(tmp_path / "log.csv"), setup.limits
+    assert np.nanmax(log["omega"]) < limits.omega_trip
+    assert np.nanmax(np.abs(log["thrust"])) < limits.thrust_trip
+    for name in ("omega", "beta"):
+        acting = log[f"{name}_ref"][np.isfinite(log["omega_wanted"])]
+        assert getattr(limits, f"{name}_min") <= acting.min() <= acting.max() <= getattr(limits, f"{name}_max")
+        assert np.abs(np.diff(acting)).max() <= getattr(limits, f"{name}_slew") * PERIOD * (1.0 + 1e-9)
+    if guarded:
+        assert np.std(done.record["thrust"][-250:] - 8.0) < 0.3
+        assert np.mean(done.record["thrust"][-250:]) == pytest.approx(8.0, abs=0.1)
+    assert log["throttle"][-1] < 0.01  # down again, whoever ended it

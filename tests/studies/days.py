@@ -33,7 +33,7 @@ from identification.tune.rounds import rounds
 from identification.tune.tune import STARTS, Task
 from identification.workers import spread
 from vpp_fmu.app.day.day import POLICIES, Rig, new_day, next_round
-from vpp_fmu.app.day.flight import GAINS, fly
+from vpp_fmu.app.day.flight import GAINS, Law, fly
 from vpp_fmu.app.day.policy import task
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import plant
@@ -108,8 +108,8 @@ def days(change: str, count: int, seed: int) -> dict:
             own = Emulated({**known.own, **(sizes if hidden else {})}, names if hidden else (), 1000 * seed + flight)
             return Setup(read_calibration(CALIBRATION), Limits(), own, virtual=True, plant=parameters.values)
 
-        def final(gains: Mapping[str, float]) -> float:
-            return float(np.mean([_cost(setup(True, 900 + k), gains, day.profile, Path(folder)) for k in range(FINAL)]))
+        def final(law: Law) -> float:
+            return float(np.mean([_cost(setup(True, 900 + k), law, day.profile, Path(folder)) for k in range(FINAL)]))
 
         told = {}
         for policy in POLICIES:
@@ -129,7 +129,7 @@ def days(change: str, count: int, seed: int) -> dict:
             }
         tuning = task(parameters, day.profile, known.band.noise, settings["sample_time"], seed)
         full = _known_in_full(tuning, settings, {**known.own, **sizes}, names)
-        return {"began": final(settings), "full": final(full), "policies": told}
+        return {"began": final(Law(settings)), "full": final(Law(full)), "policies": told}
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +171,8 @@ def _known_in_full(wanted: Task, settings: Mapping[str, float], own: Mapping[str
     return truth.with_gains(found.gains if better else truth.gains)
 
 
-def _cost(setup: Setup, gains: Mapping[str, float], profile: Record, folder: Path) -> float:
-    return fly(replace(setup), gains, profile, folder / "flight").cost
+def _cost(setup: Setup, law: Law, profile: Record, folder: Path) -> float:
+    return fly(replace(setup), law, profile, folder / "flight").cost
 
 
 def _show(change: str, found: list[dict]) -> None:

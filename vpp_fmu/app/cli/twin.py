@@ -25,6 +25,7 @@ from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model, parameters_file, read_parameters, to_json
+from vpp_fmu.policy import FILE
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp twin monday --virtual --rounds 4 --parameters out/parameters.json --hide load_cell_gain=0.85"
@@ -37,7 +38,8 @@ def configure(parser):
     parser.add_argument("--parameters", type=parameters_file, metavar="F", required=True, help=text)
     text = "the controller's that fly first (default: the published ones, at the pace of the parameters' rig)"
     parser.add_argument("--gains", metavar="G", help=text)
-    text = "source of the next gains (default: %(default)s; fixed: the gains stay)"
+    text = "source of the next law (default: %(default)s, model-based and model-free; fixed: the gains stay; learned: a "
+    text += "network that is learned on plants of the model; all: the three of them)"
     parser.add_argument("--policy", choices=POLICIES, default=BOTH, help=text)
     text = "of the emulated rig: first round with the effects of --hide (default: %(default)s)"
     parser.add_argument("--hidden-from", type=whole(1, 50), default=2, metavar="K", help=text)
@@ -140,6 +142,8 @@ def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> No
     for where in (own, folder):
         where.write("parameters.json", to_json(dated(model)))
         where.write("gains.json", to_json(dated(gains)))
+        if done.law.policy:
+            where.write(FILE, as_json(done.law.policy.to_dict()))
     folder.write("day.json", as_json({"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}))
     folder.write("report.html", day_page(day).html())
 

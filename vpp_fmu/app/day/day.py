@@ -2,8 +2,9 @@
 
 In each round a mission is flown beside the twin. If there is an alarm, or the model predicts a repeated mission worse than
 before, and the adapted model does not explain it, the mission's record is diagnosed against the twin's model. Gains are retuned
-on the model and searched on the rig. The gains with the lower measured cost fly next, if they are better than the present ones
-(Reinforcement Twinning: Schena, Marques, Poletti, Ahizi, Van den Berghe, Mendez, 2024).
+on the model and searched on the rig, and a network is learned on plants of the model's uncertainty, if it is asked for. The law
+with the lowest measured cost flies next, if it is better than the present one (Reinforcement Twinning: Schena, Marques,
+Poletti, Ahizi, Van den Berghe, Mendez, 2024).
 """
 
 from collections.abc import Callable, Mapping
@@ -22,8 +23,9 @@ from hil.twin.twin import Twin
 from identification.assessment.prediction import predict
 from identification.diagnose.diagnose import diagnose
 from identification.diagnose.validation import CHANGED
+from identification.tune.learn import learn
 from identification.tune.profile import common_reach, rig_profile
-from vpp_fmu.app.day.flight import GAINS, Flight, Twins, fly, mission
+from vpp_fmu.app.day.flight import GAINS, Flight, Law, Twins, fly, mission
 from vpp_fmu.app.day.policy import Referee, Search, retuned, task
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.kernel.scales import PAPER
@@ -32,7 +34,10 @@ from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import KernelPlant
 from vpp_fmu.record import Record
 
-FIXED, MODEL_BASED, MODEL_FREE, BOTH = POLICIES = ("fixed", "model-based", "model-free", "both")
+FIXED, MODEL_BASED, MODEL_FREE, BOTH, LEARNED, ALL = POLICIES = (
+    *("fixed", "model-based", "model-free", "both"),
+    *("learned", "all"),
+)
 
 DIAGNOSED = "diagnosed"
 """Name of the model from the diagnosis of a mission."""
@@ -47,6 +52,9 @@ return in the next round."""
 
 WORSE = 0.01
 """Level of the test that a repeated mission is predicted worse: one false alarm in a hundred rounds."""
+
+UNITS, GENERATIONS, JUDGED = 6, 300, 40
+"""Hidden units of a learned law, generations of its search, some 20 s, and held-out plants on which the model judges it."""
 
 LEFT = 0.1
 """The same after an alarm: a needless diagnosis costs a minute, a missed effect stays in the model as a changed parameter."""
@@ -86,7 +94,7 @@ class Round(Modelled):
     """A round, its `number` from 1, with the effects `hidden` in the rig.
 
     `costs`: by branch, measured costs of the finalists by flight; `tries`: single flights of the search, `refused`: number of
-    gains that the model rejected. `winner`: the branch that flies next, with `settings`.
+    gains that the model rejected. `winner`: the branch that flies next, with its `law`.
     """
 
     number: int
@@ -95,7 +103,12 @@ class Round(Modelled):
     tries: tuple[float, ...]
     refused: int
     winner: str
-    settings: Mapping[str, float]
+    law: Law
+
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """The controller's values that fly next, or to which the law that flies falls back."""
+        return self.law.settings
 
     @property
     def cost(self) -> float:
@@ -119,9 +132,9 @@ class Day:
         return self.rounds[-1].chosen.parameters if self.rounds else self.begun
 
     @property
-    def flies(self) -> Mapping[str, float]:
-        """The controller's present values."""
-        return self.rounds[-1].settings if self.rounds else self.settings
+    def flies(self) -> Law:
+        """The present law."""
+        return self.rounds[-1].law if self.rounds else Law(self.settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,22 +156,30 @@ def next_round(
 ) -> Round:
     """Fly one round; its logs go to `folder`. BadInput; RunEnded for a flight that ended early."""
     number, flights = len(day.rounds) + 1, _Flights(rig, len(day.rounds) + 1, folder)
-    flies = day.flies
+    law, flies = day.flies, day.flies.settings
     modelled = _modelled(day, flights, band, seed, workers, stage)
     chosen, as_it_was = modelled.chosen, modelled.models[0]
     tuning = task(chosen.parameters, day.profile, band.noise, flies["sample_time"], seed)
-    finalists: dict[str, Mapping[str, float]] = {"what flew": flies}
+    finalists = {"what flew": law}
     tries: list[float] = []
     refused = 0
-    flies_already = bool(day.rounds) and day.rounds[-1].winner == MODEL_BASED and chosen is as_it_was
-    if policy in (MODEL_BASED, BOTH) and not flies_already:
+
+    def flies_already(branch: str) -> bool:
+        return bool(day.rounds) and day.rounds[-1].winner == branch and chosen is as_it_was
+
+    if policy in (MODEL_BASED, BOTH, ALL) and not flies_already(MODEL_BASED):
         stage("retune on the model")
-        finalists[MODEL_BASED] = retuned(tuning, flies)
-    if policy in (MODEL_FREE, BOTH):
+        finalists[MODEL_BASED] = Law(retuned(tuning, flies))
+    if policy in (MODEL_FREE, BOTH, ALL):
         stage("search on the rig")
         best, tries, refused = _searched(day, flights, Referee(tuning, flies), flies, 1000 * seed + number)
         if best is not None:
-            finalists[MODEL_FREE] = best
+            finalists[MODEL_FREE] = Law(best)
+    if policy in (LEARNED, ALL) and not flies_already(LEARNED):
+        stage("learn on plants of the model")
+        found = learn(replace(tuning, seed=1000 * seed + number), flies, UNITS, GENERATIONS, JUDGED)
+        if found.passes:
+            finalists[LEARNED] = Law(flies, found.policy)
     stage("compare on the rig")
     costs = {name: flights(name, each, day.profile, times=TIMES).costs for name, each in finalists.items()}
     winner = best_of(costs)
@@ -172,14 +193,14 @@ def next_round(
         tries=tuple(tries),
         refused=refused,
         winner=winner,
-        settings=dict(finalists[winner]),
+        law=finalists[winner],
     )
 
 
 def _modelled(day: Day, flights: "_Flights", band: Band, seed: int, workers: int, stage: Callable[[str], None]) -> Modelled:
     """Fly the round's missions, and choose the next model."""
     number, model, flies = len(day.rounds) + 1, day.parameters, day.flies
-    low, high = common_reach(model, {"dual": flies})
+    low, high = common_reach(model, {"dual": flies.settings})
     low, high = low + 0.1 * (high - low), high - 0.1 * (high - low)
     pace = max(model.rig.scales.time_scale / PAPER.time_scale, 1.0)
 
@@ -328,14 +349,12 @@ class _Flights:
     def __init__(self, rig: Rig, number: int, folder: Path):
         self._rig, self._number, self.folder, self._count = rig, number, folder, 0
 
-    def __call__(
-        self, what: str, settings: Mapping[str, float], profile: Record, twins: Twins | None = None, times: int = 1
-    ) -> Flight:
+    def __call__(self, what: str, law: Law, profile: Record, twins: Twins | None = None, times: int = 1) -> Flight:
         """RunEnded for a flight that ended early, so that the next one does not begin."""
         self._rig.word(f"round {self._number}: {what}")
         self._count += 1
         setup = self._rig.setup(self._number, self._count)
-        done = fly(setup, settings, profile, self.folder / f"flight_{self._count:02d}", twins, times)
+        done = fly(setup, law, profile, self.folder / f"flight_{self._count:02d}", twins, times)
         if done.ended:
             raise RunEnded(f"round {self._number}: {what}: {done.ended}")
         return done
@@ -354,7 +373,7 @@ def _searched(
     generation = day.search.asked()
     predicted = [referee.predicted(each) for each in generation]
     costs = [
-        flights(f"try {k + 1} of {len(generation)}", each, day.profile).cost if allowed else np.nan
+        flights(f"try {k + 1} of {len(generation)}", Law(each), day.profile).cost if allowed else np.nan
         for k, (each, (_, allowed)) in enumerate(zip(generation, predicted, strict=True))
     ]
     flew = [cost for cost in costs if np.isfinite(cost)]

@@ -19,6 +19,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import DUAL
 from vpp_fmu.parameters import ParameterSet
 from vpp_fmu.plants import KernelController, KernelPlant
+from vpp_fmu.policy import Policy
 from vpp_fmu.record import Record
 
 GAINS = tuple(DUAL)
@@ -56,14 +57,27 @@ class Twins:
         return as_it_is, Adaptive(adaptive(adaptable(self.parameters, "vpp twin"), self.band), PERIOD)
 
 
-def fly(
-    setup: Setup, settings: Mapping[str, float], profile: Record, folder: Path, twins: Twins | None = None, times: int = 1
-) -> Flight:
-    """Close the loop on the rig over a profile, repeated `times` times, under the controller's `settings`; log and run.csv go
-    to `folder`. BadInput."""
+@dataclass(frozen=True, eq=False)
+class Law:
+    """What flies: the controller's `settings`, or a learned `policy` that falls back on them."""
+
+    settings: Mapping[str, float]
+    policy: Policy | None = None
+
+    def controller(self, setup: Setup) -> KernelController:
+        """The law for a flight on a rig."""
+        if self.policy is None:
+            return KernelController(self.settings, PERIOD)
+        own = self.policy.parameters(self.settings, setup.allowed.scales)
+        return KernelController(own.values, PERIOD, own.model)
+
+
+def fly(setup: Setup, law: Law, profile: Record, folder: Path, twins: Twins | None = None, times: int = 1) -> Flight:
+    """Close the loop on the rig over a profile, repeated `times` times, under a law; log and run.csv go to `folder`.
+    BadInput."""
     OutputFolder(folder)
     twin, learning = twins.beside(setup) if twins else (None, None)
-    done = run_on_rig(setup, KernelController(settings, PERIOD), repeated(profile, times), folder, twin=twin, adaptive=learning)
+    done = run_on_rig(setup, law.controller(setup), repeated(profile, times), folder, twin=twin, adaptive=learning)
     write_run(folder / "run.csv", done.record)
     rows = np.flatnonzero(np.isfinite(done.log["omega_wanted"]))
     learned = {name: done.log[LEARNED + name][rows] for name in learning.outputs} if learning else {}
@@ -72,7 +86,7 @@ def fly(
     began = float(done.log.time[rows[0]]) if len(rows) else 0.0
     alarms = tuple((at - began, what) for at, what in sorted(found))
     went = [] if done.ended else passes(done.record, profile, times)
-    costs = tuple(measured_cost(done.record.part(rows), settings) for rows in went)
+    costs = tuple(measured_cost(done.record.part(rows), law.settings) for rows in went)
     return Flight(done.record, learned, alarms, costs, done.ended)
 
 

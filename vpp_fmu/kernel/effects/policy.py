@@ -6,7 +6,8 @@
     command held to rate dt about the last one, then to the limits
 
 The dual PID takes over where an observation is outside of its box, or where z' P z > distance^2 (P: inverse covariance of the
-observations in training), and for `fallback_hold` seconds after. While the law acts, the integrals of the PID are set so that
+observations in training), and for `fallback_hold` seconds after, twice as long each time that it takes over again: a law that
+drives itself out of its box ends in the fallback. While the law acts, the integrals of the PID are set so that
 its commands are those of the law: the takeover has no bump. Before the first sample the commands are the lowest ones.
 """
 
@@ -33,8 +34,8 @@ input for the speed only where it is observed."""
 UNLIMITED = 1e9
 """Rate of a command, rpm/s or deg/s, that is no limit."""
 
-LARGEST_INTEGRAL = 1e6
-"""N.s"""
+LARGEST_INTEGRAL, LONGEST_HOLD = 1e6, 1e6
+"""N.s; s"""
 
 Number = float | str
 """A weight: its value, or the name of the parameter that holds it."""
@@ -90,7 +91,10 @@ def policy_effect(law: Law) -> Effect:
         memory |= {f"{u}_before": value for u, value in commands.items()}
         memory |= {f"thrust_{k}": value for k, value in enumerate([s.thrust, *past[:-1]][: law.history], 1)}
         memory["integral"] = ops.where(active > 0.5, 0.0, _grown(ops, x.integral, s, before, p, dt))
-        memory["fallback_left"] = ops.where(outside > 0.5, p.fallback_hold, ops.maximum(x.fallback_left - dt, 0.0))
+        again = ops.maximum(p.fallback_hold, 2.0 * x.fallback_hold_last)
+        hold = ops.where(active > x.fallback_active + 0.5, ops.minimum(again, LONGEST_HOLD), x.fallback_hold_last)
+        memory |= {"fallback_active": active, "fallback_hold_last": hold}
+        memory["fallback_left"] = ops.where(outside > 0.5, hold, ops.maximum(x.fallback_left - dt, 0.0))
         return {**commands, "fallback": active, **{f"seen_{k}": o for k, o in enumerate(seen)}}, memory
 
     return Effect(
@@ -101,7 +105,7 @@ def policy_effect(law: Law) -> Effect:
             *(q for q in DUAL_PID.parameters if q.name not in ALLOCATION),
             _rate("omega", "rpm/s", "speed"),
             _rate("beta", "deg/s", "pitch"),
-            Parameter("fallback_hold", "s", 1.0, 0.0, 1e4, "how long the fallback acts after the last bad observation"),
+            Parameter("fallback_hold", "s", 1.0, 0.0, 1e4, "how long the fallback acts after a bad observation, at first"),
             *(Parameter(name, "1", 0.0, -1e6, 1e6, "weight of the network") for name in names),
         ),
         states=(
@@ -110,6 +114,8 @@ def policy_effect(law: Law) -> Effect:
             State("beta_ref_before", "deg", "last commanded pitch", _nothing),
             State("integral", "N.s", "integral of set-point less reading", _nothing),
             State("fallback_left", "s", "how long the fallback still acts", _nothing),
+            State("fallback_active", "1", "whether the fallback acts", _nothing),
+            State("fallback_hold_last", "s", "how long it acts after a bad observation since it took over", _nothing),
             *(State(f"thrust_{k}", "N", f"thrust as read, {k} samples ago", _nothing) for k in range(1, law.history + 1)),
         ),
     )

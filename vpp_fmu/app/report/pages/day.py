@@ -20,7 +20,8 @@ FRAMEWORK = (
     ),
     ("model-based policy", "gains retuned on that model, within limits on overshoot and sensitivity"),
     ("model-free policy", "covariance matrix adaptation on the rig's own cost, a generation a round"),
-    ("which of them leads", f"that whose gains cost less on the rig (p < {BETTER:g}); what flies stays where neither does"),
+    ("learned policy", "a network learned on plants of that model's uncertainty, where --policy learned or all asks for it"),
+    ("which of them leads", f"that which costs less on the rig (p < {BETTER:g}); what flies stays where neither does"),
     ("safety", "the model refuses gains that break limits before they fly; limits and watchdogs of the rig as always"),
 )
 
@@ -29,7 +30,8 @@ BOXES = {
     "twin": (1, 2, ("digital twin", "adapts, alarms, is diagnosed")),
     "model-free": (0, 1, ("model-free policy", "searched on the rig")),
     "model-based": (1, 1, ("model-based policy", "retuned on the twin")),
-    "flies": (0.5, 0, ("controller", "of the lowest measured cost")),
+    "learned": (2, 1, ("learned policy", "trained on plants of the twin")),
+    "flies": (1, 0, ("controller", "of the lowest measured cost")),
 }
 """Column, row and words of each part of the framework."""
 
@@ -39,9 +41,11 @@ ARROWS = (
     ("twin", "model-based"),
     ("model-free", "flies"),
     ("model-based", "flies"),
+    ("twin", "learned"),
+    ("learned", "flies"),
 )
 
-WIDE, HIGH, ACROSS, DOWN = 250, 72, 340, 120
+WIDE, HIGH, ACROSS, DOWN = 230, 72, 270, 120
 """Pixels: of a box, and from box to box."""
 
 
@@ -147,7 +151,7 @@ def costs_by_round(
     if tried:
         x, y = np.array(tried, float).T
         add_points(fig, x + 0.12, y, "tries of the search", style.FAINT)
-    colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73"}
+    colours = {"what flew": style.BEFORE, "model-based": style.AFTER, "model-free": "#009e73", "learned": "#cc79a7"}
     for name in dict.fromkeys(name for each in costs for name in each):
         at = [(k, cost) for k, each in enumerate(costs, start=1) for cost in each.get(name, ())]
         x, y = np.array(at, float).reshape(-1, 2).T
@@ -178,7 +182,7 @@ def framework(numbers: Mapping[str, str]) -> str:
             parts.append(f'<text {place} fill="currentColor">{escape(text)}</text>')
     tip = '<marker id="tip" viewBox="0 0 10 10" refX="2" refY="5" markerWidth="8" markerHeight="8" orient="auto">'
     tip += '<path d="M0 0L10 5L0 10z" fill="currentColor"/></marker>'
-    width, height = 40 + ACROSS + WIDE, 20 + 2 * DOWN + HIGH
+    width, height = 40 + 2 * ACROSS + WIDE, 20 + 2 * DOWN + HIGH
     return (
         f'<svg viewBox="0 0 {width} {height}" role="img" style="max-width:{width}px"><defs>{tip}</defs>{"".join(parts)}</svg>'
     )
