@@ -32,7 +32,7 @@ def _many(task: Task, count: int) -> ManyPlants:
 
 
 def _spaces(core: Core) -> tuple[Box, Box]:
-    return Box(-core.bounds, core.bounds, dtype=np.float64), Box(-1.0, 1.0, (2,), dtype=np.float64)
+    return Box(-core.bounds, core.bounds, dtype=np.float64), Box(-1.0, 1.0, (2,), dtype=np.float32)
 
 
 class _Single(gymnasium.Env):
