@@ -135,7 +135,7 @@ class _Network:
         return model, np.array(list(model.values(own).values()))
 
 
-class _Trial:
+class Trial:
     """Flights of controllers over random set-points."""
 
     def __init__(self, task: Task, settings: Mapping[str, float]):
@@ -171,7 +171,7 @@ class _Trial:
 
 def random_steps(task: Task, settings: Mapping[str, float]) -> Record:
     """A profile, `time` [s], `thrust_set` [N], of the kind that a policy learns on: for tuning the PID beside it."""
-    course = _Trial(task, settings).course(np.random.default_rng([task.seed, 17]))
+    course = Trial(task, settings).course(np.random.default_rng([task.seed, 17]))
     rows = np.unique([0, *(np.flatnonzero(np.diff(course.wanted)) + 1), len(course.wanted) - 1])
     return Record({"time": rows * course.dt, "thrust_set": course.wanted[rows]}, "random steps")
 
@@ -190,7 +190,7 @@ def learn(
     `task`: plant, its posterior, noise, limit on overshoot and seed. The policy has the settings' limits and period, and their
     gains to fall back on.
     """
-    began, trial, model = time.monotonic(), _Trial(task, settings), task.parameters.model
+    began, trial, model = time.monotonic(), Trial(task, settings), task.parameters.model
     network = _Network(hidden, trial.span, settings)
     law, values = network.model(settings, task.parameters.rig.scales)
     loop, pool = ClosedLoop(model, law), task.plants(POOL, 11)
@@ -234,7 +234,7 @@ def learn(
     return Learned(policy, np.array(evaluations), np.array(curve), flights, example, fallback, seconds)
 
 
-def _guarded(network: _Network, weights: np.ndarray, trial: _Trial, plants: np.ndarray) -> Policy:
+def _guarded(network: _Network, weights: np.ndarray, trial: Trial, plants: np.ndarray) -> Policy:
     """The policy with the box and the distance of its observations on `plants` (n, parameters)."""
     free = network.policy(weights, trial.settings)
     seen, _ = _seen(free, trial, plants, (trial.task.seed, 16))
@@ -248,7 +248,7 @@ def _guarded(network: _Network, weights: np.ndarray, trial: _Trial, plants: np.n
     return network.policy(weights, trial.settings, mean=mean, scale=scale, **box)
 
 
-def _seen(policy: Policy, trial: _Trial, plants: np.ndarray, seed: tuple[int, ...]) -> tuple[np.ndarray, float]:
+def _seen(policy: Policy, trial: Trial, plants: np.ndarray, seed: tuple[int, ...]) -> tuple[np.ndarray, float]:
     """(observations (samples, observations), share of time in the fallback) of a policy that flies these plants."""
     found, names = [], [p.name for p in trial.task.parameters.model.parameters]
     own = policy.parameters(trial.settings, trial.task.parameters.rig.scales)
