@@ -90,9 +90,8 @@ def main(options=None):
     seeds = range(parsed.first_seed, parsed.first_seed + parsed.seeds)
     found = spread(partial(costs, generations=parsed.generations), seeds, parsed.workers, what="rigs")
     for case in found[0]:
-        print(
-            f"\n{case}, {len(found)} rigs of {PLANTS} plants\n{'law':12s} {'median':>9s} {'worst':>9s} {'less than the PID':>18s}"
-        )
+        print(f"\n{case}, {len(found)} rigs of {PLANTS} plants")
+        print(f"{'law':12s} {'median':>9s} {'worst':>9s} {'less than the PID':>18s}")
         for name in LAWS:
             own, pid = (np.array([each[case][law] for each in found]) for law in (name, "tuned PID"))
             less = f"{100.0 * np.mean(own < pid):.0f} %" if name != "tuned PID" else ""
