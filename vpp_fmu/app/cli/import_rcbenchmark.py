@@ -18,8 +18,9 @@ from identification.logs.intake import Taken
 from identification.logs.mapping import parse_fixed, pitch_in_other_unit
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
-from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, placed
-from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES, Record, RecordWarning
@@ -62,7 +63,7 @@ def run(options):
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
     lines += said_of_map(figures["speed_map"], known) if known else ["omega_ref: the measured speed"]
     lines += said
-    say_written(folder, lines=lines)
+    return Answer(headline(folder, kind, record, options.log), figures, lines, written=written(folder))
 
 
 def _pitch(options, log: Log) -> float:
