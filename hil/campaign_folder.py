@@ -50,16 +50,16 @@ class Measuring:
         unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
         if not resume:
             if unfinished:
-                found = f"one that did not come to its end, begun {before.get('begun')}"
-                raise BadInput(folder, "campaign", found, "--resume, or another folder")
+                found = f"a campaign that has not ended, begun {before.get('begun')}"
+                raise BadInput(folder, "campaign", found, "a folder without one", "--resume to go on, or another folder")
             for part in (*PARTS, "record"):
                 forget(folder, part)
             return content
         if "plan" not in before:
-            raise BadInput(folder, "--resume", "no campaign", "a folder that vpp hil campaign has written to")
+            raise BadInput(folder, "--resume", "no campaign", "the folder of an earlier vpp hil campaign")
         for name in SAME:
             if before.get(name) != content.get(name):
-                allowed = f"{json.dumps(content.get(name))[:80]}, as now asked for"
+                allowed = f"{json.dumps(content.get(name))[:80]}, as this call has it"
                 raise BadInput(path, name, json.dumps(before.get(name))[:80], allowed)
         return before | {"resumed": [*before.get("resumed", []), content["begun"]]}
 

@@ -162,7 +162,7 @@ def of_log(log: Path) -> tuple[Record | None, dict, bool]:
     if path.exists():
         begun = read_object(path, "vpp-hil/1", "what vpp hil run has written")
         if "parts" in begun:
-            raise BadInput(path, "parts", "a campaign", "a run; a campaign goes on with vpp hil campaign --resume")
+            raise BadInput(path, "parts", "a campaign", "a run", "vpp hil campaign --resume to go on with a campaign")
         check_kinds(path, begun, BEGUN if begun.get("status", RUNNING) == RUNNING else DONE)
     if begun.get("status", RUNNING) != RUNNING:
         return read_log(log), begun, False

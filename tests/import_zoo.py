@@ -501,7 +501,7 @@ def came_out(format: Format, folder: Path, run: Callable[[list[str]], tuple[int,
     format.write(path, t)
     code, out, err = run(["import", "csv", str(path), *format.words, "-o", str(folder / "out")])
     if format.refused:
-        one_line = code == 2 and err.count("\n") == 1 and format.refused in err and "found" in err and "allowed is" in err
+        one_line = code == 2 and err.count("\n") == 1 and format.refused in err and "found" in err and "expected" in err
         return one_line and not (folder / "out").exists(), err.strip().replace(str(folder) + "/", "")
     if code:
         return False, err.strip().replace(str(folder) + "/", "")

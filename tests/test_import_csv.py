@@ -386,7 +386,7 @@ def test_a_second_rotor_is_said_and_taken_on_demand(tmp_path, vpp, labels, secon
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
             np.testing.assert_allclose(record[name], gain * t[name], rtol=1e-8)
-    assert f"--rotor: found 7, allowed is one of {', '.join(labels)}" in vpp(path, "--rotor", "7")[2]
+    assert f"--rotor: found 7, expected one of {', '.join(labels)}" in vpp(path, "--rotor", "7")[2]
 
 
 def test_coefficients_become_the_thrust_of_a_propeller(tmp_path, vpp):

@@ -222,7 +222,7 @@ def test_gains_that_leave_the_parameters_rig_are_not_exported(wide, capsys):
     (wide / "gains.json").write_text(to_json(gains))
     words = ["export", "--parameters", str(wide), "--gains", str(wide / "gains.json"), "-o", str(wide / "fmus")]
     assert cli.main(words) == 2
-    assert "omega_max: found 6000 rpm, allowed is 0 to 5573 rpm (the campaign)" in capsys.readouterr().err
+    assert "omega_max: found 6000 rpm, expected 0 to 5573 rpm (the campaign)" in capsys.readouterr().err
     assert not (wide / "fmus" / "VppController.fmu").exists()
 
 

@@ -82,7 +82,7 @@ class Task:
         """The objective for a controller with these settings, on the nominal plant. BadInput for mode 2, whose speed follows
         pitch: the loop is not linear in its gains."""
         if settings.get("mode", DUAL) == ALLOCATED:
-            raise BadInput("gains", "parameters, mode", "2", "0 or 1: the allocated law is not tuned")
+            raise BadInput("gains", "parameters, mode", "2 (allocated)", "0 or 1: the allocated law is not tuned")
         settings, values = self.controller.values(settings), self.parameters.values
         dt, speed_only = settings["sample_time"], speed_alone(settings)
         rest = (settings["omega_min"], settings["beta_fixed"]) if speed_only else idle(self.parameters.rig)

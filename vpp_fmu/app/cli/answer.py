@@ -26,8 +26,8 @@ LEVELS = {"json": False, "quiet": False, "verbose": False}
 
 @dataclass(frozen=True)
 class Answer:
-    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file. `lines`: warnings,
-    and what else must be seen; `figures`: (label, value, note); `more`: lines for --verbose only; `written`: the output's lines.
+    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file. `lines`: warnings, and
+    all else that must be seen; `figures`: (label, value, note); `more`: lines for --verbose only; `written`: the output's.
     `failure`: an error that the finding is, raised after it is printed."""
 
     text: str

@@ -40,7 +40,7 @@ def configure(parser):
 def run(options):
     if (options.campaign is None) == (options.template is None):
         found = "neither" if options.campaign is None else "both"
-        raise BadInput("command line", "CAMPAIGN, --template", found, "one of the two")
+        raise BadInput("command line", "CAMPAIGN, --template", found, "one of them")
     if options.template is not None:
         folder = OutputFolder(options.template)
         write_template(folder)
@@ -127,7 +127,7 @@ def _fitted(
         found = identify(campaign, accept=accept, stage=stage)
         return found.quality, found.logger
     except BadInput as refused:
-        evidence = f"found {refused.found}, needed is {refused.allowed}"
+        evidence = f"found {refused.found}, expected {refused.allowed}"
         unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", evidence, "what is missing")
     except VppError as refused:
         unfit = Finding("no_fit", str(campaign.folder), "fit", 0.0, "1", str(refused), "the data tell too little")

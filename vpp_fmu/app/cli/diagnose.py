@@ -62,7 +62,7 @@ def run(options):
     if len(options.campaigns) > 1:
         return _fleet(options)
     if options.scheduler:
-        raise BadInput("command line", "--scheduler", "one campaign", "several: a fleet is what is spread")
+        raise BadInput("command line", "--scheduler", "one campaign", "two or more campaigns, which it distributes")
     return _one(options, options.campaigns[0])
 
 
@@ -112,7 +112,9 @@ def _of_fleet(job: tuple) -> Entry:
 def _fleet(options) -> Answer:
     """Diagnose each campaign into a folder of its name, and write a table of all. A refused campaign is a failure."""
     if options.record:
-        raise BadInput("command line", "--record", "several campaigns", "one campaign, to which the record belongs")
+        raise BadInput(
+            "command line", "--record", f"{len(options.campaigns)} campaigns", "one campaign to which the record belongs"
+        )
     _model(options)  # errors common to all campaigns are reported once
     folder = OutputSet(options.output, "diagnose several")
     there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask may have another working folder

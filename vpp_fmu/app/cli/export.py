@@ -127,18 +127,18 @@ def _check(options) -> None:
     """BadInput for options that do not fit together."""
     native = options.flavour != "python"
     if options.policy and options.model:
-        raise BadInput("vpp export", "--policy", "given with --model", "one of them")
+        raise BadInput("command line", "--policy", "--policy and --model", "only one of them")
     if options.twin is not None and (options.model or not options.parameters):
-        given = "--model" if options.model else "no --parameters"
-        raise BadInput("vpp export", "--twin", given, "the --parameters of an identified plant")
+        given = "--twin and --model" if options.model else "--twin without --parameters"
+        raise BadInput("command line", "--twin", given, "--twin with the --parameters of an identified plant")
     if options.adapt and options.twin is None:
-        raise BadInput("vpp export", "--adapt", "given without --twin", "--twin, which adapts them")
+        raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
     if options.platforms != "host" and not native:
-        raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+        raise BadInput("command line", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
     if options.fmi == "3.0" and options.cross_check:
-        raise BadInput("vpp export", "--cross-check", "given with --fmi 3.0", "--fmi 2.0, which the cross-check is about")
+        raise BadInput("command line", "--cross-check", "--fmi 3.0", "--fmi 2.0, the only version of the cross-check")
     if options.fmi == "3.0" and options.flavour != "native":
-        raise BadInput("vpp export", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
+        raise BadInput("command line", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:
@@ -172,7 +172,9 @@ def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
 
 def _own(options) -> list[ParameterSet]:
     if options.gains:
-        raise BadInput("vpp export", "--gains", "given with --model", "--parameters for a model's parameters")
+        raise BadInput(
+            "command line", "--gains", "--gains and --model", "only one of them", "--parameters for the values of a model"
+        )
     model = find_model(options.model)
     return [read_parameters(options.parameters, lambda _: model) if options.parameters else ParameterSet(model)]
 

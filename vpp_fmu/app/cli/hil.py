@@ -206,7 +206,7 @@ def _run(options) -> Answer:
     rig = which(options, fmu=True)
     if rig.kind == "fmu":
         if options.watch is not None:
-            raise BadInput("command line", "--watch", "given with --rig fmu", "a rig: a loop of FMUs is over in seconds")
+            raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record = _fmu_loop(rig.plant, options, profile)
         content = finish_fmu(folder, rig.plant, record, parquet)
@@ -384,8 +384,8 @@ def allowed_of(options, turning: bool = True) -> Rig:
     if rig.file:
         return declared_rig(rig.file, rest)
     if rest is None:
-        allowed = "real RIG.json, or --parameters that were identified from a campaign on it"
-        raise BadInput("command line", "--rig", "real, without a range of speed and pitch", allowed)
+        hint = "--rig real RIG.json, or --parameters that were identified on this rig"
+        raise BadInput("command line", "--rig", "a real rig of unknown range", "a declared range of speed and pitch", hint)
     return rest
 
 
@@ -398,13 +398,15 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
     """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether it will."""
     real = which(options).kind == "real"
     if real and (options.virtual or options.hide):
-        raise BadInput("command line", "--rig", "real with --virtual or --hide", "these for the emulated rig only")
+        raise BadInput("command line", "--rig", "real with --virtual or --hide", "an emulated rig for these options")
     if real and not options.calibration:
-        raise BadInput("command line", "--calibration", "none", "the real rig's own calibration (see hil/README.md)")
+        raise BadInput(
+            "command line", "--calibration", "nothing", "the real rig's calibration file", "vpp hil calibrate --rig real"
+        )
     calibration = read_calibration(options.calibration or str(CALIBRATION))
     if real and turning and (unknown := never_measured(calibration)):
-        allowed = "who and when, as vpp hil calibrate writes them where it has measured"
-        raise BadInput(options.calibration, "source", f"nobody who measured {', '.join(unknown)}", allowed)
+        found = f"no operator and date for {', '.join(unknown)}"
+        raise BadInput(options.calibration, "source", found, "who measured each part, and when", "vpp hil calibrate --rig real")
     limits, allowed = _limits(options, allowed_of(options, turning), steps)
     if not real and not options.calibration:
         calibration = calibrated_for(calibration, allowed)
@@ -417,7 +419,7 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
 def _wiring(options) -> Wiring:
     channels = tuple(options.pwm_channels)
     if channels[0] == channels[1]:
-        raise BadInput("command line", "--pwm-channels", f"{channels[0]} twice", "two outputs")
+        raise BadInput("command line", "--pwm-channels", f"output {channels[0]} twice", "two different outputs")
     return Wiring(options.bus, port=options.port, pwm=options.pwm, channels=channels)
 
 
@@ -451,7 +453,7 @@ def tick_of(given: ParameterSet | None) -> float | None:
 def controller_of(options) -> Controller:
     """A fresh controller as the options have it."""
     if options.controller and options.gains:
-        raise BadInput("command line", "--controller", "given with --gains", "one of the two")
+        raise BadInput("command line", "--controller", "--controller and --gains", "only one of them")
     if options.controller:
         return FmuController(options.controller, dt=PERIOD)
     return KernelController(gains_of(options).values, PERIOD)
@@ -468,11 +470,11 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
     """The twin that says when the rig leaves its band, that band, and the twin that adapts."""
     if options.twin is None:
         if options.adapt:
-            raise BadInput("command line", "--adapt", "given without --twin", "--twin, which adapts them")
+            raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
         return None
     if not options.twin and not options.parameters:
-        needed = "the plant's parameters, or an identification.json for its band"
-        raise BadInput("command line", "--twin", "no --parameters", needed)
+        needed = "the plant's parameters, or an identification.json for the twin's band"
+        raise BadInput("command line", "--twin", "neither", needed, "--parameters F")
     parameters = plant_of(options)
     source = options.twin or beside(options.parameters)
     band = read_band(source)
@@ -526,8 +528,8 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
         yield None
         return
     if options.virtual:
-        allowed = "a run in real time: a virtual one is over in seconds"
-        raise BadInput("command line", "--watch", "given with --virtual", allowed)
+        allowed = "a run in real time: a virtual one ends in seconds"
+        raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
     with served(content, options.watch) as page:
         print(f"operator's page: {page.address}", file=sys.stderr, flush=True)  # with --quiet too: STOP is there
         yield page

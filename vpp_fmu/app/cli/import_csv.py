@@ -99,7 +99,7 @@ def run(options):
         return _propose(table, options, lines)
     plan = _plan(options, section, table, lines)
     if options.diameter and "ct" not in plan.columns:
-        raise BadInput(options.log, "ct", "no column of thrust coefficients", "--map ct=COLUMN, or no --diameter")
+        raise BadInput(options.log, "ct", "--diameter and no column of thrust coefficients", "such a column", "--map ct=COLUMN")
     span = signal_range(table, plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
@@ -144,7 +144,7 @@ def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
     fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
     if saved and options.rotor:
-        raise BadInput("command line", "--rotor", options.rotor, "none beside an import.toml, which names its columns")
+        raise BadInput("command line", "--rotor", options.rotor, "no --rotor beside an import.toml, which names the columns")
     if saved:
         columns, said = parse_pairs(saved, table, options.force) | own, []
     else:
@@ -155,7 +155,8 @@ def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
     if options.speed_from == "measured":
         if "omega" not in columns:
-            raise BadInput(table.source, "omega", "no measured speed", "--map omega=COLUMN:rpm, or --speed-from command")
+            hint = "--map omega=COLUMN:rpm, or --speed-from command"
+            raise BadInput(table.source, "omega", "no column of measured speed", "one for --speed-from measured", hint)
         columns = {"omega_ref": columns.pop("omega"), **{q: c for q, c in columns.items() if q not in ("omega_ref", "signal")}}
         fixed.pop("omega_ref", None)
     return Plan(columns, fixed, table.read)
@@ -178,7 +179,7 @@ def _propose(table: RawTable, options, lines: list[str]) -> Answer:
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
         if (folder.path / name).exists() and not options.replace:
-            raise BadInput(options.propose, "file", "one that is there already", "a new file", "--replace")
+            raise BadInput(options.propose, "file", "an existing file", "a new file", "--replace")
         folder.write(name, to_toml({options.kind: plan.section(Path(options.log).name)}))
         place = [f"saved in {options.propose}"]
     text = f"The header of {Path(options.log).name} proposes {len(columns)} of {len(table.columns)} columns."

@@ -42,7 +42,9 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
     else:
         record, said = _record(place, kind, taken, mend)
     if (other := there(place, kind)) and other.suffix == ".gz":
-        raise BadInput(other, "file", "one that is there already", f"no {kind}.csv.gz beside {kind}.csv")
+        raise BadInput(
+            other, "file", f"{kind}.csv.gz already in the folder", f"either it or {kind}.csv", "delete it, or another folder"
+        )
     folder = OutputSet(place, "import")
     if kind == "static":
         write_static(folder, static)
@@ -51,7 +53,9 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
     else:
         write_record(folder, f"{kind}.csv", record)
     if kind in KINDS and f"{kind}.csv" in folder.replaced and not replace:
-        raise BadInput(place / f"{kind}.csv", "file", "one of another log", "another folder, another --as, or --replace")
+        raise BadInput(
+            place / f"{kind}.csv", "file", "the file of another log", "a new file", "another folder, another --as, or --replace"
+        )
     return folder, said
 
 
@@ -69,8 +73,8 @@ def headline(folder: OutputSet, kind: str, columns: Mapping[str, np.ndarray] | R
 def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, list[str]]:
     record, said = taken.record(), []
     if taken.points:
-        allowed = "rows that show how thrust moves; steady points go in with --as static"
-        raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed)
+        allowed = "rows close enough to show how the thrust moves"
+        raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed, "--as static for steady points")
     if mend:
         record, said = mended(record)
     if kind == "repeat" and (first := there(place, "open_loop")):

@@ -74,7 +74,8 @@ def _pitch(options, log: Log) -> float:
         return fixed["beta_ref"]
     if other := pitch_in_other_unit(read_delimited(options.log, {}), log.names.values()):
         found = f"{other[0]}, which is pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
-        raise BadInput(log.source, "beta_ref", found, "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map it")
+        hint = "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map the column"
+        raise BadInput(log.source, "beta_ref", found, "a pitch in degrees", hint)
     return 0.0
 
 
@@ -107,8 +108,8 @@ def said_of_averages(log: Log, kind: str) -> list[str]:
 def fitted(log: Log) -> SpeedMap:
     """The map of the log's own steady parts."""
     if log.speed is None:
-        allowed = "the motor's optical or electrical speed, or the map of another log with --speed-map"
-        raise BadInput(log.source, "columns", "no speed", allowed)
+        hint = "--speed-map M.json of another log of this stand"
+        raise BadInput(log.source, "columns", "no speed", "the motor's optical or electrical speed", hint)
     return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
 
 

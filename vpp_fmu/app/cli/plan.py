@@ -151,7 +151,7 @@ def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
     option = "--omega" if options.omega is not None else "--pitch"
     if sys.stdin.isatty() and Prompts(None).choice(f"{option}: {found}; go on", ("yes", "no")) == "yes":
         return
-    raise BadInput("command line", option, found, "a wider range, or --yes to go on")
+    raise BadInput("command line", option, found, "a wider range", "--yes to go on")
 
 
 def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
@@ -163,8 +163,10 @@ def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
         rig = declared_rig(options.rig, rig)
     rig = _narrowed(rig, options)
     if rig.unknown:
-        allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
-        raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
+        hint = "--campaign DIR, --rig FILE, or --omega and --pitch"
+        raise BadInput(
+            options.parameters, f"range of {' and '.join(rig.unknown)}", "none", "a measured or declared range", hint
+        )
     return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters))
 
 

@@ -154,7 +154,12 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     own = controllers(parameters, given, options.sample_time, options.gains)
     period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
-        raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
+        raise BadInput(
+            "command line",
+            "--delay",
+            f"{options.delay:g} s",
+            f"0 to {LONGEST * period:g} s, {LONGEST} samples of the controller",
+        )
     profile = read_profile(options.profile) if options.profile else rig_profile(parameters, own.settings)
     if profile.time[-1] < 10.0 * period:
         raise BadInput(options.profile, "time", f"{profile.time[-1]:g} s", f"{10.0 * period:g} s or more")

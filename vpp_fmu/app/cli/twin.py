@@ -56,7 +56,7 @@ def run(options):
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
-        raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
+        raise BadInput(options.parameters, "rig", "one moving channel", "speed and pitch: a day tunes both")
     known_in = beside(options.parameters)
     band = read_band(known_in)
     check_same_model(known_in, parameters, options.parameters)
@@ -99,7 +99,7 @@ def _check_new(path: str) -> None:
     there = Path(path)
     if there.exists() and (not there.is_dir() or any(there.iterdir())):
         found = f"{path}, which holds files" if there.is_dir() else f"{path}, a file"
-        raise BadInput("command line", "DAY", found, "a folder that is not there yet, or empty")
+        raise BadInput("command line", "DAY", found, "a new or empty folder")
 
 
 def _rig(options, setup: Setup) -> Rig:
