@@ -460,7 +460,7 @@ def _refused() -> list[Format]:
         Format("comma for both", "log.csv", text(decimal=","), refused="decimal"),
         Format("back by a second", "log.csv", _with(back, text()), refused="back by 0.99"),
         Format("a unit that nobody knows", "log.csv", text(PLAIN), unit("bananas"), refused="bananas"),
-        Format("a unit of something else", "log.csv", text(PLAIN), unit("rpm"), refused="turn into N"),
+        Format("a unit of something else", "log.csv", text(PLAIN), unit("rpm"), refused="a unit like N"),
         Format(
             "no unit",
             "log.csv",

@@ -109,7 +109,7 @@ def test_a_file_must_not_stand_there_twice(tmp_path):
     filled(tmp_path, open_loop=RECORD)
     (tmp_path / "open_loop.csv.gz").write_bytes(gzip.compress(RECORD.encode()))
     message = failure(read_campaign, tmp_path)
-    assert message == f"{tmp_path}: open_loop.csv: found open_loop.csv and open_loop.csv.gz, expected one of the two"
+    assert message == f"{tmp_path}: open_loop.csv: found open_loop.csv and open_loop.csv.gz, expected only one of them"
 
 
 def test_a_folder_in_a_file_s_place(tmp_path):
@@ -138,8 +138,8 @@ def test_records_are_checked(tmp_path, name, old, new, message):
         ("0.004,4e3,6", "0.004,4e3,6.001", "beta_ref, row 2 of the data: found 6.001, expected 6 as in "),
         ("0.008,4e3", "0.008,4100", "omega_ref, row 3 of the data: found 4100, expected 4000 as in "),
         ("0.008,", "0.012,", "time, row 3 of the data: found 0.012, expected 0.008 as in "),
-        ("0.008,4e3,6,,7.1\n", "", "row 3 of the data: found 2 rows in all, expected 3 as in "),
-        ("7.1\n", "7.1\n0.012,4e3,6,,7\n", "row 4 of the data: found 4 rows in all, expected 3 as in "),
+        ("0.008,4e3,6,,7.1\n", "", "row 3 of the data: found 2 rows in all, expected 3 rows as in "),
+        ("7.1\n", "7.1\n0.012,4e3,6,,7\n", "row 4 of the data: found 4 rows in all, expected 3 rows as in "),
     ],
 )
 def test_a_repeat_must_repeat(tmp_path, old, new, message):
@@ -160,7 +160,7 @@ def test_a_repeat_to_the_nanosecond_is_one(tmp_path):
         ("thrust", "force", "column thrust: found only run, time"),
         ("7,0,", "7,1.5,", "time, line 5: found 1.5, expected 0 in the first row of a run"),
         ("3,1,", "3,0.5,", "time, line 4: found 0.5 after 0.5 (time stands still)"),
-        ("7,0.25,", "3,0.25,", "run, line 6: found 3 once more, expected the rows of a run one after another"),
+        ("7,0.25,", "3,0.25,", "run, line 6: found run 3 a second time, expected the rows of a run one after another"),
         ("3,0,", "3.5,0,", "run, line 2: found 3.5, expected a whole number"),
         ("3,0,", "three,0,", "run, line 2: found 'three', expected a finite number"),
         ("8.5", "", "thrust, line 4: found an empty cell, expected a finite number"),

@@ -143,7 +143,7 @@ def test_a_parameter_of_an_effect_that_is_not_on(tmp_path):
 
 def test_effects_of_a_model_without_any(tmp_path):
     path = written(tmp_path, content(parameters={}))
-    with pytest.raises(BadInput, match=r'effects: found "pitch_delay", expected none, VppController has no effects'):
+    with pytest.raises(BadInput, match=r'effects: found "pitch_delay", expected no effects: VppController has none'):
         read_parameters(path, controller)
 
 

@@ -234,7 +234,7 @@ def test_a_log_without_rest_has_no_tare(tmp_path):
         (lambda text: text.replace("Current (A)", "Voltage (V)"), "column Voltage (V): found more than one"),
         (lambda text: "\n".join(text.split("\n")[:1]), "file: found 0 rows"),
         (lambda text: "", "file: found 0 rows"),
-        (lambda text: text[:-30], "cells, expected 8, as in the header"),
+        (lambda text: text[:-30], "cells, expected 8 cells, as in the header"),
         (lambda text: text.replace("\n", "\nx", 2), "Time (s), line 2: found 'x"),
     ],
 )
@@ -529,7 +529,7 @@ def test_logs_in_one_folder_share_the_first_ones_map(tmp_path, vpp, capsys):
     saved = read_speed_map(tmp_path / "stand" / "speed_map.json")
     assert float(f"{saved.omega_ref(np.array([1200.0]))[0]:.9g}") in commands[1]
     assert vpp(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 2
-    assert "open_loop.csv: file: found one of another log" in capsys.readouterr().err
+    assert "open_loop.csv: file: found the file of another log" in capsys.readouterr().err
     assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 0
 
 
@@ -554,7 +554,7 @@ def test_a_servo_in_use_asks_for_the_pitch(tmp_path, vpp, capsys):
     assert vpp(path, "-o", tmp_path / "out") == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "Servo 1, which is pitch by its name, from 1200 to 1700" in error
+    assert "Servo 1, pitch by its name, from 1200 to 1700" in error
     assert vpp(path, "--fixed", "omega_ref=8:rpm", "-o", tmp_path / "out") == 2
     assert vpp(path, "--fixed", "beta_ref=8:deg", "-o", tmp_path / "out") == 0
     np.testing.assert_array_equal(read_record(tmp_path / "out" / "record.csv", holes=("thrust", "omega"))["beta_ref"], 8.0)
@@ -576,7 +576,7 @@ def test_the_measured_speed_as_command_has_no_gaps(tmp_path, vpp):
     [
         (
             ("time", "signal", "thrust", "voltage"),
-            "columns: found no speed, expected the motor's optical or electrical speed, or the map",
+            "columns: found no speed, expected the motor's optical or electrical speed. Try: --speed-map",
         ),
         (("time", "signal", "voltage", "optical"), "column Thrust: found only Time"),
     ],

@@ -143,8 +143,8 @@ BAD = {
     "broken cell": (changed(2, '0,4000,5,"7\n8"'), r"thrust, line 3: found '7\n8', expected a finite number"),
     "commented out": (changed(3, "#0.004,4000,5,7"), "time, line 3: found '#0.004', expected a finite number"),
     "no time": (changed(3, ",4000,5,7"), "time, line 3: found an empty cell, expected a finite number"),
-    "decimal comma": (changed(3, "0,004,4000,5,7"), "line 3: found 5 cells, expected 4, as in the header"),
-    "ragged": (changed(4, "0.008,4000"), "line 4: found 2 cells, expected 4, as in the header"),
+    "decimal comma": (changed(3, "0,004,4000,5,7"), "line 3: found 5 cells, expected 4 cells, as in the header"),
+    "ragged": (changed(4, "0.008,4000"), "line 4: found 2 cells, expected 4 cells, as in the header"),
     "late start": (changed(2, "0.002,4000,5,7"), "time, line 2: found 0.002, expected 0 in the first row of a record"),
     "early start": (changed(2, "-1,4000,5,7"), "time, line 2: found -1, expected 0 in the first row of a record"),
     "time goes back": (

@@ -216,7 +216,7 @@ def completed(
     if deciding:
         found = ", ".join(f"{c.name} as {q}{f' in {c.unit}' if c.unit else ''}" for q, c in doubtful.items())
         plan = Plan({q: c for q, c in (columns | mapped).items() if q not in fixed}, fixed)
-        field, hint = f"unit of {', '.join(doubtful)}", f"--yes to take these units, or {plan.words()} with the right ones"
+        field, hint = f"unit of {', '.join(doubtful)}", f"--yes to take these units, or your own with {plan.words()}"
         raise BadInput(table.source, field, f"no certain unit ({found} is a guess)", "a unit in the header or in --map", hint)
     said = [f"{c.name}: not taken as {q}, its unit is a guess; --yes takes it in {c.unit}" for q, c in doubtful.items()]
     columns = {q: c for q, c in columns.items() if q not in doubtful} | mapped

@@ -44,7 +44,7 @@ VERBS = {
 
 GROUP = "vpp.verbs"
 """Group of entry points of installed packages: each names a verb, and a module with `configure(parser)`, `run(options)`,
-EXAMPLE and a docstring, as in this folder. `run` returns an `Answer`, or None if it prints by itself."""
+EXAMPLE and a docstring, as in this folder. `run` returns an `Answer`, or None if it prints alone."""
 
 READER_GONE = 141
 """Exit code if the reader of standard output has closed it: 128 + SIGPIPE, as of any other program in a pipe."""

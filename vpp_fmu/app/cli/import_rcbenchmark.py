@@ -73,7 +73,7 @@ def _pitch(options, log: Log) -> float:
             raise BadInput("command line", "--fixed", options.fixed, "beta_ref=VALUE:UNIT, such as beta_ref=8:deg")
         return fixed["beta_ref"]
     if other := pitch_in_other_unit(read_delimited(options.log, {}), log.names.values()):
-        found = f"{other[0]}, which is pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
+        found = f"{other[0]}, pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
         hint = "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map the column"
         raise BadInput(log.source, "beta_ref", found, "a pitch in degrees", hint)
     return 0.0
