@@ -217,7 +217,7 @@ def completed(
         found = ", ".join(f"{c.name} as {q}{f' in {c.unit}' if c.unit else ''}" for q, c in doubtful.items())
         plan = Plan({q: c for q, c in (columns | mapped).items() if q not in fixed}, fixed)
         field, hint = f"unit of {', '.join(doubtful)}", f"--yes to take these units, or your own with {plan.words()}"
-        raise BadInput(table.source, field, f"no certain unit ({found} is a guess)", "a unit in the header or in --map", hint)
+        raise BadInput(table.source, field, f"only guesses: {found}", "units in the header or in --map", hint)
     said = [f"{c.name}: not taken as {q}, its unit is a guess; --yes takes it in {c.unit}" for q, c in doubtful.items()]
     columns = {q: c for q, c in columns.items() if q not in doubtful} | mapped
     return {q: columns[q] for q in QUANTITIES if q in columns}, said

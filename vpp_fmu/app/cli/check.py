@@ -102,7 +102,7 @@ def _failure(campaign: str, found: Checked) -> BadInput | None:
     if not codes:
         return None
     what = f"{len(codes)} error{'s' * (len(codes) > 1)}: {', '.join(dict.fromkeys(codes))}"
-    return BadInput(campaign, "quality", what, "no errors", "see the lines above, or --accept a code")
+    return BadInput(campaign, "quality", what, "no errors", "vpp check --help, which explains each code")
 
 
 def checked(campaign: Campaign, accept: frozenset[str], stage=lambda text: None) -> Checked:

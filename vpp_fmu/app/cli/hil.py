@@ -474,7 +474,7 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
         return None
     if not options.twin and not options.parameters:
         needed = "the plant's parameters, or an identification.json for the twin's band"
-        raise BadInput("command line", "--twin", "neither", needed, "--parameters F")
+        raise BadInput("command line", "--twin", "no model of the rig", needed, "--parameters F")
     parameters = plant_of(options)
     source = options.twin or beside(options.parameters)
     band = read_band(source)

@@ -99,7 +99,9 @@ def run(options):
         return _propose(table, options, lines)
     plan = _plan(options, section, table, lines)
     if options.diameter and "ct" not in plan.columns:
-        raise BadInput(options.log, "ct", "--diameter and no column of thrust coefficients", "such a column", "--map ct=COLUMN")
+        raise BadInput(
+            options.log, "ct", "--diameter and no column of thrust coefficients", "a column of them", "--map ct=COLUMN"
+        )
     span = signal_range(table, plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
