@@ -97,7 +97,7 @@ def test_every_command_ends_well_or_says_a_way_out(written):
         refused = {"hil", "twin"} if rig in BEYOND_THE_EMULATOR else {"twin"}
         if verb in refused:
             assert code == 2, (verb, said)
-            assert "--rig emulated RIG.json" in said if rig in BEYOND_THE_EMULATOR else "one channel that moves" in said
+            assert "--rig emulated RIG.json" in said if rig in BEYOND_THE_EMULATOR else "one moving channel" in said
         else:
             assert code == 0, (verb, said)
     assert {"check", "diagnose", "export", "cosim", "tune", "plan", "hil", "twin", "check-effect"} <= set(found)

@@ -329,7 +329,10 @@ def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
     path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
     words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
     assert cli.main(words) == 2
-    assert "range of speed and pitch: found none, expected one that was measured or declared" in capsys.readouterr().err
+    assert (
+        "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "plan.csv").exists()
     assert cli.main([*words, "--omega", "3000", "4000"]) == 2
     assert "range of pitch: found none" in capsys.readouterr().err
@@ -397,7 +400,7 @@ def test_a_range_in_which_the_thrust_hardly_changes_is_asked_about(tmp_path, cap
     assert cli.main(words) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "less than the 0.3 N of noise of a reading, expected a wider range, or --yes to go on" in said
+    assert "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on" in said
     assert not tried
     for more in (["--yes"], ["--omega", "100", "3000"]):
         with pytest.raises(pytest.fail.Exception):
@@ -434,4 +437,4 @@ def test_what_is_known_is_found_beside_the_parameters(tmp_path, capsys, monkeypa
     capsys.readouterr()
     assert cli.main(words) == 2
     assert seen.pop() == (pytest.approx(0.3), None)
-    assert "not used: " in capsys.readouterr().out
+    assert "not used: " in capsys.readouterr().err

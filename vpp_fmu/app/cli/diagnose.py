@@ -76,10 +76,10 @@ def _one(options, campaign: str) -> Answer:
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
     lines = [finding.text for finding in found.quality] + ([text] if (text := not_tried(found)) else [])
-    more = [f"your logger: {line}" for line in found.logger.lines]
-    more.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
+    lines += [f"your logger: {line}" for line in found.logger.lines]
+    lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
     place = written(folder, found.parameters(found.final))
-    return Answer(headline(found), summary(found), lines, key_figures(found), more, place)
+    return Answer(headline(found), summary(found), lines, key_figures(found), written=place)
 
 
 def _model(options) -> dict:

@@ -57,9 +57,9 @@ def run(options):
         bar.set_description("report")
         write_identification(folder, found)
     lines = [*(finding.text for finding in found.quality), *remarks(found), *not_identifiable(found)]
-    more = [f"your logger: {line}" for line in found.logger.lines]
+    lines += [f"your logger: {line}" for line in found.logger.lines]
     place = written(folder, found.parameters)
-    return Answer(headline(found), found.summary(), lines, key_figures(found), more, place)
+    return Answer(headline(found), found.summary(), lines, key_figures(found), written=place)
 
 
 def write_identification(folder: OutputFolder, found: Identification) -> None:
