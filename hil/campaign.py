@@ -77,7 +77,7 @@ def within(rig: Ranges, limits: Limits, freely: Limits) -> Ranges:
     for name in ("speed", "pitch"):
         if found[name][0] > found[name][1]:
             low, high = getattr(rig, name)
-            raise BadInput("limits", f"range of {name}", "nothing", f"something within the rig's {low:g} to {high:g}")
+            raise BadInput("limits", f"range of {name}", "an empty range", f"a range within the rig's {low:g} to {high:g}")
     changed = {name: value for name, value in found.items() if value != getattr(rig, name)}
     return replace(rig, **changed, origin={**rig.origin, **dict.fromkeys(changed, "the limits")})
 

@@ -50,21 +50,22 @@ class Measuring:
         unfinished = "plan" in before and before.get("status") in (RUNNING, ENDED_EARLY)
         if not resume:
             if unfinished:
-                found = f"one that did not come to its end, begun {before.get('begun')}"
-                raise BadInput(folder, "campaign", found, "--resume, or another folder")
+                found = f"a campaign that has not ended, begun {before.get('begun')}"
+                raise BadInput(folder, "campaign", found, "a folder without one", "--resume to go on, or another folder")
             for part in (*PARTS, "record"):
                 forget(folder, part)
             return content
         if "plan" not in before:
-            raise BadInput(folder, "--resume", "no campaign", "a folder that vpp hil campaign has written to")
+            raise BadInput(folder, "--resume", "no campaign", "the folder of an earlier vpp hil campaign")
         for name in SAME:
             if before.get(name) != content.get(name):
-                allowed = f"{json.dumps(content.get(name))[:80]}, as now asked for"
+                allowed = f"{json.dumps(content.get(name))[:80]}, as this call has it"
                 raise BadInput(path, name, json.dumps(before.get(name))[:80], allowed)
         return before | {"resumed": [*before.get("resumed", []), content["begun"]]}
 
-    def run(self, folder: OutputFolder, content: dict, page: OperatorPage | None, say: Callable[[str], None]) -> None:
-        """The parts that are wanted and not there yet, one after the other. What ended one before its time is raised."""
+    def run(self, folder: OutputFolder, content: dict, page: OperatorPage | None, say: Callable[[str], None]) -> dict:
+        """The parts that are wanted and not there yet, one after the other; returns the content of hil.json. What ended one
+        before its time is raised."""
         allowed = self.setup.allowed
         parts = ("record",) if self.commands else tuple(part for part in self.parts if part in parts_for(allowed))
         if not self.commands and len(parts) < len(self.parts):
@@ -93,7 +94,9 @@ class Measuring:
             self._write(folder, part, found, say)
             rows, ticks, lost = one.logged.rows, one.rig.ticks.ticks, one.logged.lost
             say(f"{part}: {len(record['omega_ref'])} rows, log {rows} rows of {ticks} ticks, {lost} lost")
-        folder.write("hil.json", as_json(content | {"status": ENDED, "completed": now()}))
+        content |= {"status": ENDED, "completed": now()}
+        folder.write("hil.json", as_json(content))
+        return content
 
     def _measured(self, folder: Path, part: str, page) -> tuple[Session, Record | None, BaseException | None]:
         """One part on the rig: (session, record, None), or (session, None, why it ended early)."""

@@ -34,7 +34,7 @@ class Entries:
                 raise self.wrong(key, "nothing", f"all of {', '.join(wanted)}")
         for key in content:
             if key not in known:
-                raise self.wrong(shown(key), "a field that is not known", ", ".join(known))
+                raise self.wrong(shown(key), "an unknown field", ", ".join(known))
         self._content = content
 
     def wrong(self, key: str, found: object, allowed: str) -> BadInput:

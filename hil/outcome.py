@@ -109,9 +109,9 @@ Report = Callable[[Outcome], str]
 
 def carry_out(
     task: Task, begun: dict, parent: OutputFolder, page: OperatorPage | None, say: Say, report: Report
-) -> tuple[Run, OutputFolder]:
-    """The run, its files in a folder of its own below `parent`. `begun`: what hil.json says before it. What ends the run
-    without the loop's knowledge is raised once the files are written as far as the log allows."""
+) -> tuple[Run, OutputFolder, Outcome]:
+    """The run, its files in a folder of its own below `parent`, and the outcome. `begun`: what hil.json says
+    before it. What ends the run without the loop's knowledge is raised once the files are written as far as the log allows."""
     twin, _, adaptive = task.twin or (None, None, None)
     if page:
         rows = round((task.profile.time[-1] - task.profile.time[0]) / PERIOD)
@@ -140,8 +140,7 @@ def carry_out(
         content["adaptive_twin"] |= {"alarms": [{"time": at, "points_to": what} for at, what in adaptive.alarms]}
     if task.parquet:
         folder.write("run.parquet", as_parquet(done.record))
-    finish(folder, content, done.log, say, report, task.beside)
-    return done, folder
+    return done, folder, finish(folder, content, done.log, report, task.beside)
 
 
 def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say, report: Report) -> None:
@@ -154,7 +153,8 @@ def _cut_short(folder: OutputFolder, begun: dict, error: BaseException, say: Say
         if record is None:
             folder.write("hil.json", as_json(content | {"ended": why}))
         else:
-            finish(folder, content | {"ended": why}, record, say, report)
+            for line in lines_of(finish(folder, content | {"ended": why}, record, report)):
+                say(line)
 
 
 def of_log(log: Path) -> tuple[Record | None, dict, bool]:
@@ -163,7 +163,7 @@ def of_log(log: Path) -> tuple[Record | None, dict, bool]:
     if path.exists():
         begun = read_object(path, "vpp-hil/1", "what vpp hil run has written")
         if "parts" in begun:
-            raise BadInput(path, "parts", "a campaign", "a run; a campaign goes on with vpp hil campaign --resume")
+            raise BadInput(path, "parts", "a campaign", "a run", "vpp hil campaign --resume to go on with a campaign")
         check_kinds(path, begun, BEGUN if begun.get("status", RUNNING) == RUNNING else DONE)
     if begun.get("status", RUNNING) != RUNNING:
         return read_log(log), begun, False
@@ -181,24 +181,24 @@ def fmu_loop(plant: str, controller: Controller, profile: Record, start: tuple[f
     return record
 
 
-def finish_fmu(folder: OutputFolder, plant: str, record: Record, parquet: bool, say: Say) -> None:
-    """Write what a run with a plant FMU in the rig's place leaves, but its page."""
+def finish_fmu(folder: OutputFolder, plant: str, record: Record, parquet: bool) -> dict:
+    """Write what a run with a plant FMU in the rig's place leaves, but its page; returns the content of hil.json."""
     write_run(folder.path / "run.csv", record)
     if parquet:
         folder.write("run.parquet", as_parquet(record))
-    folder.write("hil.json", as_json({"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}))
-    _say_steps({"plant FMU": record}, say)
+    content = {"format": "vpp-hil/1", "rig": "fmu", "plant": Path(plant).name}
+    folder.write("hil.json", as_json(content))
+    return content
 
 
 def finish(
     folder: OutputFolder,
     content: dict,
     log: Record | None,
-    say: Say,
     report: Report,
     beside: tuple[str, Record] | None = None,
-) -> None:
-    """Write the files of a run, and print its figures. `content`: what hil.json says, with `ended`, why it ended early, or "".
+) -> Outcome:
+    """Write the files of a run. `content`: what hil.json says, with `ended`, why it ended early, or "".
 
     What one file is refused doesn't keep the others from being written: BadInput, for the first of them, comes at the end.
     """
@@ -223,9 +223,9 @@ def finish(
         folder.write("hil.json", as_json(content))
     with _collected(refusals):
         folder.write("report.html", report(found))
-    _say(found, say)
     if refusals:
         raise refusals[0]
+    return found
 
 
 @contextlib.contextmanager
@@ -274,35 +274,34 @@ def said(step: Step, name: str) -> str:
     return f"{name}: the step from {number(step.before)} to {number(step.after)} N at {number(step.time)} s {when}"
 
 
-def _say_steps(loops: dict[str, Record], say: Say) -> None:
+def step_lines(loops: dict[str, Record]) -> list[str]:
     """The steps of the set-point, one a line."""
-    for name, loop in loops.items():
-        for step in judged_steps(loop):
-            say(f"{said(step, name)}, overshoot {step.overshoot:.1f} %")
+    return [
+        f"{said(step, name)}, overshoot {step.overshoot:.1f} %" for name, loop in loops.items() for step in judged_steps(loop)
+    ]
 
 
-def _say(found: Outcome, say: Say) -> None:
-    content = found.content
-    _say_steps(found.loops, say)
+def lines_of(found: Outcome) -> list[str]:
+    """The figures of a run in words."""
+    content, lines = found.content, step_lines(found.loops)
     if "energy" in content:
         taken = content["energy"]
         watt = f"{number(taken['mean_power'], 3)} W in the mean, {number(taken['peak_power'], 3)} W at most"
-        say(f"energy from the supply: {number(taken['value'], 3)} J, {watt}")
+        lines.append(f"energy from the supply: {number(taken['value'], 3)} J, {watt}")
     if "beside" in content:
-        say(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
+        lines.append(f"rig and {content['beside']['plant']} differ by {number(content['beside']['rms_thrust'])} N rms")
     if content.get("twin") and content["twin"]["residual_rms"] is not None:
         twin = content["twin"]
         said_so = f"alarm, since {twin['since']:.2f} s" if twin["alarmed"] else "no alarm"
-        say(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
+        lines.append(f"twin: {said_so}; residual {number(twin['residual_rms'])} N rms")
     if content.get("adaptive_twin"):
         alarms = content["adaptive_twin"].get("alarms", ())
         said_so = ", ".join(f"{one['time']:.1f} s ({one['points_to']})" for one in alarms) or "none"
-        say(f"adaptive twin: alarms: {said_so}")
+        lines.append(f"adaptive twin: alarms: {said_so}")
     log = content["log"]
     failure = f"; {log['failure']}" if log["failure"] else ""
-    say(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")
-    if found.timing:
-        say(f"loop: {content.get('real_time', 'not known')}\n{found.timing.text()}")
+    lines.append(f"log: {log['rows']} rows of {log['ticks']} ticks, {log['lost']} lost{failure}")
+    return [*lines, f"loop: {content.get('real_time', 'not known')}\n{found.timing.text()}"] if found.timing else lines
 
 
 def kept_of(folder: Path) -> str:

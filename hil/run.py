@@ -106,7 +106,7 @@ def check_profile(profile: Record, limits: Limits) -> None:
     """BadInput where the limits would end the run before the profile does."""
     largest = float(np.max(np.abs(profile["thrust_set"])))
     if largest >= limits.thrust_trip:
-        allowed = f"less than {limits.thrust_trip:g} N of either sign, which stops the rotor"
+        allowed = f"less than {limits.thrust_trip:g} N of either sign, where the rotor is stopped"
         raise BadInput(profile.source, "thrust_set", f"{largest:g} N", allowed)
     if profile.time[-1] > limits.run_time:
         raise BadInput(profile.source, "time", f"{profile.time[-1]:g} s", f"at most the run time, {limits.run_time:g} s")

@@ -231,7 +231,7 @@ def with_power(found: Identification) -> Identification:
             return found
         fit = fit_power(readings)
     except BadInput as bad:
-        finding = Finding("power", bad.where, bad.field, 0.0, "1", f"{bad.found}, allowed is {bad.allowed}", "signs or units")
+        finding = Finding("power", bad.where, bad.field, 0.0, "1", f"{bad.found}, expected {bad.allowed}", "signs or units")
         return replace(found, quality=(*found.quality, finding))
     return replace(found, power=fit, parameters=fit.added_to(found.parameters))
 

@@ -84,7 +84,9 @@ def _on_dask(work: Callable, items: Sequence, scheduler: str, what: str) -> list
     try:
         from dask.distributed import Client  # noqa: PLC0415  (an extra)
     except ImportError as error:
-        raise BadInput("command line", "--scheduler", "no dask.distributed here", "an installed extra 'dask'") from error
+        raise BadInput(
+            "command line", "--scheduler", "no dask.distributed", "the library, installed", "pip install 'vpp-fmu[dask]'"
+        ) from error
     try:
         with Client(scheduler, timeout=10) as client:
             futures = client.map(work, items)

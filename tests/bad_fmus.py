@@ -71,7 +71,7 @@ CHANGED: Mapping[str, tuple[Callable[[Files], Files], tuple[str, ...]]] = {
     "backslashes": (_with(**{"resources\\evil.txt": "x"}), ("within the FMU's folder",)),
     "file where a folder is": (_with(**{"resources/a": "x", "resources/a/b": "y"}), ("not to be unpacked",)),
     "bomb of zeros": (_with(**{f"resources/{k}.bin": ZEROS for k in range(128)}), ("times its size unpacked", "200 times")),
-    "20 001 files": (_with(**{f"resources/{k}": "" for k in range(20_001)}), ("files, allowed is 20000 at most",)),
+    "20 001 files": (_with(**{f"resources/{k}": "" for k in range(20_001)}), ("files, expected 20000 at most",)),
 }
 """By what is wrong: how to make it of the good FMU's files, and the words that the one line must hold."""
 

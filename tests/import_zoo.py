@@ -460,7 +460,7 @@ def _refused() -> list[Format]:
         Format("comma for both", "log.csv", text(decimal=","), refused="decimal"),
         Format("back by a second", "log.csv", _with(back, text()), refused="back by 0.99"),
         Format("a unit that nobody knows", "log.csv", text(PLAIN), unit("bananas"), refused="bananas"),
-        Format("a unit of something else", "log.csv", text(PLAIN), unit("rpm"), refused="turn into N"),
+        Format("a unit of something else", "log.csv", text(PLAIN), unit("rpm"), refused="a unit like N"),
         Format(
             "no unit",
             "log.csv",
@@ -501,7 +501,7 @@ def came_out(format: Format, folder: Path, run: Callable[[list[str]], tuple[int,
     format.write(path, t)
     code, out, err = run(["import", "csv", str(path), *format.words, "-o", str(folder / "out")])
     if format.refused:
-        one_line = code == 2 and err.count("\n") == 1 and format.refused in err and "found" in err and "allowed is" in err
+        one_line = code == 2 and err.count("\n") == 1 and format.refused in err and "found" in err and "expected" in err
         return one_line and not (folder / "out").exists(), err.strip().replace(str(folder) + "/", "")
     if code:
         return False, err.strip().replace(str(folder) + "/", "")

@@ -85,7 +85,7 @@ def test_results_show_themselves(identified):
     assert "<td>thrust error, open_loop</td>" in identified._repr_html_()
     assert json.loads(json.dumps(identified.to_dict(), allow_nan=False))["fitted"] == ["open_loop", "repeat"]
     assert "Thrust error" in identified.plot().layout.title.text
-    with pytest.raises(BadInput, match="figure: found 99, allowed is 1 to"):
+    with pytest.raises(BadInput, match="figure: found 99, expected 1 to"):
         identified.plot(99)
     campaign = vpp.read_campaign(vpp.example_campaign())
     assert "100 points" in campaign._repr_html_()

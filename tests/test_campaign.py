@@ -29,7 +29,7 @@ def failure(read, path):
     message = str(error.value)
     assert "\n" not in message
     assert ": found " in message
-    assert ", allowed is " in message
+    assert ", expected " in message
     return message
 
 
@@ -95,12 +95,12 @@ def test_other_files_do_not_matter(tmp_path):
 
 def test_no_folder_no_campaign(tmp_path):
     missing = failure(read_campaign, tmp_path / "none")
-    assert missing.startswith(f"{tmp_path / 'none'}: campaign folder: found no such folder, allowed is a folder with any of ")
+    assert missing.startswith(f"{tmp_path / 'none'}: campaign folder: found no such folder, expected a folder with any of ")
     (tmp_path / "file.csv").write_text(RECORD)
-    assert "file.csv: campaign folder: found a file, allowed is a folder with any of static.csv, steps.csv" in failure(
+    assert "file.csv: campaign folder: found a file, expected a folder with any of static.csv, steps.csv" in failure(
         read_campaign, tmp_path / "file.csv"
     )
-    assert "campaign folder: found none of a campaign's files, allowed is any of static.csv, steps.csv" in failure(
+    assert "campaign folder: found none of a campaign's files, expected any of static.csv, steps.csv" in failure(
         read_campaign, tmp_path
     )
 
@@ -109,22 +109,22 @@ def test_a_file_must_not_stand_there_twice(tmp_path):
     filled(tmp_path, open_loop=RECORD)
     (tmp_path / "open_loop.csv.gz").write_bytes(gzip.compress(RECORD.encode()))
     message = failure(read_campaign, tmp_path)
-    assert message == f"{tmp_path}: open_loop.csv: found open_loop.csv and open_loop.csv.gz, allowed is one of the two"
+    assert message == f"{tmp_path}: open_loop.csv: found open_loop.csv and open_loop.csv.gz, expected only one of them"
 
 
 def test_a_folder_in_a_file_s_place(tmp_path):
     (tmp_path / "static.csv").mkdir()
-    assert "static.csv: file: found a folder, allowed is a file" in failure(read_campaign, tmp_path)
+    assert "static.csv: file: found a folder, expected a file" in failure(read_campaign, tmp_path)
 
 
 @pytest.mark.parametrize("name", ["open_loop", "repeat", "validation"])
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("thrust", "force", "column thrust: found only time, omega_ref, beta_ref, omega, force, allowed is a header with"),
-        (",7.1\n", ",nan\n", "thrust, line 3: found 'nan', allowed is a finite number or an empty cell"),
+        ("thrust", "force", "column thrust: found only time, omega_ref, beta_ref, omega, force, expected a header with"),
+        (",7.1\n", ",nan\n", "thrust, line 3: found 'nan', expected a finite number or an empty cell"),
         ("0.004", "0.04", "time, line 4: found 0.008 after 0.04 (time goes back)"),
-        ("7.1", "7.1e5", "thrust, line 3: found 710000, allowed is -100000 to 100000 N"),
+        ("7.1", "7.1e5", "thrust, line 3: found 710000, expected -100000 to 100000 N"),
     ],
 )
 def test_records_are_checked(tmp_path, name, old, new, message):
@@ -135,11 +135,11 @@ def test_records_are_checked(tmp_path, name, old, new, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("0.004,4e3,6", "0.004,4e3,6.001", "beta_ref, row 2 of the data: found 6.001, allowed is 6 as in "),
-        ("0.008,4e3", "0.008,4100", "omega_ref, row 3 of the data: found 4100, allowed is 4000 as in "),
-        ("0.008,", "0.012,", "time, row 3 of the data: found 0.012, allowed is 0.008 as in "),
-        ("0.008,4e3,6,,7.1\n", "", "row 3 of the data: found 2 rows in all, allowed is 3 as in "),
-        ("7.1\n", "7.1\n0.012,4e3,6,,7\n", "row 4 of the data: found 4 rows in all, allowed is 3 as in "),
+        ("0.004,4e3,6", "0.004,4e3,6.001", "beta_ref, row 2 of the data: found 6.001, expected 6 as in "),
+        ("0.008,4e3", "0.008,4100", "omega_ref, row 3 of the data: found 4100, expected 4000 as in "),
+        ("0.008,", "0.012,", "time, row 3 of the data: found 0.012, expected 0.008 as in "),
+        ("0.008,4e3,6,,7.1\n", "", "row 3 of the data: found 2 rows in all, expected 3 rows as in "),
+        ("7.1\n", "7.1\n0.012,4e3,6,,7\n", "row 4 of the data: found 4 rows in all, expected 3 rows as in "),
     ],
 )
 def test_a_repeat_must_repeat(tmp_path, old, new, message):
@@ -158,13 +158,13 @@ def test_a_repeat_to_the_nanosecond_is_one(tmp_path):
     [
         ("run", "number", "column run: found only number, time, omega_ref"),
         ("thrust", "force", "column thrust: found only run, time"),
-        ("7,0,", "7,1.5,", "time, line 5: found 1.5, allowed is 0 in the first row of a run"),
+        ("7,0,", "7,1.5,", "time, line 5: found 1.5, expected 0 in the first row of a run"),
         ("3,1,", "3,0.5,", "time, line 4: found 0.5 after 0.5 (time stands still)"),
-        ("7,0.25,", "3,0.25,", "run, line 6: found 3 once more, allowed is the rows of a run one after another"),
-        ("3,0,", "3.5,0,", "run, line 2: found 3.5, allowed is a whole number"),
-        ("3,0,", "three,0,", "run, line 2: found 'three', allowed is a finite number"),
-        ("8.5", "", "thrust, line 4: found an empty cell, allowed is a finite number"),
-        ("4500,5,8\n", "-1,5,8\n", "omega_ref, line 3: found -1, allowed is 0 to 200000 rpm"),
+        ("7,0.25,", "3,0.25,", "run, line 6: found run 3 a second time, expected the rows of a run one after another"),
+        ("3,0,", "3.5,0,", "run, line 2: found 3.5, expected a whole number"),
+        ("3,0,", "three,0,", "run, line 2: found 'three', expected a finite number"),
+        ("8.5", "", "thrust, line 4: found an empty cell, expected a finite number"),
+        ("4500,5,8\n", "-1,5,8\n", "omega_ref, line 3: found -1, expected 0 to 200000 rpm"),
     ],
 )
 def test_steps_are_checked(tmp_path, old, new, message):
@@ -177,12 +177,12 @@ def test_steps_are_checked(tmp_path, old, new, message):
     ("old", "new", "message"),
     [
         ("samples", "count", "column samples: found only omega_ref"),
-        ("2001", "", "omega, line 2: found an empty cell, allowed is a finite number"),
-        ("6000", "700000", "omega_ref, line 3: found 700000, allowed is 0 to 200000 rpm"),
-        ("0.2", "-0.2", "thrust_std, line 3: found -0.2, allowed is 0 N or more"),
-        ("370", "0", "samples, line 3: found 0, allowed is a whole number from 1"),
-        ("370", "3.7", "samples, line 3: found 3.7, allowed is a whole number from 1"),
-        ("14", "nan", "thrust, line 3: found 'nan', allowed is a finite number"),
+        ("2001", "", "omega, line 2: found an empty cell, expected a finite number"),
+        ("6000", "700000", "omega_ref, line 3: found 700000, expected 0 to 200000 rpm"),
+        ("0.2", "-0.2", "thrust_std, line 3: found -0.2, expected 0 N or more"),
+        ("370", "0", "samples, line 3: found 0, expected a whole number from 1"),
+        ("370", "3.7", "samples, line 3: found 3.7, expected a whole number from 1"),
+        ("14", "nan", "thrust, line 3: found 'nan', expected a finite number"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::vpp_fmu.record.RecordWarning")

@@ -99,7 +99,7 @@ def test_unusable_data_are_refused_in_one_line(case, record):
         identify(campaign_of(spoil(record)))
     told = str(refused.value)
     assert "\n" not in told
-    for word in ("open_loop.csv", field, "found", "allowed"):
+    for word in ("open_loop.csv", field, "found", "expected"):
         assert word in told
 
 

@@ -52,7 +52,7 @@ def test_bad_record_is_one_line_and_exit_2(says, text, field, exported, tmp_path
     said = capsys.readouterr().err
     assert code == 2
     assert said.count("\n") == 1
-    for word in (str(record), field, says, "found", "allowed"):
+    for word in (str(record), field, says, "found", "expected"):
         assert word in said
     assert not (tmp_path / "out" / "prediction.csv").exists()
 
@@ -90,7 +90,7 @@ def test_bad_call_is_one_line_and_exit_2(case, exported, tmp_path, capsys):
     assert main(arguments) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    for word in (*words, "found", "allowed"):
+    for word in (*words, "found", "expected"):
         assert word in said
 
 
@@ -143,7 +143,7 @@ def test_a_word_that_is_nearly_right_is_told_what_it_may_mean(words, meant, caps
 def test_a_column_that_is_nearly_right_is_told_what_it_may_mean(tmp_path, capsys):
     (tmp_path / "log.csv").write_text("time_s,Thrust (N)\n0,1\n1,2\n")
     assert main(["import", "csv", str(tmp_path / "log.csv"), "--map", "thrust=Trust", "-o", str(tmp_path)]) == 2
-    assert "no such column, allowed is Thrust (N)?" in capsys.readouterr().err
+    assert "no such column, expected Thrust (N)" in capsys.readouterr().err
 
 
 def test_no_option_is_taken_for_one_that_it_begins(tmp_path, capsys):

@@ -169,19 +169,19 @@ def test_a_range_in_another_unit_is_refused(tmp_path, name, unit, own):
     right = {**RANGES, name: RANGES[name] | {"unit": own}}
     assert getattr(declared_rig(declared(tmp_path / "rig.json", **right)), name) == tuple(RANGES[name].values())
     wrong = {**RANGES, name: RANGES[name] | {"unit": unit}}
-    with pytest.raises(BadInput, match=f'{name}, unit: found "{unit}", allowed is "{own}"'):
+    with pytest.raises(BadInput, match=f'{name}, unit: found "{unit}", expected "{own}"'):
         declared_rig(declared(tmp_path / "rig.json", **wrong))
 
 
 @pytest.mark.parametrize(
     ("entries", "said"),
     [
-        ({"speed": {"min": 3000, "max": 2999}}, "speed, max: found 2999, allowed is at least its min, 3000 rpm"),
+        ({"speed": {"min": 3000, "max": 2999}}, "speed, max: found 2999, expected at least its min, 3000 rpm"),
         ({"slew": {"pitch": 0}}, "slew, pitch: found 0"),
         ({"scales": {"omega_scale": 0}}, "scales, omega_scale: found 0"),
-        ({"scales": {"beta_offset": -1001}}, "scales, beta_offset: found -1001, allowed is a number from -1000 to 1000"),
-        ({"mass": 3}, "mass: found a field that is not known"),
-        ({"speed": {"min": 0, "max": 1, "mean": 1}}, "speed, mean: found a field that is not known"),
+        ({"scales": {"beta_offset": -1001}}, "scales, beta_offset: found -1001, expected a number from -1000 to 1000"),
+        ({"mass": 3}, "mass: found an unknown field"),
+        ({"speed": {"min": 0, "max": 1, "mean": 1}}, "speed, mean: found an unknown field"),
     ],
 )
 def test_what_no_rig_has_is_refused_with_its_field(tmp_path, entries, said):

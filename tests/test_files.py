@@ -114,7 +114,7 @@ def test_output_folder_on_or_below_a_file(tmp_path, below, found):
     with pytest.raises(BadInput) as error:
         OutputFolder(path)
     assert str(error.value).startswith(f"{path}: output folder: found {found}")
-    assert str(error.value).endswith("allowed is a folder that can be written")
+    assert str(error.value).endswith("expected a folder that can be written")
     assert "\n" not in str(error.value)
 
 
@@ -150,13 +150,13 @@ def test_read_text_drops_mark_and_carriage_returns(tmp_path, name, data):
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("none.csv", None, "file: found no such file, allowed is a file that exists"),
+        ("none.csv", None, "file: found no such file, expected a file that exists"),
         ("taken/none.csv", None, "file: found no such file"),
-        ("folder", None, "file: found a folder, allowed is a file"),
-        ("a.csv.gz", b"time\n0\n", "file: found broken or cut off gzip data, allowed is a whole gzip file"),
+        ("folder", None, "file: found a folder, expected a file"),
+        ("a.csv.gz", b"time\n0\n", "file: found broken or cut off gzip data, expected a whole gzip file"),
         ("a.csv.gz", gzip.compress(b"time\n0\n" * 9, mtime=0)[:-9], "file: found broken or cut off gzip data"),
-        ("a.csv", b"time\n0\n\xff\n", "line 3: found the byte 0xff, allowed is text in UTF-8"),
-        ("a.csv", "time\n0\n".encode("utf-16"), "line 1: found the byte 0xff, allowed is text in UTF-8"),
+        ("a.csv", b"time\n0\n\xff\n", "line 3: found the byte 0xff, expected text in UTF-8"),
+        ("a.csv", "time\n0\n".encode("utf-16"), "line 1: found the byte 0xff, expected text in UTF-8"),
     ],
 )
 def test_read_text_says_what_is_wrong(tmp_path, name, data, message):
@@ -217,16 +217,16 @@ def test_both_ways_of_reading_agree(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "file: found an empty file, allowed is a header and at least one row"),
+        ("", "file: found an empty file, expected a header and at least one row"),
         ("\n \n", "file: found an empty file"),
-        ("a,b\n\n", "file: found a header without rows, allowed is a header and at least one row"),
+        ("a,b\n\n", "file: found a header without rows, expected a header and at least one row"),
         ('a\n" "\n', "file: found a header without rows"),
-        ("a,,c\n1,2,3\n", "header, column 2: found no name, allowed is a name for each column"),
-        ("a,b\u2028c\n1,2\n", r"header, column 2: found 'b\u2028c', allowed is a name of printable characters"),
-        ("a,b, a\n1,2,3\n", "column a: found more than one of that name, allowed is each column once"),
-        ("a,b\n1,2\n\n3\n", "line 4: found 1 cell, allowed is 2, as in the header"),
-        ("a,b\n1,2\n3,4,5\n", "line 3: found 3 cells, allowed is 2, as in the header"),
-        ("a,b\n1,2,3\n4,5,6\n", "line 2: found 3 cells, allowed is 2, as in the header"),
+        ("a,,c\n1,2,3\n", "header, column 2: found no name, expected a name for each column"),
+        ("a,b\u2028c\n1,2\n", r"header, column 2: found 'b\u2028c', expected a name of printable characters"),
+        ("a,b, a\n1,2,3\n", "column a: found more than one of that name, expected each column once"),
+        ("a,b\n1,2\n\n3\n", "line 4: found 1 cell, expected 2 cells, as in the header"),
+        ("a,b\n1,2\n3,4,5\n", "line 3: found 3 cells, expected 2 cells, as in the header"),
+        ("a,b\n1,2,3\n4,5,6\n", "line 2: found 3 cells, expected 2 cells, as in the header"),
         ('a,b\n1,"' + "2" * 200_000 + '"\n', "line 2: found field larger than field limit"),
         ("a," + "b" * 200_000 + "\n1,2\n", "header: found field larger than field limit"),
     ],

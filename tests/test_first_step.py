@@ -51,7 +51,7 @@ def test_an_fmu_that_ends_its_process_is_refused(ends, changed, fmu_files, profi
         assert main([*words, "--profile", profile, "-o", str(tmp_path / "out")]) == 2
         said = capfd.readouterr().err
         assert said.count("\n") == 1
-        assert f"{bad}: FMU: found the end of the process ({how}) as {stage}, allowed is" in said
+        assert f"{bad}: FMU: found the end of the process ({how}) as {stage}, expected" in said
     assert not list((tmp_path / "out").rglob("*.csv"))
 
 

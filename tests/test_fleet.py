@@ -122,7 +122,7 @@ def test_folders_of_one_name_are_told_apart(tmp_path, capsys):
     ("words", "said"),
     [
         (["a", "--scheduler", "tcp://127.0.0.1:1"], "--scheduler: found one campaign"),
-        (["a", "b", "--record", "c.csv"], "--record: found several campaigns"),
+        (["a", "b", "--record", "c.csv"], "--record: found 2 campaigns"),
         (["a", "b", "--effects", "magic"], "--effects: found magic"),
     ],
 )

@@ -174,9 +174,9 @@ def test_the_command_writes_it_for_native_alone(tmp_path, capsys):
     written = {path.name for path in (tmp_path / "out").iterdir() if path.suffix in (".fmu", ".ssp")}
     assert written == {"VppPlant.fmi3.fmu", "VppController.fmi3.fmu"}
     for options, words in (
-        (["--fmi", "3.0"], "--fmi: found 3.0 with --flavour python, allowed is --flavour native"),
+        (["--fmi", "3.0"], "--fmi: found 3.0 with --flavour python, expected --flavour native"),
         (["--fmi", "3.0", "--flavour", "both"], "--fmi: found 3.0 with --flavour both"),
-        (["--platforms", "all"], "--platforms: found all with --flavour python, allowed is --flavour native or both"),
+        (["--platforms", "all"], "--platforms: found all with --flavour python, expected --flavour native or both"),
     ):
         capsys.readouterr()
         assert main(["export", *options, "-o", str(tmp_path / "none")]) == 2

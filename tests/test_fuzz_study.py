@@ -58,4 +58,4 @@ def test_faults_are_seen(tmp_path):
     assert set(fuzz._faults("plan", (), None, "", tmp_path / "none")) == {"over 60 s"}
     assert set(fuzz._faults("plan", (), 2, "one\ntwo\n", tmp_path / "none")) == {"not one line"}
     assert set(fuzz._faults("plan", (), -11, "", tmp_path / "none")) == {"exit code"}
-    assert not set(fuzz._faults("plan", (), 2, "vpp plan: x: found y, allowed is z\n", tmp_path / "none"))
+    assert not set(fuzz._faults("plan", (), 2, "vpp plan: x: found y, expected z\n", tmp_path / "none"))

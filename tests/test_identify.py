@@ -94,7 +94,7 @@ def test_one_further_record_is_enough(folder):
     found = identify(Campaign(folder, None, (), None, None, None), starts=1, records=more)
     assert found.fitted == ("tuesday",)
     assert all(near_truth(found))
-    with pytest.raises(BadInput, match=r"no identifiable parameter .* allowed is a record with time"):
+    with pytest.raises(BadInput, match=r"no identifiable parameter .* expected a record with time"):
         identify(Campaign(folder, None, (), None, None, None))
 
 

@@ -269,7 +269,7 @@ def test_guessed_units_are_refused_with_the_words_that_would_do_and_accepted_by_
     code, _, err = vpp(path, "-o", tmp_path / "out")
     assert (code, err.count("\n")) == (2, 1)
     assert f"{names['thrust']} as thrust in N" in err
-    assert "these with --yes" in err
+    assert "Try: --yes to take these units" in err
     words = err.split("--map ")[1].split()
     for folder, accept in (("a", ("--map", *words)), ("b", ("--yes",))):
         assert vpp(path, *accept, "-o", tmp_path / folder)[0] == 0
@@ -300,7 +300,7 @@ def test_a_measured_speed_that_is_electrical_is_named_with_its_mapping(tmp_path,
     for words in ((), ("--yes",), ("--map", "omega=speed (rpm):rpm")):
         code, _, err = vpp(path, *words, "-o", tmp_path / "out")
         assert (code, err.count("\n")) == (2, 1)
-        assert f"times the commanded one: electrical speed of a motor with {also}" in err
+        assert f"times the commanded speed (electrical speed of a motor with {also}" in err
     assert f"omega=speed (rpm):erpm/{pairs}" in vpp(path, "--propose")[1]
     assert not (tmp_path / "out").exists()
     assert vpp(path, "--map", f"omega=speed (rpm):erpm/{pairs}", "-o", tmp_path / "out")[0] == 0
@@ -336,7 +336,7 @@ def test_a_pitch_in_pulses_stops_until_it_is_calibrated_or_fixed(tmp_path, vpp, 
     for words in ((), ("--yes",), ("--map", "thrust=Fz (N):N")):
         code, _, err = vpp(path, *words, "-o", tmp_path / "out")
         assert (code, err.count("\n")) == (2, 1)
-        assert f"{header}, which is pitch by its name" in err
+        assert f"{header}, pitch by its name" in err
         assert f"beta_ref={header}:us@{pulses.min():g}=A,{pulses.max():g}=B" in err
     assert header in vpp(path, "--propose")[1].split("beta_ref: ")[1]
     assert vpp(path, "--map", f"beta_ref={header}:us@1000=-5,2000=10", "-o", tmp_path / "a")[0] == 0
@@ -386,7 +386,7 @@ def test_a_second_rotor_is_said_and_taken_on_demand(tmp_path, vpp, labels, secon
         record = read_record(tmp_path / folder / "open_loop.csv")
         for name in names:
             np.testing.assert_allclose(record[name], gain * t[name], rtol=1e-8)
-    assert f"--rotor: found 7, allowed is one of {', '.join(labels)}" in vpp(path, "--rotor", "7")[2]
+    assert f"--rotor: found 7, expected one of {', '.join(labels)}" in vpp(path, "--rotor", "7")[2]
 
 
 def test_coefficients_become_the_thrust_of_a_propeller(tmp_path, vpp):
@@ -449,7 +449,7 @@ def test_a_unit_against_the_header_needs_force(tmp_path, vpp, header, pair, cont
     ("words", "told"),
     [
         (("--map", "thurst=Fz:N"), "--map: found 'thurst=Fz:N'"),
-        (("--map", "thrust=thrust:N", "thrust=omega:N"), "--map thrust: found twice"),
+        (("--map", "thrust=thrust:N", "thrust=omega:N"), "--map thrust: found thrust twice"),
         (("--map", "a.toml", "b.toml"), "--map: found a.toml b.toml"),
         (("--fixed", "thrust=3:N"), "--fixed: found 'thrust=3:N'"),
         (("--fixed", "beta_ref=8:N"), "--fixed: found 'beta_ref=8:N'"),
@@ -494,7 +494,7 @@ def test_another_log_is_not_written_over_and_sections_of_the_mapping_stay(tmp_pa
     before = (tmp_path / "mine" / "open_loop.csv").read_bytes()
     code, _, err = vpp(second, "-o", tmp_path / "mine")
     assert code == 2
-    assert "open_loop.csv: file: found one of another log" in err
+    assert "open_loop.csv: file: found the file of another log" in err
     assert (tmp_path / "mine" / "open_loop.csv").read_bytes() == before
     assert not [p for p in (tmp_path / "mine").iterdir() if p.name.startswith(".")]
     code, out, _ = vpp(second, "-o", tmp_path / "mine", "--as", "validation")
@@ -657,7 +657,7 @@ def test_what_no_record_may_hold_is_refused_with_its_column(tmp_path, vpp):
     code, _, err = vpp(path, *words, "-o", tmp_path / "out")
     assert code == 2
     assert "omega, column omega in Hz" in err
-    assert "is it the right unit?" in err
+    assert "Try: another unit" in err
 
 
 def test_a_pitch_that_moves_without_a_command_is_not_taken_for_fixed(tmp_path, vpp):

@@ -43,7 +43,7 @@ def test_bounds_are_finite_hold_the_default_and_refuse_what_is_no_number(verb, a
     for value in (value for value in default if value is not None):
         assert kind(repr(value)) == value
     for text in (*NO_NUMBERS, repr(kind.low - 1), repr(kind.high * 1.01 + 1)):
-        with pytest.raises(argparse.ArgumentTypeError, match="allowed is a "):
+        with pytest.raises(argparse.ArgumentTypeError, match="expected a "):
             kind(text)
 
 
@@ -53,7 +53,7 @@ def test_the_verb_says_it_in_one_line_and_exits_2(verb, capsys):
     assert main([*verb, f"{option}=nan"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    for word in (f"vpp {' '.join(verb)}", option, "found nan", "allowed is", "--help"):
+    for word in (f"vpp {' '.join(verb)}", option, "found nan", "expected", "--help"):
         assert word in said
 
 
@@ -69,7 +69,7 @@ def test_a_range_in_words_and_numbers():
     ):
         with pytest.raises(argparse.ArgumentTypeError) as refused:
             kind(text)
-        assert str(refused.value) == f"found {text}, allowed is {allowed}"
+        assert str(refused.value) == f"found {text}, expected {allowed}"
 
 
 def test_what_was_typed_stays_on_one_short_line():

@@ -60,8 +60,8 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
     [
         ("parameters=(Parameter", "parameters=(print, Parameter", "EFFECT, parameters: found (<built-in function print>"),
         ("states=tuple(", "states=list(", "EFFECT, states: found [State("),
-        ('"tau", "s", 0.0, 0.0', '"tau", "s", "0.0", 0.0', "EFFECT, 'tau', default: found '0.0', allowed is float"),
-        ('State(n, "N"', "State(n, print", "EFFECT, 'reading', unit: found <built-in function print>, allowed is str"),
+        ('"tau", "s", 0.0, 0.0', '"tau", "s", "0.0", 0.0', "EFFECT, 'tau', default: found '0.0', expected float"),
+        ('State(n, "N"', "State(n, print", "EFFECT, 'reading', unit: found <built-in function print>, expected str"),
     ],
 )
 def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
@@ -119,7 +119,7 @@ def test_verbs_take_the_file(parameters, tmp_path, capsys):
 def test_the_loop_that_gains_are_tuned_on_has_the_effect(parameters):
     assert "cell_lag.tau" in [p.name for p in closed_loop(("cell_lag",), (str(FILE),)).models[0].parameters]
     held = vpp.read_parameters(parameters, [FILE])
-    with pytest.raises(BadInput, match="effects_from: found nothing, allowed is the file of cell_lag"):
+    with pytest.raises(BadInput, match="effects_from: found nothing, expected the file of cell_lag"):
         vpp.tune(held)
 
 

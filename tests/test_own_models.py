@@ -147,7 +147,7 @@ BROKEN = {
     "off of another's parameter": (
         '"where the gate is", tunable=True),)',
         '"where the gate is", tunable=True),), off={"m1": 0.0}',
-        ["effect gate, off", "found a parameter m1", "allowed is one of gate"],
+        ["effect gate, off", "found a parameter m1", "expected one of gate"],
     ),
     "declared twice": ('"m2", "kg"', '"m1", "kg"', ["variable m1", "declared twice"]),
     "output that nothing sets": (
@@ -214,8 +214,8 @@ def test_what_the_tracer_cant_see_is_named_as_it_is_written_with_what_to_write_i
     assert main(["export", "--model", f"{module}:MODEL", "-o", "out"]) == 2
     said = capsys.readouterr().err
     assert f"{module}.py line" in said
-    assert f"found {name}, which can't be traced, allowed is " in said
-    assert instead in said.split("allowed is ")[1]
+    assert f"found {name}, which can't be traced, expected " in said
+    assert instead in said.split("expected ")[1]
     assert len(said.splitlines()) == 1
 
 

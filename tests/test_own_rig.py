@@ -97,7 +97,7 @@ def test_every_command_ends_well_or_says_a_way_out(written):
         refused = {"hil", "twin"} if rig in BEYOND_THE_EMULATOR else {"twin"}
         if verb in refused:
             assert code == 2, (verb, said)
-            assert "--rig emulated RIG.json" in said if rig in BEYOND_THE_EMULATOR else "one channel that moves" in said
+            assert "--rig emulated RIG.json" in said if rig in BEYOND_THE_EMULATOR else "one moving channel" in said
         else:
             assert code == 0, (verb, said)
     assert {"check", "diagnose", "export", "cosim", "tune", "plan", "hil", "twin", "check-effect"} <= set(found)
@@ -222,7 +222,7 @@ def test_gains_that_leave_the_parameters_rig_are_not_exported(wide, capsys):
     (wide / "gains.json").write_text(to_json(gains))
     words = ["export", "--parameters", str(wide), "--gains", str(wide / "gains.json"), "-o", str(wide / "fmus")]
     assert cli.main(words) == 2
-    assert "omega_max: found 6000 rpm, allowed is 0 to 5573 rpm (the campaign)" in capsys.readouterr().err
+    assert "omega_max: found 6000 rpm, expected 0 to 5573 rpm (the campaign)" in capsys.readouterr().err
     assert not (wide / "fmus" / "VppController.fmu").exists()
 
 

@@ -79,49 +79,49 @@ def test_the_ends_of_the_range_are_allowed(tmp_path):
 BAD = {
     "no JSON": ('{\n"format": "vpp-parameters/1",\n}', "line 3: found no JSON from column 1 on"),
     "empty": ("", "line 1: found no JSON from column 1 on"),
-    "a list": ("[]", "file: found [], allowed is an object in braces"),
-    "no format": ({"parameters": {}}, 'format: found null, allowed is "vpp-parameters/1"'),
-    "other format": (content(format="vpp-parameters/2"), 'format: found "vpp-parameters/2", allowed is "vpp-parameters/1"'),
-    "unknown field": (content(parameter={}), '"parameter": found a field that is not known, allowed is format, parameters, '),
+    "a list": ("[]", "file: found [], expected an object in braces"),
+    "no format": ({"parameters": {}}, 'format: found null, expected "vpp-parameters/1"'),
+    "other format": (content(format="vpp-parameters/2"), 'format: found "vpp-parameters/2", expected "vpp-parameters/1"'),
+    "unknown field": (content(parameter={}), '"parameter": found an unknown field, expected format, parameters, '),
     "name twice": (
         '{"format": "vpp-parameters/1", "parameters": {"c20": {}, "c20": {}}}',
-        '"c20": found this name more than once, allowed is each name once',
+        '"c20": found this name more than once, expected each name once',
     ),
-    "parameters no object": (content(parameters=[1]), "parameters: found [1], allowed is an object in braces"),
-    "source no object": (content(source="me"), 'source: found "me", allowed is an object in braces'),
-    "NaN in source": (content(source={"rmse": float("nan")}), "source, rmse: found NaN, allowed is finite numbers"),
-    "effects no list": (content(effects="pitch_delay"), 'effects: found "pitch_delay", allowed is a list of effects'),
-    "effects no names": (content(effects=[1]), "effects: found [1], allowed is a list of effects"),
-    "unknown effect": (content(effects=["pitch_dellay"]), 'effects: found "pitch_dellay", allowed is pitch_delay'),
-    "effect always on": (content(effects=["thrust_map"]), 'effects: found "thrust_map", allowed is '),
+    "parameters no object": (content(parameters=[1]), "parameters: found [1], expected an object in braces"),
+    "source no object": (content(source="me"), 'source: found "me", expected an object in braces'),
+    "NaN in source": (content(source={"rmse": float("nan")}), "source, rmse: found NaN, expected finite numbers"),
+    "effects no list": (content(effects="pitch_delay"), 'effects: found "pitch_delay", expected a list of effects'),
+    "effects no names": (content(effects=[1]), "effects: found [1], expected a list of effects"),
+    "unknown effect": (content(effects=["pitch_dellay"]), 'effects: found "pitch_dellay", expected pitch_delay'),
+    "effect always on": (content(effects=["thrust_map"]), 'effects: found "thrust_map", expected '),
     "near name": (
         entry("tau_omga_1"),
-        'parameters, "tau_omga_1": found a name that VppPlant does not have, allowed is tau_omega_1',
+        'parameters, "tau_omga_1": found a name that VppPlant does not have, expected tau_omega_1',
     ),
-    "far name": (entry("zzz"), 'parameters, "zzz": found a name that VppPlant does not have, allowed is one of '),
-    "line break": (entry("a\nb"), r'parameters, "a\nb": found a name that VppPlant does not have, allowed is '),
-    "no entry": (content(parameters={"c20": 0.3}), "parameters, c20: found 0.3, allowed is an object in braces"),
-    "unknown key": (entry(sigma=1), 'parameters, c20, "sigma": found a field that is not known, allowed is value, std, unit'),
+    "far name": (entry("zzz"), 'parameters, "zzz": found a name that VppPlant does not have, expected one of '),
+    "line break": (entry("a\nb"), r'parameters, "a\nb": found a name that VppPlant does not have, expected '),
+    "no entry": (content(parameters={"c20": 0.3}), "parameters, c20: found 0.3, expected an object in braces"),
+    "unknown key": (entry(sigma=1), 'parameters, c20, "sigma": found an unknown field, expected value, std, unit'),
     "no value": (
         content(parameters={"c20": {"unit": "1"}}),
-        "parameters, c20, value: found nothing, allowed is a value and its",
+        "parameters, c20, value: found nothing, expected a value and its",
     ),
-    "no unit": (content(parameters={"c20": {"value": 1}}), "parameters, c20, unit: found nothing, allowed is a value and its"),
-    "other unit": (entry("tau_beta_1", unit="ms"), 'parameters, tau_beta_1, unit: found "ms", allowed is "s"'),
-    "text": (entry(value="0.3"), 'parameters, c20, value: found "0.3", allowed is a number from -10 to 10'),
-    "truth": (entry(value=True), "parameters, c20, value: found true, allowed is a number from -10 to 10"),
-    "nothing": (entry(value=None), "parameters, c20, value: found null, allowed is a number from -10 to 10"),
-    "NaN": (entry(value=float("nan")), "parameters, c20, value: found NaN, allowed is finite numbers"),
-    "infinite": (entry(value=float("inf")), "parameters, c20, value: found Infinity, allowed is finite numbers"),
-    "no float": (entry(value=10**400), "parameters, c20, value: found Infinity, allowed is finite numbers"),
+    "no unit": (content(parameters={"c20": {"value": 1}}), "parameters, c20, unit: found nothing, expected a value and its"),
+    "other unit": (entry("tau_beta_1", unit="ms"), 'parameters, tau_beta_1, unit: found "ms", expected "s"'),
+    "text": (entry(value="0.3"), 'parameters, c20, value: found "0.3", expected a number from -10 to 10'),
+    "truth": (entry(value=True), "parameters, c20, value: found true, expected a number from -10 to 10"),
+    "nothing": (entry(value=None), "parameters, c20, value: found null, expected a number from -10 to 10"),
+    "NaN": (entry(value=float("nan")), "parameters, c20, value: found NaN, expected finite numbers"),
+    "infinite": (entry(value=float("inf")), "parameters, c20, value: found Infinity, expected finite numbers"),
+    "no float": (entry(value=10**400), "parameters, c20, value: found Infinity, expected finite numbers"),
     "too small": (
         entry("tau_beta_2", value=0.0, unit="s"),
-        "parameters, tau_beta_2, value: found 0.0, allowed is a number from 0.001 to 30 s",
+        "parameters, tau_beta_2, value: found 0.0, expected a number from 0.001 to 30 s",
     ),
-    "too large": (entry(value=10.5), "parameters, c20, value: found 10.5, allowed is a number from -10 to 10"),
-    "std negative": (entry(std=-0.1), "parameters, c20, std: found -0.1, allowed is a number from 0, or null"),
-    "std text": (entry(std="small"), 'parameters, c20, std: found "small", allowed is a number from 0, or null'),
-    "std NaN": (entry(std=float("nan")), "parameters, c20, std: found NaN, allowed is finite numbers"),
+    "too large": (entry(value=10.5), "parameters, c20, value: found 10.5, expected a number from -10 to 10"),
+    "std negative": (entry(std=-0.1), "parameters, c20, std: found -0.1, expected a number from 0, or null"),
+    "std text": (entry(std="small"), 'parameters, c20, std: found "small", expected a number from 0, or null'),
+    "std NaN": (entry(std=float("nan")), "parameters, c20, std: found NaN, expected finite numbers"),
 }
 
 
@@ -131,7 +131,7 @@ def test_bad_files(tmp_path, what, message):
     with pytest.raises(BadInput) as error:
         read_parameters(path, plant)
     assert str(error.value).startswith(f"{path}: {message}")
-    assert ", allowed is " in str(error.value)
+    assert ", expected " in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -143,7 +143,7 @@ def test_a_parameter_of_an_effect_that_is_not_on(tmp_path):
 
 def test_effects_of_a_model_without_any(tmp_path):
     path = written(tmp_path, content(parameters={}))
-    with pytest.raises(BadInput, match=r'effects: found "pitch_delay", allowed is none, VppController has no effects'):
+    with pytest.raises(BadInput, match=r'effects: found "pitch_delay", expected no effects: VppController has none'):
         read_parameters(path, controller)
 
 
@@ -156,7 +156,7 @@ def test_an_error_in_the_builder_stays_one(tmp_path):
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(BadInput, match=r"none\.json: file: found no such file, allowed is a file that exists"):
+    with pytest.raises(BadInput, match=r"none\.json: file: found no such file, expected a file that exists"):
         read_parameters(tmp_path / "none.json", plant)
 
 
@@ -290,7 +290,7 @@ def test_a_switch_is_on_or_off(tmp_path, value):
     path = tmp_path / "gains.json"
     content = {"format": "vpp-parameters/1", "parameters": {"speed_only": {"value": value, "unit": "1"}}}
     path.write_text(json.dumps(content))
-    with pytest.raises(BadInput, match=f"speed_only, value: found {value}, allowed is 0 or 1"):
+    with pytest.raises(BadInput, match=f"speed_only, value: found {value}, expected 0 or 1"):
         read_parameters(path, controller)
 
 

@@ -233,9 +233,9 @@ def test_noise_that_drowns_everything_is_said():
 
 
 BAD = [
-    (lambda: plan(BASE, {}, Rig(), 1.0), "seconds: found 1 s, allowed is 5 to 3600 s"),
-    (lambda: plan(BASE, {}, Rig().timed(5.0), 20.0), "seconds: found 20 s, allowed is 50 to 36000 s"),
-    (lambda: plan(BASE, {}, Rig(), step=0.1), "step: found 0.1 s, allowed is 0.0001 to 0.05 s"),
+    (lambda: plan(BASE, {}, Rig(), 1.0), "seconds: found 1 s, expected 5 to 3600 s"),
+    (lambda: plan(BASE, {}, Rig().timed(5.0), 20.0), "seconds: found 20 s, expected 50 to 36000 s"),
+    (lambda: plan(BASE, {}, Rig(), step=0.1), "step: found 0.1 s, expected 0.0001 to 0.05 s"),
     (lambda: plan(BASE, {}, Rig(), step=float("nan")), "step"),
     (lambda: plan(BASE, {}, Rig(), noise_std=0.0), "noise of thrust"),
     (lambda: plan(BASE, {}, Rig(), omega_std=float("inf")), "noise of speed"),
@@ -310,7 +310,7 @@ def test_a_plan_goes_where_the_campaign_was_and_further_only_where_a_rig_json_sa
     assert (min(pitch) >= -5.0, max(pitch) <= 10.0) == (True, True)
     assert "commands within speed 2100 to 5800 rpm (the campaign), pitch -5 to 10 deg (the campaign)" in capsys.readouterr().out
     assert cli.main([*words, "--omega", "2100", "6000"]) == 2
-    assert "--omega: found 2100 to 6000 rpm, allowed is within 2100 to 5800 rpm" in capsys.readouterr().err
+    assert "--omega: found 2100 to 6000 rpm, expected within 2100 to 5800 rpm" in capsys.readouterr().err
     rig = {"format": "vpp-rig/1", "speed": {"min": 2100, "max": 6500}, "thrust": {"min": 0, "max": 4}, "slew": {"speed": 9000}}
     (tmp_path / "rig.json").write_text(json.dumps(rig))
     words += ["--rig", str(tmp_path / "rig.json")]
@@ -321,7 +321,7 @@ def test_a_plan_goes_where_the_campaign_was_and_further_only_where_a_rig_json_sa
     low, high, *pitch = ranges(read_record(tmp_path / "plan.csv"))
     assert (low >= 5900.0, high <= 6500.0, min(pitch) >= -5.0, max(pitch) <= 10.0) == (True,) * 4
     assert cli.main([*words, "--omega-slew", "9001"]) == 2
-    assert "--omega-slew: found 9001 rpm/s, allowed is more than 0 and at most 9000" in capsys.readouterr().err
+    assert "--omega-slew: found 9001 rpm/s, expected more than 0 and at most 9000" in capsys.readouterr().err
 
 
 def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
@@ -329,7 +329,10 @@ def test_nothing_is_planned_for_a_rig_that_nobody_knows(tmp_path, capsys):
     path.write_text(to_json(ParameterSet(BASE).replaced(SORTED)))
     words = ["plan", "--parameters", str(path), "--seconds", "5", "-o", str(tmp_path)]
     assert cli.main(words) == 2
-    assert "range of speed and pitch: found none, allowed is one that was measured or declared" in capsys.readouterr().err
+    assert (
+        "range of speed and pitch: found none, expected a measured or declared range. Try: --campaign DIR"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "plan.csv").exists()
     assert cli.main([*words, "--omega", "3000", "4000"]) == 2
     assert "range of pitch: found none" in capsys.readouterr().err
@@ -375,7 +378,7 @@ def test_bad_calls_are_one_line_and_exit_2(parameters, tmp_path, capsys):
         assert cli.main(["plan", "--parameters", str(parameters), *arguments, "-o", str(tmp_path / "bad")]) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1
-        for word in (says, "found", "allowed"):
+        for word in (says, "found", "expected"):
             assert word in said
     assert not (tmp_path / "bad" / "plan.csv").exists()
 
@@ -397,7 +400,7 @@ def test_a_range_in_which_the_thrust_hardly_changes_is_asked_about(tmp_path, cap
     assert cli.main(words) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "less than the 0.3 N of noise of a reading, allowed is a wider range, or --yes to go on" in said
+    assert "less than the 0.3 N of noise of a reading, expected a wider range. Try: --yes to go on" in said
     assert not tried
     for more in (["--yes"], ["--omega", "100", "3000"]):
         with pytest.raises(pytest.fail.Exception):
@@ -434,4 +437,4 @@ def test_what_is_known_is_found_beside_the_parameters(tmp_path, capsys, monkeypa
     capsys.readouterr()
     assert cli.main(words) == 2
     assert seen.pop() == (pytest.approx(0.3), None)
-    assert "not used: " in capsys.readouterr().out
+    assert "not used: " in capsys.readouterr().err

@@ -55,7 +55,7 @@ def test_the_date_is_the_runs_or_the_one_asked_for(monkeypatch):
 @pytest.mark.parametrize("epoch", ["yesterday", "", "1e9", "9" * 30])
 def test_a_date_that_is_none_is_bad_input(monkeypatch, epoch):
     monkeypatch.setenv(EPOCH, epoch)
-    with pytest.raises(BadInput, match=f"{EPOCH}: found .*, allowed is whole seconds since 1970"):
+    with pytest.raises(BadInput, match=f"{EPOCH}: found .*, expected whole seconds since 1970"):
         dated(SET)
 
 
@@ -88,13 +88,13 @@ def test_what_it_descends_from_is_named_with_its_identity():
         ({"parameters": {"c20": {"value": 0.35}}, "effects": []}, None),
         ({"parameters": {"c20": {"value": 0.35 * (1 + 1e-12)}}}, None),
         ({}, None),
-        ({"parameters": {"c20": {"value": 0.3501}}}, 'parameters, "c20": found 0.3501, allowed is 0.35, the value in p.json'),
-        ({"parameters": {"c99": {"value": 0.35}}}, 'parameters, "c99": found 0.35, allowed is a name in p.json'),
+        ({"parameters": {"c20": {"value": 0.3501}}}, 'parameters, "c20": found 0.3501, expected 0.35, the value in p.json'),
+        ({"parameters": {"c99": {"value": 0.35}}}, 'parameters, "c99": found 0.35, expected a name in p.json'),
         ({"parameters": {"c20": {"value": None}}}, 'parameters, "c20": found null'),
-        ({"effects": ["pitch_offset"]}, "effects: found pitch_offset, allowed is no effects, the model of p.json"),
-        ({"parameters": [1]}, "parameters: found [1], allowed is an object"),
-        ({"parameters": {"c20": 0.35}}, 'parameters, "c20": found 0.35, allowed is an object'),
-        ([], "file: found [], allowed is an object"),
+        ({"effects": ["pitch_offset"]}, "effects: found pitch_offset, expected no effects, the model of p.json"),
+        ({"parameters": [1]}, "parameters: found [1], expected an object"),
+        ({"parameters": {"c20": 0.35}}, 'parameters, "c20": found 0.35, expected an object'),
+        ([], "file: found [], expected an object"),
     ],
 )
 def test_an_identification_of_another_model_is_refused(tmp_path, content, says):

@@ -234,7 +234,7 @@ def test_a_log_without_rest_has_no_tare(tmp_path):
         (lambda text: text.replace("Current (A)", "Voltage (V)"), "column Voltage (V): found more than one"),
         (lambda text: "\n".join(text.split("\n")[:1]), "file: found 0 rows"),
         (lambda text: "", "file: found 0 rows"),
-        (lambda text: text[:-30], "cells, allowed is 8, as in the header"),
+        (lambda text: text[:-30], "cells, expected 8 cells, as in the header"),
         (lambda text: text.replace("\n", "\nx", 2), "Time (s), line 2: found 'x"),
     ],
 )
@@ -262,7 +262,7 @@ def test_a_clock_that_goes_back_by_less_than_a_row_is_mended_and_counted(log):
 
 
 def test_a_log_without_esc_signals_is_told_with_the_way_out(log):
-    with pytest.raises(BadInput, match=r"column ESC signal: found empty cells only, allowed is .* vpp import csv"):
+    with pytest.raises(BadInput, match=r"column ESC signal: found empty cells only, expected .* vpp import csv"):
         log(signal=np.full(len(truth()["time"]), np.nan))
 
 
@@ -286,9 +286,9 @@ def test_time_must_not_go_back(log):
 
 
 def test_a_signal_out_of_range_and_an_empty_column_are_refused(log):
-    with pytest.raises(BadInput, match="ESC signal, line 2: found -5, allowed is 0 to 2047 for DShot"):
+    with pytest.raises(BadInput, match="ESC signal, line 2: found -5, expected 0 to 2047 for DShot"):
         log(signal=truth()["signal"] - 5.0)
-    with pytest.raises(BadInput, match="empty cells only, allowed is measured thrust"):
+    with pytest.raises(BadInput, match="empty cells only, expected measured thrust"):
         log(thrust=np.full(len(truth()["time"]), np.nan))
 
 
@@ -408,9 +408,9 @@ def test_points_beyond_a_map_do_not_judge_it():
     ("change", "told"),
     [
         ({"format": "vpp-parameters/1"}, "format: found"),
-        ({"coefficients": [1.0, 2.0]}, "coefficients: found [1.0, 2.0], allowed is a list of 4"),
-        ({"coefficients": [1.0, 2.0, "x", 3.0]}, 'coefficients, 3: found "x", allowed is a number'),
-        ({"nominal_voltage": 0}, "nominal_voltage: found 0, allowed is a number above 0"),
+        ({"coefficients": [1.0, 2.0]}, "coefficients: found [1.0, 2.0], expected a list of 4"),
+        ({"coefficients": [1.0, 2.0, "x", 3.0]}, 'coefficients, 3: found "x", expected a number'),
+        ({"nominal_voltage": 0}, "nominal_voltage: found 0, expected a number above 0"),
         ({"signal": {"kind": "OneShot"}}, "signal: found"),
         ({"signal": {"kind": {}}}, "signal: found"),
         ({"signal": {"kind": "PWM", "minimum": 5, "maximum": 5, "turns_from": 1, "fitted_to": 2}}, "signal, maximum: found 5"),
@@ -471,7 +471,7 @@ def test_another_log_takes_the_map_over_unchanged(tmp_path, vpp, capsys):
     assert here["rms"] == pytest.approx(250.0, abs=2.0)
     pwm = write(tmp_path / "pwm.csv", t | {"signal": 1000.0 + t["signal"] / 3.0})
     assert vpp(pwm, "--speed-map", saved, "-o", tmp_path / "pwm") == 2
-    assert "signal, kind: found DShot, allowed is a map for PWM" in capsys.readouterr().err
+    assert "signal, kind: found DShot, expected a map for PWM" in capsys.readouterr().err
 
 
 def test_rows_that_are_averages_give_a_map_and_no_record(tmp_path, vpp, capsys):
@@ -529,7 +529,7 @@ def test_logs_in_one_folder_share_the_first_ones_map(tmp_path, vpp, capsys):
     saved = read_speed_map(tmp_path / "stand" / "speed_map.json")
     assert float(f"{saved.omega_ref(np.array([1200.0]))[0]:.9g}") in commands[1]
     assert vpp(tmp_path / "tuesday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 2
-    assert "open_loop.csv: file: found one of another log" in capsys.readouterr().err
+    assert "open_loop.csv: file: found the file of another log" in capsys.readouterr().err
     assert vpp(tmp_path / "monday.csv", "-o", tmp_path / "stand", "--as", "open_loop") == 0
 
 
@@ -554,7 +554,7 @@ def test_a_servo_in_use_asks_for_the_pitch(tmp_path, vpp, capsys):
     assert vpp(path, "-o", tmp_path / "out") == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "Servo 1, which is pitch by its name, from 1200 to 1700" in error
+    assert "Servo 1, pitch by its name, from 1200 to 1700" in error
     assert vpp(path, "--fixed", "omega_ref=8:rpm", "-o", tmp_path / "out") == 2
     assert vpp(path, "--fixed", "beta_ref=8:deg", "-o", tmp_path / "out") == 0
     np.testing.assert_array_equal(read_record(tmp_path / "out" / "record.csv", holes=("thrust", "omega"))["beta_ref"], 8.0)
@@ -576,7 +576,7 @@ def test_the_measured_speed_as_command_has_no_gaps(tmp_path, vpp):
     [
         (
             ("time", "signal", "thrust", "voltage"),
-            "columns: found no speed, allowed is the motor's optical or electrical speed, or the map",
+            "columns: found no speed, expected the motor's optical or electrical speed. Try: --speed-map",
         ),
         (("time", "signal", "voltage", "optical"), "column Thrust: found only Time"),
     ],

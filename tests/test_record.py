@@ -94,7 +94,7 @@ def test_gaps_in_measured_columns_become_nan(tmp_path):
     }.items():
         assert record[name].dtype == float
         np.testing.assert_array_equal(record[name], expected)
-    with pytest.raises(BadInput, match=r"thrust, line 3: found an empty cell, allowed is a finite number$"):
+    with pytest.raises(BadInput, match=r"thrust, line 3: found an empty cell, expected a finite number$"):
         read_record(tmp_path / "record.csv", NEED_THRUST)
 
 
@@ -126,37 +126,37 @@ def changed(line, text):
 
 
 BAD = {
-    "empty file": ("", "file: found an empty file, allowed is a header and at least one row"),
+    "empty file": ("", "file: found an empty file, expected a header and at least one row"),
     "no rows": ("time,omega_ref,beta_ref,thrust\n", "file: found a header without rows"),
     "missing column": (
         "time,omega_ref,thrust\n0,1,2\n",
-        "column beta_ref: found only time, omega_ref, thrust, allowed is a header with time, omega_ref, beta_ref, thrust",
+        "column beta_ref: found only time, omega_ref, thrust, expected a header with time, omega_ref, beta_ref, thrust",
     ),
     "semicolons": ("time;omega_ref;beta_ref;thrust\n0;1;2;3\n", "column time: found only time;omega_ref;beta_ref;thrust, "),
     "duplicate column": ("time,omega_ref,beta_ref,thrust,time\n0,1,2,3,0\n", "column time: found more than one of that name"),
-    "empty cell": (changed(3, "0.004,,5,7"), "omega_ref, line 3: found an empty cell, allowed is a finite number"),
-    "NaN": (changed(3, "0.004,4000,nan,7"), "beta_ref, line 3: found 'nan', allowed is a finite number"),
-    "infinite": (changed(4, "0.008,4000,5,-inf"), "thrust, line 4: found '-inf', allowed is a finite number"),
-    "too large": (changed(4, "0.008,4000,5,1e999"), "thrust, line 4: found '1e999', allowed is a finite number"),
-    "no number": (changed(2, "0,4000,5,7 N"), "thrust, line 2: found '7 N', allowed is a finite number"),
-    "long cell": (changed(2, f"0,4000,5,{'x' * 99}"), f"thrust, line 2: found '{'x' * 37}...', allowed is a finite number"),
-    "broken cell": (changed(2, '0,4000,5,"7\n8"'), r"thrust, line 3: found '7\n8', allowed is a finite number"),
-    "commented out": (changed(3, "#0.004,4000,5,7"), "time, line 3: found '#0.004', allowed is a finite number"),
-    "no time": (changed(3, ",4000,5,7"), "time, line 3: found an empty cell, allowed is a finite number"),
-    "decimal comma": (changed(3, "0,004,4000,5,7"), "line 3: found 5 cells, allowed is 4, as in the header"),
-    "ragged": (changed(4, "0.008,4000"), "line 4: found 2 cells, allowed is 4, as in the header"),
-    "late start": (changed(2, "0.002,4000,5,7"), "time, line 2: found 0.002, allowed is 0 in the first row of a record"),
-    "early start": (changed(2, "-1,4000,5,7"), "time, line 2: found -1, allowed is 0 in the first row of a record"),
+    "empty cell": (changed(3, "0.004,,5,7"), "omega_ref, line 3: found an empty cell, expected a finite number"),
+    "NaN": (changed(3, "0.004,4000,nan,7"), "beta_ref, line 3: found 'nan', expected a finite number"),
+    "infinite": (changed(4, "0.008,4000,5,-inf"), "thrust, line 4: found '-inf', expected a finite number"),
+    "too large": (changed(4, "0.008,4000,5,1e999"), "thrust, line 4: found '1e999', expected a finite number"),
+    "no number": (changed(2, "0,4000,5,7 N"), "thrust, line 2: found '7 N', expected a finite number"),
+    "long cell": (changed(2, f"0,4000,5,{'x' * 99}"), f"thrust, line 2: found '{'x' * 37}...', expected a finite number"),
+    "broken cell": (changed(2, '0,4000,5,"7\n8"'), r"thrust, line 3: found '7\n8', expected a finite number"),
+    "commented out": (changed(3, "#0.004,4000,5,7"), "time, line 3: found '#0.004', expected a finite number"),
+    "no time": (changed(3, ",4000,5,7"), "time, line 3: found an empty cell, expected a finite number"),
+    "decimal comma": (changed(3, "0,004,4000,5,7"), "line 3: found 5 cells, expected 4 cells, as in the header"),
+    "ragged": (changed(4, "0.008,4000"), "line 4: found 2 cells, expected 4 cells, as in the header"),
+    "late start": (changed(2, "0.002,4000,5,7"), "time, line 2: found 0.002, expected 0 in the first row of a record"),
+    "early start": (changed(2, "-1,4000,5,7"), "time, line 2: found -1, expected 0 in the first row of a record"),
     "time goes back": (
         changed(4, "0.003,4000,5,7"),
-        "time, line 4: found 0.003 after 0.004 (time goes back), allowed is a time after that of the row before",
+        "time, line 4: found 0.003 after 0.004 (time goes back), expected a time after that of the row before",
     ),
-    "time stands still": (changed(3, "0,4000,5,7"), "time, line 3: found 0 after 0 (time stands still), allowed is "),
-    "less than a step": (changed(3, "1e-10,4000,5,7"), "time, line 3: found 1e-10 after 0 (time stands still), allowed is "),
-    "speed too high": (changed(3, "0.004,200001,5,7"), "omega_ref, line 3: found 200001, allowed is 0 to 200000 rpm"),
-    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, allowed is 0 to 200000 rpm"),
-    "pitch": (changed(4, "0.008,4000,-90.1,7"), "beta_ref, line 4: found -90.1, allowed is -90 to 90 deg"),
-    "thrust of a ship": (changed(4, "0.008,4000,5,2e5"), "thrust, line 4: found 200000, allowed is -100000 to 100000 N"),
+    "time stands still": (changed(3, "0,4000,5,7"), "time, line 3: found 0 after 0 (time stands still), expected "),
+    "less than a step": (changed(3, "1e-10,4000,5,7"), "time, line 3: found 1e-10 after 0 (time stands still), expected "),
+    "speed too high": (changed(3, "0.004,200001,5,7"), "omega_ref, line 3: found 200001, expected 0 to 200000 rpm"),
+    "speed negative": (changed(3, "0.004,-0.5,5,7"), "omega_ref, line 3: found -0.5, expected 0 to 200000 rpm"),
+    "pitch": (changed(4, "0.008,4000,-90.1,7"), "beta_ref, line 4: found -90.1, expected -90 to 90 deg"),
+    "thrust of a ship": (changed(4, "0.008,4000,5,2e5"), "thrust, line 4: found 200000, expected -100000 to 100000 N"),
 }
 
 
@@ -167,7 +167,7 @@ def test_bad_records(tmp_path, text, message, name):
     with pytest.raises(BadInput) as error:
         read_record(path, NEED_THRUST)
     assert str(error.value).startswith(f"{path}: {message}")
-    assert ", allowed is " in str(error.value)
+    assert ", expected " in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -197,7 +197,7 @@ def test_bad_columns_beyond_the_needed_ones(tmp_path, name, value, allowed):
         read_record(path)
     assert str(error.value).startswith(f"{path}: {name}, line 3: found ")
     assert value in str(error.value)
-    assert str(error.value).endswith(f", allowed is {allowed}")
+    assert str(error.value).endswith(f", expected {allowed}")
 
 
 def test_the_ends_of_the_ranges_are_allowed(tmp_path):
@@ -207,9 +207,9 @@ def test_the_ends_of_the_ranges_are_allowed(tmp_path):
 
 
 def test_missing_file_and_folder(tmp_path):
-    with pytest.raises(BadInput, match=r"none\.csv: file: found no such file, allowed is a file that exists"):
+    with pytest.raises(BadInput, match=r"none\.csv: file: found no such file, expected a file that exists"):
         read_record(tmp_path / "none.csv")
-    with pytest.raises(BadInput, match="file: found a folder, allowed is a file"):
+    with pytest.raises(BadInput, match="file: found a folder, expected a file"):
         read_record(tmp_path)
 
 
@@ -222,10 +222,10 @@ def test_read_profile(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time,thrust\n0,5\n", "column thrust_set: found only time, thrust, allowed is a header with time, thrust_set"),
-        ("time,thrust_set\n0,5\n1,100001\n", "thrust_set, line 3: found 100001, allowed is -100000 to 100000 N"),
-        ("time,thrust_set\n0,5\n1,\n", "thrust_set, line 3: found an empty cell, allowed is a finite number"),
-        ("time,thrust_set\n1,5\n", "time, line 2: found 1, allowed is 0 in the first row"),
+        ("time,thrust\n0,5\n", "column thrust_set: found only time, thrust, expected a header with time, thrust_set"),
+        ("time,thrust_set\n0,5\n1,100001\n", "thrust_set, line 3: found 100001, expected -100000 to 100000 N"),
+        ("time,thrust_set\n0,5\n1,\n", "thrust_set, line 3: found an empty cell, expected a finite number"),
+        ("time,thrust_set\n1,5\n", "time, line 2: found 1, expected 0 in the first row"),
     ],
 )
 def test_bad_profiles(tmp_path, text, message):

@@ -11,7 +11,7 @@ REASONS = {
     "output: below a file": "not a directory",
     "output: even root may not": "output folder: found not writable",
     "output: a folder in the file's place": "prediction.csv: output file: found not writable (is a directory)",
-    "knowledge of another model": '"c20": found 0.5, allowed is 0.355, the value in',
+    "knowledge of another model": '"c20": found 0.5, expected 0.355, the value in',
     "record: not UTF-8": "the byte 0x",
 }
 NO_PERMISSION = {

@@ -464,11 +464,12 @@ def test_how_often_a_limit_is_reached_is_counted():
     assert reached(fit, name) == {}
 
 
-@pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 N before", "0.2 N after"])])
+@pytest.mark.parametrize(("shipped", "errors"), [((), ["0.2 N"]), (("pitch_backlash",), ["0.3 -> 0.2 N"])])
 def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_reason(shipped, errors):
     """Beside one that ships, before and after are that one's."""
     model = plant((*shipped, "rotor_vibration"))
-    base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped)
+    fit = {"problem": SimpleNamespace(model=model), "values": model.values({"rotor_vibration.amplitude": 0.31})}
+    base, final = SimpleNamespace(effects=()), SimpleNamespace(effects=shipped, **fit)
     found = SimpleNamespace(
         errors=lambda fit: (0.3 if fit is base and shipped else 0.2, None),
         base=base,
@@ -478,11 +479,11 @@ def test_an_effect_that_is_named_and_does_not_ship_is_in_the_headline_with_the_r
         refuted="",
         verdict="attributed",
         learned=None,
-        selection=SimpleNamespace(final=SimpleNamespace(problem=SimpleNamespace(model=model))),
+        selection=SimpleNamespace(final=SimpleNamespace(**fit), family={}),
         left_out=("rotor_vibration",),
         best_guess=None,
     )
     said = headline(found)
-    for part in ("rotor_vibration (", LEFT_OUT, *shipped, *errors):
+    for part in ("he rotor shakes the load cell by 0.31 N once a revolution (", LEFT_OUT, *errors):
         assert part in said
-    assert ("before" in said) == bool(shipped)
+    assert ("backlash" in said) == ("->" in said) == bool(shipped)

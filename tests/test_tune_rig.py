@@ -131,7 +131,7 @@ def test_thrust_that_does_not_grow_is_refused():
 
 def test_given_limits_beyond_the_rig_are_refused():
     given = ParameterSet(CONTROLLER.sized(MICRO.scales)).replaced({**DUAL, "omega_max": 21000.0})
-    with pytest.raises(BadInput, match="parameters, omega_max: found 21000 rpm, allowed is 6660 to 20000 rpm"):
+    with pytest.raises(BadInput, match="parameters, omega_max: found 21000 rpm, expected 6660 to 20000 rpm"):
         controllers(on(MICRO), given, source="g.json")
 
 

@@ -122,7 +122,7 @@ def _measured(path: Path) -> Record:
     """A record that has thrust; single cells may be empty. Other columns without any value are dropped."""
     record = read_record(path, NEED, holes=("thrust",))
     if np.isfinite(record["thrust"]).sum() < 2:
-        raise BadInput(path, "thrust", "no two numbers", "a column of numbers, some cells of which may be empty")
+        raise BadInput(path, "thrust", "fewer than two numbers", "a column of numbers, in which some cells may be empty")
     empty = [n for n, c in record.columns.items() if c.dtype.kind == "f" and not np.isfinite(c).any()]
     if empty:
         warnings.warn(f"{path}: columns without a single value, left out: {', '.join(empty)}", RecordWarning, stacklevel=2)
@@ -147,10 +147,12 @@ def _paths(folder: Path, there: set[str]) -> dict[str, Path]:
     for name in (*NAMES, RAW):
         found = [file for file in (f"{name}.csv", f"{name}.csv.gz") if file in there]
         if len(found) > 1:
-            raise BadInput(folder, f"{name}.csv", f"{found[0]} and {found[1]}", "one of the two")
+            raise BadInput(folder, f"{name}.csv", f"{found[0]} and {found[1]}", "only one of them")
         paths.update((name, folder / file) for file in found)
     if not paths:
-        raise BadInput(folder, "campaign folder", "none of a campaign's files", f"any of {_FILES} (or .csv.gz)")
+        raise BadInput(
+            folder, "campaign folder", "none of a campaign's files", f"any of {_FILES} (or .csv.gz)", "vpp import csv for a log"
+        )
     return paths
 
 
@@ -180,7 +182,7 @@ def check_repeat(record: Record, repeat: Record) -> None:
             allowed = f"{wanted[row]:.12g} as in {record.source}"
             raise BadInput(repeat.source, f"{name}, row {row + 1} of the data", f"{found[row]:.12g}", allowed)
     if len(record) != len(repeat):
-        allowed = f"{len(record)} as in {record.source}"
+        allowed = f"{len(record)} rows as in {record.source}"
         raise BadInput(repeat.source, f"row {n + 1} of the data", f"{len(repeat)} rows in all", allowed)
 
 
@@ -232,7 +234,7 @@ def read_steps(path: str | os.PathLike) -> tuple[Record, ...]:
     for first, end in zip(starts, [*starts[1:], len(run)], strict=True):
         number = int(run[first])
         if number in seen:
-            raise table.wrong("run", int(first), f"{number} once more", "the rows of a run one after another")
+            raise table.wrong("run", int(first), f"run {number} a second time", "the rows of a run one after another")
         seen.add(number)
         part = {name: column[first:end] for name, column in columns.items()}
         check_time(table, part["time"], int(first), "run")

@@ -10,15 +10,16 @@ class VppError(Exception):
 class BadInput(VppError):
     """A file, folder or option holds something that is not allowed.
 
-    The message is one line: which file, which field, what was found, what is allowed.
+    The message is one line: "FILE: FIELD: found X, expected Y. Try: Z". `found` and `allowed` are nouns of the same kind;
+    `hint` is what the user may do or type next, if `allowed` does not say it.
     """
 
-    def __init__(self, where: object, field: str, found: object, allowed: str):
-        self.where, self.field, self.found, self.allowed = str(where), field, str(found), allowed
-        super().__init__(f"{where}: {field}: found {found}, allowed is {allowed}")
+    def __init__(self, where: object, field: str, found: object, allowed: str, hint: str = ""):
+        self.where, self.field, self.found, self.allowed, self.hint = str(where), field, str(found), allowed, hint
+        super().__init__(f"{where}: {field}: found {found}, expected {allowed}" + (f". Try: {hint}" if hint else ""))
 
-    def __reduce__(self) -> tuple[type, tuple[str, str, str, str]]:  # pickled by worker processes
-        return type(self), (self.where, self.field, self.found, self.allowed)
+    def __reduce__(self) -> tuple[type, tuple[str, str, str, str, str]]:  # pickled by worker processes
+        return type(self), (self.where, self.field, self.found, self.allowed, self.hint)
 
 
 class SimulationFailed(VppError):

@@ -146,9 +146,9 @@ class Table:
     columns: Mapping[str, np.ndarray]
     lines: np.ndarray
 
-    def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
+    def wrong(self, name: str, row: int, found: object, allowed: str, hint: str = "") -> BadInput:
         """The error that names a cell."""
-        return BadInput(self.source, f"{name}, line {self.lines[row]}", found, allowed)
+        return BadInput(self.source, f"{name}, line {self.lines[row]}", found, allowed, hint)
 
     def numbers(self, name: str, gaps: Sequence[str] = ()) -> np.ndarray:
         """(n,) the column as float; `gaps`: cells that become NaN. BadInput names the first invalid cell."""
@@ -215,7 +215,7 @@ def _cells(path: str | os.PathLike, lines: Sequence[str], before: int, width: in
                 continue
             if len(cells) != width:
                 found = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
-                raise BadInput(path, f"line {before + reader.line_num}", found, f"{width}, as in the header")
+                raise BadInput(path, f"line {before + reader.line_num}", found, f"{width} cells, as in the header")
             numbers.append(before + reader.line_num)
             rows.append([cell.strip() for cell in cells])
     except csv.Error as error:

@@ -15,9 +15,9 @@ EXTRA = "frames"
 class Frame(Table):
     """A table that was not read from a file: its messages name cells by row, from 0."""
 
-    def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
+    def wrong(self, name: str, row: int, found: object, allowed: str, hint: str = "") -> BadInput:
         """The error that names a cell."""
-        return BadInput(self.source, f"{name}, row {row}", found, allowed)
+        return BadInput(self.source, f"{name}, row {row}", found, allowed, hint)
 
 
 def library(name: str) -> Any:

@@ -214,7 +214,7 @@ def _content(path: str | os.PathLike) -> dict:
     content = read_object(path, FORMAT, "a parameter file in JSON")
     for name in content:
         if name not in ("format", "parameters", "effects", "source"):
-            raise BadInput(path, shown(name), "a field that is not known", "format, parameters, effects, source")
+            raise BadInput(path, shown(name), "an unknown field", "format, parameters, effects, source")
     return content
 
 
@@ -228,10 +228,12 @@ def _model(path: str | os.PathLike, effects: object, build: Callable[[tuple[str,
         if name not in effects:
             raise
         library = [effect.name for effect in LIBRARY if effect.off is not None]
-        raise BadInput(path, "effects", shown(name), f"{_near(name, library)}, or what --effects-from FILE.py adds") from error
+        raise BadInput(
+            path, "effects", shown(name), _near(name, library), "--effects-from FILE.py for an effect of your own"
+        ) from error
     for name in effects:
         if name not in model.optional:
-            raise BadInput(path, "effects", shown(name), f"none, {model.name} has no effects to choose")
+            raise BadInput(path, "effects", shown(name), f"no effects: {model.name} has none to choose")
     return model
 
 
@@ -240,7 +242,7 @@ def _estimate(path: str | os.PathLike, parameter: Parameter, entry: object) -> E
     entry = _mapping(path, name, entry)
     for key in entry:
         if key not in ("value", "std", "unit"):
-            raise BadInput(path, f"{name}, {shown(key)}", "a field that is not known", "value, std, unit")
+            raise BadInput(path, f"{name}, {shown(key)}", "an unknown field", "value, std, unit")
     for key in ("value", "unit"):
         if key not in entry:
             raise BadInput(path, f"{name}, {key}", "nothing", "a value and its unit for each parameter")

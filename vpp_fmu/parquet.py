@@ -20,7 +20,9 @@ def check_parquet() -> None:
         import pyarrow.parquet  # noqa: F401, PLC0415  (an extra)
     except ImportError as error:
         found = "parquet, which only pyarrow writes, and it is not installed"
-        raise BadInput("command line", "--records", found, "an installed extra: pip install 'vpp-fmu[import]'") from error
+        raise BadInput(
+            "command line", "--records", found, "an installed library that writes Parquet", "pip install 'vpp-fmu[import]'"
+        ) from error
 
 
 def as_parquet(record: Record) -> bytes:

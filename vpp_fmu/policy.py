@@ -82,7 +82,9 @@ class Policy:
         found = ParameterSet(policy_model(self.law, scales), source={"made_by": "a learned law", "policy": self.source})
         fallback = {n: v for n, v in (controller or {}).items() if n not in ALLOCATION}
         if (controller or {}).get("mode", DUAL) == ALLOCATED:
-            raise BadInput("gains", "parameters, mode", "2", "0 or 1: a policy falls back on the dual PID, or on speed alone")
+            raise BadInput(
+                "gains", "parameters, mode", "2 (allocated)", "0 or 1: a policy falls back on the dual PID, or on speed alone"
+            )
         values = {**fallback, **self.values}
         known = {p.name: p for p in found.model.parameters}
         for name, value in values.items():
@@ -117,7 +119,7 @@ def read_policy(path: str | os.PathLike) -> Policy:
     allowed = {name.rstrip("?") for name in KINDS} | {"format"}
     for name in content:
         if name not in allowed:
-            raise BadInput(path, shown(name), "a field that is not known", ", ".join(sorted(allowed)))
+            raise BadInput(path, shown(name), "an unknown field", ", ".join(sorted(allowed)))
     check_kinds(path, content, KINDS)
     own = {name: content[name] for name in allowed - {"format", "weights", "biases"} if content.get(name) is not None}
     return policy_from_arrays(content["weights"], content["biases"], **own, source=path)

@@ -163,7 +163,7 @@ def _entries(path: str | os.PathLike, content: Mapping) -> dict:
     known = ("format", "name", *RANGES, "slew", "scales", "sensors")
     for name in content:
         if name not in known:
-            raise BadInput(path, name, "a field that is not known", ", ".join(known))
+            raise BadInput(path, name, "an unknown field", ", ".join(known))
     found: dict = {}
     if "name" in content:
         found["name"] = str(content["name"])
@@ -208,7 +208,7 @@ def _object(path: str | os.PathLike, name: str, found: object, known: tuple[str,
         raise BadInput(path, name, shown(found), "an object in braces { }")
     for key in found:
         if key not in known:
-            raise BadInput(path, f"{name}, {key}", "a field that is not known", ", ".join(known))
+            raise BadInput(path, f"{name}, {key}", "an unknown field", ", ".join(known))
     return found
 
 

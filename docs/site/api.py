@@ -39,6 +39,7 @@ def page() -> str:
             "## Results",
             "Each verb returns one of these. All print key figures, and have the members of `Result`.",
             *(_entry(f"vpp_fmu.app.api.results.{name}", name) for name in RESULTS),
+            _entry("vpp_fmu.app.api.linear.Linearisable", "Linearisable"),
             "## Environments",
             "`import vpp_fmu.gym` (extra `gym`) registers `VppThrust-v0`.",
             "<!-- include vpp_fmu/gym/README.md -->",

@@ -35,7 +35,7 @@ class OperatorPage:
 
     def __init__(self, told: Mapping, port: int = 0):
         if find_spec("tornado") is None:
-            raise BadInput("command line", "--watch", "no tornado", "pip install 'vpp-fmu[watch]'")
+            raise BadInput("command line", "--watch", "no tornado", "the library, installed", "pip install 'vpp-fmu[watch]'")
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(STARTED)
         self._broken, self._looks, self._stops = "", 0, 0

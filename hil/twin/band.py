@@ -54,7 +54,9 @@ def read_band(path: str | os.PathLike) -> Band:
         floor, error = float(content["noise_floor_thrust"]), content["model_error"]
         if error is None:
             found = "null: neither a static map nor a repeat determined it"
-            raise BadInput(path, "model_error", found, "an identification with a static.csv, which a twin's band is made of")
+            raise BadInput(
+                path, "model_error", found, "the model error of an identification with a static.csv: the twin's band needs it"
+            )
         steady, moving, freedom = (float(error[name]) for name in ("steady", "moving", "freedom"))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadInput(path, "content", f"{type(error).__name__}: {error}", allowed) from error

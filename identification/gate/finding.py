@@ -133,5 +133,6 @@ def refuse(findings: Sequence[Finding]) -> None:
         return
     first = errors[0]
     way_out = f", or --accept {first.code}" if KINDS[first.code].accept else ""
-    more = f"; {len(errors) - 1} more, see vpp check" if len(errors) > 1 else ""
-    raise BadInput(first.where, first.field, f"{first.told} (likely: {first.cause})", f"{first.advice}{way_out}{more}")
+    more = f"; vpp check for {len(errors) - 1} more" if len(errors) > 1 else ""
+    hint, allowed = f"{first.advice[:1].lower()}{first.advice[1:]}{way_out}{more}", "data that can be fitted"
+    raise BadInput(first.where, first.field, f"{first.told} (likely: {first.cause})", allowed, hint)

@@ -56,7 +56,7 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
     stamps, start = _seconds(table, name, unit)
     rows = np.flatnonzero(np.isfinite(stamps))
     if len(rows) < 2:
-        raise table.wrong(name, 0, f"{len(rows)} rows with a time", "two at least")
+        raise table.wrong(name, 0, f"{len(rows)} rows with a time", "two or more")
     notes = [f"time: {len(stamps) - len(rows)} rows without one, left out"] * (len(rows) < len(stamps))
     time, corrections = _unwrapped(stamps[rows])
     notes += corrections
@@ -70,8 +70,8 @@ def read_clock(table: RawTable, name: str, unit: str, runs: bool = False) -> Clo
     if len(back) and not runs:
         now, before = (table.columns[name][rows[back[0] - k]] for k in (0, 1))
         found = f"{now} after {before}, back by {time[back[0] - 1] - time[back[0]]:.6g} s, {len(back)} such places"
-        allowed = "time that doesn't go back by a row or more; a log of several runs goes in with --as steps"
-        raise table.wrong(name, rows[back[0]], found, allowed)
+        allowed = "time that doesn't go back by a row or more"
+        raise table.wrong(name, rows[back[0]], found, allowed, "--as steps for a log of several runs")
     parts, kept, restarts = [], [], []
     for first, end in zip([0, *back], [*back, len(time)], strict=True):
         if np.ptp(time[first:end]) == 0.0:

@@ -26,8 +26,8 @@ def thrust_of(columns: Mapping[str, np.ndarray], propeller: Propeller, source: s
     """(columns (n,) with `thrust` [N] for `ct`, without rows of advance ratio above 0; messages). BadInput without a diameter
     or a static row."""
     if propeller.diameter is None:
-        allowed = "--diameter D, the rotor's in m: T = CT rho n^2 D^4"
-        raise BadInput(source, "ct", "a thrust coefficient and no diameter", allowed)
+        allowed, hint = "the rotor's diameter: T = CT rho n^2 D^4", "--diameter D in m"
+        raise BadInput(source, "ct", "thrust coefficients and no diameter", allowed, hint)
     advance = columns.get("advance_ratio", np.zeros(len(columns["ct"])))
     static = ~(advance > 0.0)
     if not static.any():

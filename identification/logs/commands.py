@@ -94,7 +94,9 @@ def fitted_map(
     volts = np.ones(len(time)) if voltage is None else voltage
     turning = np.isfinite(speed) & (speed > 0.0)
     if not turning.any():
-        raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal, or --speed-map M.json")
+        raise BadInput(
+            source, "omega", "a motor that never turns", "a speed that follows the signal", "--speed-map M.json of another log"
+        )
     nominal = float(np.median(volts[turning]))
     alone = "" if voltage is not None else "; without a voltage it is of the signal alone"
     points = steady_points(time, signal, speed, volts, np.isfinite(speed), span.low)
@@ -115,8 +117,9 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
     on, rows = signal >= turns_from, np.isfinite(speed)
     degree = min(3, len(np.unique(signal[on])) - 1)
     if degree < 1:
-        allowed = f"{FEWEST} signals held for {PLATEAU:g} s, a signal that moves, or the map of another log with --speed-map"
-        raise BadInput(source, "signal", f"{degree + 1} value with the motor turning", allowed)
+        allowed = f"{FEWEST} signals held for {PLATEAU:g} s, or a signal that moves"
+        found = f"{degree + 1} value with the motor turning"
+        raise BadInput(source, "signal", found, allowed, "--speed-map M.json of another log")
     powers = np.where(on[:, None], np.vander(x, degree + 1, increasing=True), 0.0)
     step = float(np.median(np.diff(time)))
 
@@ -134,7 +137,7 @@ def _lagged(source, time, signal, speed, volts, span: SignalRange, nominal: floa
     if share < EXPLAINED or np.any(np.diff(along) <= 0.0):
         poor = share < EXPLAINED
         fault = f"a signal that explains {share:.0%} of the speed" if poor else "a speed that decreases with the signal"
-        raise BadInput(source, "signal", fault, "speeds that follow the signal, or the map of another log with --speed-map")
+        raise BadInput(source, "signal", fault, "speeds that follow the signal", "--speed-map M.json of another log")
     number = int(rows.sum())
     span_map = SpeedMap(
         tuple(coefficients.tolist()),
@@ -155,7 +158,9 @@ def averaged_map(source: str, signal: np.ndarray, speed: np.ndarray, voltage: np
     volts = np.ones(len(signal)) if voltage is None else voltage
     turning = speed > 0.0
     if not turning.any():
-        raise BadInput(source, "omega", "a motor that never turns", "a speed that follows the signal, or --speed-map M.json")
+        raise BadInput(
+            source, "omega", "a motor that never turns", "a speed that follows the signal", "--speed-map M.json of another log"
+        )
     points = SteadyPoints(signal[turning], volts[turning], speed[turning], float(signal[turning].min()))
     found = fit_speed_map(points, span, float(np.median(volts[turning])), Path(source).name)
     return Fitted(found, f"fitted to {len(points)} points, rms {found.rms:.3g} rpm")

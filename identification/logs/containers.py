@@ -73,8 +73,10 @@ def _mat(path: str | os.PathLike, data: bytes) -> RawTable:
     opaque = [name for name, value in content.items() if type(value).__name__ == "MatlabOpaque" or name == "None"]
     vectors = dict(_vectors({name: value for name, value in content.items() if not name.startswith("__")}))
     if not vectors and opaque:
-        allowed = "vectors or a struct of them: only MATLAB reads a table or timetable (writetable makes CSV of it)"
-        raise BadInput(path, "file", "a MATLAB object", allowed)
+        allowed = "vectors, or a struct of them"
+        raise BadInput(
+            path, "file", "a table or timetable, which only MATLAB reads", allowed, "writetable in MATLAB, for a CSV"
+        )
     return _raw_table(path, vectors, {}, "MAT (v5 to v7.2)")
 
 
@@ -157,7 +159,7 @@ def _raw_table(path: str | os.PathLike, vectors: Mapping[str, np.ndarray], units
     rows = max(lengths, key=lambda n: (lengths[n], n))
     columns = {name: vector for name, vector in vectors.items() if len(vector) == rows}
     if rows < 2:
-        raise BadInput(path, "file", f"{rows} row", "two at least")
+        raise BadInput(path, "file", f"{rows} row", "two or more")
     heads = {name.split(".")[0] for name in columns}
     if len(heads) == 1 and all("." in name for name in columns):  # one struct or group: its name is redundant
         columns = {name.split(".", 1)[1]: vector for name, vector in columns.items()}
@@ -175,7 +177,9 @@ def _library(path: str | os.PathLike, name: str):
     except ImportError as error:
         package = name.split(".", maxsplit=1)[0]
         found = f"a file that only {package} reads, which is not installed"
-        raise BadInput(path, "file", found, "pip install 'vpp-fmu[import]', or the same table as CSV") from error
+        raise BadInput(
+            path, "file", found, "an installed library that reads it", "pip install 'vpp-fmu[import]', or the same table as CSV"
+        ) from error
 
 
 def _broken(path: str | os.PathLike, kind: str, error: Exception) -> BadInput:

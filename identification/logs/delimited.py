@@ -135,8 +135,8 @@ def _delimiter(path, body: Sequence[tuple[int, str]], wanted: str | None, declar
         scores[delimiter] = (round(values * many / len(rows), 2), width if delimiter != " " else 0)
     if not scores or max(scores.values())[0] < 0.1:
         line, text = body[len(body) // 2]
-        allowed = "cells separated by comma, semicolon, tab, bar or space; or --delimiter"
-        raise BadInput(path, f"line {line}", shown(text), allowed)
+        allowed = "cells separated by comma, semicolon, tab, bar or space"
+        raise BadInput(path, f"line {line}", shown(text), allowed, "--delimiter D for another one")
     return max(scores, key=scores.get)
 
 
@@ -190,7 +190,7 @@ def _parts(path, rows, width: int, delimiter: str):
     named = [len(cells) for _, cells in head if not _is_data(cells)]
     if delimiter == "," and named and 2 < named[-1] <= width / 1.5:
         line, names = rows[first][0], named[-1]
-        allowed = f"{names}, as there are names: a comma can't part cells and mark decimals too"
+        allowed = f"{names} cells, one a name of the header (a comma can't separate cells and mark decimals too)"
         raise BadInput(path, f"line {line}", f"{width} cells", allowed)
     head = [(i, cells) for i, cells in head if _of_width(cells, width)]
     preamble = first - len(head)
@@ -207,9 +207,9 @@ def _parts(path, rows, width: int, delimiter: str):
             dropped["empty rows"] += 1
         else:
             found = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
-            raise BadInput(path, f"line {line}", found, f"{width}, as in most rows")
+            raise BadInput(path, f"line {line}", found, f"{width} cells, as in most rows")
     if len(data) < 2:
-        raise BadInput(path, "file", f"{len(data)} row of numbers", "two at least")
+        raise BadInput(path, "file", f"{len(data)} row of numbers", "two or more")
     return head, data, dict(dropped)
 
 

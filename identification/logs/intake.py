@@ -104,8 +104,8 @@ def values_of(table: RawTable, quantity: str, column: Column) -> np.ndarray:
     return table.numbers(column.name) * factor + offset
 
 
-def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str] | None:
-    """(what was found, what is allowed) if the measured speed is a whole multiple of the commanded one, or if its name says
+def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) -> tuple[str, str, str] | None:
+    """(found, expected, hint) if the measured speed is a whole multiple of the commanded one, or if its name says
     electrical and there is no command to compare; else None."""
     if "omega" not in columns:
         return None
@@ -113,34 +113,36 @@ def electrical(plan: Mapping[str, Column], columns: Mapping[str, np.ndarray]) ->
         name = plan["omega"].name
         if not _E_RPM.search(name) or plan["omega"].unit.casefold().startswith("erpm"):
             return None
-        return "electrical speed by its name", f"--map 'omega={name}:erpm/7' with the motor's own pole pairs, or --force"
+        hint = f"--map 'omega={name}:erpm/7' with the motor's own pole pairs, or --force"
+        return "electrical speed, by its name", "the speed of the rotor", hint
     ratio = speed_ratio(columns["omega"], np.nan_to_num(columns["omega_ref"]))
     if ratio is None or not (pairs := pole_pairs(ratio)):
         return None
     column = plan["omega"]
-    found = f"measured speed is {ratio:.4g} times the commanded one: {electrical_cause(pairs)}?"
+    found = f"{ratio:.4g} times the commanded speed ({electrical_cause(pairs)}?)"
     unit = f"erpm/{pairs}" if factor_of(QUANTITIES["omega"], column.unit) == 1.0 else f"{column.unit}/{pairs}"
     also = ", or in deg/s" if pairs == SPEEDS["deg/s"] else ""
-    return found, f"--map 'omega={column.name}:{unit}'{also}, or --force to take it as it is"
+    return found, "the speed of the rotor", f"--map 'omega={column.name}:{unit}'{also}, or --force to take it as it is"
 
 
-def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str] | None:
-    """(what was found, what is allowed) if the plan has no pitch, and the log has one that is not an angle; else None."""
+def _no_angle(table: RawTable, plan: Plan) -> tuple[str, str, str] | None:
+    """(found, expected, hint) if the plan has no pitch, and the log has one that is not an angle; else None."""
     if {"beta_ref", "beta"} & {*plan.columns, *plan.fixed}:
         return None
     if (other := pitch_in_other_unit(table, {c.name for c in plan.columns.values()})) is None:
         return None
     name, unit, low, high = other
-    found = f"no column in deg, but {name}, which is pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
+    found = f"{name}, pitch by its name, from {low:g} to {high:g} {unit}".rstrip()
     points = f"'beta_ref={name}:{unit}@{low:g}=A,{high if high > low else low + 1.0:g}=B'"
-    return found, f"--map {points}, A and B the pitch there in deg; or --fixed beta_ref=8:deg if the pitch is fixed"
+    hint = f"--map {points}, A and B the pitch there in deg, or --fixed beta_ref=8:deg if the pitch is fixed"
+    return found, "a pitch in deg", hint
 
 
 def contradictions(table: RawTable, plan: Plan) -> list[str]:
     """Reasons to refuse a plan, one per line: a speed that looks electrical, a pitch that is not an angle."""
     speeds = {q: values_of(table, q, c) for q, c in plan.columns.items() if q in ("omega", "omega_ref")}
     found = {"omega": electrical(plan.columns, speeds), "beta_ref": _no_angle(table, plan)}
-    return [f"{name}: {pair[0]}; allowed is {pair[1]}" for name, pair in found.items() if pair]
+    return [f"{name}: found {each[0]}, expected {each[1]}. Try: {each[2]}" for name, each in found.items() if each]
 
 
 def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -151,19 +153,20 @@ def _fixed_speed(plan: Plan, columns: Mapping[str, np.ndarray]) -> dict[str, np.
 
 def _check(table: RawTable, plan: Plan, kind: str) -> None:
     if "ct" in plan.columns and kind != "static":
-        raise BadInput(table.source, f"ct, column {plan.columns['ct'].name}", "coefficients, steady points", "--as static")
+        field, found = f"ct, column {plan.columns['ct'].name}", "thrust coefficients, which are steady points"
+        raise BadInput(table.source, field, found, f"a record in time for {kind}.csv", "--as static")
     if not {"thrust", "ct"} & {*plan.columns}:
-        raise BadInput(table.source, "thrust", f"no column for it among {_names(table)}", "--map thrust=COLUMN:UNIT")
+        found = f"no column of it among {_names(table)}"
+        raise BadInput(table.source, "thrust", found, "a column of thrust", "--map thrust=COLUMN:UNIT")
     if "time" not in plan.columns and kind != "static":
-        allowed = "--map time=COLUMN:UNIT, or time=row:4ms where rows are that far apart"
-        raise BadInput(table.source, "time", f"no column for it among {_names(table)}", allowed)
+        hint = "--map time=COLUMN:UNIT, or time=row:4ms for rows that are 4 ms apart"
+        raise BadInput(table.source, "time", f"no column of it among {_names(table)}", "a column of time", hint)
     known = {"omega_ref", "signal"} & {*plan.columns, *plan.fixed} or (kind == "static" and "omega" in plan.columns)
     if not known:
-        allowed = (
-            "--map omega_ref=COLUMN:rpm, or signal=COLUMN:us with a measured omega; thrust against measured speed alone: the "
-            "measured column as omega_ref"
+        hint = (
+            "--map omega_ref=COLUMN:rpm, with the measured speed if there is no other, or signal=COLUMN:us and omega=COLUMN:rpm"
         )
-        raise BadInput(table.source, "omega_ref", f"no column for the command of speed among {_names(table)}", allowed)
+        raise BadInput(table.source, "omega_ref", f"no column of it among {_names(table)}", "a command of speed", hint)
 
 
 def _names(table: RawTable) -> str:
@@ -212,8 +215,9 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
             time = None if points else columns["time"]
             found = taken_over(speed_map, time, signal, columns.get("omega"), volts)
         elif "omega" not in columns:
-            allowed = "--map omega=COLUMN:rpm, or the map of another log of the stand with --speed-map M.json"
-            raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed)
+            allowed = "a measured speed, to which the signal's map is fitted"
+            hint = "--map omega=COLUMN:rpm, or --speed-map M.json of another log of the stand"
+            raise BadInput(table.source, "omega_ref", "a signal and no measured speed", allowed, hint)
         else:
             args = (signal, columns["omega"], volts, span)
             found = averaged_map(table.source, *args) if points else fitted_map(table.source, columns["time"], *args)
@@ -231,9 +235,8 @@ def _commanded(table: RawTable, plan: Plan, columns: dict, clock: Clock | None, 
         pitch = columns.get("beta")
         if pitch is not None and np.nanmax(pitch) - np.nanmin(pitch) > 1.0:
             found = f"a measured pitch from {np.nanmin(pitch):.4g} to {np.nanmax(pitch):.4g} deg and no command of it"
-            raise BadInput(
-                table.source, "beta_ref", found, "--map beta_ref=COLUMN:deg, the measured column if there is no other"
-            )
+            hint = "--map beta_ref=COLUMN:deg, with the measured column if there is no other"
+            raise BadInput(table.source, "beta_ref", found, "a command of pitch", hint)
         if no_angle := _no_angle(table, plan):
             raise BadInput(table.source, "beta_ref", *no_angle)
         value = 0.0 if pitch is None else float(np.nanmean(pitch))
@@ -255,8 +258,8 @@ def _check_signal(table: RawTable, plan: Plan, signal: np.ndarray, span: SignalR
     low, high = (600.0, 2400.0) if span.kind == "PWM" else (span.low, span.high)
     if signal.min() < low or signal.max() > high:
         found = f"{signal.min():.6g} to {signal.max():.6g}"
-        allowed = f"{low:g} to {high:g} of {span.kind}; the unit is us, % or 1, or none of DShot"
-        raise BadInput(table.source, f"signal, column {plan.columns['signal'].name}", found, allowed)
+        allowed, hint = f"{low:g} to {high:g} of {span.kind}", "another unit of the signal: us, % or 1, or none for DShot"
+        raise BadInput(table.source, f"signal, column {plan.columns['signal'].name}", found, allowed, hint)
 
 
 def _check_ranges(table: RawTable, plan: Plan, taken: Taken) -> None:
@@ -268,5 +271,9 @@ def _check_ranges(table: RawTable, plan: Plan, taken: Taken) -> None:
             column = plan.columns.get(name) or plan.columns.get("signal")
             row = int(np.argmax(outside))
             field = f"{name}, column {column.name} in {column.unit}" if column else name
-            allowed = f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}; is it the right unit?"
-            raise BadInput(table.source, field, f"{values[row]:.6g} {quantity.unit} in {int(outside.sum())} rows", allowed)
+            allowed, found = (
+                f"{quantity.minimum:g} to {quantity.maximum:g} {quantity.unit}",
+                f"{values[row]:.6g} {quantity.unit}",
+            )
+            rows, hint = f"in {int(outside.sum())} rows", f"another unit with --map {name}=COLUMN:UNIT"
+            raise BadInput(table.source, field, f"{found} {rows}", allowed, hint)

@@ -109,7 +109,7 @@ def parse_pairs(pairs: Iterable[str], table: RawTable, force: bool = False) -> d
             allowed = f"NAME=COLUMN:UNIT with NAME one of {', '.join(QUANTITIES)}"
             raise BadInput("command line", "--map", shown(pair), allowed)
         if quantity in found:
-            raise BadInput("command line", f"--map {quantity}", "twice", "each quantity once")
+            raise BadInput("command line", f"--map {quantity}", f"{quantity} twice", "each quantity once")
         left_out = rest.strip() == LEAVE_OUT and LEAVE_OUT not in table.columns
         found[quantity] = None if left_out else _pair(quantity, rest.strip(), table, force)
     return found
@@ -147,13 +147,12 @@ def _pair(quantity: str, text: str, table: RawTable, force: bool) -> Column:
             unit = ""
     if unit is None or (not _fits(quantity, unit)):
         found = "no unit, in the log or behind the column" if unit is None else f"the unit {shown(unit)}"
-        raise BadInput(table.source, f"{quantity}={name}", found, _allowed(quantity))
+        raise BadInput(table.source, f"{quantity}={name}", found, *_unit_of(quantity))
     header = None if counts_rows or unit == CALENDAR else table.unit(name)
     if header and not force and contradicts(QUANTITIES[quantity], unit, header):
         found = f"the unit {shown(unit)} for a column whose header says {shown(header)}"
-        raise BadInput(
-            table.source, f"{quantity}={name}", found, f"{quantity}={name}:{header}, or --force if the header is wrong"
-        )
+        hint = f"{quantity}={name}:{header}, or --force if the header is wrong"
+        raise BadInput(table.source, f"{quantity}={name}", found, "the unit of the header", hint)
     return Column(name, unit)
 
 
@@ -161,17 +160,18 @@ def _fits(quantity: str, unit: str) -> bool:
     return (quantity == "time" and unit == CALENDAR) or scale_of(QUANTITIES[quantity], unit) is not None
 
 
-def _allowed(quantity: str) -> str:
-    if quantity == "signal":
-        return "us, % or 1, or no unit for the numbers of DShot: signal=COLUMN:us"
+def _unit_of(quantity: str) -> tuple[str, str]:
+    """(the expected unit in words, how to state it)."""
     unit = QUANTITIES[quantity].unit
+    if quantity == "signal":
+        return "us, % or 1, or no unit for the numbers of DShot", "signal=COLUMN:us"
     if QUANTITIES[quantity].turning:
-        return f"a unit that pint can turn into rpm, or electrical speed by its pole pairs: {quantity}=COLUMN:erpm/7"
+        return "a unit of speed", f"{quantity}=COLUMN:rpm, or {quantity}=COLUMN:erpm/7 for electrical speed of 7 pole pairs"
     if quantity in ("beta", "beta_ref"):
-        return f"a unit that pint can turn into deg, or two points of a calibration: {quantity}=COLUMN:us@1000=-5,2000=10"
+        return "a unit of angle", f"{quantity}=COLUMN:deg, or two points of a calibration, {quantity}=COLUMN:us@1000=-5,2000=10"
     if quantity == "time":
-        return f"a unit of time, or {CALENDAR} for dates and times of day: time=COLUMN:s"
-    return f"a unit that pint can turn into {unit}, with a factor if need be: {quantity}=COLUMN:{unit}" if unit else "no unit"
+        return f"a unit of time, or {CALENDAR} for dates and times of day", "time=COLUMN:s"
+    return (f"a unit like {unit}", f"{quantity}=COLUMN:{unit}") if unit else ("no unit", f"{quantity}=COLUMN")
 
 
 def propose(table: RawTable, without: Collection[str] = ()) -> dict[str, Column]:
@@ -216,7 +216,8 @@ def completed(
     if deciding:
         found = ", ".join(f"{c.name} as {q}{f' in {c.unit}' if c.unit else ''}" for q, c in doubtful.items())
         plan = Plan({q: c for q, c in (columns | mapped).items() if q not in fixed}, fixed)
-        raise BadInput(table.source, "columns", f"guessed units: {found}", f"these with --yes, or others with {plan.words()}")
+        field, hint = f"unit of {', '.join(doubtful)}", f"--yes to take these units, or your own with {plan.words()}"
+        raise BadInput(table.source, field, f"only guesses: {found}", "units in the header or in --map", hint)
     said = [f"{c.name}: not taken as {q}, its unit is a guess; --yes takes it in {c.unit}" for q, c in doubtful.items()]
     columns = {q: c for q, c in columns.items() if q not in doubtful} | mapped
     return {q: columns[q] for q in QUANTITIES if q in columns}, said
@@ -397,7 +398,7 @@ def read_sections(path: str | os.PathLike) -> dict[str, dict]:
             if not isinstance(entries, dict) or not all(isinstance(value, str) for value in entries.values()):
                 raise BadInput(path, f"{kind}.{part}", "an entry that is no text", 'NAME = "TEXT"')
     if not sections:
-        raise BadInput(path, "file", "no section", "one a kind of file, such as [open_loop]")
+        raise BadInput(path, "file", "no section", "a section per file of the campaign, such as [open_loop]")
     return sections
 
 

@@ -38,9 +38,9 @@ class RawTable:
     def __len__(self) -> int:
         return len(self.lines)
 
-    def wrong(self, name: str, row: int, found: object, allowed: str) -> BadInput:
+    def wrong(self, name: str, row: int, found: object, allowed: str, hint: str = "") -> BadInput:
         """The error for one cell."""
-        return BadInput(self.source, f"{name}, {self.rows_are} {self.lines[row]}", found, allowed)
+        return BadInput(self.source, f"{name}, {self.rows_are} {self.lines[row]}", found, allowed, hint)
 
     def find(self, wanted: str) -> str:
         """Name of the column that matches a name, a name without its unit, or a number from 1. BadInput."""
@@ -55,7 +55,7 @@ class RawTable:
             return names[int(wanted) - 1]
         near = difflib.get_close_matches(_folded(wanted), {_folded(name): name for name in names})
         meant = [name for name in names if _folded(name) in near]
-        allowed = f"{' or '.join(meant)}?" if meant else f"one of {', '.join(names)}"
+        allowed = " or ".join(meant) if meant else f"one of {', '.join(names)}"
         raise BadInput(
             self.source, f"column {wanted}", "no such column", allowed if len(allowed) < 400 else f"{allowed[:397]}..."
         )

@@ -209,7 +209,7 @@ def _table(path: str | os.PathLike) -> tuple[Table, int]:
     cells = [[cell.strip() for cell in next(csv.reader([line]))] for _, line in kept]
     for (i, _), row in zip(kept, cells, strict=True):
         if len(row) != len(cells[0]):
-            raise BadInput(path, f"line {i}", f"{len(row)} cells", f"{len(cells[0])}, as in the header")
+            raise BadInput(path, f"line {i}", f"{len(row)} cells", f"{len(cells[0])} cells, as in the header")
     columns = {}
     for name, *column in zip(*cells, strict=True):
         if name in columns:

@@ -189,8 +189,9 @@ def fit_speed_map(points: SteadyPoints, span: SignalRange, nominal_voltage: floa
     """Fit the cubic by least squares. BadInput: too few different signals, or a map that does not increase over them."""
     different = len(np.unique(points.signal))
     if different < FEWEST:
-        allowed = f"{FEWEST} or more with the motor turning, or the map of another log with --speed-map"
-        raise BadInput(source, "steady parts", f"{different} different ESC signals held for {PLATEAU:g} s", allowed)
+        allowed = f"{FEWEST} or more with the motor turning"
+        found = f"{different} different ESC signals held for {PLATEAU:g} s"
+        raise BadInput(source, "steady parts", found, allowed, "--speed-map M.json of another log")
     x = span.throttle(points.signal) * points.voltage / nominal_voltage
     a, *_ = np.linalg.lstsq(np.vander(x, 4, increasing=True), points.speed, rcond=None)
     along = np.linspace(x.min(), x.max(), 101)

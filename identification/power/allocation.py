@@ -53,7 +53,9 @@ class Surface:
         rig = parameters.rig
         for name, (low, high) in (("speed", rig.speed), ("pitch", rig.pitch)):
             if not low < high:
-                raise BadInput("parameters", f"range of {name}", f"{low:g}, fixed", "a range: there is no pair to choose")
+                raise BadInput(
+                    "parameters", f"range of {name}", f"{low:g}, fixed", "a range: with a fixed one there is no pair to choose"
+                )
         model, values = parameters.model, parameters.values
         rest = {u.name: u.start for u in model.inputs} | model.measured_inputs
         speeds, pitches = np.linspace(*rig.speed, NODES), np.linspace(*rig.pitch, NODES)
@@ -147,7 +149,7 @@ def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, c
     if (least := float(watts.min())) <= 0.0:
         k = int(np.argmin(watts))
         where = f"{least:.4g} W at {omega[k]:.4g} rpm, {beta[k]:.4g} deg"
-        raise BadInput("parameters", "power", where, "a positive power: measure steady points there")
+        raise BadInput("parameters", "power", where, "a positive power", "steady points measured there")
     return Allocation(
         surface,
         power,

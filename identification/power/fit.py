@@ -123,12 +123,20 @@ def _check(r: Readings) -> None:
     """BadInput for a mean below 0, and where the shaft gives more than it gets."""
     for name, unit, values in (("torque", "N.m", r.torque), ("electrical power", "W", r.power)):
         if values is not None and not (mean := float(np.mean(values))) > 0.0:
-            raise BadInput(r.source, name, f"{mean:.4g} {unit} in the mean", f"more than 0 {unit}: change the column's sign")
+            raise BadInput(
+                r.source, name, f"{mean:.4g} {unit} in the mean", f"more than 0 {unit}", "the opposite sign of the column"
+            )
     if r.torque is not None and r.power is not None:
         gives, gets = float(np.mean(r.torque * r.omega)), float(np.mean(r.power))
         if gives > TOLERANCE * gets:
             found = f"{gives:.4g} W of torque and speed in the mean, {gets:.4g} W electrical"
-            raise BadInput(r.source, "torque, power", found, "less power at the shaft: torque in N.m, power in W or V and A")
+            raise BadInput(
+                r.source,
+                "torque, power",
+                found,
+                "less power at the shaft than from the supply",
+                "other units: torque in N.m, power in W or V and A",
+            )
 
 
 def fit_power(readings: Readings) -> PowerFit:
@@ -218,7 +226,7 @@ def _with_motor(readings: Readings, torque: _Map) -> PowerFit:
     omega, power = readings.omega, readings.power
     assert power is not None
     if readings.rate is not None:
-        raise BadInput(readings.source, "torque, power", "both in a record alone", "steady points with both, for the motor")
+        raise BadInput(readings.source, "torque, power", "both, but in a record only", "steady points with both, for the motor")
     k, n, mean = len(torque.values), len(power), float(np.mean(power))
     columns = np.column_stack([polynomial([(int(q[1]), int(q[2]))], (1.0,), readings.w, readings.b) for q in torque.names])
     load = columns @ torque.values

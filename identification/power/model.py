@@ -64,7 +64,7 @@ class PowerModel:
         BadInput for a plant without torque and power."""
         outputs = {y.name for y in parameters.model.outputs}
         if not outputs & {"torque", "power"}:
-            allowed = "torque_map or power_map: identify a campaign with torque, or power, or voltage and current"
+            allowed = "torque_map or power_map, identified from a campaign with torque, power, or voltage and current"
             raise BadInput("parameters", "effects", ", ".join(parameters.model.optional) or "none", allowed)
         own = {e.full(p.name) for e in EFFECTS if e.name in parameters.model.optional for p in e.parameters}
         std = {n: e.std for n, e in parameters.estimates.items() if n in own and e.std}

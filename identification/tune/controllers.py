@@ -67,7 +67,7 @@ def controllers(
     moved = {u: low < high for u, (low, high) in zip(CHANNELS, (rig.speed, rig.pitch), strict=True)}
     if not any(moved.values()):
         text = f"speed fixed at {rig.speed[0]:g} rpm and pitch at {rig.pitch[0]:g} deg"
-        raise BadInput("the rig", "speed, pitch", text, "a range of one of them, for a controller to move in")
+        raise BadInput("the rig", "speed, pitch", text, "a range of one of them, which a controller can use")
     lags = {u: plant[f"tau_{u}_1"] + plant[f"tau_{u}_2"] for u in CHANNELS if moved[u]}
     slower = {u: lag / DESIGNED[u] for u, lag in lags.items()}
     if all(1.0 / PAPERS_SIZE <= r <= PAPERS_SIZE for r in slower.values()):

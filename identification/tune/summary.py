@@ -6,6 +6,7 @@ from identification.tune.margins import Margins, least
 from identification.tune.objective import SLACK
 from identification.tune.tune import JUDGED, Tuned, Tuning
 from identification.tune.verdict import Verdict
+from vpp_fmu.digits import number
 from vpp_fmu.record import Record
 from vpp_fmu.response import Step
 
@@ -101,6 +102,18 @@ def against(found: Tuning) -> list[dict]:
         for name, (own, error) in zip(columns, row, strict=True):
             rows[-1][name] = {"settling": own.settling, "overshoot": own.overshoot, "squared_error": error}
     return rows
+
+
+def headline(found: Tuning) -> str:
+    """The result in a sentence for each controller."""
+    said = []
+    for name, tuned in found.tuned.items():
+        start, slow = tuned.cost("start"), [step.settling for step in tuned.objective.steps(tuned.final)]
+        settle = "" if None in slow or not slow else f", every step settles within {number(max(slow), 3)} s"
+        new = f"cost {number(start, 3)} -> {number(tuned.cost(tuned.chosen), 3)}"
+        text = f"{found.task.reference} are kept, cost {number(start, 3)}" if tuned.chosen == "start" else f"new gains, {new}"
+        said.append(f"{NAMES[name].capitalize()}: {text}{settle}.")
+    return " ".join(said)
 
 
 def key_figures(found: Tuning) -> list[tuple[str, str, str]]:

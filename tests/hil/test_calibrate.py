@@ -161,11 +161,11 @@ def test_a_part_alone_leaves_the_rest_and_says_what_is_missing(tmp_path, capsys)
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda lines: lines[:6], "the end, allowed is an answer"),
+        (lambda lines: lines[:6], "the end, expected an answer"),
         (lambda lines: [*lines[:2], "1 0.5", *lines[3:]], "line 3, weights to hang [kg] (Enter: 0 0.5 1 1.5): found 1 0.5"),
-        (lambda lines: [*lines[:3], "sideways", *lines[4:]], "found sideways, allowed is with or against"),
-        (lambda lines: [*lines[:-1], "spin"], "found spin, allowed is bare"),
-        (lambda lines: [*lines[:14], "steep", *lines[15:]], "found steep, allowed is a number"),
+        (lambda lines: [*lines[:3], "sideways", *lines[4:]], "found sideways, expected with or against"),
+        (lambda lines: [*lines[:-1], "spin"], "found spin, expected bare"),
+        (lambda lines: [*lines[:14], "steep", *lines[15:]], "found steep, expected a number"),
     ],
 )
 def test_wrong_answers_are_told_in_one_line_and_nothing_is_written(tmp_path, capsys, change, said):
@@ -184,7 +184,7 @@ def test_a_person_at_a_terminal_is_asked_again(tmp_path, capsys, monkeypatch):
     lines = answers(("pitch",))
     monkeypatch.setattr("sys.stdin", Terminal("\n".join([*lines[:3], "steep", *lines[3:]]) + "\n"))
     assert main(["hil", "calibrate", "--virtual", "--parts", "pitch", "-o", str(tmp_path)]) == 0
-    assert "found steep, allowed is a number" in capsys.readouterr().out
+    assert "found steep, expected a number" in capsys.readouterr().out
 
 
 def test_a_calibration_that_was_never_measured_drives_no_real_rig(tmp_path, capsys):

@@ -112,11 +112,11 @@ def test_a_log_whose_writer_died_too_is_cut_behind_its_last_whole_row(tmp_path, 
     assert whole.startswith((folder / "run.csv").read_bytes()[:-1])  # the same bits, as far as they go
     assert json.loads((folder / "hil.json").read_text())["status"] == "ended early"
     wrong = {
-        "transitions": ([{"time": 0.0, "state": "safe"}], "transitions, 1, why: found nothing, allowed is a text"),
-        "counters": ({"arduino": {"pulses": "many"}}, 'counters, arduino, pulses: found "many", allowed is a whole number'),
-        "tares": ({}, "tares: found {}, allowed is a list"),
-        "log": (None, "log: found null, allowed is an object in braces { }"),
-        "twin": ({"delay": 1}, "twin, false_alarms_per_hour: found nothing, allowed is a number"),
+        "transitions": ([{"time": 0.0, "state": "safe"}], "transitions, 1, why: found nothing, expected a text"),
+        "counters": ({"arduino": {"pulses": "many"}}, 'counters, arduino, pulses: found "many", expected a whole number'),
+        "tares": ({}, "tares: found {}, expected a list"),
+        "log": (None, "log: found null, expected an object in braces { }"),
+        "twin": ({"delay": 1}, "twin, false_alarms_per_hour: found nothing, expected a number"),
     }
     for name, (found, says) in wrong.items():
         (folder / "hil.json").write_text(json.dumps(told | {name: found}))

@@ -216,7 +216,7 @@ def test_what_the_limits_would_cut_is_not_begun(tmp_path, capsys):
     write_record(OutputFolder(tmp_path), "orders.csv", Record(told, ""))
     words = ["hil", "campaign", "--virtual", "-o", str(tmp_path)]
     assert main([*words, "--commands", str(tmp_path / "orders.csv")]) == 2
-    assert "omega_ref, row 2 of the data: found 6500, allowed is 2000 to 6000 rpm" in capsys.readouterr().err
+    assert "omega_ref, row 2 of the data: found 6500, expected 2000 to 6000 rpm" in capsys.readouterr().err
     far = declared(tmp_path / "far.json", pitch={"min": 12.0, "max": 25.0})
     assert main([*words, "--rig", str(far)]) == 2
     assert "for a rig of 2000 to 6000 rpm, 12 to 25 deg" in capsys.readouterr().err  # beyond what the rod reaches
@@ -279,7 +279,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
         assert (out / kept).exists()
         if not resume:
             assert main([*small, "-o", str(out)]) == 2
-            assert "allowed is --resume, or another folder" in capsys.readouterr().err
+            assert "expected --resume, or another folder" in capsys.readouterr().err
         resume = ["--resume"]
     assert main([*small, "--resume", "--settle", "2", "-o", str(out)]) == 2
     assert "plan: found" in capsys.readouterr().err

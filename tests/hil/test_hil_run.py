@@ -183,12 +183,12 @@ def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu
     ("words", "said"),
     [
         (["--hide", "nonsense"], "--hide: found nonsense"),
-        (["--hide", "linkage_play=99"], "found 99, allowed is a number from 0"),
+        (["--hide", "linkage_play=99"], "found 99, expected a number from 0"),
         (["--hide", "linkage_play.size=1"], "linkage_play.half_gap"),
-        (["--rig", "kettle"], "allowed is emulated or real"),
+        (["--rig", "kettle"], "expected emulated or real"),
         (["--rig", "real"], "the real rig's own calibration"),
         (["--rig", "fmu"], "or fmu PLANT.fmu"),
-        (["--start", "9000", "0"], "--start: found 9000 rpm, allowed is 2000 to 6000 rpm"),
+        (["--start", "9000", "0"], "--start: found 9000 rpm, expected 2000 to 6000 rpm"),
         (["--start", "-5", "0"], "--start"),
         (["--twin"], "no --parameters"),
         (["--controller", "c.fmu", "--gains", "g.json"], "one of the two"),
@@ -204,8 +204,8 @@ def test_wrong_options_are_told_in_one_line(profile, capsys, words, said, tmp_pa
 @pytest.mark.parametrize(
     ("time", "thrust", "said"),
     [
-        ([0.0, 2.0], [1.5, 400.0], "thrust_set: found 400 N, allowed is less than 25 N"),
-        ([0.0, 9000.0], [1.5, 12.0], "time: found 9000 s, allowed is at most the run time, 3600 s"),
+        ([0.0, 2.0], [1.5, 400.0], "thrust_set: found 400 N, expected less than 25 N"),
+        ([0.0, 9000.0], [1.5, 12.0], "time: found 9000 s, expected at most the run time, 3600 s"),
     ],
 )
 def test_a_profile_that_the_limits_would_end_is_not_begun(time, thrust, said, tmp_path, capsys):

@@ -124,7 +124,7 @@ def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, capsys):
     profile = write_record(OutputFolder(tmp_path), "step.csv", step_profile())
     words = ["hil", "run", "--profile", str(profile), "-o", str(tmp_path / "out")]
     assert main([*words, "--watch", str(urlsplit(page.address).port)]) == 2
-    assert "allowed is a port of 127.0.0.1 that is free" in capsys.readouterr().err
+    assert "expected a port of 127.0.0.1 that is free" in capsys.readouterr().err
     assert main([*words, "--watch", "--virtual"]) == 2
     assert "--watch: found given with --virtual" in capsys.readouterr().err
 

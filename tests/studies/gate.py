@@ -298,7 +298,7 @@ def planted(fault: str, campaign: Campaign, seed: int = 0) -> tuple[Finding, ...
             measured = written(spoilt, Path(folder), plan.rig and plan.rig(campaign))
         except BadInput as refused:  # the reader knows already that no thrust is this large
             told = f"the reader refuses {refused.found}"
-            return (Finding(plan.code, refused.where, refused.field, 0.0, "1", told, f"allowed is {refused.allowed}"),)
+            return (Finding(plan.code, refused.where, refused.field, 0.0, "1", told, f"expected {refused.allowed}"),)
         return said(measured, plan.fit)
 
 

@@ -46,7 +46,7 @@ class Refusal:
     @property
     def in_order(self) -> bool:
         """Exit code 2, one line with what was found and what is allowed, nothing written."""
-        told = self.said.count("\n") == 1 and "found" in self.said and "allowed" in self.said
+        told = self.said.count("\n") == 1 and "found" in self.said and "expected" in self.said
         return self.code == 2 and told and "Traceback" not in self.said and not self.wrote
 
 

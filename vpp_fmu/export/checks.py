@@ -270,7 +270,7 @@ class _Check:
             ) from error
         except TypeError as error:
             found = f"what can't be traced ({' '.join(str(error).split())[:120]})"
-            allowed = "+ - * / < > and ops.where, ops.exp ... in place of if, and, ==, max, math or numpy"
+            allowed = "+ - * / < > and ops.where, ops.exp ... instead of if, and, ==, max, math or numpy"
             raise BadInput(self.where, at_line(field, error), found, allowed) from error
         except Exception as error:  # user code may raise any exception
             found = f"{type(error).__name__}: {error}"

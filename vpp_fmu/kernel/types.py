@@ -127,7 +127,8 @@ class Effect:
     worth a name from this share of the noise's power on. `declared`: of an effect that was sized for a rig, the effect as its
     file declares it, in shares of the rig's scales. `ahead`: signals from behind the effect that its states start from as
     `settled_<name>`, each with the input that it is about; "": it is about 0. `outputs`: signals that become outputs of a model
-    with the effect."""
+    with the effect. `says`: the effect as a clause, "the pitch servo ignores changes below {half_width}", with the names of
+    parameters in braces; "": the description says it."""
 
     name: str
     description: str
@@ -147,6 +148,7 @@ class Effect:
     declared: "Effect | None" = None
     ahead: Mapping[str, str] = field(default_factory=dict)
     outputs: tuple[Signal, ...] = ()
+    says: str = ""
 
     def sized(self, scales: Scales) -> "Effect":
         """The effect with absolute numbers for a rig of these scales."""

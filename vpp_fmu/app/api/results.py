@@ -15,6 +15,7 @@ from identification.plan.plan import Plan
 from identification.tune.summary import key_figures as tuned_figures
 from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
+from vpp_fmu.app.api.linear import Linearisable
 from vpp_fmu.app.api.objects import PathLike
 from vpp_fmu.app.cli.check import Checked, write_check
 from vpp_fmu.app.cli.diagnose import write_diagnosis
@@ -134,7 +135,7 @@ class CheckResult(Result):
         write_check(folder, self.found)
 
 
-class IdentifyResult(Result):
+class IdentifyResult(Result, Linearisable):
     """A campaign's parameters and their uncertainty. `found`: the whole identification, with predictions and the search."""
 
     verb = "identify"
@@ -164,7 +165,7 @@ class IdentifyResult(Result):
         write_identification(folder, self.found)
 
 
-class DiagnoseResult(Result):
+class DiagnoseResult(Result, Linearisable):
     """The effects that the model lacks, and the model with them. `found`: the whole diagnosis."""
 
     verb = "diagnose"

@@ -168,7 +168,7 @@ def plan(
     if not isinstance(rig, Rig):
         rig = held.rig if rig is None else declared_rig(rig, held.rig)
     if rig.unknown:
-        raise BadInput("plan", f"range of {' and '.join(rig.unknown)}", "none", "one that was measured, or that `rig` declares")
+        raise BadInput("plan", f"range of {' and '.join(rig.unknown)}", "none", "a measured range, or one that `rig` declares")
     prior, inflation, floor = None, 1.0, None
     if isinstance(knowledge, IdentifyResult):
         uncertainty = knowledge.found.uncertainty
@@ -210,7 +210,7 @@ def tune(
     held = changed(as_parameters(parameters, files), assume or {})
     if unknown := set(held.model.optional) - {e.name for e in library_with(files)}:
         raise BadInput(
-            "tune", "effects_from", "nothing", f"the file of {', '.join(sorted(unknown))}: every process reads it anew"
+            "tune", "effects_from", "nothing", f"the file of {', '.join(sorted(unknown))}, which every process reads anew"
         )
     if robust not in (None, "worst", "mean"):
         raise BadInput("tune", "robust", robust, "None, worst or mean")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 from vpp_fmu import __version__
+from vpp_fmu.app.cli.answer import LEVELS, SCHEMAS, add_levels, level
 from vpp_fmu.app.cli.next_step import next_step
 from vpp_fmu.app.cli.options import near
 from vpp_fmu.errors import BadInput, VppError
@@ -43,7 +44,7 @@ VERBS = {
 
 GROUP = "vpp.verbs"
 """Group of entry points of installed packages: each names a verb, and a module with `configure(parser)`, `run(options)`,
-EXAMPLE and a docstring, as in this folder."""
+EXAMPLE and a docstring, as in this folder. `run` returns an `Answer`, or None if it prints alone."""
 
 READER_GONE = 141
 """Exit code if the reader of standard output has closed it: 128 + SIGPIPE, as of any other program in a pipe."""
@@ -56,8 +57,11 @@ class BadCall(VppError):
 class Parser(argparse.ArgumentParser):
     """A parser with messages of one line. Options cannot be abbreviated, since a later option may begin in the same way."""
 
+    answers = True
+
     def __init__(self, *args, **kwargs):
         super().__init__(*args, allow_abbrev=False, **kwargs)
+        add_levels(self, self.answers)
 
     def parse_known_args(self, args=None, namespace=None):
         known = {name for action in self._actions for name in action.option_strings}
@@ -77,12 +81,19 @@ class Parser(argparse.ArgumentParser):
         raise BadCall(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
+class SilentParser(Parser):
+    """Of a verb without an object for --json."""
+
+    answers = False
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb; returns the exit code: 0; 2 for bad input, after one line on standard error; 128 plus the number of the
     signal that ended it."""
     _prepare_streams()
     arguments = sys.argv[1:] if arguments is None else arguments
-    verb = f"vpp {arguments[0]}" if arguments and arguments[0] in known_verbs() else "vpp"
+    first = next((word for word in arguments if not word.startswith("-")), "")
+    verb = f"vpp {first}" if first in known_verbs() else "vpp"
     try:
         with stoppable(verb), warnings.catch_warnings():
             warnings.simplefilter("always", RecordWarning)
@@ -116,9 +127,18 @@ def _run(arguments: list[str]) -> None:
     parser.add_argument("verb", choices=verbs, metavar="VERB")
     if not arguments:
         raise BadCall(f"vpp: no verb. Next: {next_step(Path.cwd())}; vpp --help lists all verbs")
-    verb = parser.parse_args(arguments[:1]).verb
+    count = next((k for k, word in enumerate(arguments, 1) if not word.startswith("-")), len(arguments))
+    verb = parser.parse_args(arguments[:count]).verb
     parser, module = parser_of(verb)
-    module.run(parser.parse_args(arguments[1:]))
+    options = parser.parse_args([*arguments[: count - 1], *arguments[count:]], argparse.Namespace(**LEVELS))
+    with level(options):
+        answer = module.run(options)
+    if answer is None:
+        return
+    for line in answer.printed(options):
+        print(line)
+    if answer.failure is not None:
+        raise answer.failure
 
 
 def known_verbs() -> dict[str, str]:
@@ -143,7 +163,10 @@ def _module(verb: str):
 def parser_of(verb: str):
     """(the parser of a verb's options, its module)."""
     module = _module(verb)
-    parser = Parser(f"vpp {verb}", description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    answers = any(schema.name.startswith((f"{verb}.", f"{verb}-")) for schema in SCHEMAS.iterdir())
+    parser = (Parser if answers else SilentParser)(
+        f"vpp {verb}", description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.epilog = f"example:\n  {module.EXAMPLE}"
     module.configure(parser)
     return parser, module

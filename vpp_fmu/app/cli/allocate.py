@@ -4,9 +4,10 @@ gains.json is a controller that comes to rest on these pairs (mode 2), for vpp e
 
 from identification.power.allocation import COLUMNS, Allocation, allocate, allocated_controller, table
 from identification.power.model import PowerModel
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.options import SEED, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, say_written
-from vpp_fmu.app.report.pages.allocation import allocation_page, key_figures
+from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, written
+from vpp_fmu.app.report.pages.allocation import allocation_page, headline, key_figures
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
@@ -46,7 +47,7 @@ def run(options):
     )
     folder.write("allocation.json", as_json(summary(found)))
     folder.write("report.html", allocation_page(found, parameters.label).html())
-    say_written(folder, parameters, [f"{label}: {value} ({note})" for label, value, note in key_figures(found)])
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
 
 
 def summary(found: Allocation) -> dict:

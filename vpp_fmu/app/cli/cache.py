@@ -1,5 +1,6 @@
 """Show the compiled models that are kept for the next run, or delete them. The least recently used are deleted first."""
 
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.native.compiler import LARGEST, cache_folder, clear, kept
 
 EXAMPLE = "vpp cache --clear"
@@ -11,7 +12,9 @@ def configure(parser):
 
 def run(options):
     sizes = [status.st_size for _, status in kept()]
-    print(f"{cache_folder()}: {len(sizes)} libraries, {sum(sizes) / 2**20:.1f} MB, {LARGEST / 2**20:.0f} MB at most")
     if options.clear:
         clear()
-        print("deleted")
+    deleted = ", deleted" if options.clear else ""
+    text = f"{cache_folder()}: {len(sizes)} libraries, {sum(sizes) / 2**20:.1f} MB{deleted}, {LARGEST / 2**20:.0f} MB at most"
+    content = {"format": "vpp-cache/1", "folder": str(cache_folder()), "libraries": len(sizes), "bytes": sum(sizes)}
+    return Answer(text, content | {"most_bytes": LARGEST, "deleted": options.clear})

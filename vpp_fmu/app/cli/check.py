@@ -15,7 +15,8 @@ from identification.gate.gate import look
 from identification.gate.template import write_template
 from identification.identify import identify
 from identification.logger import Logger
-from vpp_fmu.app.cli.output import add_accept, say_written
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.output import add_accept, written
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder
@@ -39,25 +40,21 @@ def configure(parser):
 def run(options):
     if (options.campaign is None) == (options.template is None):
         found = "neither" if options.campaign is None else "both"
-        raise BadInput("command line", "CAMPAIGN, --template", found, "one of the two")
+        raise BadInput("command line", "CAMPAIGN, --template", found, "one of them")
     if options.template is not None:
         folder = OutputFolder(options.template)
         write_template(folder)
-        say_written(folder)
-        return
+        names = sorted(path.name for path in folder.path.iterdir())
+        text = f"{folder.path} holds a small valid campaign; its README.md explains every column."
+        return Answer(text, {"format": FORMAT, "template": names}, written=written(folder))
     accept, folder = check_accepted(options.accept), OutputFolder(options.output) if options.output else None
     with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
         bar.set_description("read")
         found = checked(read_campaign(options.campaign), accept, bar.set_description)
     if folder is not None:
         write_check(folder, found)
-    _say(found)
-    if folder is not None:
-        say_written(folder)
-    errors = found.errors
-    if errors:
-        found = f"{len(errors)} error{'s' * (len(errors) > 1)}: {', '.join(dict.fromkeys(f.code for f in errors))}"
-        raise BadInput(options.campaign, "quality", found, "none")
+    lines = [] if folder is None else written(folder)
+    return Answer(headline(found), found.summary(), _lines(found), written=lines, failure=_failure(options.campaign, found))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +86,25 @@ class Checked:
         return content | {"errors": len(self.errors)}
 
 
+def headline(found: Checked) -> str:
+    """Whether the campaign can be fitted, in a sentence."""
+    errors, files = len(found.errors), len(found.held)
+    count = f"{files} file{'s' * (files != 1)}"
+    if errors:
+        return f"The campaign can't be fitted: {errors} error{'s' * (errors > 1)} in {count}."
+    warnings = len(found.findings)
+    doubt = f"{warnings} warning{'s' * (warnings != 1)}" if warnings else "nothing found against these data"
+    return f"The campaign can be fitted: {count}, {doubt}."
+
+
+def _failure(campaign: str, found: Checked) -> BadInput | None:
+    codes = [f.code for f in found.errors]
+    if not codes:
+        return None
+    what = f"{len(codes)} error{'s' * (len(codes) > 1)}: {', '.join(dict.fromkeys(codes))}"
+    return BadInput(campaign, "quality", what, "no errors", "vpp check --help, which explains each code")
+
+
 def checked(campaign: Campaign, accept: frozenset[str], stage=lambda text: None) -> Checked:
     """Check the files, and fit them unless there is an error. `stage` receives the name of each stage."""
     files = files_of(campaign, {})
@@ -111,29 +127,23 @@ def _fitted(
         found = identify(campaign, accept=accept, stage=stage)
         return found.quality, found.logger
     except BadInput as refused:
-        evidence = f"found {refused.found}, needed is {refused.allowed}"
+        evidence = f"found {refused.found}, expected {refused.allowed}"
         unfit = Finding("no_fit", refused.where, refused.field, 0.0, "1", evidence, "what is missing")
     except VppError as refused:
         unfit = Finding("no_fit", str(campaign.folder), "fit", 0.0, "1", str(refused), "the data tell too little")
     return settled([*findings, unfit], accept), None
 
 
-def _say(found: Checked) -> None:
+def _lines(found: Checked) -> list[str]:
+    """The table of files, and all that was found."""
     table = [COLUMNS, *(h.row() for h in found.held)]
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
-    for row in table:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    for name, cost in found.missing.items():
-        print(f"missing {name}: {cost}")
-    print(f"rig: {'; '.join(found.campaign.rig.lines())}")
-    for line in found.logger.lines if found.logger else ():
-        print(f"your logger: {line}")
-    rotors = [least_diameter(f) for f in found.files if f.response is not None]
-    if rotors:
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table]
+    lines += [f"missing {name}: {cost}" for name, cost in found.missing.items()]
+    lines.append(f"rig: {'; '.join(found.campaign.rig.lines())}")
+    lines += [f"your logger: {line}" for line in (found.logger.lines if found.logger else ())]
+    if rotors := [least_diameter(f) for f in found.files if f.response is not None]:
         force, rpm, diameter = max(rotors)
         need = f"{force:.4g} N at {rpm:.4g} rpm need a rotor of {diameter:.2g} m or more"
-        print(f"units: {need}; if yours is smaller, thrust is not in N")
-    for finding in found.findings:
-        print(finding.text)
-    if not found.findings:
-        print("quality: nothing found against these data")
+        lines.append(f"units: {need}; if yours is smaller, thrust is not in N")
+    return lines + ([finding.text for finding in found.findings] or ["quality: nothing found against these data"])

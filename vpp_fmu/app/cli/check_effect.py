@@ -2,6 +2,7 @@
 
 The file defines EFFECT, a vpp_fmu.Effect, and optionally its place in the chain, PORT or BEFORE; see README.md."""
 
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.errors import BadInput
 from vpp_fmu.invariants import INVARIANTS, Broken, Trial
 from vpp_fmu.own_effects import library_with
@@ -17,19 +18,24 @@ def run(options):
     before = {e.name for e in library_with(())}
     library = library_with([options.file])
     (effect,) = (e for e in library if e.name not in before)
-    trial, broken = Trial(effect, library), {}
-    print(f"{effect.name}: {effect.description}")
+    trial, broken, lines, checks = Trial(effect, library), {}, [], {}
     for name, invariant in INVARIANTS.items():
         try:
-            result = f"yes  {invariant(trial)}"
+            found = str(invariant(trial))
         except Broken as why:
-            broken[name] = str(why)
-            result = f"NO   {why}"
+            found = broken[name] = str(why)
         except Exception as error:  # foreign code may raise any exception; a traced `if` is a TypeError
-            broken[name] = " ".join(f"{type(error).__name__}: {error}".split())
-            result = f"NO   {broken[name]}"
-        print(f"  {name:32} {result}")
-    if broken:
-        first, why = next(iter(broken.items()))
-        more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
-        raise BadInput(options.file, f"EFFECT {effect.name}: {first}", f"{why}{more}", "an effect that passes all checks above")
+            found = broken[name] = " ".join(f"{type(error).__name__}: {error}".split())
+        checks[name] = {"holds": name not in broken, "found": found}
+        lines.append(f"  {name:32} {'NO ' if name in broken else 'yes'}  {found}")
+    text = f"{effect.name} ({effect.description}) passes {len(checks) - len(broken)} of {len(checks)} checks."
+    content = {"format": "vpp-check-effect/1", "effect": effect.name, "checks": checks}
+    return Answer(text, content, lines, failure=_failure(options.file, effect.name, broken))
+
+
+def _failure(file: str, name: str, broken: dict[str, str]) -> BadInput | None:
+    if not broken:
+        return None
+    first, why = next(iter(broken.items()))
+    more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+    return BadInput(file, f"EFFECT {name}: {first}", f"{why}{more}", "an effect that passes all checks above")

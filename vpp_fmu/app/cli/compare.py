@@ -1,6 +1,7 @@
 """Compare two records, at the times of the first."""
 
-from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.report.pages.loop import comparison_page
 from vpp_fmu.comparison import compare
 from vpp_fmu.outputs import OutputSet
@@ -17,9 +18,10 @@ def configure(parser):
 
 
 def run(options):
-    held = compare(read_record(options.first, ("time",)), read_record(options.second, ("time",)))
+    found = compare(read_record(options.first, ("time",)), read_record(options.second, ("time",)))
     folder = OutputSet(options.output, "compare")
-    page, titles = comparison_page(held, options.first, options.second)
-    folder.write("comparison.json", as_json(held.summary()))
+    page, titles = comparison_page(found, options.first, options.second)
+    folder.write("comparison.json", as_json(found.summary()))
     folder.write("report.html", page.html())
-    say_written(folder, lines=titles)
+    text = f"Over {found.time[-1] - found.time[0]:.4g} s that both records have: {titles[0] if titles else 'no shared column'}."
+    return Answer(text, found.summary(), titles[1:], written=written(folder))

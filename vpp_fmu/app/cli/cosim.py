@@ -2,19 +2,22 @@
 
 An FMU runs its author's code, with your rights."""
 
+from collections.abc import Sequence
 from contextlib import closing, nullcontext
+from dataclasses import asdict
 
 from tqdm import tqdm
 
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.options import real
-from vpp_fmu.app.cli.output import add_output, say_written
-from vpp_fmu.app.report.pages.loop import add_adaptive, loop_page, sentence
+from vpp_fmu.app.cli.output import add_output, written
+from vpp_fmu.app.report.pages.loop import add_adaptive, headline, loop_page, sentence
 from vpp_fmu.loop import STANDSTILL
 from vpp_fmu.loop import run as run_loop
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.plants import USUAL_STEP, FmuController, FmuPlant, FmuTwin
 from vpp_fmu.record import Record, read_profile, write_record
-from vpp_fmu.response import steps
+from vpp_fmu.response import Step, steps
 
 EXAMPLE = "vpp cosim fmus/VppPlant.fmu fmus/VppController.fmu --profile step.csv -o out"
 
@@ -48,4 +51,12 @@ def run(options):
         done = Record({**done.columns, **watched}, done.source)
     write_record(folder, "run.csv", done)
     folder.write("report.html", page.html())
-    say_written(folder, lines=map(sentence, steps(done, limits=controller.limits)))
+    found = steps(done, limits=controller.limits)
+    lines = [sentence(step) for step in found] if len(found) > 1 else []
+    return Answer(headline(found), summary(found), lines, written=written(folder))
+
+
+def summary(found: Sequence[Step]) -> dict:
+    """The object of --json: the steps of the set-point."""
+    units = {"time": "s", "end": "s", "before": "N", "after": "N", "settling": "s", "overshoot": "%", "ringing": "%"}
+    return {"format": "vpp-loop/1", "units": units, "steps": [asdict(step) for step in found]}

@@ -6,12 +6,15 @@ from tqdm import tqdm
 
 from identification.demo import Demo, demo, example_folder
 from identification.thrust_steps import step_profile
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.cosim import summary
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import WORKERS
-from vpp_fmu.app.cli.output import add_output, dated, say_written
-from vpp_fmu.app.report.pages.demo import demo_page, key_figures
+from vpp_fmu.app.cli.output import add_output, dated, written
+from vpp_fmu.app.report.pages.demo import demo_page, headline, key_figures
 from vpp_fmu.app.report.pages.loop import sentence
+from vpp_fmu.app.report.summary import summary as diagnosed
 from vpp_fmu.campaign import read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER, DUAL, SPEED_ONLY
@@ -44,10 +47,13 @@ def run(options):
         )
         bar.set_description("report")
         _write(folder, done)
-    lines = [f"{label}: {value} ({note})" for label, value, note in key_figures(done)]
-    lines += [f"{name}: {sentence(step)}" for name, loop in done.loops.items() for step in steps(loop)]
-    lines.append(f"{time.perf_counter() - began:.1f} s")
-    say_written(folder, done.diagnosis.parameters(done.diagnosis.final), lines)
+    loops = {name: steps(loop) for name, loop in done.loops.items()}
+    lines = [f"{name}: {sentence(step)}" for name, found in loops.items() for step in found]
+    seconds = time.perf_counter() - began
+    content = {"format": "vpp-demo/1", "diagnosis": diagnosed(done.diagnosis), "rmse_thrust_fmu": {**done.rmse, "unit": "N"}}
+    content |= {"loops": {name: summary(found) for name, found in loops.items()}, "seconds": seconds}
+    place = written(folder, done.diagnosis.parameters(done.diagnosis.final))
+    return Answer(headline(done), content, lines, key_figures(done), written=[f"{seconds:.1f} s", *place])
 
 
 def _write(folder: OutputFolder, done: Demo) -> None:

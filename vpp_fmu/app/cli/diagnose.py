@@ -4,7 +4,9 @@ Of several campaigns, a fleet, each is diagnosed alone into its own folder, and 
 """
 
 import traceback
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -12,9 +14,10 @@ from threadpoolctl import threadpool_limits
 from identification.diagnose.diagnose import Diagnosis, diagnose
 from identification.diagnose.learned.description import FILE, source
 from identification.workers import spread
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.identify import named_records
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, near
-from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, say_written, stages
+from vpp_fmu.app.cli.output import add_accept, add_effects_from, add_output, dated, stages, written
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page, headline, key_figures, not_tried
 from vpp_fmu.app.report.pages.fleet import Entry, as_csv, as_parquet, entry, fleet_page, refusal
 from vpp_fmu.app.report.summary import identification_of, summary
@@ -57,29 +60,26 @@ def configure(parser):
 
 def run(options):
     if len(options.campaigns) > 1:
-        _fleet(options)
-        return
+        return _fleet(options)
     if options.scheduler:
-        raise BadInput("command line", "--scheduler", "one campaign", "several: a fleet is what is spread")
-    _one(options, options.campaigns[0])
+        raise BadInput("command line", "--scheduler", "one campaign", "two or more campaigns, which it distributes")
+    return _one(options, options.campaigns[0])
 
 
 @threadpool_limits.wrap(limits=1)  # the same digits as in a fleet
-def _one(options, campaign: str) -> None:
+def _one(options, campaign: str) -> Answer:
     asked = {**_model(options), "records": named_records(options.record), "campaign": read_campaign(campaign)}
     folder = OutputSet(options.output, "diagnose")
-    with stages("vpp diagnose") as stage:
+    with stages("vpp diagnose", options.quiet) as stage:
         found = diagnose(**asked, workers=options.workers, stage=stage)
         stage("report")
         write_diagnosis(folder, found, options.parameters)
         folder.write("report.html", diagnosis_page(found).html())
-    lines = [finding.text for finding in found.quality]
+    lines = [finding.text for finding in found.quality] + ([text] if (text := not_tried(found)) else [])
     lines += [f"your logger: {line}" for line in found.logger.lines]
-    lines.append(headline(found))
-    lines += [text] if (text := not_tried(found)) else []
-    lines += [f"{label}: {value} ({note})" if note else f"{label}: {value}" for label, value, note in key_figures(found)]
     lines.append(f"next_experiment.csv: commands within {', '.join(found.rig.command_lines())}")
-    say_written(folder, found.parameters(found.final), lines)
+    place = written(folder, found.parameters(found.final))
+    return Answer(headline(found), summary(found), lines, key_figures(found), written=place)
 
 
 def _model(options) -> dict:
@@ -109,10 +109,12 @@ def _of_fleet(job: tuple) -> Entry:
     return entry(name, found)
 
 
-def _fleet(options) -> None:
-    """Diagnose each campaign into a folder of its name, and write a table of all. BadInput at the end if any was refused."""
+def _fleet(options) -> Answer:
+    """Diagnose each campaign into a folder of its name, and write a table of all. A refused campaign is a failure."""
     if options.record:
-        raise BadInput("command line", "--record", "several campaigns", "one campaign, to which the record belongs")
+        raise BadInput(
+            "command line", "--record", f"{len(options.campaigns)} campaigns", "one campaign to which the record belongs"
+        )
     _model(options)  # errors common to all campaigns are reported once
     folder = OutputSet(options.output, "diagnose several")
     there = [Path(campaign).resolve() for campaign in options.campaigns]  # a worker of Dask may have another working folder
@@ -125,9 +127,14 @@ def _fleet(options) -> None:
     if (packed := as_parquet(entries)) is not None:
         folder.write("fleet.parquet", packed)
     folder.write("report.html", fleet_page(entries).html())
-    say_written(folder, lines=[one.line for one in entries])
-    if refused := [e.name for e in entries if e.refused]:
-        raise BadInput("fleet", "campaigns", f"{len(refused)} refused: {', '.join(refused)}", "campaigns that can be diagnosed")
+    refused, failure = [e.name for e in entries if e.refused], None
+    if refused:
+        found = f"{len(refused)} refused: {', '.join(refused)}"
+        failure = BadInput("fleet", "campaigns", found, "campaigns that can be diagnosed", "vpp check on each of them")
+    verdicts = Counter(e.verdict or "refused" for e in entries)
+    text = f"{len(entries)} campaigns: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.most_common())}."
+    content = {"format": "vpp-fleet/1", "campaigns": [asdict(e) for e in entries]}
+    return Answer(text, content, [one.line for one in entries], written=written(folder), failure=failure)
 
 
 def _names(campaigns: Sequence[Path]) -> list[str]:

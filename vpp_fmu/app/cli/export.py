@@ -16,7 +16,8 @@ from hil.twin.band import read_band
 from identification.tune.controllers import rig_controller, said_of
 from identification.tune.profile import reach
 from vpp_fmu import __version__
-from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export import Experiment, native_fmu, python_fmu
 from vpp_fmu.export.archive import archive
@@ -75,28 +76,29 @@ def run(options):
     folder = OutputSet(options.output, "export")
     flavours = ("python", "native") if options.flavour == "both" else (options.flavour,)
     files = exported(parts, flavours, options.platforms, options.author, options.fmi)
+    lines = []
     if not options.model:
-        print(said_of(parts[1], options.gains))
+        lines.append(said_of(parts[1], options.gains))
     else:
         for flavour in flavours:
             fmu = files[f"{parts[0].model.name}{_suffix(flavour, options.fmi)}.fmu"]
             try_fmu(options.model, parts[0].model, parts[0].values, _experiment(parts), fmu, options.fmi)
         if found := step_dependence(parts[0].model, parts[0].values):
-            print(f"note: {options.model} depends on the communication step: {found}. Give its effects a largest_step [s]")
+            text = f"note: {options.model} depends on the communication step: {found}. Give its effects a largest_step [s]"
+            lines.append(text)
     if options.cross_check:
         files["cross_check.zip"] = _cross_check(parts, files)
     for name, content in files.items():
         folder.write(name, content)
-    say_written(folder, parts[0])
+    place = written(folder, parts[0])
     if flavours == ("python",):
-        print("the Python FMUs need a host that runs in Python, such as fmpy; any other runs those of --flavour native")
+        lines.append("the Python FMUs need a host that runs in Python, such as fmpy; any other runs those of --flavour native")
     if wanted := oldest_glibc(files):
-        better = (
-            ""
-            if find_spec("ziglang")
-            else "; with the extra 'cross' installed (ziglang) they are linked to the oldest that serves"
-        )
-        print(f"the native FMUs run with the GNU C library {wanted} and newer{better}")
+        better = "" if find_spec("ziglang") else "; with the extra 'cross' (ziglang) they are linked to the oldest that serves"
+        lines.append(f"the native FMUs run with the GNU C library {wanted} and newer{better}")
+    fmus = [name for name in files if name.endswith(".fmu")]
+    text = f"{' and '.join(fmus)} {'are' if len(fmus) > 1 else 'is'} in {folder.path}, FMI {options.fmi} for co-simulation."
+    return Answer(text, {"format": "vpp-export/1", "fmi": options.fmi, "files": sorted(files)}, lines, written=place)
 
 
 def _cross_check(parts: Sequence[ParameterSet], files: Mapping[str, bytes | str]) -> bytes:
@@ -125,18 +127,18 @@ def _check(options) -> None:
     """BadInput for options that do not fit together."""
     native = options.flavour != "python"
     if options.policy and options.model:
-        raise BadInput("vpp export", "--policy", "given with --model", "one of them")
+        raise BadInput("command line", "--policy", "--policy and --model", "only one of them")
     if options.twin is not None and (options.model or not options.parameters):
-        given = "--model" if options.model else "no --parameters"
-        raise BadInput("vpp export", "--twin", given, "the --parameters of an identified plant")
+        given = "--twin and --model" if options.model else "--twin without --parameters"
+        raise BadInput("command line", "--twin", given, "--twin with the --parameters of an identified plant")
     if options.adapt and options.twin is None:
-        raise BadInput("vpp export", "--adapt", "given without --twin", "--twin, which adapts them")
+        raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
     if options.platforms != "host" and not native:
-        raise BadInput("vpp export", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
+        raise BadInput("command line", "--platforms", f"{options.platforms} with --flavour python", "--flavour native or both")
     if options.fmi == "3.0" and options.cross_check:
-        raise BadInput("vpp export", "--cross-check", "given with --fmi 3.0", "--fmi 2.0, which the cross-check is about")
+        raise BadInput("command line", "--cross-check", "--fmi 3.0", "--fmi 2.0, the only version of the cross-check")
     if options.fmi == "3.0" and options.flavour != "native":
-        raise BadInput("vpp export", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
+        raise BadInput("command line", "--fmi", f"3.0 with --flavour {options.flavour}", "--flavour native")
 
 
 def _plant_and_controller(options) -> list[ParameterSet]:
@@ -170,7 +172,9 @@ def twin_of(options, library: Iterable[Effect] = LIBRARY) -> ParameterSet:
 
 def _own(options) -> list[ParameterSet]:
     if options.gains:
-        raise BadInput("vpp export", "--gains", "given with --model", "--parameters for a model's parameters")
+        raise BadInput(
+            "command line", "--gains", "--gains and --model", "only one of them", "--parameters for the values of a model"
+        )
     model = find_model(options.model)
     return [read_parameters(options.parameters, lambda _: model) if options.parameters else ParameterSet(model)]
 

@@ -6,10 +6,11 @@ first run on a real rig read hil/README.md."""
 import contextlib
 import getpass
 import inspect
+import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,19 @@ from hil.campaign_folder import Measuring, commands_of
 from hil.commands import PAPERS
 from hil.cycle import PERIOD
 from hil.emulator.rig import CALIBRATION, POWERED, calibrated_for, with_effects
-from hil.outcome import Outcome, Task, carry_out, finish, finish_fmu, fmu_loop, kept_of, of_log
+from hil.outcome import (
+    Outcome,
+    Task,
+    carry_out,
+    finish,
+    finish_fmu,
+    fmu_loop,
+    judged_steps,
+    kept_of,
+    lines_of,
+    of_log,
+    step_lines,
+)
 from hil.page.operator_page import OperatorPage, served
 from hil.replay import replay
 from hil.run import ON_ALARM, check_profile, start_of
@@ -34,12 +47,14 @@ from hil.twin.adaptive import Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
+from vpp_fmu.app.cli.answer import Answer, say
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
-from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
+from vpp_fmu.app.report.pages.loop import headline
 from vpp_fmu.app.report.pages.rig import calibration_page, fmu_page, replay_page, run_page, selftest_page
 from vpp_fmu.date import now
-from vpp_fmu.errors import BadInput
+from vpp_fmu.errors import BadInput, VppError
 from vpp_fmu.files import OutputFolder, read_text
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.plant import BETA_REF, OMEGA_REF, plant
@@ -56,8 +71,6 @@ WORD = "spin"
 EITHER = Number(BETA_REF.minimum, OMEGA_REF.maximum)
 """What either number of --start may be; which of the two is looked at when both are known."""
 
-say = partial(print, flush=True)
-
 
 def configure(parser):
     if sys.platform != "linux":
@@ -71,7 +84,7 @@ def configure(parser):
 
 
 def run(options):
-    options.run(options)
+    return options.run(options)
 
 
 def add_rig(parser, fmu: bool = False) -> None:
@@ -185,24 +198,23 @@ def _add_replay(parser) -> None:
     add_output(parser)
 
 
-def _run(options) -> None:
+def _run(options) -> Answer:
     """Close the loop on the rig over a profile of wanted thrust (CSV with time, thrust_set).
 
     Tares, arms, spins up, settles, runs, ramps down. Ctrl-C ramps down, a second one stops at once; what was measured is kept."""  # noqa: E501
     parquet = _parquet(options)
     profile = read_profile(options.profile)
-    if not options.controller:
-        print(said_of(gains_of(options), options.gains))
+    lines = [] if options.controller else [said_of(gains_of(options), options.gains)]
     rig = which(options, fmu=True)
     if rig.kind == "fmu":
         if options.watch is not None:
-            raise BadInput("command line", "--watch", "given with --rig fmu", "a rig: a loop of FMUs is over in seconds")
+            raise BadInput("command line", "--watch", "--rig fmu", "an emulated or real rig: a loop of FMUs ends in seconds")
         folder = OutputFolder(options.output)
         record = _fmu_loop(rig.plant, options, profile)
-        finish_fmu(folder, rig.plant, record, parquet, say)
+        content = finish_fmu(folder, rig.plant, record, parquet)
         folder.write("report.html", fmu_page(rig.plant, record, options.profile).html())
-        say_written(folder)
-        return
+        loops = {"plant FMU": record}
+        return Answer(headline(judged_steps(record)), content, lines + step_lines(loops), written=written(folder))
     setup, controller = setup_of(options), controller_of(options)
     check_profile(profile, setup.limits)
     start = start_of(options.start, setup.limits, setup.allowed)
@@ -212,22 +224,38 @@ def _run(options) -> None:
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)) if options.beside else None
     task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
     parent = OutputFolder(options.output)
-    say_allowed(setup.allowed)
+    shown = partial(say, options)
+    lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
     if twin:
-        print(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
+        lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
     with watched(options, content) as page:
         confirm(setup)
-        done, folder = carry_out(task, content | {"begun": now()}, parent, page, say, _page_of)
-        say_written(folder)
-        done.judge()
+        done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
+        return _answer(found, lines, written(folder), done.judge)
+
+
+def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
+    """The answer of a run. `judge` raises what the run itself found."""
+    content = found.content
+    text = headline(judged_steps(next(iter(found.loops.values())))) if found.loops else "No row of the loop was measured."
+    early = f"The run ended early: {content['ended']}. " if content["ended"] else ""
+    return Answer(f"{early}{text}", content, [*lines, *lines_of(found)], written=place, failure=_failure(judge))
+
+
+def _failure(judge: Callable[[], None]) -> VppError | None:
+    try:
+        judge()
+    except VppError as failure:
+        return failure
+    return None
 
 
 def _page_of(found: Outcome) -> str:
     return run_page(found).html()
 
 
-def _campaign(options) -> None:
+def _campaign(options) -> Answer:
     """Measure a campaign on the rig: the files that `vpp identify` and `vpp diagnose` read.
 
     Each part is a run of its own: tare, arm, run, ramp down. As the paper has it, the static map takes 40 minutes, the steps 15.
@@ -239,16 +267,18 @@ def _campaign(options) -> None:
     commands = commands_of(options.commands, setup.limits) if options.commands else None
     folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
     content = measuring.begin(folder.path, _begun(options, setup), options.resume)
-    say_allowed(setup.allowed)
     with watched(options, content) as page:
         confirm(setup)
         if file := which(options).file:
             folder.write(FILE, read_text(file))  # what reads the campaign must know it too
-        measuring.run(folder, content, page, say)
-        say_written(folder)
+        content = measuring.run(folder, content, page, partial(say, options))
+    parts = content["parts"]
+    lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
+    text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
+    return Answer(text, content, [allowed_words(setup.allowed)], written=written(folder))
 
 
-def _calibrate(options) -> None:
+def _calibrate(options) -> Answer:
     """Measure the rig's calibration, step by step: weights on the load cell and its sign, pulses to pitch, where the motor starts.
 
     Each step says what to do and waits for Enter, or for a number that you read. For load cell and pitch the ESC's supply is off;
@@ -258,34 +288,39 @@ def _calibrate(options) -> None:
     guide = Prompts(options.answers)
     bench = setup.bench()
     try:
-        measured = calibrate.measured(bench, guide, options.parts, folder.path / REPORT, not setup.virtual, say)
+        measured = calibrate.measured(
+            bench, guide, options.parts, folder.path / REPORT, not setup.virtual, partial(say, options)
+        )
     finally:
         bench.close()
     found = calibrate.adopted(setup.calibration, measured, options.operator or _user(), now())
     check(folder.path / "calibration.json", found)
-    folder.write("calibration.json", to_json(found))
+    content = to_json(found)
+    folder.write("calibration.json", content)
     folder.write("report.html", calibration_page(setup.calibration, found, measured).html())
-    if unknown := never_measured(found):
-        print(f"not measured yet: {', '.join(unknown)}; --rig real wants all")
-    say_written(folder)
+    unknown = never_measured(found)
+    lines = [f"not measured yet: {', '.join(unknown)}; --rig real wants all"] if unknown else []
+    text = f"Measured {', '.join(options.parts)}; calibration.json is {'not yet ' * bool(unknown)}ready for --rig real."
+    return Answer(text, json.loads(content), lines, written=written(folder))
 
 
-def _selftest(options) -> None:
+def _selftest(options) -> Answer:
     """Test the rig without turning the rotor: loop timing, buses, calibration, pulse outputs, log."""
     setup, folder = setup_of(options, turning=False), OutputFolder(options.output)
     found = selftest(setup, options.seconds, folder.path, options.load)
     content = found.summary()
     folder.write("hil.json", as_json(content))
     folder.write("report.html", selftest_page(found, content, options.seconds).html())
+    lines = [f"{'good' if one.good else 'BAD '}  {one.what}: {one.found}" for one in found.checks]
     if found.session.timing:
-        print(f"loop: {content['real_time']}; {options.load} busy processes beside it\n{found.session.timing.text()}")
-    for one in found.checks:
-        print(f"{'good' if one.good else 'BAD '}  {one.what}: {one.found}")
-    say_written(folder)
-    found.judge()
+        busy = f"{options.load} busy processes beside it"
+        lines.insert(0, f"loop: {content['real_time']}; {busy}\n{found.session.timing.text()}")
+    good = sum(one.good for one in found.checks)
+    text = f"{good} of {len(found.checks)} checks of the rig are good."
+    return Answer(text, content, lines, written=written(folder), failure=_failure(found.judge))
 
 
-def _report(options) -> None:
+def _report(options) -> Answer:
     """Make run.csv, report.html and the end of hil.json from a run's log: for a run whose loop could not do so itself.
 
     A loop that is killed or crashes leaves its log whole, and the log's writer then calls this. Where that was killed too, the
@@ -294,13 +329,13 @@ def _report(options) -> None:
     folder = OutputFolder(log.parent)
     record, content, gone = of_log(log)
     if gone:
-        print(f"vpp hil: the run ended: {content['ended']}", file=sys.stderr)
-    finish(folder, content, record, say, _page_of)
-    print(f"made from the log: {kept_of(log.parent)}", file=sys.stderr)
-    say_written(folder)
+        say(options, f"vpp hil: the run ended: {content['ended']}")
+    found = finish(folder, content, record, _page_of)
+    say(options, f"made from the log: {kept_of(log.parent)}")
+    return _answer(found, [], written(folder))
 
 
-def _replay(options) -> None:
+def _replay(options) -> Answer:
     """Feed what a controller saw in a recorded run to a controller FMU, and compare what it commands, to the bit.
 
     An FMU runs its author's code, with your rights."""
@@ -315,8 +350,7 @@ def _replay(options) -> None:
     text = f"{options.controller} on the {len(recorded)} rows of {options.recorded}: {found.said()}"
     folder.write("replay.json", as_json(found.summary()))
     folder.write("report.html", replay_page(found, text + ".").html())
-    print(text)
-    say_written(folder)
+    return Answer(f"{text}.", found.summary(), written=written(folder))
 
 
 @dataclass(frozen=True)
@@ -352,8 +386,8 @@ def allowed_of(options, turning: bool = True) -> Rig:
     if rig.file:
         return declared_rig(rig.file, rest)
     if rest is None:
-        allowed = "real RIG.json, or --parameters that were identified from a campaign on it"
-        raise BadInput("command line", "--rig", "real, without a range of speed and pitch", allowed)
+        hint = "--rig real RIG.json, or --parameters that were identified on this rig"
+        raise BadInput("command line", "--rig", "a real rig of unknown range", "a declared range of speed and pitch", hint)
     return rest
 
 
@@ -366,13 +400,15 @@ def setup_of(options, steps: bool = False, turning: bool = True) -> Setup:
     """The rig that the options describe; `steps` as in `limits_for`, `turning`: whether it will."""
     real = which(options).kind == "real"
     if real and (options.virtual or options.hide):
-        raise BadInput("command line", "--rig", "real with --virtual or --hide", "these for the emulated rig only")
+        raise BadInput("command line", "--rig", "real with --virtual or --hide", "an emulated rig for these options")
     if real and not options.calibration:
-        raise BadInput("command line", "--calibration", "none", "the real rig's own calibration (see hil/README.md)")
+        raise BadInput(
+            "command line", "--calibration", "nothing", "the real rig's calibration file", "vpp hil calibrate --rig real"
+        )
     calibration = read_calibration(options.calibration or str(CALIBRATION))
     if real and turning and (unknown := never_measured(calibration)):
-        allowed = "who and when, as vpp hil calibrate writes them where it has measured"
-        raise BadInput(options.calibration, "source", f"nobody who measured {', '.join(unknown)}", allowed)
+        found = f"no operator and date for {', '.join(unknown)}"
+        raise BadInput(options.calibration, "source", found, "who measured each part, and when", "vpp hil calibrate --rig real")
     limits, allowed = _limits(options, allowed_of(options, turning), steps)
     if not real and not options.calibration:
         calibration = calibrated_for(calibration, allowed)
@@ -396,7 +432,7 @@ def _with_power(calibration: Calibration, file: str | None) -> Calibration:
 def _wiring(options) -> Wiring:
     channels = tuple(options.pwm_channels)
     if channels[0] == channels[1]:
-        raise BadInput("command line", "--pwm-channels", f"{channels[0]} twice", "two outputs")
+        raise BadInput("command line", "--pwm-channels", f"output {channels[0]} twice", "two different outputs")
     return Wiring(options.bus, port=options.port, pwm=options.pwm, channels=channels)
 
 
@@ -430,7 +466,7 @@ def tick_of(given: ParameterSet | None) -> float | None:
 def controller_of(options) -> Controller:
     """A fresh controller as the options have it."""
     if options.controller and options.gains:
-        raise BadInput("command line", "--controller", "given with --gains", "one of the two")
+        raise BadInput("command line", "--controller", "--controller and --gains", "only one of them")
     if options.controller:
         return FmuController(options.controller, dt=PERIOD)
     return KernelController(gains_of(options).values, PERIOD)
@@ -447,11 +483,11 @@ def _twin(options, allowed: Rig) -> tuple[Twin, Band, Adaptive] | None:
     """The twin that says when the rig leaves its band, that band, and the twin that adapts."""
     if options.twin is None:
         if options.adapt:
-            raise BadInput("command line", "--adapt", "given without --twin", "--twin, which adapts them")
+            raise BadInput("command line", "--adapt", "--adapt without --twin", "both: the twin adapts these parameters")
         return None
     if not options.twin and not options.parameters:
-        needed = "the plant's parameters, or an identification.json for its band"
-        raise BadInput("command line", "--twin", "no --parameters", needed)
+        needed = "the plant's parameters, or an identification.json for the twin's band"
+        raise BadInput("command line", "--twin", "no model of the rig", needed, "--parameters F")
     parameters = plant_of(options)
     source = options.twin or beside(options.parameters)
     band = read_band(source)
@@ -482,9 +518,9 @@ def _user() -> str:
     return str(os.getuid())
 
 
-def say_allowed(allowed: Rig) -> None:
+def allowed_words(allowed: Rig) -> str:
     """Within what the rig will be commanded, and where that comes from."""
-    print(f"commands within {', '.join(allowed.command_lines())}")
+    return f"commands within {', '.join(allowed.command_lines())}"
 
 
 def confirm(setup: Setup) -> None:
@@ -505,10 +541,10 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
         yield None
         return
     if options.virtual:
-        allowed = "a run in real time: a virtual one is over in seconds"
-        raise BadInput("command line", "--watch", "given with --virtual", allowed)
+        allowed = "a run in real time: a virtual one ends in seconds"
+        raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
     with served(content, options.watch) as page:
-        say(f"operator's page: {page.address}")
+        print(f"operator's page: {page.address}", file=sys.stderr, flush=True)  # with --quiet too: STOP is there
         yield page
 
 

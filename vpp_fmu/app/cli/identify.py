@@ -6,9 +6,10 @@ from tqdm import tqdm
 
 from identification.fit.refine import METHODS
 from identification.identify import Identification, identify
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.options import SEED, WORKERS, whole
-from vpp_fmu.app.cli.output import add_accept, add_output, dated, say_written
-from vpp_fmu.app.report.pages.identification import identification_page, key_figures, not_identifiable, remarks
+from vpp_fmu.app.cli.output import add_accept, add_output, dated, written
+from vpp_fmu.app.report.pages.identification import headline, identification_page, key_figures, not_identifiable, remarks
 from vpp_fmu.campaign import NAMES, NEED, read_campaign
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.outputs import OutputSet
@@ -55,11 +56,10 @@ def run(options):
         )
         bar.set_description("report")
         write_identification(folder, found)
-    lines = [finding.text for finding in found.quality]
+    lines = [*(finding.text for finding in found.quality), *remarks(found), *not_identifiable(found)]
     lines += [f"your logger: {line}" for line in found.logger.lines]
-    lines += [*remarks(found), *not_identifiable(found)]
-    lines += [f"{label}: {value} ({note})" for label, value, note in key_figures(found)]
-    say_written(folder, found.parameters, lines)
+    place = written(folder, found.parameters)
+    return Answer(headline(found), found.summary(), lines, key_figures(found), written=place)
 
 
 def write_identification(folder: OutputFolder, found: Identification) -> None:

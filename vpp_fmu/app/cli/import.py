@@ -23,4 +23,4 @@ def configure(parser):
 
 
 def run(options):
-    options.run(options)
+    return options.run(options)

@@ -27,6 +27,7 @@ from identification.logs.delimited import DELIMITERS, read_delimited
 from identification.logs.intake import Taken, contradictions, signal_range, take_in
 from identification.logs.mapping import (
     FILE,
+    FORMAT,
     Plan,
     completed,
     parse_fixed,
@@ -42,9 +43,10 @@ from identification.logs.sampling import said_of_gaps
 from identification.logs.speed_map import read_speed_map
 from identification.logs.units import QUANTITIES
 from identification.static.static_map import DENSITY
-from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, placed
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
 from vpp_fmu.app.cli.options import Number
-from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -90,15 +92,16 @@ def configure(parser):
 def run(options):
     section = _section(options)
     table = _table(options, section.get("read", {}))
-    print(f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns")
+    lines = [f"{Path(table.source).name}: {table.how_read}; {len(table)} rows, {len(table.columns)} columns"]
     if table.left_out:
-        print(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
+        lines.append(f"left out: {', '.join(f'{reason} {count}' for reason, count in table.left_out.items())}")
     if options.propose is not None:
-        _propose(table, options)
-        return
-    plan = _plan(options, section, table)
+        return _propose(table, options, lines)
+    plan = _plan(options, section, table, lines)
     if options.diameter and "ct" not in plan.columns:
-        raise BadInput(options.log, "ct", "no column of thrust coefficients", "--map ct=COLUMN, or no --diameter")
+        raise BadInput(
+            options.log, "ct", "--diameter and no column of thrust coefficients", "a column of them", "--map ct=COLUMN"
+        )
     span = signal_range(table, plan)
     given = read_speed_map(options.speed_map) if options.speed_map else None
     if given and span and given.signal != span:
@@ -108,9 +111,10 @@ def run(options):
     beside = map_beside(options.output, span, options.log) if span and given is None else None
     propeller = Propeller(options.diameter, options.density)
     taken = take_in(table, plan, options.kind, given or beside, propeller, options.force)
-    folder, said = _written(options, plan, taken)
-    _say_columns(table, plan, taken)
-    say_written(folder, lines=[*taken.said, *said])
+    folder, said = _placed(options, plan, taken)
+    lines += [*_columns(plan, taken), *taken.said, *said]
+    content = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}
+    return Answer(headline(folder, options.kind, taken.columns, options.log), content, lines, written=written(folder))
 
 
 def _section(options) -> dict:
@@ -136,57 +140,57 @@ def _table(options, read: dict) -> RawTable:
     return read_delimited(options.log, given) if table is None else table
 
 
-def _plan(options, section: dict, table: RawTable) -> Plan:
+def _plan(options, section: dict, table: RawTable, lines: list[str]) -> Plan:
     """The plan of columns: pairs of the command line override those of a TOML, or else a proposal completes them. BadInput."""
     own = parse_pairs([word for word in options.map if "=" in word], table, options.force)
     saved = [f"{q}={text}" for q, text in section.get("columns", {}).items() if q not in own]
     fixed = parse_fixed([f"{n}={text}" for n, text in section.get("fixed", {}).items()]) | parse_fixed(options.fixed)
     if saved and options.rotor:
-        raise BadInput("command line", "--rotor", options.rotor, "none beside an import.toml, which names its columns")
+        raise BadInput("command line", "--rotor", options.rotor, "no --rotor beside an import.toml, which names the columns")
     if saved:
         columns, said = parse_pairs(saved, table, options.force) | own, []
     else:
         others, said = chosen(table, options.rotor, [c.name for c in own.values() if c])
-        for line in said:
-            print(line)
+        lines += said
         columns, said = completed(table, own, fixed, others, options.yes)
-    for line in said:
-        print(line)
+    lines += said
     columns = {q: columns[q] for q in QUANTITIES if columns.get(q) and q not in fixed}
     if options.speed_from == "measured":
         if "omega" not in columns:
-            raise BadInput(table.source, "omega", "no measured speed", "--map omega=COLUMN:rpm, or --speed-from command")
+            hint = "--map omega=COLUMN:rpm, or --speed-from command"
+            raise BadInput(table.source, "omega", "no column of measured speed", "one for --speed-from measured", hint)
         columns = {"omega_ref": columns.pop("omega"), **{q: c for q, c in columns.items() if q not in ("omega_ref", "signal")}}
         fixed.pop("omega_ref", None)
     return Plan(columns, fixed, table.read)
 
 
-def _propose(table: RawTable, options) -> None:
+def _propose(table: RawTable, options, lines: list[str]) -> Answer:
     fixed = parse_fixed(options.fixed)
     others, said = chosen(table, options.rotor, ())
     columns = propose(table, others)
     plan = Plan(columns, fixed, table.read)
     width = max((len(c.name) for c in columns.values()), default=0)
     for quantity, column in columns.items():
-        note = {"": ""}.get(column.unit, f"in {column.unit}")
-        print(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
+        note = f"in {column.unit}" if column.unit else ""
+        lines.append(f"  {quantity:10} <- {column.name:{width}} {note:12} {column.sure}")
     unused = [name for name in table.columns if name not in {c.name for c in columns.values()}]
-    for line in said:
-        print(line)
-    print(f"not used: {', '.join(unused) or 'none'}")
-    if columns:
-        print(f"as options: {plan.words()}")
-    for line in contradictions(table, plan):
-        print(line)
+    lines += [*said, f"not used: {', '.join(unused) or 'none'}"]
+    lines += [f"as options: {plan.words()}"] if columns else []
+    lines += contradictions(table, plan)
+    content, place = {"format": FORMAT, options.kind: plan.section(Path(options.log).name)}, []
     if options.propose:
         folder, name = OutputFolder(Path(options.propose).parent), Path(options.propose).name
         if (folder.path / name).exists() and not options.replace:
-            raise BadInput(options.propose, "file", "one that is there already", "a new file, or --replace")
+            raise BadInput(options.propose, "file", "an existing file", "a new file", "--replace")
         folder.write(name, to_toml({options.kind: plan.section(Path(options.log).name)}))
-        print(f"saved in {options.propose}")
+        place = [f"saved in {options.propose}"]
+    text = f"The header of {Path(options.log).name} proposes {len(columns)} of {len(table.columns)} columns."
+    return Answer(text, content, lines, written=place)
 
 
-def _say_columns(table: RawTable, plan: Plan, taken: Taken) -> None:
+def _columns(plan: Plan, taken: Taken) -> list[str]:
+    """Each column of the record, its source and range, in words."""
+    lines = []
     for quantity, column in plan.columns.items():
         values, unit = taken.columns.get(quantity), QUANTITIES[quantity].unit
         span = ""
@@ -195,12 +199,11 @@ def _say_columns(table: RawTable, plan: Plan, taken: Taken) -> None:
             span = f": {number(float(np.nanmin(values)))} to {number(float(np.nanmax(values)))} {unit}".rstrip()
             span += f", {empty} cells empty" if empty else ""
         how = f" ({column.sure})" if column.sure else ""
-        print(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
-    for name, value in plan.fixed.items():
-        print(f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed")
+        lines.append(f"{quantity} <- {column.name}{f' in {column.unit}' if column.unit else ''}{how}{span}")
+    return lines + [f"{name} = {number(value)} {QUANTITIES[name].unit}, fixed" for name, value in plan.fixed.items()]
 
 
-def _written(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
+def _placed(options, plan: Plan, taken: Taken) -> tuple[OutputFolder, list[str]]:
     """Write the campaign's file, the mapping and the speed map, all or none; returns their paths and remarks."""
     place = Path(options.output)
     sections = read_sections(place / FILE) if (place / FILE).exists() else {}

@@ -1,12 +1,16 @@
 """Place of an imported log in a campaign's folder: one file per kind, which never replaces another log's silently."""
 
+from collections.abc import Mapping
 from pathlib import Path
+
+import numpy as np
 
 from identification.logger_fit import mended
 from identification.logs.intake import Taken
 from identification.logs.kinds import KINDS, repeat_of, runs_of, static_of
 from identification.logs.sampling import findings, said_of_rows
 from identification.logs.speed_choice import said_of_speed
+from vpp_fmu.app.report.sentences import size
 from vpp_fmu.campaign import write_static, write_steps
 from vpp_fmu.digits import number
 from vpp_fmu.errors import BadInput
@@ -38,7 +42,9 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
     else:
         record, said = _record(place, kind, taken, mend)
     if (other := there(place, kind)) and other.suffix == ".gz":
-        raise BadInput(other, "file", "one that is there already", f"no {kind}.csv.gz beside {kind}.csv")
+        raise BadInput(
+            other, "file", f"{kind}.csv.gz already in the folder", f"either it or {kind}.csv", "delete it, or another folder"
+        )
     folder = OutputSet(place, "import")
     if kind == "static":
         write_static(folder, static)
@@ -47,15 +53,28 @@ def placed(place: Path, kind: str, taken: Taken, replace: bool, mend: bool = Fal
     else:
         write_record(folder, f"{kind}.csv", record)
     if kind in KINDS and f"{kind}.csv" in folder.replaced and not replace:
-        raise BadInput(place / f"{kind}.csv", "file", "one of another log", "another folder, another --as, or --replace")
+        raise BadInput(
+            place / f"{kind}.csv", "file", "the file of another log", "a new file", "another folder, another --as, or --replace"
+        )
     return folder, said
+
+
+def headline(folder: OutputSet, kind: str, columns: Mapping[str, np.ndarray] | Record, log: str) -> str:
+    """The imported file in a sentence; `columns`: by name, NaN where a cell is empty."""
+    rows, text = len(columns["omega_ref"]) if "omega_ref" in columns else len(columns["thrust"]), ""
+    if "time" in columns:
+        text = f" over {size(float(columns['time'][-1] - columns['time'][0]), 's')}"
+    if "thrust" in columns and np.isfinite(columns["thrust"]).any():
+        low, high = (float(extreme(columns["thrust"])) for extreme in (np.nanmin, np.nanmax))
+        text += f", thrust {size(low)} to {size(high, 'N')}"
+    return f"{Path(log).name} became {folder.path / kind}.csv: {rows} rows{text}."
 
 
 def _record(place: Path, kind: str, taken: Taken, mend: bool) -> tuple[Record, list[str]]:
     record, said = taken.record(), []
     if taken.points:
-        allowed = "rows that show how thrust moves; steady points go in with --as static"
-        raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed)
+        allowed = "rows close enough to show how the thrust moves"
+        raise BadInput(record.source, "time", f"rows {number(record.period)} s apart", allowed, "--as static for steady points")
     if mend:
         record, said = mended(record)
     if kind == "repeat" and (first := there(place, "open_loop")):

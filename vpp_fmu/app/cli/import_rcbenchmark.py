@@ -18,8 +18,9 @@ from identification.logs.intake import Taken
 from identification.logs.mapping import parse_fixed, pitch_in_other_unit
 from identification.logs.rcbenchmark import REMEMBERED, Log, read_log
 from identification.logs.speed_map import SpeedMap, fit_quality, fit_speed_map, read_speed_map
-from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, placed
-from vpp_fmu.app.cli.output import add_output, say_written
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.import_place import add_kind, add_speed_from, headline, placed
+from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.digits import number, signed
 from vpp_fmu.errors import BadInput
 from vpp_fmu.record import QUANTITIES, Record, RecordWarning
@@ -62,7 +63,7 @@ def run(options):
     lines = [said_of_rows(figures), *said_of_averages(log, kind), *said_of_thrust(figures)]
     lines += said_of_map(figures["speed_map"], known) if known else ["omega_ref: the measured speed"]
     lines += said
-    say_written(folder, lines=lines)
+    return Answer(headline(folder, kind, record, options.log), figures, lines, written=written(folder))
 
 
 def _pitch(options, log: Log) -> float:
@@ -72,8 +73,9 @@ def _pitch(options, log: Log) -> float:
             raise BadInput("command line", "--fixed", options.fixed, "beta_ref=VALUE:UNIT, such as beta_ref=8:deg")
         return fixed["beta_ref"]
     if other := pitch_in_other_unit(read_delimited(options.log, {}), log.names.values()):
-        found = f"{other[0]}, which is pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
-        raise BadInput(log.source, "beta_ref", found, "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map it")
+        found = f"{other[0]}, pitch by its name, from {other[2]:g} to {other[3]:g} {other[1]}".rstrip()
+        hint = "--fixed beta_ref=8:deg for a fixed pitch, or vpp import csv to map the column"
+        raise BadInput(log.source, "beta_ref", found, "a pitch in degrees", hint)
     return 0.0
 
 
@@ -106,8 +108,8 @@ def said_of_averages(log: Log, kind: str) -> list[str]:
 def fitted(log: Log) -> SpeedMap:
     """The map of the log's own steady parts."""
     if log.speed is None:
-        allowed = "the motor's optical or electrical speed, or the map of another log with --speed-map"
-        raise BadInput(log.source, "columns", "no speed", allowed)
+        hint = "--speed-map M.json of another log of this stand"
+        raise BadInput(log.source, "columns", "no speed", "the motor's optical or electrical speed", hint)
     return fit_speed_map(log.steady_points(), log.span, log.loaded_voltage, Path(log.source).name)
 
 

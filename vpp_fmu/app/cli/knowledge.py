@@ -1,9 +1,12 @@
 """Uncertainty of a parameter set: from the named identification.json, or the one beside the parameter file."""
 
+import warnings
+
 from identification.assessment.information import read_knowledge
 from identification.fit.problem import Prior
 from vpp_fmu.errors import BadInput
 from vpp_fmu.parameters import ParameterSet, beside, check_same_model
+from vpp_fmu.record import RecordWarning
 
 
 def knowledge_of(options, parameters: ParameterSet) -> tuple[str | None, tuple[Prior, float] | None]:
@@ -21,5 +24,5 @@ def knowledge_of(options, parameters: ParameterSet) -> tuple[str | None, tuple[P
         check_same_model(found, parameters, of)
         return str(found), read_knowledge(found)
     except BadInput as error:
-        print(f"not used: {' '.join(str(error).split())}")
+        warnings.warn(f"not used: {' '.join(str(error).split())}", RecordWarning, stacklevel=2)
         return None, None

@@ -15,10 +15,11 @@ from identification.tune.controllers import controllers
 from identification.tune.learn import Learned, learn, random_steps
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task, tune
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
-from vpp_fmu.app.report.pages.learning import key_figures, learning_page
+from vpp_fmu.app.cli.output import add_effects_from, add_output, written
+from vpp_fmu.app.report.pages.learning import headline, key_figures, learning_page
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
@@ -75,7 +76,7 @@ def run(options):
     folder.write("learning_curve.csv", "\n".join(["evaluations,cost", *rows]) + "\n")
     folder.write("learning.json", as_json(summary(found)))
     folder.write("report.html", learning_page(found, parameters.label).html())
-    say_written(folder, parameters, [f"{label}: {value} ({note})" for label, value, note in key_figures(found)])
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
 
 
 def _task(options, parameters) -> tuple[Task, Mapping[str, float]]:

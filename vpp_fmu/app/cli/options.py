@@ -29,7 +29,7 @@ class Number:
             value = math.nan
         inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
         if not inside and value not in self.also:
-            raise argparse.ArgumentTypeError(f"found {shortened(text)}, allowed is {self.allowed}")
+            raise argparse.ArgumentTypeError(f"found {shortened(text)}, expected {self.allowed}")
         return value
 
     @property

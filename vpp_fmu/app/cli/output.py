@@ -1,10 +1,10 @@
-"""Output common to all verbs: the folder, the provenance of results, and the final messages."""
+"""Output common to all verbs: the folder, the provenance of results, progress, and what was written."""
 
 import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,29 +43,27 @@ def dated(parameters: ParameterSet, /, **parents: tuple[str | os.PathLike, Param
 
 
 @contextlib.contextmanager
-def stages(verb: str) -> Iterator[Callable[[str], None]]:
+def stages(verb: str, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Progress by stage: on a terminal the present stage, in a pipe a line per stage on standard error."""
     if sys.stderr.isatty():
         with tqdm(leave=False, bar_format="{desc} {elapsed}") as bar:
             yield bar.set_description
         return
     began = time.monotonic()
-    yield lambda text: print(f"{verb}: {text} ({time.monotonic() - began:.0f} s)", file=sys.stderr, flush=True)
+    yield (
+        lambda text: None if quiet else print(f"{verb}: {text} ({time.monotonic() - began:.0f} s)", file=sys.stderr, flush=True)
+    )
 
 
-def say_written(folder: OutputFolder, parameters: ParameterSet | None = None, lines: Iterable[str] = ()) -> None:
-    """Put a set of files into its place, then print the results' `lines` and the replaced files, since standard output may
-    fail. `parameters`: those of the results."""
+def written(folder: OutputFolder, parameters: ParameterSet | None = None) -> list[str]:
+    """Put a set of files into its place; returns the lines that say so, with the replaced and removed files. `parameters`:
+    those of the results. Files are in place before anything is printed, since standard output may fail."""
+    lines = []
     if isinstance(folder, OutputSet):
         folder.finish(parameters and parameters.identity)
-    for line in lines:
-        print(line)
-    if isinstance(folder, OutputSet):
         notes = {"removed, of an earlier run": folder.removed, "kept, changed since an earlier run wrote it": folder.kept}
         notes["made of other parameters"] = [f"{name} (vpp {verb})" for name, verb in folder.others.items()]
-        for what, names in notes.items():
-            if names:
-                print(f"in {folder.path}, {what}: {', '.join(names)}")
+        lines += [f"in {folder.path}, {what}: {', '.join(names)}" for what, names in notes.items() if names]
     if folder.replaced:
-        print(f"replaced in {folder.path}: {', '.join(folder.replaced)}")
-    print(f"written to {folder.path}")
+        lines.append(f"replaced in {folder.path}: {', '.join(folder.replaced)}")
+    return [*lines, f"written to {folder.path}"]

@@ -7,9 +7,10 @@ import time
 from tqdm import tqdm
 
 from identification.demo import local_flavour
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.export import exported
 from vpp_fmu.app.cli.options import whole
-from vpp_fmu.app.cli.output import add_output, dated, say_written
+from vpp_fmu.app.cli.output import add_output, dated, written
 from vpp_fmu.app.paper.control import RIG
 from vpp_fmu.app.paper.study import FEWER, FULL, QUICK, REPEATS, Stages, Study, study
 from vpp_fmu.app.report.pages.paper import paper_page, summary, tiles, verdict
@@ -45,10 +46,9 @@ def run(options):
         bar.set_description("report")
         folder.write("paper.json", as_json(summary(done, total)))
         folder.write("report.html", paper_page(done, total).html())
-    lines = [verdict(done), *(f"{label}: {value} ({note})" for label, value, note in tiles(done, total))]
-    lines += [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]
-    lines.append(f"the whole study: {time.perf_counter() - began:.1f} s")
-    say_written(folder, done.found.parameters, lines)
+    more = [f"{name}: {seconds:.1f} s" for name, seconds in done.seconds.items()]
+    place = [f"the whole study: {time.perf_counter() - began:.1f} s", *written(folder, done.found.parameters)]
+    return Answer(verdict(done), summary(done, total), figures=tiles(done, total), more=more, written=place)
 
 
 def _write(folder: OutputFolder, done: Study) -> None:

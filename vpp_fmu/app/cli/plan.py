@@ -12,11 +12,12 @@ from identification.assessment.information import read_noise
 from identification.assessment.prediction import predict
 from identification.assessment.reading_noise import reading_noise
 from identification.plan.plan import NOISE, Plan, plan
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number
-from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
+from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
-from vpp_fmu.app.report.pages.plan import key_figures, plan_page
+from vpp_fmu.app.report.pages.plan import headline, key_figures, plan_page
 from vpp_fmu.campaign import Campaign, read_campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -115,8 +116,8 @@ def run(options):
     )
     remarks = remarks_on(found, inflation)
     write_plan(folder, found, basis.lines(), remarks, parameters.label)
-    lines = [*basis.lines(), *(f"{label}: {value} ({note})" for label, value, note in key_figures(found))]
-    say_written(folder, parameters, [*lines, *(f"note: {remark}" for remark in remarks)])
+    lines = [*basis.lines(), *(f"note: {remark}" for remark in remarks)]
+    return Answer(headline(found), found.summary(), lines, key_figures(found), written=written(folder, parameters))
 
 
 def remarks_on(found: Plan, inflation: float = 1.0) -> list[str]:
@@ -150,7 +151,7 @@ def check_signal(options, parameters: ParameterSet, basis: Basis) -> None:
     option = "--omega" if options.omega is not None else "--pitch"
     if sys.stdin.isatty() and Prompts(None).choice(f"{option}: {found}; go on", ("yes", "no")) == "yes":
         return
-    raise BadInput("command line", option, found, "a wider range, or --yes to go on")
+    raise BadInput("command line", option, found, "a wider range", "--yes to go on")
 
 
 def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
@@ -162,8 +163,10 @@ def _basis(options, parameters: ParameterSet, known_in: str | None) -> Basis:
         rig = declared_rig(options.rig, rig)
     rig = _narrowed(rig, options)
     if rig.unknown:
-        allowed = "one that was measured or declared: --campaign DIR, --rig FILE, or on the command line"
-        raise BadInput(options.parameters, f"range of {' and '.join(rig.unknown)}", "none", allowed)
+        hint = "--campaign DIR, --rig FILE, or --omega and --pitch"
+        raise BadInput(
+            options.parameters, f"range of {' and '.join(rig.unknown)}", "none", "a measured or declared range", hint
+        )
     return Basis(rig, *_noise(options, campaign, parameters, known_in), _step(options, campaign, parameters))
 
 

@@ -61,7 +61,7 @@ class Prompts:
             except ValueError as error:
                 if not self._again:
                     raise BadInput(self._source, f"line {self._line}, {question}", shortened(text), allowed) from error
-                print(f"found {shortened(text)}, allowed is {allowed}")
+                print(f"found {shortened(text)}, expected {allowed}")
 
     def _next(self, question: str) -> str:
         for line in self._lines:
@@ -70,4 +70,4 @@ class Prompts:
                 if not self._again:
                     print(line.strip())
                 return line.strip()
-        raise BadInput(self._source, question, "the end", "an answer")
+        raise BadInput(self._source, question, "the end of the input", "an answer")

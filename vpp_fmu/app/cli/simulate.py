@@ -1,8 +1,9 @@
 """Predict the open-loop response to the commands of a record."""
 
 from identification.assessment.prediction import predict
-from vpp_fmu.app.cli.output import add_effects_from, add_output, say_written
-from vpp_fmu.digits import number
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.cli.output import add_effects_from, add_output, written
+from vpp_fmu.app.report.sentences import size
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
@@ -29,5 +30,12 @@ def run(options):
     columns |= {"thrust": shown.thrust, "omega": shown.omega, "beta": shown.beta, **shown.further}
     write_record(folder, "prediction.csv", Record(columns, "vpp simulate"))
     measured = "thrust" in record and shown.rmse_thrust is not None
-    lines = [f"thrust: rmse {number(shown.rmse_thrust)} N against {options.record}"] if measured else []
-    say_written(folder, parameters, lines)
+    seconds = float(record.time[-1])
+    text = f"Predicted thrust {size(shown.thrust.min())} to {size(shown.thrust.max(), 'N')} over {size(seconds, 's')}"
+    text += (
+        f", {size(shown.rmse_thrust, 'N')} rms off the reading." if measured else "; the record has no thrust to compare with."
+    )
+    content = {"format": "vpp-simulation/1", "rows": len(record), "seconds": seconds}
+    content |= {"units": {"rmse_thrust": "N", "rmse_omega": "rpm", "fit_thrust": "%"}, "rmse_omega": shown.rmse_omega}
+    content |= {name: getattr(shown, name) if measured else None for name in ("rmse_thrust", "fit_thrust")}
+    return Answer(text, content, written=written(folder, parameters))

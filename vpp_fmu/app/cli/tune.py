@@ -15,12 +15,13 @@ from identification.power.model import PowerModel
 from identification.tune.controllers import POWERS, controllers
 from identification.tune.objective import ALPHA
 from identification.tune.profile import common_reach, rig_profile
-from identification.tune.summary import NAMES, change_rows, key_figures, margin_rows, summary
+from identification.tune.summary import NAMES, change_rows, headline, key_figures, margin_rows, summary
 from identification.tune.tune import Task, Tuning, tune
 from identification.tune.verdict import UNITS
+from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, WORKERS, Number, whole
-from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, say_written
+from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, written
 from vpp_fmu.app.report.pages.tuning import tuning_page
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
@@ -111,23 +112,21 @@ def run(options):
     task, starts = _task(options, parameters)
     came = {"parameters": (options.parameters or PAPERS, parameters)}
     folder = OutputSet(options.output, "tune")
-    for line in _setting(task, starts):
-        print(line)
+    setting = _setting(task, starts)
     found = tune(task, starts, options.workers, options.scheduler)
     write_tuning(folder, found, **came)
-    say_written(folder, parameters, _results(found))
+    place = written(folder, parameters)
+    return Answer(headline(found), summary(found), setting, key_figures(found), [*_details(found)], place)
 
 
-def _results(found: Tuning) -> Iterator[str]:
-    """The result as lines of text."""
+def _details(found: Tuning) -> Iterator[str]:
+    """Every step and margin, before and after, as lines of text."""
     for name, tuned in found.tuned.items():
         for which, verdict in tuned.verdicts.items():
             yield f"{NAMES[name]}, {found.task.reference} → {which}"
             for step, *changes in change_rows(verdict):
                 yield f"  {step}: " + ", ".join(f"{n} {c}" for n, c in zip(UNITS, changes, strict=True))
             yield "  " + ", ".join(f"{margin} {change}" for margin, change in margin_rows(verdict))
-    for label, value, note in key_figures(found):
-        yield f"{label}: {value} ({note})"
     yield f"tuned in {found.seconds:.1f} s"
 
 
@@ -164,7 +163,12 @@ def _task(options, parameters: ParameterSet) -> tuple[Task, Mapping[str, Mapping
     own = controllers(parameters, given, options.sample_time, options.gains)
     period = next(iter(own.settings.values()))["sample_time"]
     if options.delay > LONGEST * period:
-        raise BadInput("command line", "--delay", f"{options.delay:g} s", f"0 to {LONGEST} samples, {LONGEST * period:g} s")
+        raise BadInput(
+            "command line",
+            "--delay",
+            f"{options.delay:g} s",
+            f"0 to {LONGEST * period:g} s, {LONGEST} samples of the controller",
+        )
     starts = _starts(options, parameters, own.settings, given)
     profile = read_profile(options.profile) if options.profile else rig_profile(parameters, starts)
     if profile.time[-1] < 10.0 * period:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from statistics import mean
 
 from tqdm import tqdm
 
@@ -17,10 +18,13 @@ from hil.session import Setup
 from hil.twin.band import read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.app.cli import hil
+from vpp_fmu.app.cli.answer import Answer, say
+from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated
 from vpp_fmu.app.day.day import BOTH, POLICIES, Day, Rig, Round, diagnosed, new_day, next_round
 from vpp_fmu.app.report.pages.day import day_page
+from vpp_fmu.app.report.sentences import change
 from vpp_fmu.errors import BadInput
 from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
@@ -54,12 +58,12 @@ def run(options):
     given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
     settings = controllers(parameters, given, hil.tick_of(given), options.gains or "gains").settings
     if "dual" not in settings:
-        raise BadInput(options.parameters, "rig", "one channel that moves", "speed and pitch, which a day tunes together")
+        raise BadInput(options.parameters, "rig", "one moving channel", "speed and pitch: a day tunes both")
     known_in = beside(options.parameters)
     band = read_band(known_in)
     check_same_model(known_in, parameters, options.parameters)
     setup = replace(setup, plant=parameters.values)
-    hil.say_allowed(setup.allowed)
+    say(options, allowed_words(setup.allowed))
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
     folder = OutputFolder(options.day)
     for number in range(1, options.rounds + 1):
@@ -72,16 +76,32 @@ def run(options):
             done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
         day.rounds.append(done)
         for line in said(done):
-            print(line, flush=True)
-        _write(folder, own, day, done)
-    print(f"written to {folder.path}")
+            say(options, line)
+        content = _write(folder, own, day, done)
+    return Answer(headline(day), content, written=[f"written to {folder.path}"])
+
+
+def headline(day: Day) -> str:
+    """The day in a sentence: error and cost of its first and last round."""
+    first, last = day.rounds[0], day.rounds[-1]
+    errors, costs = ([_first(each) for each in (first, last)], [mean(each.costs[each.winner]) for each in (first, last)])
+    alarms = sum(one.alarm is not None for one in day.rounds)
+    return (
+        f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(*errors, 'N')}, cost on the rig "
+        f"{change(*costs, '1')}; the model {last.chosen.name} and the gains {last.winner} go on."
+    )
+
+
+def _first(done: Round) -> float:
+    """The error of a round's chosen model, N."""
+    return done.chosen.unseen if len(done.models) > 1 else done.chosen.fitted
 
 
 def _check_new(path: str) -> None:
     there = Path(path)
     if there.exists() and (not there.is_dir() or any(there.iterdir())):
         found = f"{path}, which holds files" if there.is_dir() else f"{path}, a file"
-        raise BadInput("command line", "DAY", found, "a folder that is not there yet, or empty")
+        raise BadInput("command line", "DAY", found, "a new or empty folder")
 
 
 def _rig(options, setup: Setup) -> Rig:
@@ -119,7 +139,7 @@ def said(done: Round) -> list[str]:
         )
     else:
         lines.append(f"  error of the thrust: {done.chosen.fitted:.4f} N; the model goes on as it was")
-    costs = ", ".join(f"{name} {sum(c) / len(c):.4f}" for name, c in done.costs.items())
+    costs = ", ".join(f"{name} {mean(c):.4f}" for name, c in done.costs.items())
     cheapest = min(done.costs, key=lambda name: sum(done.costs[name]))
     doubt = "" if cheapest == done.winner else f", {cheapest} may be no cheaper"
     lines.append(f"  cost on the rig: {costs}; {done.winner} flies next{doubt}")
@@ -132,8 +152,8 @@ def _models(done: Round) -> str:
     return ", ".join(f"{m.name} {m.unseen:.4f} N" for m in done.models)
 
 
-def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> None:
-    """Files after a round: its model and gains, and the day so far."""
+def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> dict:
+    """Files after a round: its model and gains, and the day so far; returns the content of day.json."""
     gains = ParameterSet(CONTROLLER, source={"made_by": "vpp twin", "round": done.number})
     gains = gains.replaced({n: v for n, v in done.settings.items() if n in {p.name for p in CONTROLLER.parameters}})
     model = replace(
@@ -144,8 +164,10 @@ def _write(folder: OutputFolder, own: OutputFolder, day: Day, done: Round) -> No
         where.write("gains.json", to_json(dated(gains)))
         if done.law.policy:
             where.write(FILE, as_json(done.law.policy.to_dict()))
-    folder.write("day.json", as_json({"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}))
+    content = {"format": "vpp-day/1", "rounds": [summary(one) for one in day.rounds]}
+    folder.write("day.json", as_json(content))
     folder.write("report.html", day_page(day).html())
+    return content
 
 
 def summary(done: Round) -> dict:

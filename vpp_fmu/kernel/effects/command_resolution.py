@@ -31,6 +31,7 @@ def _resolution(channel: str, scale: str, unit: str, largest: float, plausible: 
         probe={"step": plausible},
         rounds={command: "step"},
         channels=(channel,),
+        says=f"the {scale} command is executed in steps of {{step}}",
     )
 
 

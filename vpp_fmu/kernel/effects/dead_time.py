@@ -60,6 +60,7 @@ def late_reading(name: str, reading: str, signal: str, unit: str) -> Effect:
         probe={"delay": 0.03},
         largest_step=0.002,
         reading=reading,
+        says=f"the {reading} is read {{delay}} late (dead time)",
     )
 
 

@@ -44,4 +44,5 @@ EFFECT = Effect(
     off={"gain": 0.0},
     probe={"gain": 0.3},
     largest_step=0.002,
+    says="the thrust overshoots by a gain of {gain} while the inflow builds up",
 )

@@ -35,4 +35,5 @@ EFFECT = Effect(
     ),
     off={"c10": 0.0, "c22": 0.0, "stall": 0.0},
     probe={"c10": 0.05, "c22": 0.15, "stall": -0.15},
+    says="the thrust map has further terms (c10 {c10}, c22 {c22}, stall {stall})",
 )

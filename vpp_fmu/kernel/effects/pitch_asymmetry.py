@@ -37,6 +37,7 @@ def asymmetry(u: str, name: str, description: str, probe: float) -> Effect:
         probe={"asymmetry": probe},
         largest_step=0.002,
         channels=(u,),
+        says=f"{description}, by a relative {{asymmetry}}",
     )
 
 

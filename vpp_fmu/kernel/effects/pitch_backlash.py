@@ -39,4 +39,5 @@ EFFECT = Effect(
     probe={"half_gap": 0.04},
     largest_step=0.002,
     channels=("beta",),
+    says="the pitch linkage has a play of {half_gap} to each side (backlash)",
 )

@@ -25,4 +25,5 @@ EFFECT = Effect(
     off={"half_width": 0.0},
     probe={"half_width": 0.1},
     channels=("beta",),
+    says="the pitch servo ignores changes below {half_width} (dead band)",
 )

@@ -13,4 +13,5 @@ EFFECT = Effect(
     probe={"delay": 0.08},
     delays={"beta_ref": "delay"},
     channels=("beta",),
+    says="the pitch command acts {delay} late (dead time)",
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     probe={"half_width": 0.04},
     largest_step=0.002,
     channels=("beta",),
+    says="the pitch actuator does not move for errors below {half_width} (dead zone)",
 )

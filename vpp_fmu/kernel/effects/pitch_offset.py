@@ -18,4 +18,5 @@ EFFECT = Effect(
     off={"offset": 0.0},
     probe={"offset": 0.07},
     channels=("beta",),
+    says="the blade pitch is off by {offset}",
 )

@@ -30,4 +30,5 @@ EFFECT = Effect(
     off={"gain": 0.0},
     probe={"gain": 0.08},
     channels=("beta",),
+    says="turning blades change the thrust by {gain}",
 )

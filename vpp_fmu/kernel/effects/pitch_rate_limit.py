@@ -56,4 +56,5 @@ EFFECT = Effect(
     probe={"rate": 1.0 / 3.0},
     largest_step=0.002,
     channels=("beta",),
+    says="the blade pitch moves no faster than {rate} (rate limit)",
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
     probe={"gain": 0.125},
     largest_step=0.002,
     channels=("beta", "omega"),
+    says="the rotor slows down while the pitch rises, by {gain}",
 )

@@ -76,4 +76,5 @@ EFFECT = Effect(
     largest_step=0.002,
     contains={"pitch_rate_limit": {"full": "rate"}, "pitch_stop_band": {"accuracy": "half_width"}},
     channels=("beta",),
+    says="the speed of the pitch actuator is limited (least {slowest}, full {full})",
 )

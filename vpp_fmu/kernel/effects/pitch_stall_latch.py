@@ -71,4 +71,5 @@ EFFECT = Effect(
     probe={"speed": 0.1, "time": 0.25},
     largest_step=0.002,
     channels=("beta",),
+    says="the pitch motor turns off when it is slower than {speed} for {time}",
 )

@@ -30,4 +30,5 @@ EFFECT = Effect(
     probe={"half_width": 0.03},
     largest_step=0.002,
     channels=("beta",),
+    says="the pitch motor is off within {half_width} of its goal",
 )

@@ -58,4 +58,5 @@ EFFECT = Effect(
     largest_step=0.002,
     contains={"pitch_stop_band": {"stop": "half_width", "restart": "half_width"}},
     channels=("beta",),
+    says="the pitch motor stops within {stop} of its goal and restarts beyond {restart}",
 )

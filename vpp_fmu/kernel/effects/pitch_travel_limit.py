@@ -51,4 +51,5 @@ EFFECT = Effect(
     probe={"minimum": 2.0 / 15.0, "maximum": 0.8},
     largest_step=0.002,
     channels=("beta",),
+    says="the blade pitch does not leave a range (least {minimum}, greatest {maximum})",
 )

@@ -32,4 +32,5 @@ EFFECT = Effect(
     off={"share": 0.0},
     probe={"share": 0.07},
     largest_step=0.002,
+    says="the thrust changes by a share of {share} as the room's air begins to circulate",
 )

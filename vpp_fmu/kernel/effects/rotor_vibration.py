@@ -43,4 +43,5 @@ EFFECT = Effect(
     probe={"amplitude": 0.1 / 15.0},
     largest_step=0.002,
     common=0.05,
+    says="the rotor shakes the load cell by {amplitude} once a revolution",
 )

@@ -69,4 +69,5 @@ EFFECT = Effect(
     inputs=(Signal("row_time", "s", "time from the row to the next", 0.0, 1e4, 0.01, clock=True),),
     largest_step=0.001,
     reading="thrust and speed",
+    says="rows of the log hold readings that are {age} rows old",
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
     off={"offset": 0.0, "rate": 0.0},
     probe={"offset": 0.1 / 15.0, "rate": 0.0002},
     reading="thrust",
+    says="the thrust reading is off by {offset} at the start and drifts by {rate}",
 )

@@ -15,4 +15,5 @@ EFFECT = Effect(
     off={"gain": 1.0},
     probe={"gain": 1.05},
     reading="thrust",
+    says="the thrust reading is {gain} times the thrust (scale error)",
 )

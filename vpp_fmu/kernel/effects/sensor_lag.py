@@ -34,4 +34,5 @@ EFFECT = Effect(
     probe={"time_constant": 0.1},
     largest_step=0.002,
     reading="thrust",
+    says="the thrust reading lags behind the thrust by {time_constant}",
 )

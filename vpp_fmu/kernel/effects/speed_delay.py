@@ -14,4 +14,5 @@ EFFECT = Effect(
     probe={"delay": 0.08},
     delays={"omega_ref": "delay"},
     channels=("omega",),
+    says="the speed command acts {delay} late (dead time)",
 )

@@ -48,4 +48,5 @@ EFFECT = Effect(
     probe={"sensitivity": 0.9},
     largest_step=0.002,
     channels=("omega",),
+    says="the rotor's time constant changes with speed, by {sensitivity}",
 )

@@ -38,4 +38,5 @@ EFFECT = Effect(
     probe={"maximum": 0.9},
     largest_step=0.002,
     channels=("omega",),
+    says="the rotor speed does not exceed {maximum} (saturation)",
 )

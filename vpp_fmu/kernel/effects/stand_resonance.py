@@ -47,4 +47,5 @@ EFFECT = Effect(
     probe={"frequency": 3.0},
     largest_step=0.002,
     reading="thrust",
+    says="the stand swings on the load cell at {frequency}",
 )

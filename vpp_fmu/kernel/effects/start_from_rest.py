@@ -36,4 +36,5 @@ EFFECT = Effect(
     probe={"wait": 0.05},
     largest_step=0.002,
     channels=("omega",),
+    says="a rotor at rest starts {wait} late",
 )

@@ -66,4 +66,5 @@ EFFECT = Effect(
     largest_step=0.002,
     contains={"speed_saturation": {"limit": "maximum"}},
     channels=("omega",),
+    says="the rotor loses speed to pitch as the supply sags, by {sag}",
 )

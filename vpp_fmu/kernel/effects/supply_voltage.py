@@ -25,4 +25,5 @@ EFFECT = Effect(
     probe={"share": 0.5},
     inputs=(Signal("voltage", "V", "supply voltage", 0.0, 1000.0, 24.0, start=24.0),),
     channels=("omega",),
+    says="the rotor speed follows the supply voltage by a share of {share}",
 )

@@ -35,4 +35,5 @@ EFFECT = Effect(
     ),
     off={"rate": 0.0},
     probe={"rate": -0.0006},
+    says="the thrust drifts by {rate} as the rig warms up",
 )

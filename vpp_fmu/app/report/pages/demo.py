@@ -6,9 +6,11 @@ from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import closed_loop, measured_against_predicted
 from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.diagnosis import add_diagnosis
+from vpp_fmu.app.report.pages.diagnosis import headline as diagnosis_headline
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed
 from vpp_fmu.app.report.pages.identification import add_found, add_static
 from vpp_fmu.app.report.pages.loop import STEP_COLUMNS, row
+from vpp_fmu.app.report.sentences import change
 from vpp_fmu.digits import number
 from vpp_fmu.response import steps
 
@@ -19,6 +21,12 @@ def key_figures(done: Demo) -> list[tuple[str, str, str]]:
     note = f"unseen record, noise of one reading {number(done.diagnosis.noise.floor)} N"
     through = ("thrust error, FMU in fmpy", f"{number(before)} → {number(after)} N", note)
     return [through if label.startswith("thrust error") else (label, *rest) for label, *rest in diagnosed(done.diagnosis)]
+
+
+def headline(done: Demo) -> str:
+    """The finding in a sentence, with the errors of the FMUs."""
+    found, errors = diagnosis_headline(done.diagnosis), change(done.rmse["before"], done.rmse["after"], "N")
+    return f"{found} Of the FMUs in fmpy: {errors}."
 
 
 def demo_page(done: Demo) -> Page:

@@ -7,7 +7,7 @@ import numpy as np
 from identification.diagnose.diagnose import UNEXPLAINED, Diagnosis
 from identification.diagnose.guess import Guess
 from identification.diagnose.judgement import ALPHA, MIN_EVIDENCE
-from identification.diagnose.learned.description import sentence
+from identification.diagnose.learned.description import sentence as described
 from identification.diagnose.search.refits import CandidateFit
 from identification.fit.noise import blocks
 from vpp_fmu.app.report.canvas import thinning
@@ -18,6 +18,7 @@ from vpp_fmu.app.report.page import Page
 from vpp_fmu.app.report.pages.effect import add_attempt, add_effects, add_learned
 from vpp_fmu.app.report.pages.identification import add_quality, quality_tile
 from vpp_fmu.app.report.pages.residual import add_residual
+from vpp_fmu.app.report.sentences import change, clause, sentence, size, thrust_error
 from vpp_fmu.app.report.summary import LEFT_OUT, NEXT, artefact, errors, summary, why_not
 from vpp_fmu.digits import chance, interval, number, signed, with_uncertainty
 
@@ -89,32 +90,46 @@ def _guess(guess: Guess) -> tuple[str, str, str]:
 
 def _finding(found: Diagnosis) -> str:
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    noise, where = f"the noise is {number(found.noise.floor)} N", _where_judged(found)
+    unseen, noise = found.unseen is not None, found.noise.floor
+    error = thrust_error(unseen, size(before, "N"), noise)
     if found.refuted:
-        return f"The best set of effects is refuted and not used: {found.refuted}. The base model is kept, {noise}."
+        return f"The best set of effects is refuted and not used: {found.refuted}. {error}"
     if found.verdict == "none":
-        return f"Nothing is missing: the thrust error {where} is {number(before)} N, {noise}."
-    if found.learned:
-        named = f"beside {' and '.join(found.learned.beside.effects)} " if found.learned.beside.effects else ""
-        text = f"A term outside the library {named}{sentence(found.learned.term)}"
-        return f"{text}. Thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
+        return f"Nothing is missing. {error}"
     if found.verdict == "unexplained" and not found.before.significant:
-        text = f"The thrust reading has a line at the rotor frequency of {number(found.before.turning.size)} N rms"
-        return f"{text}: most of the noise power ({number(found.noise.floor)} N). Nothing else is missing."
+        line = f"The thrust reading has a line at the rotor frequency of {size(found.before.turning.size, 'N')} rms"
+        return f"{line}: most of the noise power. Nothing else is missing. {error}"
     if found.verdict == "unexplained" and found.before.only_speed:
-        text = f"The measured speed deviates from the model by {number(found.before.speed_rpm)} rpm rms, and no effect of the"
-        text += f" library explains it. The thrust does not show it: its error {where} is {number(before)} N, {noise}"
-        return f"{text}. Check the speed sensor first."
-    if found.verdict == "unexplained":
-        return (
-            f"No effect of the library explains the lack of fit: thrust error {number(before)} N {where.rstrip(',')}, {noise}."
-        )
-    described = {e.name: e.description for e in found.selection.final.problem.model.effects}
-    named = [f"{name} ({described[name]})" for name in found.final.effects]
-    effects = " and ".join([*named, *(f"{name} ({described[name]}; {LEFT_OUT})" for name in found.left_out)])
-    if not found.final.effects:
-        return f"{effects}. Thrust error {where} {number(after)} N, {noise}."
-    return f"{effects}: thrust error {where} {number(before)} N before, {number(after)} N after, {noise}."
+        text = f"The measured speed deviates from the model by {size(found.before.speed_rpm, 'rpm')} rms, and no effect of the"
+        return f"{text} library explains it. The thrust does not show it. {error} Check the speed sensor first."
+    if found.verdict == "unexplained" and not found.learned:
+        return f"No effect of the library explains the lack of fit. {error}"
+    if found.final.effects:
+        error = thrust_error(unseen, change(before, after, "N"), noise)
+    doubt = " A part of the lack of fit remains unexplained." if found.verdict == "partly" else ""
+    return f"{sentence(_effects(found))}{_rivals(found)}{doubt} {error}"
+
+
+def _effects(found: Diagnosis) -> list[str]:
+    """The effects of the final model as clauses, then those that are not exported."""
+    clauses = []
+    for fit, names, remark in (
+        (found.final, found.final.effects, ""),
+        (found.selection.final, found.left_out, f" ({LEFT_OUT})"),
+    ):
+        declared = {e.name: e for e in fit.problem.model.effects}
+        for name in names:
+            if found.learned and name == found.learned.term.effect.name:
+                clauses.append(f"a term outside the library {described(found.learned.term)}")
+            else:
+                clauses.append(clause(declared[name], fit.values) + remark)
+    return clauses
+
+
+def _rivals(found: Diagnosis) -> str:
+    """Effects that the records do not distinguish from those found, as a sentence."""
+    names = sorted({other for others in found.selection.family.values() for other in others})
+    return f" These records do not distinguish it from {' or '.join(names)}." if names else ""
 
 
 def _where_judged(found: Diagnosis) -> str:
@@ -126,7 +141,7 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
     figures = []
     for effect in summary(found)["effects"]:
         if found.learned and effect["name"] == found.learned.term.effect.name and found.learned.term.lead.shape == "curve":
-            figures.append(("learned", "a curve", f"{sentence(found.learned.term)}; shown below with its 95 % band"))
+            figures.append(("learned", "a curve", f"{described(found.learned.term)}; shown below with its 95 % band"))
             continue
         for name, p in effect["parameters"].items():
             if name == "form":
@@ -138,9 +153,9 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
                 note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
             figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    change = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
+    both = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
     noise = f"noise of one reading {number(found.noise.floor)} N: {found.reading_noise.basis}"
-    figures.append((f"thrust error {_where_judged(found)}".rstrip(","), change, noise))
+    figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
     if found.given is not None:
         as_given = summary(found)["given"]["rmse_thrust"]
         note = f"thrust error on {found.shown_name}, before any fit"

@@ -25,6 +25,7 @@ from vpp_fmu.app.report.figures.parameters import correlation_heatmap, learning_
 from vpp_fmu.app.report.figures.residual import autocorrelation, cross_correlation
 from vpp_fmu.app.report.figures.time import measured_against_predicted, step_responses
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.sentences import size
 from vpp_fmu.campaign import StaticMap
 from vpp_fmu.digits import interval, number
 
@@ -39,7 +40,7 @@ _COEFFICIENT = "thrust over speed squared, T / w² [-]"
 
 def identification_page(found: Identification) -> Page:
     """The page of one identification."""
-    page = Page("Identification", "From measured records to the plant's parameters.", found.campaign.label)
+    page = Page("Identification", headline(found), found.campaign.label)
     page.tiles(key_figures(found))
     add_quality(page, found.quality)
     page.remarks(remarks(found))
@@ -55,6 +56,20 @@ def identification_page(found: Identification) -> Page:
     if found.steps is not None:
         _add_steps(page, found)
     return page
+
+
+def headline(found: Identification) -> str:
+    """The result in two sentences: the error of the prediction beside the noise, and what is not identifiable."""
+    missing = found.not_identifiable
+    known = len(found.uncertainty.names) - len({*found.uncertainty.names} & {*missing})
+    known_of = f"{known} of {len({*found.uncertainty.names, *missing})} parameters are identified"
+    shown = found.unseen or _shown(found)
+    errors = [found.predictions[name].rmse_thrust for name in shown]
+    if not errors or errors[-1] is None:
+        return f"{known_of}; there is no record to predict."
+    noise = size(found.noise.std if found.noise else None, "N")
+    word = "Unseen" if found.unseen else "Fitted"
+    return f"{word} thrust error {size(errors[-1], 'N')} on {shown[-1]}; noise {noise}. {known_of}."
 
 
 def key_figures(found: Identification) -> list[tuple[str, str, str]]:

@@ -7,6 +7,7 @@ from vpp_fmu.app.report.figures.loop import cost_ranks
 from vpp_fmu.app.report.figures.parameters import learning_curve
 from vpp_fmu.app.report.figures.time import closed_loop
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.sentences import change
 from vpp_fmu.digits import number
 
 NAMES = {"policy": "learned law", "PID": "tuned PID"}
@@ -25,6 +26,16 @@ def key_figures(found: Learned) -> list[tuple[str, str, str]]:
         ("fallback", f"{100.0 * found.fallback:.2g} %", "share of time in which the PID acts in the law's place"),
         ("search", f"{found.evaluations[-1]}", f"evaluations in {found.seconds:.0f} s, with the comparison"),
     ]
+
+
+def headline(found: Learned) -> str:
+    """The comparison in a sentence."""
+    policy, pid = (float(np.mean(found.flights[name].errors)) for name in ("policy", "PID"))
+    word = "less" if policy < pid else "more"
+    return (
+        f"The learned law has {100.0 * abs(policy / pid - 1.0):.0f} % {word} squared error than the tuned PID: "
+        f"{change(pid, policy, 's')}, mean of {len(found.flights['PID'].errors)} held-out plants."
+    )
 
 
 def learning_page(found: Learned, source: str = "") -> Page:

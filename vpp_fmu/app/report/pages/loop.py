@@ -1,6 +1,6 @@
 """The pages of the closed loop and the open loop of two records."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.loop import ADAPTED, adapted_parameters, residual_in_band
 from vpp_fmu.app.report.figures.time import closed_loop, two_records
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.sentences import DIGITS
 from vpp_fmu.comparison import Comparison
 from vpp_fmu.digits import number
 from vpp_fmu.record import QUANTITIES, Record
@@ -44,6 +45,21 @@ def sentence(step: Step) -> str:
     never = "has not settled " + ("by the end of the run" if step.last else "before the next")
     when = never if step.settling is None else f"has settled after {number(step.settling, 3)} s"
     return f"{change} {when}, overshoot {step.overshoot:.1f} %"
+
+
+def headline(found: Sequence[Step]) -> str:
+    """All steps of a run in a sentence."""
+    if not found:
+        return "The set-point is constant: there is no step to judge."
+    if len(found) == 1:
+        return f"{sentence(found[0])}."
+    missed = [step for step in found if step.settling is None]
+    if missed:
+        return f"{len(missed)} of {len(found)} steps do not settle; the first: {sentence(missed[0])}."
+    slowest, largest = max(found, key=lambda s: s.settling), max(step.overshoot for step in found)
+    change = f"{number(slowest.before, DIGITS)} to {number(slowest.after, DIGITS)} N at {number(slowest.time, DIGITS)} s"
+    within = f"{number(slowest.settling, DIGITS)} s (slowest: {change})"
+    return f"All {len(found)} steps settle within {within}; overshoot {largest:.1f} % at most."
 
 
 def add_adaptive(

@@ -16,6 +16,14 @@ UNKNOWN = 10.0
 """Ratio of standard deviation to size above which a parameter counts as unknown."""
 
 
+def headline(found: Plan) -> str:
+    """The expected accuracy in a sentence."""
+    (direction, after), paper = found.after.weakest(), _percent(found.paper.weakest()[1])
+    before = "" if found.before is None else f", from {_percent(found.before.weakest()[1])}"
+    worst = f"the weakest direction ({combination(found.after.names, direction)})"
+    return f"{_seconds(found)} s of commands determine {worst} to {_percent(after)}{before}; the paper's plan: {paper}."
+
+
 def key_figures(found: Plan) -> list[tuple[str, str, str]]:
     """Key figures (label, value, note)."""
     figures = []

@@ -1,0 +1,317 @@
+"""What each verb answers: one object for --json, valid by its schema; a sentence first; --quiet and --verbose."""
+
+import io
+import json
+import math
+import re
+import string
+import sys
+from functools import partial
+from importlib.resources import files
+
+import pytest
+from jsonschema import Draft202012Validator
+from test_allocation import points
+from test_rcbenchmark import truth, write
+
+from hil.emulator.rig import CALIBRATION
+from identification.demo import example_folder
+from identification.diagnose.diagnose import diagnose
+from vpp_fmu.app.cli import VERBS, main, parser_of
+from vpp_fmu.app.cli.answer import Answer
+from vpp_fmu.app.report.sentences import clause
+from vpp_fmu.campaign import write_static
+from vpp_fmu.files import OutputFolder
+from vpp_fmu.kernel.plant import LIBRARY, plant
+
+SCHEMAS = {path.name.removesuffix(".json"): json.loads(path.read_text()) for path in files("vpp_fmu.app.cli.schemas").iterdir()}
+EXAMPLE = str(example_folder())
+FEW = ("--effects", "pitch_command_deadband,pitch_backlash")
+SHORT = ("--parts", "static", "validation", "--points", "2", "--samples", "20", "--validation-seconds", "5")
+
+CALLS = {
+    "check": ("check", EXAMPLE, "-o", "checked"),
+    "check, template": ("check", "--template", "template"),
+    "identify": ("identify", EXAMPLE, "--starts", "1", "-o", "identified"),
+    "diagnose": ("diagnose", EXAMPLE, *FEW, "-o", "out"),
+    "diagnose, fleet": ("diagnose", "template", "template", "--effects", "pitch_backlash", "-o", "fleet"),
+    "simulate": ("simulate", f"{EXAMPLE}/validation.csv.gz", "--parameters", "out", "-o", "predicted"),
+    "compare": ("compare", f"{EXAMPLE}/validation.csv.gz", "predicted/prediction.csv", "-o", "compared"),
+    "export": ("export", "--parameters", "out", "-o", "fmus"),
+    "cosim": ("cosim", "fmus/VppPlant.fmu", "fmus/VppController.fmu", "--profile", "step.csv", "-o", "loop"),
+    "tune": ("tune", "--parameters", "identified", "--assume", "tau_beta_2=0.05", "-o", "tuned"),
+    "plan": ("plan", "--parameters", "identified", "--seconds", "20", "-o", "next"),
+    "learn": ("learn", "out", "--generations", "3", "--plants", "4", "--gains", "tuned/gains.json", "-o", "learned"),
+    "identify, power": ("identify", "power", "-o", "powered"),
+    "allocate": ("allocate", "--parameters", "powered", "--points", "5", "-o", "pairs"),
+    "effects": ("effects",),
+    "check-effect": ("check-effect", "my_effect.py"),
+    "cache": ("cache",),
+    "import-csv": ("import", "csv", "log.csv", "-o", "mine", "--as", "open_loop"),
+    "import-rcbenchmark": ("import", "rcbenchmark", "stand.csv", "-o", "stand"),
+    "hil-run": ("hil", "run", "--parameters", "out", "--twin", "--profile", "step.csv", "--virtual", "-o", "run"),
+    "hil-run, fmu": ("hil", "run", "--rig", "fmu", "fmus/VppPlant.fmu", "--profile", "step.csv", "-o", "run_fmu"),
+    "hil-campaign": ("hil", "campaign", "--virtual", *SHORT, "-o", "measured"),
+    "hil-calibrate": ("hil", "calibrate", "--virtual", "--parts", "pitch", "--answers", "answers.txt", "-o", "calibrated"),
+    "hil-selftest": ("hil", "selftest", "--virtual", "--seconds", "1", "-o", "tested"),
+    "hil-report": ("hil", "report", "RUN"),
+    "hil-replay": ("hil", "replay", "run/run.csv", "fmus/VppController.fmu", "-o", "replayed"),
+    "twin": ("twin", "day", "--virtual", "--rounds", "1", "--policy", "fixed", "--parameters", "out"),
+    "paper": ("paper", "--quick", "-o", "paper"),
+    "demo": ("demo", "-o", "demo"),
+}
+"""Words by schema, in an order in which each finds the files of those before."""
+
+SAME = {
+    "check": "checked/check.json",
+    "identify": "identified/identification.json",
+    "diagnose": "out/diagnosis.json",
+    "compare": "compared/comparison.json",
+    "tune": "tuned/tuning.json",
+    "plan": "next/plan.json",
+    "learn": "learned/learning.json",
+    "allocate": "pairs/allocation.json",
+    "import-rcbenchmark": "stand/import.json",
+    "hil-run, fmu": "run_fmu/hil.json",
+    "hil-campaign": "measured/hil.json",
+    "hil-calibrate": "calibrated/calibration.json",
+    "hil-selftest": "tested/hil.json",
+    "hil-replay": "replayed/replay.json",
+    "twin": "day/day.json",
+    "paper": "paper/paper.json",
+}
+"""Files that hold the same object."""
+
+
+def given(folder):
+    """The files of a user."""
+    (folder / "step.csv").write_text("time,thrust_set\n0,1.5\n2,12\n4,12\n")
+    rows = [f"{4 * k},{4000 + 500 * (k // 500)},{5 + (k // 250) % 2},{6 + 0.1 * math.sin(k)}" for k in range(2000)]
+    (folder / "log.csv").write_text("\n".join(["t [ms],cmd [rpm],pitch [deg],Fz [N]", *rows, ""]))
+    write(folder / "stand.csv", truth())
+    readme = (files("vpp_fmu") / ".." / "README.md").read_text()
+    (folder / "my_effect.py").write_text(re.search(r"file: my_effect.py -->\s+```python\n(.*?)```", readme, re.S)[1])
+    pitches = [f"{pitch:g}" for pitch in json.loads(CALIBRATION.read_text())["pitch"]["table"]["pitch"]["values"]]
+    (folder / "answers.txt").write_text("\n".join(["", "", *pitches, *reversed(pitches), ""]))
+
+
+class Said:
+    """All calls of CALLS, once: exit code, standard output and error, and the answer."""
+
+    def __init__(self, folder):
+        self.folder, self.calls, self.answers = folder, {}, {}
+
+    def run(self, name, monkeypatch):
+        words = [str(next((self.folder / "run").rglob("log.csv*")).parent) if w == "RUN" else w for w in CALLS[name]]
+        out, err = io.StringIO(), io.StringIO()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", out)
+            patch.setattr(sys, "stderr", err)
+            patch.setattr(Answer, "printed", self._kept(name, Answer.printed))
+            code = main([*words, "--json"])
+        self.calls[name] = code, out.getvalue(), err.getvalue()
+
+    def _kept(self, name, printed):
+        def kept(answer, options):
+            self.answers[name] = answer
+            return printed(answer, options)
+
+        return kept
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory):
+    found = Said(tmp_path_factory.mktemp("answers"))
+    given(found.folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(found.folder)
+        patch.setenv("SOURCE_DATE_EPOCH", "0")
+        (found.folder / "power").mkdir()
+        write_static(OutputFolder(found.folder / "power"), points())
+        for where, fewer in (("STARTS", (1.0,)), ("SHAKES", (0, 0))):  # the searches have tests of their own
+            patch.setattr(f"identification.tune.tune.{where}", fewer)
+        patch.setattr("identification.tune.rounds.ROUNDS", 1)
+        library = tuple(e for e in LIBRARY if e.off is None or e.name in FEW[1])
+        patch.setattr("identification.demo.diagnose", partial(diagnose, library=library))
+        for name in CALLS:
+            found.run(name, patch)
+    return found
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_json_is_one_object_that_its_schema_describes(said, name):
+    code, out, err = said.calls[name]
+    assert (code, "Traceback" in err) == (0, False), err
+    found = json.loads(out)
+    Draft202012Validator(SCHEMAS[name.partition(",")[0]]).validate(found)
+    if name in SAME:
+        assert out == (said.folder / SAME[name]).read_text()
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_a_schema_is_one_and_a_call_shows_it(name):
+    Draft202012Validator.check_schema(SCHEMAS[name])
+    assert name in {call.partition(",")[0] for call in CALLS}
+    assert SCHEMAS[name]["title"].startswith(f"vpp {name.replace('-', ' ') if name != 'check-effect' else name}: ")
+
+
+def test_every_verb_has_a_schema_but_the_one_that_prints_a_script():
+    own = {name if name == "check-effect" else name.partition("-")[0] for name in SCHEMAS}
+    assert set(VERBS) - own == {"completion"}
+
+
+def test_an_object_that_lacks_a_key_is_invalid(said):
+    """The schemas say something."""
+    for name, (_, out, _) in said.calls.items():
+        found, schema = json.loads(out), Draft202012Validator(SCHEMAS[name.partition(",")[0]])
+        assert not schema.is_valid(found | {"another": 1})
+        assert any(not schema.is_valid({k: v for k, v in found.items() if k != gone}) for gone in found)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_the_first_line_is_a_sentence(said, name):
+    text = said.answers[name].text
+    assert "\n" not in text
+    assert text.endswith(".") or name == "cache"
+    assert not re.search(r"\bnan\b|None|inf\b", text)
+    assert 15 < len(text) < 400
+
+
+def test_the_answer_of_a_diagnosis_is_the_effect_and_the_errors_of_its_file(said):
+    found = json.loads((said.folder / "out" / "diagnosis.json").read_text())
+    (effect,), before, after = found["effects"], found["before"]["rmse_thrust"], found["after"]["rmse_thrust"]
+    width, noise = effect["parameters"]["half_width"]["value"], found["noise_floor_thrust"]
+    errors = f"Unseen thrust error {before:.3f} -> {after:.3f} N; noise {noise:.3f} N."
+    wanted = f"The pitch servo ignores changes below {width:.2f} deg (dead band). {errors}"
+    assert said.answers["diagnose"].text == wanted
+    report = (said.folder / "out" / "report.html").read_text()
+    assert wanted.replace("->", "-&gt;") in report
+    unseen = json.loads((said.folder / "identified" / "identification.json").read_text())["rmse_thrust"]["validation"]
+    assert said.answers["identify"].text.startswith(f"Unseen thrust error {unseen:.3f} N on validation; noise ")
+    assert said.answers["identify"].text.replace("->", "-&gt;") in (said.folder / "identified" / "report.html").read_text()
+
+
+NUMBERS = {
+    "simulate": ("rmse_thrust",),
+    "cosim": ("steps", 0, "settling"),
+    "allocate": ("best_fixed_pitch", "value"),
+    "learn": ("held_out", "policy", "squared_error_mean"),
+    "tune": ("controllers", "dual", "tuned", "cost"),
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_the_first_line_has_the_object_s_number_in_three_digits(said, name):
+    found = json.loads(said.calls[name][1])
+    for key in NUMBERS[name]:
+        found = found[key]
+    shown = [float(x) for x in re.findall(r"\d+\.?\d*", said.answers[name].text)]
+    assert any(x == pytest.approx(found, rel=6e-3) for x in shown)
+
+
+def test_the_rig_s_lines_say_the_loop_and_the_log(said):
+    assert "settled after" in said.answers["hil-run"].text
+    assert "0 lost" in said.answers["hil-campaign"].text
+    assert "open_loop.csv: 2000 rows over 8.00 s, thrust 5.90 to 6.10 N" in said.answers["import-csv"].text
+    assert re.match(r"1 rounds?, ", said.answers["twin"].text)
+
+
+@pytest.mark.parametrize(
+    "words", [("simulate", "nowhere.csv", "--parameters", "out"), ("hil", "run", "--profile", "nowhere.csv")]
+)
+def test_an_error_with_json_is_one_line_and_no_object(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "--json"]) == 2
+    found = capsys.readouterr()
+    assert (found.out, found.err.count("\n")) == ("", 1)
+    assert "found no such file, expected a file that exists" in found.err
+
+
+def test_findings_that_forbid_a_fit_are_the_object_and_the_error(said, monkeypatch, capsys):
+    monkeypatch.chdir(said.folder)
+    (said.folder / "bad").mkdir()
+    rows = [f"{0.004 * k:.3f},4000,5,{7.0}" for k in range(2000)]
+    (said.folder / "bad" / "open_loop.csv").write_text("\n".join(["time,omega_ref,beta_ref,thrust", *rows, ""]))
+    assert main(["check", "bad", "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out)["errors"] > 0
+    Draft202012Validator(SCHEMAS["check"]).validate(json.loads(out))
+    assert re.search(r"quality: found \d+ errors?: .* expected no errors", err)
+
+
+SMALL = ("identify", "template", "--starts", "1", "-o", "again")
+
+
+def test_quiet_prints_the_answer_alone(said, monkeypatch, capsys):
+    monkeypatch.chdir(said.folder)
+    for words in (("--quiet", *SMALL), (*SMALL, "--quiet"), ("hil", "--quiet", *CALLS["hil-run, fmu"][1:])):
+        assert main([*words]) == 0
+        out, err = capsys.readouterr()
+        assert (out.count("\n"), err) == (1, "")
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_quiet_shows_no_progress_on_a_terminal(said, monkeypatch, quiet):
+    monkeypatch.chdir(said.folder)
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    assert main([*SMALL, *["--quiet"] * quiet]) == 0
+    assert bool(screen.getvalue()) != quiet
+
+
+def test_verbose_adds_the_notes_of_the_figures(said, monkeypatch, capsys):
+    monkeypatch.chdir(said.folder)
+    shown = []
+    for more in ((), ("--verbose",)):
+        assert main([*SMALL, *more]) == 0
+        shown.append(capsys.readouterr().out.splitlines())
+    assert shown[0][0] == shown[1][0]
+    assert [sum(line.startswith("noise of one reading: ") and line.endswith(")") for line in lines) for lines in shown] == [
+        0,
+        1,
+    ]
+    assert "written to again" in shown[0]
+
+
+def test_quiet_and_verbose_are_refused_together(capsys):
+    assert main(["cache", "--quiet", "--verbose"]) == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+def test_a_script_for_a_shell_is_no_object(capsys):
+    assert main(["completion", "bash", "--json"]) == 2
+    assert "unrecognized arguments: --json" in capsys.readouterr().err
+
+
+def test_the_levels_are_options_of_every_verb_and_of_its_parts():
+    for verb in VERBS:
+        parser = parser_of(verb)[0]
+        below = [p for a in parser._actions if isinstance(a.choices, dict) for p in a.choices.values()]
+        for each in (parser, *below):
+            assert {"--quiet", "--verbose"} <= {name for a in each._actions for name in a.option_strings}
+
+
+OPTIONAL = [e for e in LIBRARY if e.off is not None]
+
+
+@pytest.mark.parametrize("effect", OPTIONAL, ids=lambda e: e.name)
+def test_an_effect_says_its_own_sizes_with_their_units(effect):
+    fields = [name for _, name, _, _ in string.Formatter().parse(effect.says) if name]
+    assert effect.says
+    assert set(fields) <= {p.name for p in effect.parameters}
+    assert set(fields) & set(effect.probe) or not effect.probe
+    values = plant([effect.name]).values({effect.full(n): v for n, v in effect.probe.items()})
+    said = clause(effect, values)
+    units = {p.name: p.unit for p in effect.parameters}
+    shown = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e[+-]\d+)?", said)]
+    for name in fields:
+        size = values[effect.full(name)]
+        assert "no limit" in said or any(x == pytest.approx(size, rel=6e-3) for x in shown)
+        assert "no limit" in said or units[name] == "1" or units[name] in said
+    assert said.isascii()
+    assert said[0].islower()

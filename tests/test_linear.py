@@ -1,0 +1,130 @@
+"""The linear plant of a result: against the lags and slopes in closed form, the compiled simulator, and other tools."""
+
+import sys
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+from scipy.signal import lsim
+
+from vpp_fmu.app.api.linear import Linearisable, linearised
+from vpp_fmu.app.api.results import DiagnoseResult, IdentifyResult
+from vpp_fmu.errors import BadInput, ExtraMissing
+from vpp_fmu.kernel.plant import plant
+from vpp_fmu.native import Simulator
+from vpp_fmu.parameters import ParameterSet
+
+SPEEDS, PITCHES = (2500.0, 4000.0, 5800.0), (-4.0, 1.0, 9.0)
+POINTS = [(omega, beta) for omega in SPEEDS for beta in PITCHES]
+
+
+class Found(Linearisable):
+    def __init__(self, *effects):
+        self.held = ParameterSet(plant(effects)).replaced({"tau_omega_1": 0.21, "tau_beta_2": 0.13, "c12": -0.2})
+
+    @property
+    def parameters(self):
+        return self.held
+
+
+def thrust(v, omega, beta):
+    """The paper's eq. 8 in N."""
+    w, b = omega / v["omega_scale"], (beta + v["beta_offset"]) / v["beta_scale"]
+    terms = v["c20"] * w**2 + v["c11"] * w * b + v["c21"] * w**2 * b + v["c12"] * w * b**2 + v["c30"] * w**3
+    return v["thrust_scale"] * terms
+
+
+@pytest.mark.parametrize(("omega", "beta"), POINTS)
+def test_the_frequency_response_is_two_lags_times_the_slope_of_the_map(omega, beta):
+    found, v = Found(), Found().parameters.values
+    at = np.geomspace(0.01, 300.0, 50)
+    h = {"omega": 1e-2, "beta": 1e-4}
+    slopes = {
+        "omega": (thrust(v, omega + h["omega"], beta) - thrust(v, omega - h["omega"], beta)) / (2.0 * h["omega"]),
+        "beta": (thrust(v, omega, beta + h["beta"]) - thrust(v, omega, beta - h["beta"])) / (2.0 * h["beta"]),
+    }
+    system = found.to_scipy(omega, beta)
+    for k, (u, slope) in enumerate(slopes.items()):
+        lags = 1.0 / ((1.0 + 1j * at * v[f"tau_{u}_1"]) * (1.0 + 1j * at * v[f"tau_{u}_2"]))
+        response = [(system.C @ np.linalg.solve(1j * each * np.eye(4) - system.A, system.B[:, k]))[0] for each in at]
+        np.testing.assert_allclose(response, slope * lags, rtol=1e-6)
+    assert linearised(v, omega, beta).thrust == pytest.approx(thrust(v, omega, beta), rel=1e-12)
+
+
+@pytest.mark.parametrize(("omega", "beta"), POINTS)
+def test_a_small_step_is_the_compiled_simulators(omega, beta):
+    """The error of the linear plant vanishes with the square of the step, the response with the step."""
+    found, dt, rows = Found(), 0.004, 500
+    model, values = found.parameters.model, found.parameters.values
+    system, time, errors = found.to_scipy(omega, beta), np.arange(rows) * dt, []
+    for size in (1e-3, 1e-4):
+        moves = size * np.array([values["omega_scale"], values["beta_scale"]])
+        inputs = {"omega_ref": np.full(rows, omega), "beta_ref": np.full(rows, beta)}
+        inputs["omega_ref"][1:] += moves[0]
+        inputs["beta_ref"][1:] += moves[1]
+        shown = Simulator(model).simulate(values, inputs, np.full(rows - 1, dt))[:, 0]
+        _, linear, _ = lsim(system, np.tile(moves, (rows, 1)), time)
+        difference = shown[1:] - shown[0] - linear[:-1]
+        errors.append(np.abs(difference).max())
+        assert errors[-1] < 0.02 * np.abs(linear).max()
+    assert errors[1] < 0.02 * errors[0]
+
+
+def test_python_control_has_the_same_system_with_names():
+    control = pytest.importorskip("control", reason="python-control is not installed")
+    found = Found()
+    system, other = found.to_control(4000.0, 2.0), found.to_scipy(4000.0, 2.0)
+    assert isinstance(system, control.StateSpace)
+    assert (system.input_labels, system.output_labels) == (["omega_ref", "beta_ref"], ["thrust"])
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(system, name), getattr(other, name))
+    gain = other.C @ np.linalg.solve(-other.A, other.B)
+    np.testing.assert_allclose(system.dcgain(), gain)
+
+
+def test_without_python_control_one_line_says_what_installs_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(ExtraMissing, match="pip install control"):
+        Found().to_control(4000.0, 2.0)
+
+
+def test_effects_are_named_as_left_out():
+    with pytest.warns(UserWarning, match="not part of the linear model: pitch_command_deadband"):
+        Found("pitch_command_deadband").to_scipy(4000.0, 2.0)
+
+
+@pytest.mark.parametrize(("point", "said"), [((-1.0, 2.0), "omega: found -1 rpm"), ((4000.0, 200.0), "beta: found 200 deg")])
+def test_a_point_that_no_rig_has_is_refused(point, said):
+    with pytest.raises(BadInput, match=f"working point: {said}, expected "):
+        Found().to_scipy(*point)
+
+
+def test_a_mat_file_has_the_matrices_the_parameters_and_their_units(tmp_path):
+    found = Found()
+    path = found.save_mat(tmp_path / "rig.mat", 4000.0, 2.0)
+    held, system = loadmat(path, simplify_cells=True), found.to_scipy(4000.0, 2.0)
+    for name in "ABCD":
+        np.testing.assert_array_equal(np.atleast_2d(held[name]), getattr(system, name))
+    values = found.parameters.values
+    assert held["coefficients"] == {name: values[name] for name in ("c20", "c11", "c21", "c12", "c30")}
+    assert {*held["scales"]} == {"omega_scale", "beta_scale", "beta_offset", "thrust_scale"}
+    assert (held["parameters"]["tau_beta_2"], held["units"]["tau_beta_2"]) == (values["tau_beta_2"], "s")
+    assert held["point"]["thrust"] == pytest.approx(thrust(values, 4000.0, 2.0))
+    script = (tmp_path / "rig.m").read_text()
+    assert script.startswith("% Not run")
+    assert "load('rig.mat')" in script
+    with pytest.raises(BadInput, match="name: found my rig"):
+        found.save_mat(tmp_path / "my rig.mat", 4000.0, 2.0)
+
+
+def test_an_effects_parameter_has_a_name_that_matlab_takes(tmp_path):
+    with pytest.warns(UserWarning, match="pitch_delay"):
+        path = Found("pitch_delay").save_mat(tmp_path / "rig", 4000.0, 2.0)
+    held = loadmat(path, simplify_cells=True)
+    assert held["units"]["pitch_delay__delay"] == "s"
+    assert held["effects"] == "pitch_delay"
+
+
+def test_identify_and_diagnose_give_it():
+    assert issubclass(IdentifyResult, Linearisable)
+    assert issubclass(DiagnoseResult, Linearisable)

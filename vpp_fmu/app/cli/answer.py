@@ -1,0 +1,97 @@
+"""What a verb answers, and how much of it is printed: the same for all verbs.
+
+The first line is the finding in a sentence; warnings and figures follow. --quiet prints the first line only, --verbose all
+notes, --json the answer's object alone on standard output, with everything else on standard error.
+"""
+
+import argparse
+import contextlib
+import sys
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any, TextIO
+
+from vpp_fmu.errors import VppError
+from vpp_fmu.record import RecordWarning
+from vpp_fmu.structured import as_json
+
+SCHEMAS = files("vpp_fmu.app.cli") / "schemas"
+"""A JSON Schema for each verb's object, by the verb's name: `hil-run.json` for `vpp hil run`."""
+
+LEVELS = {"json": False, "quiet": False, "verbose": False}
+"""The options of `add_levels`, as they are without any."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """`text`: the finding in a sentence. `content`: the object of --json, as in the verb's JSON file. `lines`: warnings, and
+    all else that must be seen; `figures`: (label, value, note); `more`: lines for --verbose only; `written`: the output's.
+    `failure`: an error that the finding is, raised after it is printed."""
+
+    text: str
+    content: Mapping[str, Any]
+    lines: Sequence[str] = ()
+    figures: Sequence[tuple[str, str, str]] = ()
+    more: Sequence[str] = ()
+    written: Sequence[str] = ()
+    failure: VppError | None = None
+
+    def printed(self, options: argparse.Namespace) -> Iterator[str]:
+        """The lines for standard output."""
+        if options.json:
+            yield as_json(dict(self.content)).rstrip("\n")
+            return
+        yield self.text
+        if options.quiet:
+            return
+        yield from self.lines
+        for label, value, note in self.figures:
+            yield f"{label}: {value}" + (f" ({note})" if note and options.verbose else "")
+        yield from self.more if options.verbose else ()
+        yield from self.written
+
+
+def add_levels(parser, answers: bool) -> None:
+    """The options of how much is printed. `answers`: whether the verb has an object to print."""
+    if answers:
+        parser.add_argument("--json", **_flag("print one JSON object and nothing else on standard output"))
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--quiet", **_flag("print the answer and errors only: no progress, no figures, no hints"))
+    either.add_argument("--verbose", **_flag("print all figures with their notes"))
+
+
+def _flag(text: str) -> dict[str, Any]:
+    return {"action": "store_true", "default": argparse.SUPPRESS, "help": text}  # a parser below does not reset it
+
+
+def say(options: argparse.Namespace, text: str) -> None:
+    """Print a line about the work on standard error; not with --quiet."""
+    if not options.quiet:
+        print(text, file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def level(options: argparse.Namespace) -> Iterator[None]:
+    """Standard output is the answer's with --json, and no progress is shown with --quiet, for as long as the context lasts."""
+    with contextlib.ExitStack() as stack:
+        if options.json:
+            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        if options.quiet:
+            warnings.simplefilter("ignore", RecordWarning)
+            stack.enter_context(contextlib.redirect_stderr(_NoTerminal(sys.stderr)))
+        yield
+
+
+class _NoTerminal:
+    """A stream on which progress bars keep silent, as in a pipe."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def isatty(self) -> bool:
+        return False

@@ -1,0 +1,41 @@
+"""Findings as sentences: the first line of a verb and the first screen of its report, plain text in ASCII, three digits."""
+
+from collections.abc import Mapping, Sequence
+
+from vpp_fmu.digits import number
+from vpp_fmu.kernel.types import Effect, Parameter
+
+DIGITS = 3
+
+
+def size(value: float | None, unit: str = "1") -> str:
+    """A value with its unit."""
+    return f"{number(value, DIGITS)} {unit}".removesuffix(" 1")
+
+
+def change(before: float | None, after: float | None, unit: str) -> str:
+    """A value before and after: "0.182 -> 0.132 N"."""
+    return f"{number(before, DIGITS)} -> {size(after, unit)}"
+
+
+def clause(effect: Effect, values: Mapping[str, float]) -> str:
+    """An effect in words with its sizes; `values`: parameters by full name."""
+    if not effect.says:
+        return effect.description
+    return effect.says.format_map({p.name: _shown(p, values[effect.full(p.name)]) for p in effect.parameters})
+
+
+def sentence(clauses: Sequence[str]) -> str:
+    """Clauses as one sentence."""
+    text = ", and ".join(clauses)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def thrust_error(unseen: bool, values: str, noise: float | None) -> str:
+    """The thrust error beside the noise, as a sentence; `values` in words."""
+    of = "Unseen" if unseen else "Cross-validated"
+    return f"{of} thrust error {values}; noise {size(noise, 'N')}."
+
+
+def _shown(parameter: Parameter, value: float) -> str:
+    return "no limit" if value == parameter.unlimited else size(value, parameter.unit)
