@@ -128,7 +128,7 @@ def test_prediction_compares_equal_with_itself(exported, tmp_path, capsys):
     [
         (["identfy", "mine"], "Did you mean identify?"),
         (["plan", "--parm", "out"], "Did you mean --parameters?"),
-        (["hil", "run", "--proflie", "step.csv"], "Did you mean --profile?"),
+        (["hil", "run", "--profil-e", "step.csv"], "Did you mean --profile?"),
         (["hil", "campain"], "Did you mean campaign?"),
         (["diagnose", "mine", "--effects", "pitch_backlsh"], "Did you mean pitch_backlash?"),
     ],

@@ -178,7 +178,7 @@ def test_the_reward_is_its_formula_and_can_be_another():
 
 
 def test_a_limit_of_the_rig_ends_the_episode_and_costs():
-    strong = ParameterSet(plant()).replaced({"c20": 0.9})  # more than 15 N at full speed and pitch
+    strong = ParameterSet(plant()).replaced({"c20": 1.5})  # more than 25 N at full speed and pitch
     env = VppThrustEnv(parameters=strong, seconds=5.0)
     env.reset(seed=0)
     ended = False

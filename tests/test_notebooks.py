@@ -90,3 +90,13 @@ def test_an_effect_of_ones_own(tmp_path):
     shown, whole = 1.0 + share * (1.0 - 2.718281828 ** (-1.0 / time_constant)), 1.0 + share
     whole_step, seen_step = (crept - before) / whole, stepped - before
     assert seen_step / whole_step == pytest.approx(shown, rel=0.02)
+
+
+def test_a_learned_controller(tmp_path):
+    """The environment rewards a law that sees the error; the learned one flies the emulated rig to its end."""
+    asked = "(sorted(rewards, key=rewards.get), observation.shape, code, sorted(p.name for p in Path('policy').iterdir()),"
+    asked += " len(list(Path('flight').glob('runs/*/run.csv'))))"
+    order, observed, code, files, runs = run("campaign_to_policy.ipynb", tmp_path, asked, GENERATIONS="3")
+    assert order == ["random", "PI"]
+    assert (observed, code, runs) == ((3,), 0, 1)
+    assert {"policy.json", "learning_curve.csv", "report.html"} <= set(files)

@@ -3,10 +3,12 @@ from vpp_fmu.app.api.objects import example_campaign as example_campaign
 from vpp_fmu.app.api.objects import read_campaign as read_campaign
 from vpp_fmu.app.api.objects import read_parameters as read_parameters
 from vpp_fmu.app.api.objects import read_record as read_record
+from vpp_fmu.app.api.verbs import allocate as allocate
 from vpp_fmu.app.api.verbs import check as check
 from vpp_fmu.app.api.verbs import diagnose as diagnose
 from vpp_fmu.app.api.verbs import export_fmu as export_fmu
 from vpp_fmu.app.api.verbs import identify as identify
+from vpp_fmu.app.api.verbs import learn as learn
 from vpp_fmu.app.api.verbs import plan as plan
 from vpp_fmu.app.api.verbs import run_loop as run_loop
 from vpp_fmu.app.api.verbs import simulate as simulate

@@ -127,8 +127,9 @@ def allocate(parameters: ParameterSet, power: PowerModel, weight: float = 0.0, c
     if most <= 0.0:
         raise BadInput("parameters", "settled thrust", f"at most {most:.4g} N within the rig's limits", "more than 0 N")
     thrusts = np.linspace(max(float(grid.min()), 0.0), most, count + 1)[1:]
-    none = np.zeros(len(power.names))
-    draws = np.random.default_rng(seed).multivariate_normal(none, power.covariance, DRAWS, method="eigh")
+    none, draws = np.zeros(len(power.names)), np.zeros((DRAWS, len(power.names)))
+    if len(none):
+        draws = np.random.default_rng(seed).multivariate_normal(none, power.covariance, DRAWS, method="eigh")
 
     def cost(watts, reserve):
         return (1.0 - weight) * watts / highest - weight * reserve / most

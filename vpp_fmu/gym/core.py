@@ -81,7 +81,7 @@ class Core:
         self._at = np.minimum(self._at + 1, task.actions)
         self._read()
         thrust, omega, beta = self._sample
-        exceeded = task.exceeded(thrust, omega, beta)
+        exceeded = task.exceeded(thrust, omega)
         travel = np.abs(self._commands - before) / self._range
         moment = Moment(wanted, thrust, omega, beta, *travel, task.period, task.rig.scales.thrust_scale, exceeded)
         return np.asarray(task.reward(moment), float), exceeded, (self._at >= task.actions) & ~exceeded

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hil.safety.limits import Limits, limits_of
 from identification.assessment.information import read_knowledge, read_noise
 from identification.tune.draws import Posterior
 from vpp_fmu.errors import BadInput
@@ -22,9 +23,6 @@ RATE, ABSOLUTE = "rate", "absolute"
 
 HOLDS = 2.0, 6.0
 """Shortest and longest hold of a random set-point, in time scales of the rig: a step takes about one."""
-
-MARGIN = 0.02
-"""A limit counts as exceeded beyond this share of its range: commands reach the limits, and a channel may overshoot."""
 
 QUICK = 5.0
 """Ranges per second that a command moves at most where actions are rates and the rig declares no slew rate."""
@@ -178,19 +176,13 @@ class Task:
         levels = rng.uniform(*self.reach, most)
         return levels[np.searchsorted(ends, self.period * np.arange(self.actions + 1), side="right")]
 
-    def exceeded(self, thrust: np.ndarray, omega: np.ndarray, beta: np.ndarray) -> np.ndarray:
-        """Whether thrust [N], speed [rpm] or pitch [deg] are beyond the rig's range; the speed may be below, as at a start."""
-        found = np.zeros(len(thrust), bool)
-        for values, (low, high), lowest in (
-            (thrust, self.rig.thrust, True),
-            (omega, self.rig.speed, False),
-            (beta, self.rig.pitch, True),
-        ):
-            margin = MARGIN * max(high - low, 1e-9)
-            found |= values > high + margin
-            if lowest:
-                found |= values < low - margin
-        return found | ~np.isfinite(thrust)
+    def exceeded(self, thrust: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        """Whether thrust [N], of either sign, or speed [rpm] stops the rig, as `hil.safety.limits` has it."""
+        return (np.abs(thrust) >= self._trips.thrust_trip) | (omega >= self._trips.omega_trip) | ~np.isfinite(thrust)
+
+    @cached_property
+    def _trips(self) -> Limits:
+        return limits_of(self.rig, "vpp_fmu.gym")
 
 
 def _check(field_name: str, found: object, good: bool, allowed: str) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 from plotly import graph_objects as go
 
 from identification.assessment.prediction import Prediction
@@ -12,23 +13,33 @@ from identification.assessment.quality import rmse
 from identification.diagnose.diagnose import Diagnosis
 from identification.identify import Identification
 from identification.plan.plan import Plan
+from identification.power.allocation import COLUMNS, Allocation, allocated_controller, table
+from identification.tune.learn import Learned
 from identification.tune.summary import key_figures as tuned_figures
 from identification.tune.summary import summary as tuning_summary
 from identification.tune.tune import Tuning
 from vpp_fmu.app.api.linear import Linearisable
 from vpp_fmu.app.api.objects import PathLike
+from vpp_fmu.app.cli.allocate import summary as allocation_summary
+from vpp_fmu.app.cli.allocate import write_allocation
 from vpp_fmu.app.cli.check import Checked, write_check
 from vpp_fmu.app.cli.diagnose import write_diagnosis
 from vpp_fmu.app.cli.identify import write_identification
+from vpp_fmu.app.cli.learn import summary as learning_summary
+from vpp_fmu.app.cli.learn import write_learning
 from vpp_fmu.app.cli.plan import remarks_on, write_plan
 from vpp_fmu.app.cli.tune import gains_of, write_tuning
 from vpp_fmu.app.report.canvas import thinning
 from vpp_fmu.app.report.figures.time import measured_against_predicted
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.pages.allocation import allocation_page
+from vpp_fmu.app.report.pages.allocation import key_figures as allocation_figures
 from vpp_fmu.app.report.pages.diagnosis import diagnosis_page
 from vpp_fmu.app.report.pages.diagnosis import key_figures as diagnosed_figures
 from vpp_fmu.app.report.pages.identification import identification_page
 from vpp_fmu.app.report.pages.identification import key_figures as identified_figures
+from vpp_fmu.app.report.pages.learning import key_figures as learned_figures
+from vpp_fmu.app.report.pages.learning import learning_page
 from vpp_fmu.app.report.pages.loop import loop_page
 from vpp_fmu.app.report.pages.plan import key_figures as planned_figures
 from vpp_fmu.app.report.pages.plan import plan_page
@@ -40,6 +51,7 @@ from vpp_fmu.files import OutputFolder
 from vpp_fmu.notebook import table_html
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.policy import Policy
 from vpp_fmu.record import Record, write_record
 from vpp_fmu.response import Step, steps
 
@@ -272,6 +284,71 @@ class TuneResult(Result):
 
     def _write(self, folder: OutputFolder) -> None:
         write_tuning(folder, self.found)
+
+
+class AllocateResult(Result):
+    """The pair of speed and pitch of least power for each thrust. `found`: the whole allocation."""
+
+    verb = "allocate"
+
+    def __init__(self, found: Allocation):
+        self.found = found
+
+    @property
+    def pairs(self) -> dict[str, np.ndarray]:
+        """Columns of allocation.csv, (thrusts,) each: `thrust` [N], `omega` [rpm], `beta` [deg], `power` [W], 95 % limits."""
+        return dict(zip(COLUMNS, np.array(table(self.found)).T, strict=True))
+
+    @property
+    def gains(self) -> ParameterSet:
+        """The controller that rests on these pairs (mode 2), for export_fmu and run_loop."""
+        return allocated_controller(self.found, self.found.model.parameters)
+
+    @property
+    def identity(self) -> str:
+        return self.found.model.parameters.identity
+
+    def key_figures(self) -> KeyFigures:
+        return allocation_figures(self.found)
+
+    def to_dict(self) -> dict[str, Any]:
+        return allocation_summary(self.found)
+
+    def page(self) -> Page:
+        return allocation_page(self.found, self.found.model.parameters.label)
+
+    def _write(self, folder: OutputFolder) -> None:
+        write_allocation(folder, self.found)
+
+
+class LearnResult(Result):
+    """A learned control law beside the tuned PID. `found`: the search, and the comparison on held-out plants."""
+
+    verb = "learn"
+
+    def __init__(self, found: Learned, parameters: ParameterSet):
+        self.found, self._parameters = found, parameters
+
+    @property
+    def policy(self) -> Policy:
+        """The law, for export_fmu."""
+        return self.found.policy
+
+    @property
+    def identity(self) -> str:
+        return self._parameters.identity
+
+    def key_figures(self) -> KeyFigures:
+        return learned_figures(self.found)
+
+    def to_dict(self) -> dict[str, Any]:
+        return learning_summary(self.found)
+
+    def page(self) -> Page:
+        return learning_page(self.found, self._parameters.label)
+
+    def _write(self, folder: OutputFolder) -> None:
+        write_learning(folder, self.found, self._parameters.label)
 
 
 class SimulateResult(Result):

@@ -8,22 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from identification.assessment.information import read_knowledge
+from identification.assessment.information import read_knowledge, read_noise
 from identification.assessment.prediction import predict
 from identification.diagnose import diagnose as diagnosing
 from identification.fit.problem import Prior
 from identification.gate.finding import check_accepted
 from identification.identify import identify as identified
 from identification.plan.plan import plan as planned
+from identification.power.allocation import allocate as allocated
+from identification.power.model import PowerModel
 from identification.tune.controllers import controllers, rig_controller
+from identification.tune.learn import learn as learned
 from identification.tune.profile import rig_profile
 from identification.tune.tune import Task
 from identification.tune.tune import tune as tuned
 from vpp_fmu.app.api.objects import PathLike, as_campaign, as_gains, as_parameters, as_record, changed
 from vpp_fmu.app.api.results import (
+    AllocateResult,
     CheckResult,
     DiagnoseResult,
     IdentifyResult,
+    LearnResult,
     LoopResult,
     PlanResult,
     Result,
@@ -32,6 +37,7 @@ from vpp_fmu.app.api.results import (
 )
 from vpp_fmu.app.cli.check import checked
 from vpp_fmu.app.cli.export import exported
+from vpp_fmu.app.cli.learn import task_of
 from vpp_fmu.campaign import Campaign
 from vpp_fmu.errors import BadInput
 from vpp_fmu.export.description import AUTHOR
@@ -41,8 +47,9 @@ from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.kernel.types import Effect
 from vpp_fmu.loop import run
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import ParameterSet
+from vpp_fmu.parameters import ParameterSet, beside, parameters_file
 from vpp_fmu.plants import USUAL_STEP, Controller, FmuController, FmuPlant, KernelController, KernelPlant, Plant
+from vpp_fmu.policy import Policy, read_policy
 from vpp_fmu.rig import Rig, declared_rig
 
 FLAVOURS = {"python": ("python",), "native": ("native",), "both": ("python", "native")}
@@ -236,6 +243,71 @@ def tune(
     return TuneResult(tuned(task, own.settings, workers))
 
 
+def allocate(parameters: Any, weight: float = 0.0, points: int = 41, seed: int = 0) -> AllocateResult:
+    """Find for each thrust the pair of speed and pitch of least power, from parameters with torque or power.
+
+    `parameters`: a file, a set or a result; the covariance of the power's parameters is that of the identification.json beside
+    the file, or of the result. `weight`: 0 for the least power, 1 for the largest reserve of thrust by pitch alone, between:
+    both. `points`: number of thrusts. BadInput: parameters without power, or an argument out of its range.
+
+    >>> from vpp_fmu.kernel.plant import plant
+    >>> known = vpp.ParameterSet(plant(("power_map",))).replaced({"power_map.p30": 40.0, "power_map.p32": 160.0})
+    >>> found = vpp.allocate(known, points=20)
+    >>> len(found.pairs["power"]), found.gains.values["mode"]
+    (20, 2.0)
+    """
+    for name, value, low, high in (("weight", weight, 0.0, 1.0), ("points", points, 2, 1000)):
+        if not low <= value <= high:
+            raise BadInput("allocate", name, value, f"{low:g} to {high:g}")
+    held = as_parameters(parameters)
+    fit = getattr(getattr(parameters, "found", None), "power", None)
+    file = beside(parameters_file(parameters)) if isinstance(parameters, str | os.PathLike) else None
+    power = PowerModel(held, fit.names, fit.covariance) if fit else PowerModel.of(held, file)
+    return AllocateResult(allocated(held, power, weight, points, seed))
+
+
+def learn(
+    parameters: Any,
+    generations: int = 1000,
+    hidden: int = 6,
+    plants: int = 100,
+    gains: Any = None,
+    seed: int = 0,
+    effects_from: Iterable[PathLike] = (),
+) -> LearnResult:
+    """Learn a control law, a network of `hidden` units, on plants drawn from the parameters' uncertainty; compare it with the
+    tuned PID on `plants` held-out ones.
+
+    `parameters`: a file, a set or a result of identify, whose covariance and noise are used. `generations` of the search: 1000
+    take a minute. `gains`: the PID to compare with and to fall back on; None: tuned here. BadInput: an argument out of its
+    range, or parameters without a range of speed or pitch.
+
+    >>> found = vpp.learn(vpp.identify(vpp.example_campaign(), starts=1), generations=2, plants=2, gains={})
+    >>> found.save("policy").joinpath("policy.json").exists(), found.policy.size
+    (True, (8, 6, 2))
+    """
+    for name, value, low, high in (
+        ("generations", generations, 1, 10**6),
+        ("hidden", hidden, 1, 64),
+        ("plants", plants, 2, 10**4),
+    ):
+        if not low <= value <= high:
+            raise BadInput("learn", name, value, f"{low:g} to {high:g}")
+    files = tuple(os.fspath(path) for path in effects_from)
+    held, prior, noise = as_parameters(parameters, files), None, 0.0
+    if isinstance(parameters, IdentifyResult):
+        own = parameters.found.uncertainty
+        prior = Prior(own.names, own.values, own.covariance)
+        noise = parameters.found.noise.std if parameters.found.noise else 0.0
+    elif isinstance(parameters, str | os.PathLike) and (known := beside(parameters_file(parameters))).is_file():
+        prior, noise = read_knowledge(known)[0], (read_noise(known) or (0.0,))[0]
+    given = None if gains is None else as_gains(gains)
+    task, settings = task_of(
+        *(held, (given, "gains")), knowledge=prior, noise_std=noise, overshoot=0.05, seed=seed, effects_from=files
+    )
+    return LearnResult(learned(task, settings, hidden, generations, plants), held)
+
+
 def simulate(record: Any, parameters: Any, effects_from: Iterable[PathLike] = ()) -> SimulateResult:
     """The model's open-loop response to the commands of a record: thrust [N], speed [rpm], pitch [deg], each (n,).
 
@@ -260,8 +332,11 @@ def export_fmu(
     fmi: str = "2.0",
     author: str = AUTHOR,
     effects_from: Iterable[PathLike] = (),
+    policy: PathLike | Policy | LearnResult | None = None,
 ) -> dict[str, Path]:
     """Write VppPlant and VppController as FMUs, with parameter values (.ssv), reference files and their loop (.ssp).
+
+    `policy`: a learned law in the controller's place, as VppPolicy; `gains` are then what it falls back on.
 
     `gains`: the controller's (a file, a set, values by name; None: the published ones, scaled to the rig's time constant),
     within the limits of the parameters' rig. `flavour`: "python", "native" (compiled C without Python) or "both".
@@ -281,7 +356,11 @@ def export_fmu(
     ):
         if found not in allowed:
             raise BadInput("export_fmu", name, found, f"{' or '.join(allowed)} with flavour {flavour}")
-    parts = [held, rig_controller(held, None if gains is None else as_gains(gains), "gains")]
+    controller = rig_controller(held, None if gains is None else as_gains(gains), "gains")
+    if policy is not None:
+        law = policy.policy if isinstance(policy, LearnResult) else policy
+        controller = (law if isinstance(law, Policy) else read_policy(law)).in_place_of(controller)
+    parts = [held, controller]
     target = OutputFolder(folder)
     files = exported(parts, FLAVOURS[flavour], platforms, author, fmi)
     return {name: target.write(name, content) for name, content in files.items()}

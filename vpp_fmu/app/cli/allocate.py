@@ -2,16 +2,19 @@
 
 gains.json is a controller that comes to rest on these pairs (mode 2), for vpp export --gains and vpp cosim."""
 
+import os
+
 from identification.power.allocation import COLUMNS, Allocation, allocate, allocated_controller, table
 from identification.power.model import PowerModel
 from vpp_fmu.app.cli.answer import Answer
 from vpp_fmu.app.cli.options import SEED, Number, whole
 from vpp_fmu.app.cli.output import add_effects_from, add_output, dated, written
 from vpp_fmu.app.report.pages.allocation import allocation_page, headline, key_figures
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import beside, parameters_file, read_parameters, to_json
+from vpp_fmu.parameters import ParameterSet, beside, parameters_file, read_parameters, to_json
 from vpp_fmu.structured import as_json
 
 EXAMPLE = "vpp allocate --parameters out/parameters.json -o pairs"
@@ -39,15 +42,19 @@ def run(options):
     power = PowerModel.of(parameters, beside(options.parameters))
     found = allocate(parameters, power, options.weight, options.points, options.seed)
     folder = OutputSet(options.output, "allocate")
+    write_allocation(folder, found, parameters=(options.parameters, parameters))
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
+
+
+def write_allocation(folder: OutputFolder, found: Allocation, **came: tuple[str | os.PathLike[str], ParameterSet]) -> None:
+    """All files of an allocation. `came`: (file, its content) of the plant's parameters."""
+    parameters = found.model.parameters
     rows = [",".join(COLUMNS), *(",".join(f"{v:.7g}" for v in row) for row in table(found))]
     folder.write("allocation.csv", "\n".join(rows) + "\n")
     folder.write("allocation.h", as_c(found))
-    folder.write(
-        "gains.json", to_json(dated(allocated_controller(found, parameters), parameters=(options.parameters, parameters)))
-    )
+    folder.write("gains.json", to_json(dated(allocated_controller(found, parameters), **came)))
     folder.write("allocation.json", as_json(summary(found)))
     folder.write("report.html", allocation_page(found, parameters.label).html())
-    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
 
 
 def summary(found: Allocation) -> dict:

@@ -20,13 +20,14 @@ from vpp_fmu.app.cli.knowledge import knowledge_of
 from vpp_fmu.app.cli.options import SEED, Number, whole
 from vpp_fmu.app.cli.output import add_effects_from, add_output, written
 from vpp_fmu.app.report.pages.learning import headline, key_figures, learning_page
+from vpp_fmu.files import OutputFolder
 from vpp_fmu.kernel.controller import CONTROLLER
 from vpp_fmu.kernel.measurement import CONVERSIONS, RESOLUTION
 from vpp_fmu.kernel.plant import plant
 from vpp_fmu.kernel.scales import PAPER
 from vpp_fmu.outputs import OutputSet
 from vpp_fmu.own_effects import library_with
-from vpp_fmu.parameters import parameters_file, read_parameters
+from vpp_fmu.parameters import ParameterSet, parameters_file, read_parameters
 from vpp_fmu.policy import FILE
 from vpp_fmu.structured import as_json
 
@@ -60,7 +61,19 @@ def configure(parser):
 def run(options):
     library = library_with(options.effects_from)
     parameters = read_parameters(options.parameters, lambda names: plant(names, library))
-    task, settings = _task(options, parameters)
+    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
+    known_in, knowledge = knowledge_of(options, parameters)
+    noise = read_noise(known_in) if known_in else None
+    task, settings = task_of(
+        parameters,
+        (given, options.gains),
+        knowledge=knowledge and knowledge[0],
+        noise_std=noise[0] if noise else 0.0,
+        overshoot=options.overshoot / 100.0,
+        spread=options.spread,
+        seed=options.seed,
+        effects_from=tuple(options.effects_from),
+    )
     folder = OutputSet(options.output, "learn")
     with tqdm(total=100, unit="%", disable=None, leave=False) as bar:
         found = learn(
@@ -71,34 +84,35 @@ def run(options):
             options.plants,
             lambda share: bar.update(round(100 * share) - bar.n),
         )
+    write_learning(folder, found, parameters.label)
+    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
+
+
+def write_learning(folder: OutputFolder, found: Learned, source: str) -> None:
+    """All files of a learned law; `source`: of the parameters."""
     folder.write(FILE, as_json(found.policy.to_dict()))
     rows = [f"{n},{c:.7g}" for n, c in zip(found.evaluations, found.cost, strict=True)]
     folder.write("learning_curve.csv", "\n".join(["evaluations,cost", *rows]) + "\n")
     folder.write("learning.json", as_json(summary(found)))
-    folder.write("report.html", learning_page(found, parameters.label).html())
-    return Answer(headline(found), summary(found), figures=key_figures(found), written=written(folder, parameters))
+    folder.write("report.html", learning_page(found, source).html())
 
 
-def _task(options, parameters) -> tuple[Task, Mapping[str, float]]:
-    """The task and all values of the PID."""
-    given = read_parameters(options.gains, lambda _: CONTROLLER) if options.gains else None
-    known_in, knowledge = knowledge_of(options, parameters)
-    noise = read_noise(known_in) if known_in else None
-    own = controllers(parameters, given, source=options.gains)
+def task_of(
+    parameters: ParameterSet, gains: tuple[ParameterSet | None, str | None], **known
+) -> tuple[Task, Mapping[str, float]]:
+    """The task and all values of the PID: the given `gains` (values, their source), or tuned on set-points of the same kind.
+    `known`: fields of the task."""
+    given, source = gains
+    own = controllers(parameters, given, source=source or "gains")
     name, settings = next(iter(own.settings.items()))
     resolution = RESOLUTION / PAPER.thrust_scale * parameters.values["thrust_scale"]
     task = Task(
         parameters=parameters,
         profile=rig_profile(parameters, own.settings),
         chain={"delay": min(1.0 / CONVERSIONS / settings["sample_time"], 8.0), "resolution": resolution},
-        noise_std=noise[0] if noise else 0.0,
-        overshoot=options.overshoot / 100.0,
-        spread=options.spread,
-        knowledge=knowledge and knowledge[0],
-        seed=options.seed,
-        effects_from=tuple(options.effects_from),
         reference=own.reference,
         lowered=own.scaled,
+        **known,
     )
     if given is not None:
         return task, settings
