@@ -142,7 +142,7 @@ def test_the_command_writes_a_calibration_with_who_when_and_residuals(tmp_path, 
         ("load_cell", "esc", "pitch"), "Ada"
     )
     assert len(found.source["load_cell"]["residuals_N"]) == 7
-    assert "residuals" in capsys.readouterr().out
+    assert "residuals" in capsys.readouterr().err
     assert "rising and falling apart" in (tmp_path / "out" / "report.html").read_text().lower()
     first = (tmp_path / "out" / "calibration.json").read_text()
     assert calibrated(tmp_path, answers()) == 0  # the same rig and answers: the same numbers

@@ -10,7 +10,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -228,7 +228,7 @@ def _run(options) -> Answer:
     if twin:
         lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
     with watched(options, content) as page:
-        confirm(setup)
+        confirm(setup, lines)
         done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
         return _answer(found, lines, written(folder), done.judge)
 
@@ -265,15 +265,16 @@ def _campaign(options) -> Answer:
     commands = commands_of(options.commands, setup.limits) if options.commands else None
     folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
     content = measuring.begin(folder.path, _begun(options, setup), options.resume)
+    lines = [allowed_words(setup.allowed)]
     with watched(options, content) as page:
-        confirm(setup)
+        confirm(setup, lines)
         if file := which(options).file:
             folder.write(FILE, read_text(file))  # what reads the campaign must know it too
         content = measuring.run(folder, content, page, partial(say, options))
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
     text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
-    return Answer(text, content, [allowed_words(setup.allowed)], written=written(folder))
+    return Answer(text, content, lines, written=written(folder))
 
 
 def _calibrate(options) -> Answer:
@@ -510,10 +511,11 @@ def allowed_words(allowed: Rig) -> str:
     return f"commands within {', '.join(allowed.command_lines())}"
 
 
-def confirm(setup: Setup) -> None:
-    """On the real rig, wait until someone has typed that the propeller may turn."""
+def confirm(setup: Setup, lines: Sequence[str]) -> None:
+    """On the real rig, print the `lines` about the run, and wait until someone has typed that the propeller may turn."""
     if setup.emulated is not None:
         return
+    print(*lines, sep="\n")
     print(f"This spins the propeller. Guard closed, nobody near it, emergency stop at hand? Type {WORD} to go on: ", end="")
     sys.stdout.flush()
     typed = sys.stdin.readline().strip()

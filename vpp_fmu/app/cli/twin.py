@@ -116,9 +116,7 @@ def _rig(options, setup: Setup) -> Rig:
         return replace(setup, emulated=replace(own, seed=100_000 * (options.seed + 1) + 1000 * number + flight))
 
     def word(what: str) -> None:
-        if setup.emulated is None:
-            print(what, flush=True)
-        hil.confirm(setup)
+        hil.confirm(setup, [what])
 
     return Rig(flown, word, there)
 
