@@ -219,7 +219,7 @@ def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path)
     calibration.write_text(to_json(CALIBRATION))
     words = ["hil", "run", "--calibration", str(calibration), "--profile", str(profile), "--rig", "real"]
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "source: found nobody who measured load_cell, esc, pitch" in capsys.readouterr().err
+    assert "source: found no operator and date for load_cell, esc, pitch" in capsys.readouterr().err
     calibration.write_text(to_json(replace(CALIBRATION, source={"who": "Ada", "when": "2026-03-07"})))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
     assert "a real rig of unknown range" in capsys.readouterr().err  # nobody has said how fast it may turn

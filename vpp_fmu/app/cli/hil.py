@@ -47,7 +47,7 @@ from hil.twin.adaptive import Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
-from vpp_fmu.app.cli.answer import Answer, say
+from vpp_fmu.app.cli.answer import Answer, Lines, say
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -222,15 +222,14 @@ def _run(options) -> Answer:
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)) if options.beside else None
     task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
     parent = OutputFolder(options.output)
-    shown = partial(say, options)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
     if twin:
         lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
-    with watched(options, content) as page:
+    with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
-        return _answer(found, lines, written(folder), done.judge)
+        return _answer(found, [*lines, *shown], written(folder), done.judge)
 
 
 def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
@@ -266,15 +265,15 @@ def _campaign(options) -> Answer:
     folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
     content = measuring.begin(folder.path, _begun(options, setup), options.resume)
     lines = [allowed_words(setup.allowed)]
-    with watched(options, content) as page:
+    with watched(options, content) as page, Lines(options) as shown:
         confirm(setup, lines)
         if file := which(options).file:
             folder.write(FILE, read_text(file))  # what reads the campaign must know it too
-        content = measuring.run(folder, content, page, partial(say, options))
+        content = measuring.run(folder, content, page, shown)
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
     text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
-    return Answer(text, content, lines, written=written(folder))
+    return Answer(text, content, [*lines, *shown], written=written(folder))
 
 
 def _calibrate(options) -> Answer:
@@ -288,7 +287,7 @@ def _calibrate(options) -> Answer:
     bench = setup.bench()
     try:
         measured = calibrate.measured(
-            bench, guide, options.parts, folder.path / REPORT, not setup.virtual, partial(say, options)
+            bench, guide, options.parts, folder.path / REPORT, not setup.virtual, partial(print, flush=True)
         )
     finally:
         bench.close()
@@ -533,7 +532,7 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
         allowed = "a run in real time: a virtual one ends in seconds"
         raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
     with served(content, options.watch) as page:
-        print(f"operator's page: {page.address}", file=sys.stderr, flush=True)  # with --quiet too: STOP is there
+        print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too: STOP is there
         yield page
 
 
