@@ -161,7 +161,7 @@ def test_a_part_alone_leaves_the_rest_and_says_what_is_missing(tmp_path, capsys)
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda lines: lines[:6], "the end, expected an answer"),
+        (lambda lines: lines[:6], "the end of the input, expected an answer"),
         (lambda lines: [*lines[:2], "1 0.5", *lines[3:]], "line 3, weights to hang [kg] (Enter: 0 0.5 1 1.5): found 1 0.5"),
         (lambda lines: [*lines[:3], "sideways", *lines[4:]], "found sideways, expected with or against"),
         (lambda lines: [*lines[:-1], "spin"], "found spin, expected bare"),
@@ -191,4 +191,4 @@ def test_a_calibration_that_was_never_measured_drives_no_real_rig(tmp_path, caps
     path = tmp_path / "c.json"
     path.write_text(to_json(replace(CALIBRATION, source={"load_cell": {"who": "Ada", "when": "2026-03-07"}})))
     assert main(["hil", "campaign", "--rig", "real", "--calibration", str(path), "-o", str(tmp_path / "out")]) == 2
-    assert "source: found nobody who measured esc, pitch" in capsys.readouterr().err
+    assert "source: found no operator and date for esc, pitch" in capsys.readouterr().err

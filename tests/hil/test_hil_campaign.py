@@ -279,7 +279,7 @@ def test_a_campaign_that_is_ended_three_times_and_resumed_equals_one_that_was_no
         assert (out / kept).exists()
         if not resume:
             assert main([*small, "-o", str(out)]) == 2
-            assert "expected --resume, or another folder" in capsys.readouterr().err
+            assert "Try: --resume to go on, or another folder" in capsys.readouterr().err
         resume = ["--resume"]
     assert main([*small, "--resume", "--settle", "2", "-o", str(out)]) == 2
     assert "plan: found" in capsys.readouterr().err

@@ -186,12 +186,12 @@ def test_the_plant_fmu_takes_the_rigs_place_by_one_option(tmp_path, profile, fmu
         (["--hide", "linkage_play=99"], "found 99, expected a number from 0"),
         (["--hide", "linkage_play.size=1"], "linkage_play.half_gap"),
         (["--rig", "kettle"], "expected emulated or real"),
-        (["--rig", "real"], "the real rig's own calibration"),
+        (["--rig", "real"], "expected the real rig's calibration file"),
         (["--rig", "fmu"], "or fmu PLANT.fmu"),
         (["--start", "9000", "0"], "--start: found 9000 rpm, expected 2000 to 6000 rpm"),
         (["--start", "-5", "0"], "--start"),
-        (["--twin"], "no --parameters"),
-        (["--controller", "c.fmu", "--gains", "g.json"], "one of the two"),
+        (["--twin"], "no model of the rig"),
+        (["--controller", "c.fmu", "--gains", "g.json"], "only one of them"),
     ],
 )
 def test_wrong_options_are_told_in_one_line(profile, capsys, words, said, tmp_path):
@@ -219,10 +219,10 @@ def test_the_real_rig_wants_a_typed_word(profile, capsys, monkeypatch, tmp_path)
     calibration.write_text(to_json(CALIBRATION))
     words = ["hil", "run", "--calibration", str(calibration), "--profile", str(profile), "--rig", "real"]
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "source: found nobody who measured load_cell, esc, pitch" in capsys.readouterr().err
+    assert "source: found no operator and date for load_cell, esc, pitch" in capsys.readouterr().err
     calibration.write_text(to_json(replace(CALIBRATION, source={"who": "Ada", "when": "2026-03-07"})))
     assert main([*words, "-o", str(tmp_path / "out")]) == 2
-    assert "without a range of speed and pitch" in capsys.readouterr().err  # nobody has said how fast it may turn
+    assert "a real rig of unknown range" in capsys.readouterr().err  # nobody has said how fast it may turn
     rig = {"format": "vpp-rig/1", "speed": {"min": 2000, "max": 5000}, "pitch": {"min": -5, "max": 8}}
     (tmp_path / "rig.json").write_text(json.dumps({**rig, "thrust": {"min": 0, "max": 12}}))
     words.append(str(tmp_path / "rig.json"))

@@ -126,7 +126,7 @@ def test_a_port_that_is_taken_is_refused_in_one_line(page, tmp_path, capsys):
     assert main([*words, "--watch", str(urlsplit(page.address).port)]) == 2
     assert "expected a port of 127.0.0.1 that is free" in capsys.readouterr().err
     assert main([*words, "--watch", "--virtual"]) == 2
-    assert "--watch: found given with --virtual" in capsys.readouterr().err
+    assert "--watch: found --watch and --virtual" in capsys.readouterr().err
 
 
 def test_it_shows_means_of_the_logs_rows_and_the_events_beside_them(page, tmp_path):

@@ -72,6 +72,28 @@ def say(options: argparse.Namespace, text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
+class Lines(list[str]):
+    """Lines about long work: shown on standard error as they come if that is a terminal, else kept for the answer."""
+
+    def __init__(self, options: argparse.Namespace):
+        super().__init__()
+        self._options, self._live = options, sys.stderr.isatty()
+
+    def __call__(self, text: str) -> None:
+        if self._live:
+            say(self._options, text)
+        else:
+            self.append(text)
+
+    def __enter__(self) -> "Lines":
+        return self
+
+    def __exit__(self, kind: type | None, *_: object) -> None:
+        """An error keeps the answer from being printed, and not the lines."""
+        if kind is not None and not self._options.quiet:
+            print(*self, sep="\n", end="\n" * bool(self))
+
+
 @contextlib.contextmanager
 def level(options: argparse.Namespace) -> Iterator[None]:
     """Standard output is the answer's with --json, and no progress is shown with --quiet, for as long as the context lasts."""

@@ -10,7 +10,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -47,7 +47,7 @@ from hil.twin.adaptive import Adaptive, adaptable, adaptive
 from hil.twin.band import Band, read_band
 from hil.twin.twin import Twin
 from identification.tune.controllers import rig_controller, said_of
-from vpp_fmu.app.cli.answer import Answer, say
+from vpp_fmu.app.cli.answer import Answer, Lines, say
 from vpp_fmu.app.cli.options import SEED, Number, real, whole
 from vpp_fmu.app.cli.output import add_output, written
 from vpp_fmu.app.cli.prompts import Prompts
@@ -224,15 +224,14 @@ def _run(options) -> Answer:
     other = (Path(options.beside).name, _fmu_loop(options.beside, options, profile)) if options.beside else None
     task = Task(setup, controller, profile, start, twin, other, ON_ALARM[options.on_alarm], parquet)
     parent = OutputFolder(options.output)
-    shown = partial(say, options)
     lines.append(allowed_words(setup.allowed))
     content = _begun(options, setup) | task.summary()
     if twin:
         lines.append(f"adaptive twin: {twin[2].microseconds:.0f} us of a tick")
-    with watched(options, content) as page:
-        confirm(setup)
+    with watched(options, content) as page, Lines(options) as shown:
+        confirm(setup, lines)
         done, folder, found = carry_out(task, content | {"begun": now()}, parent, page, shown, _page_of)
-        return _answer(found, lines, written(folder), done.judge)
+        return _answer(found, [*lines, *shown], written(folder), done.judge)
 
 
 def _answer(found: Outcome, lines: list[str], place: list[str], judge: Callable[[], None] = lambda: None) -> Answer:
@@ -267,15 +266,16 @@ def _campaign(options) -> Answer:
     commands = commands_of(options.commands, setup.limits) if options.commands else None
     folder, measuring = OutputFolder(options.output), Measuring(setup, plan, options.parts, commands, parquet)
     content = measuring.begin(folder.path, _begun(options, setup), options.resume)
-    with watched(options, content) as page:
-        confirm(setup)
+    lines = [allowed_words(setup.allowed)]
+    with watched(options, content) as page, Lines(options) as shown:
+        confirm(setup, lines)
         if file := which(options).file:
             folder.write(FILE, read_text(file))  # what reads the campaign must know it too
-        content = measuring.run(folder, content, page, partial(say, options))
+        content = measuring.run(folder, content, page, shown)
     parts = content["parts"]
     lost, rows = (sum(part["log"][name] for part in parts.values()) for name in ("lost", "rows"))
     text = f"Measured {', '.join(parts)} in {folder.path}: {rows} rows of the log, {lost} lost."
-    return Answer(text, content, [allowed_words(setup.allowed)], written=written(folder))
+    return Answer(text, content, [*lines, *shown], written=written(folder))
 
 
 def _calibrate(options) -> Answer:
@@ -289,7 +289,7 @@ def _calibrate(options) -> Answer:
     bench = setup.bench()
     try:
         measured = calibrate.measured(
-            bench, guide, options.parts, folder.path / REPORT, not setup.virtual, partial(say, options)
+            bench, guide, options.parts, folder.path / REPORT, not setup.virtual, partial(print, flush=True)
         )
     finally:
         bench.close()
@@ -523,10 +523,11 @@ def allowed_words(allowed: Rig) -> str:
     return f"commands within {', '.join(allowed.command_lines())}"
 
 
-def confirm(setup: Setup) -> None:
-    """On the real rig, wait until someone has typed that the propeller may turn."""
+def confirm(setup: Setup, lines: Sequence[str]) -> None:
+    """On the real rig, print the `lines` about the run, and wait until someone has typed that the propeller may turn."""
     if setup.emulated is not None:
         return
+    print(*lines, sep="\n")
     print(f"This spins the propeller. Guard closed, nobody near it, emergency stop at hand? Type {WORD} to go on: ", end="")
     sys.stdout.flush()
     typed = sys.stdin.readline().strip()
@@ -544,7 +545,7 @@ def watched(options, content: Mapping) -> Iterator[OperatorPage | None]:
         allowed = "a run in real time: a virtual one ends in seconds"
         raise BadInput("command line", "--watch", "--watch and --virtual", allowed)
     with served(content, options.watch) as page:
-        print(f"operator's page: {page.address}", file=sys.stderr, flush=True)  # with --quiet too: STOP is there
+        print(f"operator's page: {page.address}", flush=True)  # at once, with --quiet too: STOP is there
         yield page
 
 

@@ -15,10 +15,10 @@ from statistics import mean
 from tqdm import tqdm
 
 from hil.session import Setup
-from hil.twin.band import read_band
+from hil.twin.band import Band, read_band
 from identification.tune.controllers import controllers
 from vpp_fmu.app.cli import hil
-from vpp_fmu.app.cli.answer import Answer, say
+from vpp_fmu.app.cli.answer import Answer, Lines
 from vpp_fmu.app.cli.hil import allowed_words
 from vpp_fmu.app.cli.options import WORKERS, whole
 from vpp_fmu.app.cli.output import dated
@@ -63,22 +63,28 @@ def run(options):
     band = read_band(known_in)
     check_same_model(known_in, parameters, options.parameters)
     setup = replace(setup, plant=parameters.values)
-    say(options, allowed_words(setup.allowed))
     day, rig = new_day(parameters, settings["dual"]), _rig(options, setup)
     folder = OutputFolder(options.day)
-    for number in range(1, options.rounds + 1):
-        with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+    with Lines(options) as shown:
+        shown(allowed_words(setup.allowed))
+        for number in range(1, options.rounds + 1):
+            content = _round(options, day, rig, band, number, folder, shown)
+    return Answer(headline(day), content, shown, written=[f"written to {folder.path}"])
 
-            def stage(text: str, number: int = number, bar=bar) -> None:
-                bar.set_description(f"round {number}: {text}")
 
-            own = OutputFolder(folder.path / f"round_{number}")
-            done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
-        day.rounds.append(done)
-        for line in said(done):
-            say(options, line)
-        content = _write(folder, own, day, done)
-    return Answer(headline(day), content, written=[f"written to {folder.path}"])
+def _round(options, day: Day, rig: Rig, band: Band, number: int, folder: OutputFolder, shown: Lines) -> dict:
+    """Fly a round and write its files; returns the content of day.json so far."""
+    with tqdm(disable=None, leave=False, bar_format="{desc} {elapsed}") as bar:
+        own = OutputFolder(folder.path / f"round_{number}")
+
+        def stage(text: str) -> None:
+            bar.set_description(f"round {number}: {text}")
+
+        done = next_round(day, rig, band, options.policy, own.path, options.seed, options.workers, stage)
+    day.rounds.append(done)
+    for line in said(done):
+        shown(line)
+    return _write(folder, own, day, done)
 
 
 def headline(day: Day) -> str:
@@ -118,9 +124,7 @@ def _rig(options, setup: Setup) -> Rig:
         return replace(setup, emulated=replace(own, seed=100_000 * (options.seed + 1) + 1000 * number + flight))
 
     def word(what: str) -> None:
-        if setup.emulated is None:
-            print(what, flush=True)
-        hil.confirm(setup)
+        hil.confirm(setup, [what])
 
     return Rig(flown, word, there)
 
