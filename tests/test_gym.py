@@ -185,7 +185,7 @@ def test_a_limit_of_the_rig_ends_the_episode_and_costs():
     while not ended:
         _, paid, ended, over, shown = env.step(np.ones(2))
         assert not over
-    assert 15.0 < shown["thrust"] < 16.0
+    assert 25.0 < shown["thrust"] < 26.0
     assert paid < -100.0
 
 

@@ -94,7 +94,7 @@ def headline(day: Day) -> str:
     alarms = sum(one.alarm is not None for one in day.rounds)
     return (
         f"{len(day.rounds)} rounds, {alarms} with an alarm: thrust error {change(*errors, 'N')}, cost on the rig "
-        f"{change(*costs, '1')}; the model {last.chosen.name} and the gains {last.winner} go on."
+        f"{change(*costs, '1')}; next: the model {last.chosen.name}, the law {last.winner}."
     )
 
 

@@ -37,5 +37,10 @@ def thrust_error(unseen: bool, values: str, noise: float | None) -> str:
     return f"{of} thrust error {values}; noise {size(noise, 'N')}."
 
 
+def titled(name: str) -> str:
+    """A name as the first word of a title: "Pitch command deadband"."""
+    return name.replace("_", " ").capitalize()
+
+
 def _shown(parameter: Parameter, value: float) -> str:
     return "no limit" if value == parameter.unlimited else size(value, parameter.unit)

@@ -146,15 +146,15 @@ def key_figures(found: Diagnosis) -> list[tuple[str, str, str]]:
         for name, p in effect["parameters"].items():
             if name == "form":
                 continue
-            unit = "" if p["unit"] == "1" else f" {p['unit']}"
+            unit = p["unit"]
             note = _known(p, effect["intervals"].get(name))
             if "acts_times" in p:
                 times = "once" if p["acts_times"] == 1 else f"{p['acts_times']} times"
                 note += f"; the fitted commands reach it {times}, {number(p['acts_seconds'], 2)} s in all"
-            figures.append((f"{effect['name']}, {name}", f"{number(p['value'])}{unit}", note))
+            figures.append((f"{effect['name']}, {name}".replace("_", " "), size(p["value"], unit), note))
     (before, _), (after, _) = found.errors(found.base), found.errors(found.final)
-    both = f"{number(before)} → {number(after)} N" if found.final.effects else f"{number(before)} N"
-    noise = f"noise of one reading {number(found.noise.floor)} N: {found.reading_noise.basis}"
+    both = change(before, after, "N").replace("->", "→") if found.final.effects else size(before, "N")
+    noise = f"noise of one reading {size(found.noise.floor, 'N')}: {found.reading_noise.basis}"
     figures.append((f"thrust error {_where_judged(found)}".rstrip(","), both, noise))
     if found.given is not None:
         as_given = summary(found)["given"]["rmse_thrust"]
@@ -205,10 +205,8 @@ def _where(found: Diagnosis) -> tuple[str, str, str]:
 
 def diagnosis_page(found: Diagnosis) -> Page:
     """The page of one diagnosis."""
-    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found), found.campaign.label)
+    page = Page(f"Diagnosis of {found.campaign.folder.name}", headline(found).replace("->", "→"), found.campaign.label)
     page.tiles(key_figures(found))
-    for line in found.logger.lines:
-        page.note(f"Your logger: {line}.")
     if text := not_tried(found):
         page.note(f"{text[0].upper()}{text[1:]}.")
     for effect in found.left_out:
@@ -217,24 +215,36 @@ def diagnosis_page(found: Diagnosis) -> Page:
         if text := artefact(found, effect):
             page.note(f"{effect}: {text}.")
     add_quality(page, found.quality)
-    for line in found.rig.lines():
-        page.note(f"Rig: {line}.")
+    _add_effect(page, found)
     page.section("Before and after" if found.final.effects else "The model")
     _add_whole(page, found)
-    add_diagnosis(page, found)
+    _add_rest(page, found)
+    lines = [*(f"Rig: {line}." for line in found.rig.lines()), *(f"Logger: {line}." for line in found.logger.lines)]
+    page.section("The rig and its logger", "\n\n".join(lines))
     return page
 
 
 def add_diagnosis(page: Page, found: Diagnosis) -> None:
     """Add figures and tables of a diagnosis to a page that already shows the unseen record."""
+    _add_effect(page, found)
+    _add_rest(page, found)
+
+
+def _add_effect(page: Page, found: Diagnosis) -> None:
+    """What was found, if anything."""
+    if found.final.effects:
+        page.section("The effect" if len(found.final.effects) == 1 else "The effects")
+        if found.learned:
+            add_learned(page, found)
+        add_effects(page, found)
+
+
+def _add_rest(page: Page, found: Diagnosis) -> None:
+    """How well the model fits, and why it is this one."""
     page.section("The worst moments")
     _add_worst(page, found)
     if found.final.effects:
         _add_sections(page, found)
-        page.section("The effect")
-        if found.learned:
-            add_learned(page, found)
-        add_effects(page, found)
         add_shift(page, found)
     page.section("Candidates")
     add_evidence(page, found)

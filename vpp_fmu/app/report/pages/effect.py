@@ -12,6 +12,7 @@ from vpp_fmu.app.report.figures.map import behind_against_before, reached_agains
 from vpp_fmu.app.report.figures.parameters import learned_curve
 from vpp_fmu.app.report.figures.time import stacked
 from vpp_fmu.app.report.page import Page
+from vpp_fmu.app.report.sentences import titled
 from vpp_fmu.app.report.summary import why_not_term
 from vpp_fmu.digits import number
 from vpp_fmu.kernel.learned import DRIVERS, PORTS
@@ -85,7 +86,7 @@ def _add_at_rest(page: Page, found: Diagnosis, effect: str, channel: str) -> Non
     off = max(float(np.max(np.abs(v - stairs))) for name, v in reached.items() if name.startswith("after"))
     if off < AT_REST * np.ptp(stairs):
         return
-    title = f"{effect}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
+    title = f"{titled(effect)}: at rest the {word} deviates by up to {number(off, 3)} {unit} from its command"
     figure = reached_against_commanded(stairs, reached, title, word, unit)
     page.figure(figure, f"The settled models on stairs of {number(stairs[1] - stairs[0], 2)} {unit}, up and down.")
 
@@ -109,7 +110,7 @@ def at_rest(fit: Fit, record: Record, command: str, stairs: np.ndarray, held) ->
 def _add_thrust(page: Page, effect: str, record: Record, off: Outputs, change: Outputs) -> None:
     rows = slice(None, None, max(1, len(record) // 2000))
     largest = float(np.max(np.abs(change["thrust"])))
-    title = f"{effect}: the thrust changes by up to {number(largest, 3)} N"
+    title = f"{titled(effect)}: the thrust changes by up to {number(largest, 3)} N"
     figure = behind_against_before(off["thrust"][rows], change["thrust"][rows], record.time[rows], title)
     page.figure(
         figure, "Difference between the model with the effect and without it, on the commands of the record shown above."
@@ -131,7 +132,7 @@ def _add_in_time(page: Page, found: Diagnosis, effect: str, channel: str, change
     rows["thrust [N]"] = {"measured": record["thrust"][near]} | {name: p.thrust[near] for name, p in shown.items()}
     size = float(np.max(np.abs(change["thrust"][near])))
     change_words = "" if channel == "thrust" else f"{number(np.max(np.abs(change[channel][near])), 3)} {unit} of {word}, "
-    title = f"{effect} has its largest influence around {center:.0f} s: {change_words}{number(size, 3)} N of thrust"
+    title = f"{titled(effect)} has its largest influence around {center:.0f} s: {change_words}{number(size, 3)} N of thrust"
     page.figure(stacked(record.time[near], rows, title), "Before: the best model without the effect.")
 
 
