@@ -10,6 +10,7 @@ import pytest
 import vpp_fmu as vpp
 from identification.tune.objective import closed_loop
 from vpp_fmu.app.cli import main
+from vpp_fmu.app.report.sentences import clause
 from vpp_fmu.errors import BadInput
 from vpp_fmu.invariants import INVARIANTS
 from vpp_fmu.kernel.plant import LIBRARY
@@ -62,6 +63,8 @@ def test_what_breaks_an_invariant_is_caught(name, tmp_path, capsys):
         ("states=tuple(", "states=list(", "EFFECT, states: found [State("),
         ('"tau", "s", 0.0, 0.0', '"tau", "s", "0.0", 0.0', "EFFECT, 'tau', default: found '0.0', expected float"),
         ('State(n, "N"', "State(n, print", "EFFECT, 'reading', unit: found <built-in function print>, expected str"),
+        ('reading="thrust"', 'says="slow by {lag}"', "EFFECT, says: found 'slow by {lag}' ('lag'), expected a sentence with"),
+        ('reading="thrust"', 'says="slow by {"', "EFFECT, says: found 'slow by {' ("),
     ],
 )
 def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
@@ -70,6 +73,14 @@ def test_parts_of_an_effect_are_of_their_kind(word, other, says, tmp_path):
     with pytest.raises(BadInput) as refused:
         library_with([path])
     assert str(refused.value).startswith(f"{path}: {says}")
+
+
+def test_an_effect_says_its_sentence_or_else_its_description(tmp_path):
+    path = tmp_path / "with_a_sentence.py"
+    path.write_text(SOURCE.replace('reading="thrust"', 'says="the reading lags by {tau}"'))
+    for file, said in ((FILE, "the load cell's amplifier is slow"), (path, "the reading lags by 0.0500 s")):
+        (own,) = (e for e in library_with([file]) if e.name == "cell_lag")
+        assert clause(own, {"cell_lag.tau": 0.05000001}) == said
 
 
 def test_the_readme_shows_the_file_that_is_tested():

@@ -44,7 +44,7 @@ def quick(tmp_path_factory, request):
         patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
         for name, fewer in (("tune.STARTS", (1.0,)), ("tune.SHAKES", (0, 0)), ("rounds.ROUNDS", 1)):
             patch.setattr(f"identification.tune.{name}", fewer)  # the search has tests of its own
-        assert main(["paper", "--quick", "-o", str(out)]) == 0
+        assert main(["paper", "--quick", "--verbose", "-o", str(out)]) == 0
     return Quick(out, "\n".join(lines))
 
 

@@ -64,7 +64,7 @@ def test_demo_does_the_whole_job(script, tmp_path, capsys, monkeypatch):
     assert main(["demo", "-o", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     before, after = map(float, re.search(r"FMU in fmpy: ([\d.]+) → ([\d.]+) N", said).groups())
-    floor = float(said.split("noise of one reading ")[1].split(" N")[0])
+    floor = float(re.search(r"noise ([\d.]+) N", said)[1])
     assert floor < after < before < 2 * floor  # the example's model lacks something, but not more than the noise itself
     for name in (
         *("parameters.json", "parameters.ssv", "parameters_base.json", "identification.json", "diagnosis.json", "report.html"),

@@ -22,7 +22,7 @@ QUICK = ("reference/files.md", "how-to/learn-in-your-own-loop.md")
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_one_that_there_is(command):
-    verb, *options = shlex.split(command.split(" || ")[0], comments=True)
+    verb, *options = shlex.split(re.split(r" (?:\|\|?|>) ", command)[0], comments=True)
     parser_of(verb)[0].parse_args(options)
 
 

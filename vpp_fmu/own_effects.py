@@ -70,6 +70,11 @@ def _with(path: str | os.PathLike, content: Mapping, library: tuple[Effect, ...]
             base_unit(quantity.unit)
         except KeyError as error:
             raise BadInput(path, f"EFFECT, {quantity.name}, unit", repr(quantity.unit), "units of vpp_fmu.units") from error
+    try:
+        effect.says.format_map(dict.fromkeys((q.name for q in effect.parameters), ""))
+    except (AttributeError, KeyError, ValueError) as error:
+        allowed = f"a sentence with parameters in braces, of {', '.join(q.name for q in effect.parameters)}"
+        raise BadInput(path, "EFFECT, says", f"{_brief(effect.says)} ({error})", allowed) from error
     port, before = content.get("PORT"), content.get("BEFORE")
     if port is not None:
         if port not in tuple(PORTS):

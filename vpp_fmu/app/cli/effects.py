@@ -26,7 +26,7 @@ def run(options):
         path = Path(options.html)
         place = [f"written to {OutputFolder(path.parent).write(path.name, effects_page(effects, library).html())}"]
     lines = [f"{effect.name:{width}}  {effect.description}" for effect in effects]
-    return Answer(f"{len(effects)} effects that the model may have.", summary(effects), lines, written=place)
+    return Answer("\n".join(lines), summary(effects), written=place)
 
 
 def summary(effects: Sequence[Effect]) -> dict:
